@@ -1,0 +1,268 @@
+"""The command line: one sub-command per stage, each a few lines that read files, call the stage and write files.
+
+Heavy modules are imported inside the commands, so that ``p2wss --help`` answers at once. Everything here is
+glue: what decides a result belongs in the stage's module.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from p2wss import __version__, io
+from p2wss.config import Config, load
+from p2wss.errors import InputError
+from p2wss.provenance import fingerprint
+
+Command = Callable[[argparse.Namespace], None]
+log = logging.getLogger("p2wss")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one sub-command. Returns the exit status: 0, or 2 for input that the user can mend."""
+    parsed = _parser().parse_args(arguments)
+    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
+    try:
+        parsed.run(parsed)
+    except InputError as error:
+        print(f"p2wss: error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="p2wss", description="Footprints and LiDAR to watertight LoD2 buildings."
+    )
+    parser.add_argument("--version", action="version", version=f"p2wss {__version__}")
+    stages = parser.add_subparsers(title="stages, in order", required=True, metavar="STAGE")
+
+    fetch = _group(stages, "fetch", "get footprints, terrain and LiDAR of the region")
+    command = _command(fetch, "footprints", fetch_footprints, "footprints of the region")
+    command.add_argument("out", type=Path, help="footprints.gpkg")
+    command = _command(fetch, "dtm", fetch_dtm, "terrain of one tile and its margin")
+    command.add_argument("tile", help="name of the tile, such as 0652_6862")
+    command.add_argument("out", type=Path, help="GeoTIFF, float32, NaN where there is no data")
+    command = _command(fetch, "lidar", fetch_lidar, "LiDAR of one tile")
+    command.add_argument("tile", help="name of the tile, such as 0652_6862")
+    command.add_argument("out", type=Path, help="LAZ or COPC")
+
+    scenes = _group(stages, "scenes", "cut tiles, clean footprints, draw roofs")
+    command = _command(scenes, "index", scenes_index, "count buildings per tile")
+    command.add_argument("footprints", type=Path)
+    command.add_argument("out", type=Path, help="TSV: tile, num_buildings")
+    command = _command(scenes, "cut", scenes_cut, "one tile with its margin")
+    command.add_argument("tile", help="name of the tile, such as 0652_6862")
+    command.add_argument("footprints", type=Path)
+    command.add_argument("dtm", type=Path)
+    command.add_argument("out", type=Path, help="GeoParquet of buildings")
+    command.add_argument("out_dtm", type=Path, help="GeoTIFF, the terrain under the scene")
+
+    command = _command(stages, "buildings", buildings, "parametric buildings of one scene")
+    command.add_argument("scene", type=Path)
+    command.add_argument("out", type=Path, help="Parquet of parameters and meshes")
+
+    command = _command(stages, "scans", scans, "LiDAR survey of one scene")
+    command.add_argument("scene", type=Path)
+    command.add_argument("dtm", type=Path)
+    command.add_argument("buildings", type=Path)
+    command.add_argument("out", type=Path, help="LAZ")
+    command.add_argument("out_survey", type=Path, help="JSON: parameters of the survey and counts")
+    command.add_argument("--threads", type=int, default=1)
+
+    crops = _group(stages, "crops", "points of each building")
+    command = _command(crops, "scene", crops_scene, "from a simulated scan, with labels")
+    command.add_argument("buildings", type=Path)
+    command.add_argument("scan", type=Path)
+    command.add_argument("out", type=Path, help="Parquet shard")
+    command = _command(crops, "lidar", crops_lidar, "from real LiDAR, without labels")
+    command.add_argument("tile", help="buildings of this tile")
+    command.add_argument("footprints", type=Path)
+    command.add_argument("out", type=Path, help="Parquet shard")
+    command.add_argument("clouds", type=Path, nargs="+", help="LAS, LAZ or COPC")
+    command = _command(crops, "manifest", crops_manifest, "list shards, with hashes and splits")
+    command.add_argument("out", type=Path, help="manifest.json")
+    command.add_argument("--scenes", type=Path, nargs="*", default=[], help="shards of simulated scans")
+    command.add_argument("--lidar", type=Path, nargs="*", default=[], help="shards of real LiDAR")
+
+    command = _command(stages, "dvae", dvae, "train the point tokenizer")
+    command.add_argument("manifest", type=Path)
+    command.add_argument("out", type=Path, help="model.safetensors")
+    command.add_argument("out_metrics", type=Path, help="metrics.jsonl")
+    _training(command)
+
+    command = _command(stages, "model", model, "train Point2WSS")
+    command.add_argument("manifest", type=Path)
+    command.add_argument("dvae", type=Path)
+    command.add_argument("out", type=Path, help="model.safetensors")
+    command.add_argument("out_metrics", type=Path, help="metrics.jsonl")
+    _training(command)
+
+    evaluate = _group(stages, "eval", "tables, figures, report")
+    command = _command(
+        evaluate, "predict", eval_predict, "reconstruct test split and real LiDAR with the model"
+    )
+    command.add_argument("manifest", type=Path)
+    command.add_argument("model", type=Path)
+    command.add_argument("out", type=Path, help="Parquet of reconstructions")
+    command.add_argument("out_parameters", type=Path, help="JSON: errors of Table 1")
+    command.add_argument("--threads", type=int, default=1)
+    command = _command(evaluate, "baseline", eval_baseline, "reconstruct the same buildings with a baseline")
+    command.add_argument("name", help="lod1 or roofer")
+    command.add_argument("manifest", type=Path)
+    command.add_argument("out", type=Path, help="Parquet of reconstructions")
+    command = _command(
+        evaluate, "measure", eval_measure, "Chamfer distance, triangles, .. of every reconstruction"
+    )
+    command.add_argument("manifest", type=Path)
+    command.add_argument("out", type=Path, help="Parquet, one row per building and method")
+    command.add_argument("reconstructions", type=Path, nargs="+")
+    command = _command(evaluate, "report", eval_report, "the report")
+    command.add_argument("out", type=Path, help="folder: report.html, table1.csv, table2.csv")
+    command.add_argument("--manifest", type=Path, required=True)
+    command.add_argument("--measures", type=Path, required=True)
+    command.add_argument("--parameters", type=Path, required=True)
+    command.add_argument("--reconstructions", type=Path, nargs="+", required=True)
+    command.add_argument(
+        "--metrics", type=Path, nargs="+", required=True, help="metrics.jsonl of dvae and model"
+    )
+
+    command = _command(stages, "reconstruct", reconstruct, "buildings from your own LiDAR and footprints")
+    command.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC")
+    command.add_argument("footprints", type=Path, help="any vector file, in the CRS of the clouds")
+    command.add_argument("out", type=Path, help="folder")
+    command.add_argument("--model", type=Path, required=True, help="model.safetensors")
+    command.add_argument(
+        "--id-field", default=None, help="column of building ids; default: the usual names, else a number"
+    )
+    command.add_argument(
+        "--crs", default=None, help="of the clouds, where their headers tell none, such as EPSG:28992"
+    )
+    command.add_argument("--threads", type=int, default=1)
+    return parser
+
+
+def _group(stages: argparse._SubParsersAction, name: str, about: str) -> argparse._SubParsersAction:
+    parser = stages.add_parser(name, help=about, description=about)
+    return parser.add_subparsers(required=True, metavar="PART")
+
+
+def _command(
+    group: argparse._SubParsersAction, name: str, run: Command, about: str
+) -> argparse.ArgumentParser:
+    parser = group.add_parser(name, help=about, description=about)
+    parser.add_argument(
+        "--config", default="{}", help="a YAML file, or sections as JSON; default: the built-in values"
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _training(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--checkpoints", type=Path, required=True, help="folder to resume from; kept until the end"
+    )
+    command.add_argument("--threads", type=int, default=1)
+
+
+def _config(arguments: argparse.Namespace) -> Config:
+    return load(arguments.config)
+
+
+# --- fetch ---
+
+
+def fetch_footprints(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def fetch_dtm(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def fetch_lidar(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- scenes ---
+
+
+def scenes_index(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def scenes_cut(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- buildings ---
+
+
+def buildings(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- scans ---
+
+
+def scans(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- crops ---
+
+
+def crops_scene(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def crops_lidar(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def crops_manifest(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- dvae, model ---
+
+
+def dvae(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def model(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- eval ---
+
+
+def eval_predict(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def eval_baseline(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def eval_measure(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+def eval_report(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+# --- reconstruct ---
+
+
+def reconstruct(arguments: argparse.Namespace) -> None:
+    raise NotImplementedError
+
+
+if __name__ == "__main__":
+    sys.exit(main())

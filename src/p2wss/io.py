@@ -1,0 +1,264 @@
+"""The files that stages hand to each other: their columns, and how they are written whole or not at all.
+
+Every Parquet file carries, under the metadata key ``p2wss``, a JSON object with what made it (config section,
+code fingerprint, version, CRS, counts). A column's meaning and unit are in its field's metadata, so
+``pyarrow.parquet.read_schema(path)`` is the documentation.
+
+Frames. ``*_xy_m`` and ``vertex_xyz_m`` are flattened (x0, y0, x1, y1, ...) and relative to
+(origin_x_m, origin_y_m) in the projected CRS of the file. Mesh heights are relative to ``ground_z_m``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from p2wss import __version__
+from p2wss.errors import InputError
+
+METADATA_KEY = b"p2wss"
+
+
+def _field(name: str, kind: pa.DataType, about: str, nullable: bool = False) -> pa.Field:
+    return pa.field(name, kind, nullable=nullable, metadata={"about": about})
+
+
+_IDENTITY = [
+    _field(
+        "building_id",
+        pa.string(),
+        "cleabs of BD TOPO or the user's own id; parts of a multipolygon end in -1, -2, ..",
+    ),
+    _field("tile", pa.string(), "name of the tile, its north-west corner"),
+]
+_FRAME = [
+    _field("origin_x_m", pa.float64(), "x of the local origin in the CRS of the file"),
+    _field("origin_y_m", pa.float64(), "y of the local origin in the CRS of the file"),
+]
+_FOOTPRINT = [
+    _field(
+        "footprint_xy_m",
+        pa.list_(pa.float64()),
+        "vertices of all rings, exterior (CCW) first, x and y in turn, local",
+    ),
+    _field("ring_offset", pa.list_(pa.int32()), "ring r owns vertices ring_offset[r] to ring_offset[r + 1]"),
+]
+_STATUS = [
+    _field("status", pa.string(), "'ok', or why the building was left out"),
+]
+_MESH = [
+    _field(
+        "vertex_xyz_m",
+        pa.list_(pa.float64()),
+        "mesh vertices, local x and y, z above ground_z_m; empty if rejected",
+    ),
+    _field(
+        "triangle", pa.list_(pa.int32()), "three vertex indices per triangle, counter-clockwise from outside"
+    ),
+    _field("triangle_kind", pa.list_(pa.uint8()), "per triangle: 0 ground, 1 wall, 2 roof, 3 flat"),
+    _field("triangle_edge", pa.list_(pa.int32()), "per triangle: the footprint edge it grows from, or -1"),
+]
+
+# Scenes are GeoParquet: these columns and a `geometry` of cleaned polygons (exterior CCW, courtyards CW, 2D).
+SCENE = pa.schema(
+    [
+        *_IDENTITY,
+        _field("in_tile", pa.bool_(), "false for a building of the margin, which only casts shadows"),
+        *_STATUS,
+        _field("eave_height_m", pa.float32(), "gutter above ground_z_m"),
+        _field("eave_height_source", pa.string(), "'hauteur', or the fallback that gave the height"),
+        _field("ground_z_m", pa.float64(), "median height of the DTM along the footprint"),
+        _field("base_z_m", pa.float64(), "lowest height of the DTM along the footprint, where the walls end"),
+        _field(
+            "roof_type",
+            pa.string(),
+            "what the sampler drew: gable, hip, half-hip, shed, flat, mixed, uniform",
+        ),
+        _field("angle_deg", pa.list_(pa.float32()), "one per edge over all rings; edge i starts at vertex i"),
+    ]
+)
+
+BUILDINGS = pa.schema(
+    [
+        *_IDENTITY,
+        _field("in_tile", pa.bool_(), "false for a building of the margin"),
+        *_STATUS,
+        _field("eave_height_m", pa.float32(), "gutter above ground_z_m"),
+        _field("ground_z_m", pa.float64(), "z of height 0"),
+        _field("base_z_m", pa.float64(), "z of the mesh's ground face"),
+        _field("roof_type", pa.string(), "as drawn by the scene's sampler"),
+        _field("angle_deg", pa.list_(pa.float32()), "one per edge over all rings"),
+        *_FRAME,
+        *_FOOTPRINT,
+        *_MESH,
+    ]
+)
+
+CROPS = pa.schema(
+    [
+        *_IDENTITY,
+        _field(
+            "split",
+            pa.string(),
+            "train, val, test, guard (too near another split: unused) or none (real LiDAR)",
+        ),
+        _field("num_points", pa.int32(), "points within the buffer"),
+        *_FRAME,
+        _field(
+            "origin_z_m",
+            pa.float64(),
+            "z of z_cm = 0; chosen from the points alone, so it tells nothing of the labels",
+        ),
+        _field("x_cm", pa.list_(pa.int16()), "point x - origin_x_m, centimetres"),
+        _field("y_cm", pa.list_(pa.int16()), "point y - origin_y_m, centimetres"),
+        _field("z_cm", pa.list_(pa.int16()), "point z - origin_z_m, centimetres"),
+        _field("classification", pa.list_(pa.uint8()), "LAS class per point: 2 ground, 6 building, .."),
+        *_FOOTPRINT,
+        _field(
+            "ground_z_m", pa.float64(), "ground at the building estimated from the cloud, NaN if it has none"
+        ),
+        _field(
+            "eave_height_m", pa.float32(), "label: gutter above label_ground_z_m; null for real LiDAR", True
+        ),
+        _field("label_ground_z_m", pa.float64(), "label: z of height 0; null for real LiDAR", True),
+        _field("angle_deg", pa.list_(pa.float32()), "label: one per edge; null for real LiDAR", True),
+        _field("roof_type", pa.string(), "label; null for real LiDAR", True),
+        _field("num_roof_points", pa.int32(), "points on this building's roof (real LiDAR: class 6 inside)"),
+        _field("num_wall_points", pa.int32(), "points on this building's walls; null for real LiDAR", True),
+        _field("visible_roof_share", pa.float32(), "share of the roof's 1 m cells that have a point"),
+    ]
+)
+
+RECONSTRUCTIONS = pa.schema(
+    [
+        _field("dataset", pa.string(), "synthetic (the test split) or lidar"),
+        *_IDENTITY,
+        _field("method", pa.string(), "point2wss, lod1, roofer, .."),
+        *_STATUS,
+        *_FRAME,
+        _field("ground_z_m", pa.float64(), "z of height 0"),
+        *_FOOTPRINT,
+        _field("eave_height_m", pa.float32(), "gutter above ground_z_m; null for a method without one", True),
+        _field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without", True),
+        _field(
+            "confidence",
+            pa.float32(),
+            "probability of the decoded values, mean over height and angles; null where unknown",
+            True,
+        ),
+        *_MESH,
+    ]
+)
+
+
+def provenance(**facts: Any) -> dict[str, Any]:
+    """Metadata for a result: the package's version and ``facts`` (config, code, crs, ..)."""
+    return {"version": __version__, **facts}
+
+
+@contextmanager
+def atomic(path: str | Path) -> Iterator[Path]:
+    """A temporary name beside ``path`` that becomes ``path`` when the block ends well and vanishes otherwise.
+
+    The suffix is kept, because GDAL and laspy choose the format by it. A full disk or any other ``OSError``
+    inside the block becomes an :class:`InputError` that names ``path``.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    suffix = "".join(path.suffixes)
+    handle, name = tempfile.mkstemp(
+        prefix=f".{path.name.removesuffix(suffix)}.", suffix=suffix, dir=path.parent
+    )
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_table(
+    path: str | Path, columns: dict[str, Any], schema: pa.Schema, metadata: dict[str, Any]
+) -> None:
+    """Write columns as Parquet (zstd) with ``metadata`` under the key ``p2wss``."""
+    table = pa.table(
+        {field.name: pa.array(columns[field.name], type=field.type) for field in schema},
+        schema=schema.with_metadata({METADATA_KEY: json.dumps(metadata).encode()}),
+    )
+    with atomic(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd", compression_level=3, row_group_size=512)
+
+
+def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = None) -> pa.Table:
+    """Read a Parquet file that has the columns of ``schema`` (all, or those named).
+
+    Raises :class:`InputError` if it is missing, broken or of another kind.
+    """
+    wanted = columns or schema.names
+    try:
+        table = pq.read_table(path, columns=wanted)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: not a readable Parquet file: {error}") from error
+    missing = [name for name in wanted if name not in table.column_names]
+    if missing:
+        raise InputError(
+            f"{path}: columns {', '.join(missing)} are missing; was it written by another version?"
+        )
+    return table
+
+
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """The JSON object that :func:`write_table` stored."""
+    found = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+    if found is None:
+        raise InputError(f"{path}: not a file of p2wss: it has no metadata named p2wss")
+    return json.loads(found)
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    with atomic(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def read_json(path: str | Path) -> Any:
+    try:
+        return json.loads(Path(path).read_text())
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+
+
+def sha256(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """A list column as (values, offsets): row i owns ``values[offsets[i]:offsets[i + 1]]``; a null row is empty."""
+    column = table.column(name).combine_chunks()
+    lengths = np.nan_to_num(column.value_lengths().to_numpy(zero_copy_only=False)).astype(np.int64)
+    return column.flatten().to_numpy(zero_copy_only=False), np.concatenate([[0], np.cumsum(lengths)])
+
+
+def ragged(values: np.ndarray, offsets: np.ndarray) -> pa.ListArray:
+    """The inverse of :func:`list_column`: a list array that owns ``values`` cut at ``offsets``."""
+    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(values))

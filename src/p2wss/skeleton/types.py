@@ -1,0 +1,89 @@
+"""Ragged arrays that go into and come out of the kernel: many polygons, many meshes, one array each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+FloatArray = np.ndarray
+IntArray = np.ndarray
+
+
+class FaceKind(IntEnum):
+    """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from."""
+
+    GROUND = 0
+    WALL = 1
+    ROOF = 2
+    FLAT = 3  # a horizontal piece: a cap, a cut at the maximum height, or what 0 degree edges have swept
+
+
+@dataclass(frozen=True)
+class Polygons:
+    """``num_polygons`` polygons with courtyards. No ring repeats its first vertex.
+
+    xy_m: float64 (num_vertices, 2). Exterior rings are counter-clockwise, courtyards clockwise, once cleaned.
+    ring_offset: int64 (num_rings + 1,): ring r owns vertices ``ring_offset[r]:ring_offset[r + 1]``.
+    polygon_offset: int64 (num_polygons + 1,): polygon p owns rings
+        ``polygon_offset[p]:polygon_offset[p + 1]``, its exterior first.
+
+    Edge i of a ring runs from its vertex i to its vertex i + 1 (the last one back to the first); an array of
+    one value per edge is aligned with ``xy_m``.
+    """
+
+    xy_m: FloatArray
+    ring_offset: IntArray
+    polygon_offset: IntArray
+
+    def __len__(self) -> int:
+        return len(self.polygon_offset) - 1
+
+    @property
+    def vertex_offset(self) -> IntArray:
+        """int64 (num_polygons + 1,): polygon p owns vertices ``vertex_offset[p]:vertex_offset[p + 1]``."""
+        return self.ring_offset[self.polygon_offset]
+
+    def rings(self, polygon: int) -> list[FloatArray]:
+        """The rings of one polygon, each float64 (n, 2), exterior first."""
+        first, last = self.polygon_offset[polygon], self.polygon_offset[polygon + 1]
+        return [self.xy_m[self.ring_offset[r] : self.ring_offset[r + 1]] for r in range(first, last)]
+
+    @classmethod
+    def from_rings(cls, polygons: list[list[FloatArray]]) -> Polygons:
+        """From a list of polygons, each a list of rings, each (n, 2)."""
+        rings = [np.asarray(ring, float).reshape(-1, 2) for polygon in polygons for ring in polygon]
+        return cls(
+            xy_m=np.concatenate(rings) if rings else np.zeros((0, 2)),
+            ring_offset=np.cumsum([0, *map(len, rings)], dtype=np.int64),
+            polygon_offset=np.cumsum([0, *map(len, polygons)], dtype=np.int64),
+        )
+
+
+@dataclass(frozen=True)
+class Meshes:
+    """One closed triangle mesh per polygon; a rejected polygon has no triangles and a status other than 0.
+
+    vertex_m: float64 (num_vertices, 3). triangle: int32 (num_triangles, 3), indices local to the mesh,
+    counter-clockwise seen from outside. kind: uint8 (num_triangles,), a :class:`FaceKind`. edge: int32
+    (num_triangles,), the edge of the polygon (counted over all its rings) or -1.
+    vertex_offset, triangle_offset: int64 (num_meshes + 1,). status: int32 (num_meshes,), a ``Status``.
+    """
+
+    vertex_m: FloatArray
+    triangle: IntArray
+    kind: IntArray
+    edge: IntArray
+    vertex_offset: IntArray
+    triangle_offset: IntArray
+    status: IntArray
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def mesh(self, index: int) -> tuple[FloatArray, IntArray, IntArray, IntArray]:
+        """(vertices (v, 3), triangles (t, 3), kind (t,), edge (t,)) of one mesh."""
+        v = slice(self.vertex_offset[index], self.vertex_offset[index + 1])
+        t = slice(self.triangle_offset[index], self.triangle_offset[index + 1])
+        return self.vertex_m[v], self.triangle[t], self.kind[t], self.edge[t]

@@ -1,0 +1,70 @@
+"""The tile grid: square tiles named after their north-west corner, as IGN names its deliveries.
+
+A tile of whole kilometres is named in kilometres (``0652_6862``: x from 652 km, y up to 6862 km), any other
+size in metres (``0652500_6862000``). The number of digits tells which.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+TILE_PATTERN = r"\d{4}_\d{4}|\d{7}_\d{7}"
+Bounds = tuple[float, float, float, float]
+
+
+def tile_name(x_min: float, y_max: float, tile_size_m: float) -> str:
+    """Name of the tile whose north-west corner is (``x_min``, ``y_max``), metres.
+
+    >>> tile_name(652_000, 6_862_000, 1000)
+    '0652_6862'
+    >>> tile_name(652_500, 6_862_000, 500)
+    '0652500_6862000'
+    """
+    if tile_size_m % 1000 == 0:
+        return f"{round(x_min / 1000):04d}_{round(y_max / 1000):04d}"
+    return f"{round(x_min):07d}_{round(y_max):07d}"
+
+
+def tile_bounds(name: str, tile_size_m: float, margin_m: float = 0.0) -> Bounds:
+    """(x_min, y_min, x_max, y_max) of a tile, grown by ``margin_m`` on every side, metres.
+
+    Raises ``ValueError`` when ``name`` is not a tile name.
+
+    >>> tile_bounds("0652_6862", 1000)
+    (652000.0, 6861000.0, 653000.0, 6862000.0)
+    """
+    if not re.fullmatch(TILE_PATTERN, name):
+        raise ValueError(f"{name!r} is not a tile name such as 0652_6862")
+    unit = 1000.0 if len(name) == 9 else 1.0
+    x_min, y_max = (float(part) * unit for part in name.split("_"))
+    return (
+        x_min - margin_m,
+        y_max - tile_size_m - margin_m,
+        x_min + tile_size_m + margin_m,
+        y_max + margin_m,
+    )
+
+
+def tiles_of_points(x_m: np.ndarray, y_m: np.ndarray, tile_size_m: float) -> np.ndarray:
+    """Tile name of each point; a tile owns its west and its north edge.
+
+    Arguments are float arrays of shape (n,), the result is an array of n strings.
+    """
+    column = np.floor(np.asarray(x_m) / tile_size_m)
+    row = np.ceil(np.asarray(y_m) / tile_size_m)
+    names = [
+        tile_name(c * tile_size_m, r * tile_size_m, tile_size_m) for c, r in zip(column, row, strict=True)
+    ]
+    return np.array(names, dtype=object)
+
+
+def tiles_of_bounds(bounds: Bounds, tile_size_m: float) -> Iterator[str]:
+    """Every tile that shares an area with ``bounds``, row by row from the north-west."""
+    x_min, y_min, x_max, y_max = bounds
+    for row in range(math.ceil(y_max / tile_size_m), math.floor(y_min / tile_size_m), -1):
+        for column in range(math.floor(x_min / tile_size_m), math.ceil(x_max / tile_size_m)):
+            yield tile_name(column * tile_size_m, row * tile_size_m, tile_size_m)
