@@ -1,0 +1,53 @@
+# make eval_report   install, then the whole pipeline on the miniature: results/mini/eval/report.html
+# make test          install, then format, lint, types and tests, a real run of the reduced miniature among them
+PYTHON ?= python3
+BIN := .venv/bin
+CORES ?= 2
+# many small tensors on few cores: OpenMP threads that spin while they wait make torch 40 times slower
+export OMP_WAIT_POLICY := PASSIVE
+export GOMP_SPINCOUNT := 0
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+
+.PHONY: install eval_report test test-slow lint format config lock clean
+install: $(BIN)/.installed
+
+$(BIN)/.installed: envs/lock.txt pyproject.toml
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r envs/lock.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	touch $@
+
+eval_report: install
+	snakemake -c$(CORES) eval_report
+
+test: install lint
+	pytest
+
+test-slow: install
+	pytest -m slow --timeout 3600
+
+lint: install
+	ruff check .
+	ruff format --check .
+	mypy
+	snakefmt --check Snakefile workflow
+	snakemake --lint
+
+format: install
+	ruff check --fix .
+	ruff format .
+	snakefmt Snakefile workflow
+
+# the generated files of config/, from src/p2wss/config.py
+config: install
+	$(BIN)/python -m p2wss.config
+
+# newest versions that resolve together, within envs/constraints.txt
+lock:
+	$(BIN)/python -m pip install --quiet pip-tools
+	$(BIN)/pip-compile --quiet --upgrade --allow-unsafe --strip-extras --no-emit-find-links --no-emit-index-url \
+		--no-emit-options --no-header --extra test --extra lint -c envs/constraints.txt -o envs/lock.txt pyproject.toml
+	sed -i 's/^torch==\([0-9.]*\)+.*/torch==\1/' envs/lock.txt
+
+clean:
+	rm -rf results resources logs .snakemake
