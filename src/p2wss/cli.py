@@ -9,11 +9,12 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from p2wss import __version__, io
-from p2wss.config import Config, load
+from p2wss.config import Config, load, section_json
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 
@@ -202,7 +203,36 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
 
 
 def buildings(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    import numpy as np
+
+    from p2wss.buildings import build_scene, failed_fraction
+
+    config = _config(arguments)
+    scene, facts = io.read_scene(arguments.scene)
+    columns = build_scene(scene, config.buildings)
+    status = columns["status"]
+    _report(log, arguments.out, status)
+    failed = failed_fraction(scene["status"].to_numpy(), status)
+    if failed > config.buildings.max_failed_fraction:
+        raise InputError(
+            f"{arguments.scene}: {failed:.1%} of its buildings were rejected, more than "
+            f"buildings.max_failed_fraction {config.buildings.max_failed_fraction:.1%}; the reasons are above"
+        )
+    metadata = io.provenance(
+        **{name: facts[name] for name in ("tile", "tile_size_m", "margin_m", "crs")},
+        config=section_json(config, "buildings"),
+        code=fingerprint("buildings"),
+        num_by_status=dict(zip(*(a.tolist() for a in np.unique(status.astype(str), return_counts=True)), strict=True)),
+    )
+    io.write_table(arguments.out, columns, io.BUILDINGS, metadata)
+
+
+def _report(log: logging.Logger, out: Path, status: Iterable[str]) -> None:
+    """One line: how many rows are ok, and how many are not for which reason."""
+    counts = Counter(map(str, status))
+    num_ok = counts.pop("ok", 0)
+    reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none"
+    log.info(f"{out.name}: {num_ok} buildings kept, {sum(counts.values())} rejected ({reasons})")
 
 
 # --- scans ---

@@ -225,6 +225,23 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
     return table
 
 
+def read_scene(path: str | Path) -> tuple[Any, dict[str, Any]]:
+    """A scene as (GeoDataFrame with the columns of ``SCENE`` and a geometry, metadata)."""
+    import geopandas as gpd
+
+    read_table(path, SCENE, columns=["building_id"])  # a clear error for what is no scene
+    return gpd.read_parquet(path), read_metadata(path)
+
+
+def write_scene(path: str | Path, scene: Any, metadata: dict[str, Any]) -> None:
+    """Write a GeoDataFrame with the columns of ``SCENE`` and a geometry as GeoParquet with ``metadata``."""
+    with atomic(path) as temporary:
+        scene[[*SCENE.names, scene.geometry.name]].to_parquet(temporary, compression="zstd")
+        table = pq.read_table(temporary)
+        own = {METADATA_KEY: json.dumps(metadata).encode()}
+        pq.write_table(table.replace_schema_metadata(table.schema.metadata | own), temporary, compression="zstd")
+
+
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """The JSON object that :func:`write_table` stored."""
     found = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
