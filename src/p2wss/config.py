@@ -127,6 +127,24 @@ class Eval(Section):
     """Tables 1 and 2 of the paper, and the report."""
 
     seed: int = Field(0, ge=0, description="of the points sampled on meshes")
+    lidar_name: str = Field(
+        "stand-in LiDAR", min_length=1, description="what the report calls the clouds of region.lidar_tiles"
+    )
+    attribution: list[str] = Field(
+        ["Miniature: footprints, terrain and LiDAR drawn by tests/mini/make.py; no real data"],
+        description="sources and licences of the data, for the report's footer",
+    )
+    num_samples: int = Field(2048, gt=0, description="points sampled on each mesh for the Chamfer distance")
+    max_num_points: int = Field(2048, gt=0, description="points of a cloud used for it: a subset by the seed")
+    num_resamples: int = Field(1000, ge=10, description="bootstrap draws behind each 95 % interval")
+    num_pictures: int = Field(
+        4, ge=0, le=20, description="buildings shown per data set: best, middle and worst, each"
+    )
+    roofer_command: str = Field(
+        "roofer",
+        description="Roofer and its options ({folder} = folder of its input and output, for containers); '' = never",
+    )
+    roofer_timeout_s: float = Field(3600, gt=0, description="for one run of Roofer, one tile")
 
 
 # --- reconstruct ------------------------------------------------------------------------------------------
@@ -134,6 +152,15 @@ class Eval(Section):
 
 class Reconstruct(Section):
     """Buildings from the user's own LiDAR."""
+
+    buffer_m: float = Field(1, ge=0, le=20, description="points within this distance of a footprint are its cloud")
+    min_num_points: int = Field(10, ge=1, description="a building with fewer gets a flat roof, none without any")
+    simplify_m: float = Field(
+        0.3, ge=0, le=5, description="Douglas-Peucker tolerance for real footprints; 0 = as they are"
+    )
+    min_eave_height_m: float = Field(1, gt=0, description="lower predictions are raised to this")
+    max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
+    batch_size: int = Field(64, gt=0, description="buildings per call of the network")
 
 
 # --- the whole --------------------------------------------------------------------------------------------

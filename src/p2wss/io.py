@@ -160,6 +160,33 @@ RECONSTRUCTIONS = pa.schema(
     ]
 )
 
+MEASURES = pa.schema(
+    [
+        _field("dataset", pa.string(), "synthetic (the test split) or lidar"),
+        *_IDENTITY,
+        _field("method", pa.string(), "point2wss, lod1, roofer, .."),
+        _field("status", pa.string(), "of the reconstruction: 'ok', or why there is no mesh"),
+        _field("num_points", pa.int32(), "points of the building's cloud"),
+        _field("num_vertices", pa.int32(), "vertices of the building's footprint, all rings"),
+        _field("roof_type", pa.string(), "label; null for real LiDAR", True),
+        _field("visible_roof_share", pa.float32(), "as in the crop"),
+        _field("confidence", pa.float32(), "of the reconstruction; null where unknown", True),
+        _field("num_triangles", pa.int32(), "of the whole mesh, ground included; null without a mesh", True),
+        _field("watertight", pa.bool_(), "every edge has two triangles; null without a mesh", True),
+        _field("oriented", pa.bool_(), "and they agree on the outside; null without a mesh", True),
+        _field("chamfer_m", pa.float32(), "CD of the paper: cloud against the whole mesh", True),
+        _field(
+            "roof_chamfer_m",
+            pa.float32(),
+            "CD of the points on the building against roof faces only; null with fewer than 10 such points",
+            True,
+        ),
+        _field("points_to_mesh_m", pa.float32(), "mean distance of those points to the mesh", True),
+        _field("height_error_m", pa.float32(), "absolute error of the eave's z; null without label", True),
+        _field("angle_error_deg", pa.float32(), "mean absolute error over the edges; null without label", True),
+    ]
+)
+
 
 def provenance(**facts: Any) -> dict[str, Any]:
     """Metadata for a result: the package's version and ``facts`` (config, code, crs, ..)."""
@@ -177,7 +204,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     suffix = "".join(path.suffixes)
     handle, name = tempfile.mkstemp(
-        prefix=f".{path.name.removesuffix(suffix)}.", suffix=suffix, dir=path.parent
+        prefix=f".{path.name.removesuffix(suffix)}-", suffix=suffix, dir=path.parent
     )
     os.close(handle)
     temporary = Path(name)
@@ -212,12 +239,13 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
     """
     wanted = columns or schema.names
     try:
-        table = pq.read_table(path, columns=wanted)
+        missing = [name for name in wanted if name not in pq.read_schema(path).names]
+        table = pq.read_table(path, columns=[name for name in wanted if name not in missing])
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: not a readable Parquet file: {error}") from error
-    missing = [name for name in wanted if name not in table.column_names]
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a readable Parquet file: {reason}") from error
     if missing:
         raise InputError(
             f"{path}: columns {', '.join(missing)} are missing; was it written by another version?"

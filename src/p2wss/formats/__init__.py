@@ -1,0 +1,1 @@
+"""Buildings as files that other programs read: CityJSON text sequences, GLB, GeoPackage."""

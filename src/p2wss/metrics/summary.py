@@ -1,0 +1,38 @@
+"""Mean, quartiles and deviation of a sample, the rows of Table 2, with a bootstrap interval of the mean."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Statistics of ``count`` values; ``low`` and ``high`` bound the mean with 95 % confidence."""
+
+    count: int
+    mean: float
+    q1: float
+    median: float
+    q3: float
+    std: float
+    low: float
+    high: float
+
+
+def summarize(values: np.ndarray, generator: np.random.Generator, num_resamples: int = 1000) -> Summary:
+    """Summary of the values that are not NaN; all NaN if there is none.
+
+    The interval is the percentile bootstrap (Efron 1979) over ``num_resamples`` draws with replacement.
+    """
+    values = np.asarray(values, float)
+    values = values[~np.isnan(values)]
+    if not len(values):
+        nothing = float("nan")
+        return Summary(0, nothing, nothing, nothing, nothing, nothing, nothing, nothing)
+    q1, median, q3 = np.quantile(values, [0.25, 0.5, 0.75])
+    means = [generator.choice(values, len(values)).mean() for _ in range(num_resamples)]
+    low, high = np.quantile(means, [0.025, 0.975])
+    statistics = (values.mean(), q1, median, q3, values.std(), low, high)
+    return Summary(len(values), *map(float, statistics))
