@@ -127,6 +127,9 @@ class Eval(Section):
     """Tables 1 and 2 of the paper, and the report."""
 
     seed: int = Field(0, ge=0, description="of the points sampled on meshes")
+    baselines: list[Literal["lod1", "constant", "roofer"]] = Field(
+        ["lod1", "constant", "roofer"], description="methods beside ours; roofer only where it is installed"
+    )
     lidar_name: str = Field(
         "stand-in LiDAR", min_length=1, description="what the report calls the clouds of region.lidar_tiles"
     )
@@ -188,7 +191,8 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
     """
     merged: dict[str, Any] = {}
     for document in documents:
-        _merge(merged, _parse(document))
+        sections = _parse(document).items()
+        _merge(merged, {name: {} if section is None else section for name, section in sections})
     try:
         return Config.model_validate(merged)
     except ValidationError as error:

@@ -1,7 +1,8 @@
 """Which code made a result: a fingerprint of a stage's module and of all it imports from this package.
 
 Snakemake reruns a rule when its ``params`` change. A fingerprint among them makes an edit of the code a
-change, and leaves out what cannot change a result: comments, docstrings and layout.
+change, and leaves out what cannot change a result: comments, docstrings and layout. A package counts with
+all its modules and with the other files in its folder, such as templates.
 """
 
 from __future__ import annotations
@@ -33,12 +34,24 @@ def fingerprint(*stages: str) -> str:
         if path is None:
             raise ModuleNotFoundError(f"no module {module}")
         tree = ast.parse(path.read_bytes())
-        pending += _imports(tree, module, is_package=path.name == "__init__.py")
+        is_package = path.name == "__init__.py"
+        pending += _imports(tree, module, is_package)
         seen[module] = ast.dump(_without_docstrings(tree))
+        if is_package and module != PACKAGE:
+            for inside in sorted(path.parent.iterdir()):
+                if inside.suffix == ".py" or (inside / "__init__.py").exists():
+                    pending.append(module if inside.stem == "__init__" else f"{module}.{inside.stem}")
+                elif inside.is_dir() and inside.name != "__pycache__":
+                    files = [file for file in sorted(inside.rglob("*")) if file.is_file() and file.suffix != ".pyc"]
+                    seen |= {str(file.relative_to(_root())): _digest(file) for file in files}
     digest = blake2b(digest_size=8)
     for module in sorted(seen):
         digest.update(f"{module}\n{seen[module]}\n".encode())
     return digest.hexdigest()
+
+
+def _digest(file: Path) -> str:
+    return blake2b(file.read_bytes(), digest_size=8).hexdigest()
 
 
 def _root() -> Path:

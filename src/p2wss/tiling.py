@@ -68,3 +68,18 @@ def tiles_of_bounds(bounds: Bounds, tile_size_m: float) -> Iterator[str]:
     for row in range(math.ceil(y_max / tile_size_m), math.floor(y_min / tile_size_m), -1):
         for column in range(math.floor(x_min / tile_size_m), math.ceil(x_max / tile_size_m)):
             yield tile_name(column * tile_size_m, row * tile_size_m, tile_size_m)
+
+
+def neighbours(name: str, tile_size_m: float) -> list[str]:
+    """The eight tiles around one.
+
+    >>> neighbours("0652_6862", 1000)[0]
+    '0651_6863'
+    """
+    x_min, _, _, y_max = tile_bounds(name, tile_size_m)
+    return [
+        tile_name(x_min + column * tile_size_m, y_max + row * tile_size_m, tile_size_m)
+        for row in (1, 0, -1)
+        for column in (-1, 0, 1)
+        if (row, column) != (0, 0)
+    ]

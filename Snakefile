@@ -1,0 +1,40 @@
+"""p2wss: from footprints and LiDAR to watertight LoD2 buildings, and the tables of the paper Point2WSS.
+
+One word per stage: fetch scenes buildings scans crops dvae model eval reconstruct. The same word names the
+rule file, the module of the package, the section of the config, the folder of results and the target.
+"""
+
+from snakemake.utils import min_version
+
+min_version("9.21.1")
+
+
+configfile: "config/default.yaml"
+
+
+include: "workflow/rules/common.smk"
+
+
+pathvars:
+    results=f"results/{settings.region.name}",
+    resources=f"resources/ign/{settings.region.vintage}",
+    logs=f"logs/{settings.region.name}",
+    benchmarks=f"logs/{settings.region.name}/benchmarks",
+
+
+include: "workflow/rules/fetch.smk"
+include: "workflow/rules/scenes.smk"
+include: "workflow/rules/buildings.smk"
+include: "workflow/rules/scans.smk"
+include: "workflow/rules/crops.smk"
+include: "workflow/rules/dvae.smk"
+include: "workflow/rules/model.smk"
+include: "workflow/rules/reconstruct.smk"
+include: "workflow/rules/eval.smk"
+
+
+# without a target: the report (the default target must stand in this file)
+rule all:
+    default_target: True
+    input:
+        rules.eval_report.output,

@@ -1,0 +1,73 @@
+"""A fingerprint follows the code that can change a result, and nothing else."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import p2wss
+from p2wss.provenance import fingerprint
+
+PACKAGE = Path(p2wss.__file__).parent
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the package and a function that fingerprints a stage of it in a fresh interpreter."""
+    root = tmp_path / "p2wss"
+    shutil.copytree(PACKAGE, root, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def of(stage: str) -> str:
+        code = f"from p2wss.provenance import fingerprint; print(fingerprint({stage!r}))"
+        run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+        return run.stdout.strip()
+
+    return root, of
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+
+
+def test_docstrings_comments_and_config_do_not_count(copy):
+    root, of = copy
+    before = of("buildings")
+    edit(root / "buildings.py", '"""Stage 3', '"""Another text')
+    edit(root / "footprints.py", "import numpy as np", "# a comment\nimport numpy as np\n")
+    edit(root / "config.py", "gt=0, le=10000", "gt=0, le=20000")
+    assert of("buildings") == before
+
+
+def test_code_counts_also_where_it_is_imported_from(copy):
+    root, of = copy
+    before = of("buildings")
+    edit(root / "seeds.py", "digest_size=8", "digest_size=16")
+    assert of("buildings") == before, "buildings draws nothing at random"
+    edit(root / "footprints.py", "np.round((low + high) / 2)", "np.floor((low + high) / 2)")
+    after = of("buildings")
+    assert after != before
+    (root / "skeleton" / "new_module.py").write_text("X = 1\n")
+    assert of("buildings") != after, "every module of an imported package counts"
+
+
+def test_lazy_imports_and_data_files_count(copy):
+    root, of = copy
+    (root / "stage").mkdir()
+    (root / "stage" / "__init__.py").write_text("def run():\n    from .inner import f\n    return f\n")
+    (root / "stage" / "inner.py").write_text("from ..seeds import derive_seed\nf = derive_seed\n")
+    (root / "stage" / "templates").mkdir()
+    (root / "stage" / "templates" / "page.html").write_text("one")
+    before = of("stage")
+    edit(root / "seeds.py", "digest_size=8", "digest_size=16")
+    middle = of("stage")
+    (root / "stage" / "templates" / "page.html").write_text("two")
+    assert len({before, middle, of("stage")}) == 3
+
+
+def test_unknown_stage():
+    with pytest.raises(ModuleNotFoundError, match="no_such_stage"):
+        fingerprint("no_such_stage")

@@ -1,0 +1,26 @@
+"""Buildings. In: a scene. Out: per tile the parameters and the closed mesh of each building, or why there is none."""
+
+
+rule build_roofs:
+    input:
+        scene="<results>/scenes/{tile}.parquet",
+    output:
+        buildings="<results>/buildings/{tile}.parquet",
+    log:
+        "<logs>/buildings/{tile}.log",
+    benchmark:
+        "<benchmarks>/buildings/{tile}.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=2000,
+    params:
+        config=section("buildings"),
+        code=fingerprint("buildings"),
+    shell:
+        "p2wss buildings {input.scene} {output.buildings} --config {params.config:q} 2> {log}"
+
+
+rule buildings:
+    input:
+        every_tile("<results>/buildings/{tile}.parquet"),

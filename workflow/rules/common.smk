@@ -1,0 +1,44 @@
+"""The validated config, its sections as parameters, and the tiles of the region."""
+
+from snakemake.exceptions import WorkflowError
+
+from p2wss.config import load, section_json
+from p2wss.errors import InputError
+from p2wss.provenance import fingerprint
+from p2wss.tiling import TILE_PATTERN, neighbours
+
+try:
+    settings = load(dict(config))
+except InputError as error:
+    raise WorkflowError(str(error)) from None
+
+
+wildcard_constraints:
+    tile=TILE_PATTERN,
+    baseline="lod1|constant|roofer",
+
+
+def section(*names):
+    """Sections of the config as one string: tracked by Snakemake, readable in the printed command."""
+    return section_json(settings, *names)
+
+
+def tiles(wildcards):
+    """The pinned tiles, or those in which index_scenes found buildings."""
+    if settings.region.tiles:
+        return settings.region.tiles
+    with checkpoints.index_scenes.get().output.index.open() as index:
+        return [line.split("\t")[0] for line in list(index)[1:]]
+
+
+def every_tile(path):
+    """An input function: ``path`` for every tile."""
+    return lambda wildcards: expand(path, tile=tiles(wildcards))
+
+
+def lidar_around(wildcards):
+    """The clouds of a LiDAR tile and of its neighbours, as far as the config has them."""
+    wanted = [wildcards.tile, *neighbours(wildcards.tile, settings.region.tile_size_m)]
+    return expand(
+        "<resources>/lidar/{tile}.laz", tile=[t for t in wanted if t in settings.region.lidar_tiles]
+    )

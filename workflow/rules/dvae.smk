@@ -1,0 +1,28 @@
+"""Dvae. In: the crops. Out: the discrete VAE that turns patches of points into tokens, and its metrics."""
+
+
+rule dvae:
+    input:
+        manifest="<results>/crops/manifest.json",
+        shards=every_tile("<results>/crops/{tile}.parquet"),
+        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+    output:
+        weights="<results>/dvae/model.safetensors",
+        metrics="<results>/dvae/metrics.jsonl",
+    log:
+        "<logs>/dvae/train.log",
+    benchmark:
+        "<benchmarks>/dvae/train.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    threads: 2
+    resources:
+        mem_mb=8000,
+        gpu=1,
+    params:
+        config=section("dvae"),
+        code=fingerprint("dvae"),
+        checkpoints="<results>/dvae/checkpoints",
+    shell:
+        "p2wss dvae {input.manifest} {output.weights} {output.metrics} --checkpoints {params.checkpoints}"
+        " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

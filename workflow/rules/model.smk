@@ -1,0 +1,29 @@
+"""Model. In: the crops and the dvae. Out: Point2WSS and its metrics."""
+
+
+rule model:
+    input:
+        manifest="<results>/crops/manifest.json",
+        shards=every_tile("<results>/crops/{tile}.parquet"),
+        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        dvae="<results>/dvae/model.safetensors",
+    output:
+        weights="<results>/model/model.safetensors",
+        metrics="<results>/model/metrics.jsonl",
+    log:
+        "<logs>/model/train.log",
+    benchmark:
+        "<benchmarks>/model/train.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    threads: 2
+    resources:
+        mem_mb=8000,
+        gpu=1,
+    params:
+        config=section("model"),
+        code=fingerprint("model"),
+        checkpoints="<results>/model/checkpoints",
+    shell:
+        "p2wss model {input.manifest} {input.dvae} {output.weights} {output.metrics} --checkpoints {params.checkpoints}"
+        " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

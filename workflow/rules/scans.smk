@@ -1,0 +1,30 @@
+"""Scans. In: a scene, its terrain, its buildings. Out: per tile a simulated LiDAR survey and its parameters."""
+
+
+rule cast_scan:
+    input:
+        scene="<results>/scenes/{tile}.parquet",
+        dtm="<results>/scenes/{tile}.tif",
+        buildings="<results>/buildings/{tile}.parquet",
+    output:
+        scan=ensure("<results>/scans/{tile}.laz", non_empty=True),
+        survey="<results>/scans/{tile}.json",
+    log:
+        "<logs>/scans/{tile}.log",
+    benchmark:
+        "<benchmarks>/scans/{tile}.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
+    params:
+        config=section("scans"),
+        code=fingerprint("scans"),
+    shell:
+        "p2wss scans {input.scene} {input.dtm} {input.buildings} {output.scan} {output.survey}"
+        " --threads {threads} --config {params.config:q} 2> {log}"
+
+
+rule scans:
+    input:
+        every_tile("<results>/scans/{tile}.laz"),

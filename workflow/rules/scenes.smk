@@ -1,0 +1,49 @@
+"""Scenes. In: footprints, terrain. Out: per tile the cleaned buildings with heights and angles, and the terrain."""
+
+
+checkpoint index_scenes:
+    input:
+        footprints="<results>/fetch/footprints.gpkg",
+    output:
+        index="<results>/scenes/index.tsv",
+    log:
+        "<logs>/scenes/index.log",
+    benchmark:
+        "<benchmarks>/scenes/index.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=2000,
+    params:
+        config=section("region", "scenes"),
+        code=fingerprint("scenes"),
+    shell:
+        "p2wss scenes index {input.footprints} {output.index} --config {params.config:q} 2> {log}"
+
+
+rule cut_scene:
+    input:
+        footprints="<results>/fetch/footprints.gpkg",
+        dtm="<resources>/dtm/{tile}.tif",
+    output:
+        scene="<results>/scenes/{tile}.parquet",
+        dtm="<results>/scenes/{tile}.tif",
+    log:
+        "<logs>/scenes/{tile}.log",
+    benchmark:
+        "<benchmarks>/scenes/{tile}.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=2000,
+    params:
+        config=section("region", "scenes"),
+        code=fingerprint("scenes"),
+    shell:
+        "p2wss scenes cut {wildcards.tile} {input.footprints} {input.dtm} {output.scene} {output.dtm}"
+        " --config {params.config:q} 2> {log}"
+
+
+rule scenes:
+    input:
+        every_tile("<results>/scenes/{tile}.parquet"),
