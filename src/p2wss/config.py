@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from p2wss.errors import InputError
 
@@ -87,10 +87,78 @@ class Buildings(Section):
 # --- scans ------------------------------------------------------------------------------------------------
 
 
+class PatternShares(Section):
+    """How often a scene is scanned with each pattern."""
+
+    conical: float = Field(0.5, ge=0, description="circles (Palmer scanner), as Leica's sensors")
+    parallel: float = Field(0.35, ge=0, description="parallel lines of a rotating polygon")
+    cross_fire: float = Field(0.15, ge=0, description="two crossed channels of parallel lines, as RIEGL VQ-1560")
+    oscillating: float = Field(0, ge=0, description="zigzag of an oscillating mirror")
+
+    @model_validator(mode="after")
+    def _not_all_zero(self) -> Self:
+        if self.conical + self.parallel + self.cross_fire + self.oscillating <= 0:
+            raise ValueError("one share at least must be above 0")
+        return self
+
+
+def _in_order(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError("must be lower bound, upper bound")
+    return bounds
+
+
+NonNegativeRange = Annotated[
+    tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], AfterValidator(_in_order)
+]
+PositiveRange = Annotated[
+    tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], AfterValidator(_in_order)
+]
+HalfAngleRange = Annotated[
+    tuple[Annotated[float, Field(ge=1, le=45)], Annotated[float, Field(ge=1, le=45)]], AfterValidator(_in_order)
+]
+
+
 class Scans(Section):
-    """Simulated LiDAR survey."""
+    """Simulated LiDAR survey; a pair of values bounds what is drawn per scene."""
 
     seed: int = Field(0, ge=0, description="of the survey and its noise")
+    preset: Literal["none", "paper", "hd"] = Field(
+        "hd",
+        description="hd: mixed sensors as in LiDAR HD; paper: the paper's simulator, "
+        "which ignores all below but density_per_m2; none: flown as hd, without any error",
+    )
+    density_per_m2: float = Field(8, ge=0.5, le=200, description="pulses per m2 over a scene (hd: the median)")
+    density_spread: float = Field(0.25, ge=0, le=1, description="hd: sigma of the log-normal density of a scene")
+    density_bounds_per_m2: PositiveRange = Field((4, 25), description="hd: limits of that density")
+    pattern_shares: PatternShares = PatternShares()
+    altitude_m: PositiveRange = Field((900, 2000), description="of the flight above the median ground")
+    conical_half_angle_deg: HalfAngleRange = Field((18, 22), description="off nadir, conical pattern")
+    line_half_angle_deg: HalfAngleRange = Field((20, 30), description="off nadir, other patterns")
+    speed_m_per_s: PositiveRange = Field((55, 80), description="of the flight")
+    scan_rate_hz: PositiveRange = Field((100, 250), description="turns, lines or swings of the mirror")
+    overlap: Annotated[
+        tuple[Annotated[float, Field(ge=0, le=0.9)], Annotated[float, Field(ge=0, le=0.9)]],
+        AfterValidator(_in_order),
+    ] = Field((0.15, 0.55), description="of neighbouring strips, share of the swath")
+    cross_strip_share: Share = Field(0.1, description="scenes with one more strip across")
+    drift_m: float = Field(0.3, ge=0, le=10, description="standard deviation of the aircraft's drift, per axis")
+    attitude_deg: NonNegativeRange = Field((0.3, 1), description="largest roll, pitch and yaw")
+    divergence_mrad: NonNegativeRange = Field((0.18, 0.3), description="beam, full 1/e2 angle")
+    range_noise_m: NonNegativeRange = Field((0.015, 0.03), description="standard deviation along the ray")
+    pointing_noise_m: NonNegativeRange = Field((0.03, 0.05), description="standard deviation in x and in y")
+    strip_offset_xy_m: float = Field(0.05, ge=0, le=5, description="standard deviation of a strip's shift, per axis")
+    strip_offset_z_m: float = Field(0.03, ge=0, le=5, description="standard deviation of a strip's shift")
+    base_loss: NonNegativeRange = Field((0.005, 0.01), description="share of pulses lost on any surface")
+    dark_roof_share: Share = Field(0.02, description="roofs, dark or wet, that lose pulses")
+    dark_roof_loss: NonNegativeRange = Field((0.3, 0.9), description="share of pulses such a roof loses")
+    min_intensity: float = Field(
+        0.02, ge=0, le=1, description="weakest echo: reflectance x cosine of incidence, at the planned altitude"
+    )
+    speckle: float = Field(0.3, ge=0, le=1, description="relative standard deviation of an echo's strength")
+    keep_margin_m: float = Field(
+        5, ge=0, le=100, description="points are kept this far around the tile and its buildings"
+    )
 
 
 # --- crops ------------------------------------------------------------------------------------------------
@@ -100,24 +168,128 @@ class Crops(Section):
     """Points of each building, in shards, with splits."""
 
     seed: int = Field(0, ge=0, description="of the split")
+    buffer_m: float = Field(1, gt=0, le=20, description="points within this distance of the footprint are kept")
+    min_points: int = Field(20, ge=1, description="buildings with fewer points are left out")
+    block_size_m: float = Field(
+        250, gt=0, description="edge of the square blocks that go to train, val or test as a whole"
+    )
+    guard_m: float = Field(
+        10, ge=0, description="val and test buildings nearer than this to another split are set aside"
+    )
 
 
 # --- dvae -------------------------------------------------------------------------------------------------
+
+
+class DvaeOptimiser(Section):
+    """AdamW, cosine warm-up, then cosine decay, per step."""
+
+    num_steps: int = Field(400, ge=1, description="batches to train on")
+    batch_size: int = Field(64, ge=2, description="clouds per step")
+    learning_rate: float = Field(2e-3, gt=0, description="highest")
+    learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
+    warmup_share: Share = Field(0.05, description="of the steps, with the rate rising")
+    weight_decay: float = Field(5e-4, ge=0, description="not on biases, norms, codebooks and tokens")
+    beta2: float = Field(0.98, gt=0, lt=1, description="of AdamW")
+    gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
 
 
 class Dvae(Section):
     """Discrete VAE that turns patches of points into tokens."""
 
     seed: int = Field(0, ge=0, description="of weights, batches and augmentation")
+    num_points: int = Field(768, ge=64, description="points of a cloud that are used; larger ones are thinned")
+    min_points: int = Field(64, ge=1, description="smaller clouds are left out of training")
+    num_patches: int = Field(32, ge=4, description="patches per cloud (farthest point sampling)")
+    patch_size: int = Field(16, ge=4, multiple_of=4, description="points per patch (nearest neighbours)")
+    patch_dim: int = Field(64, ge=8, multiple_of=8, description="width of a patch embedding")
+    token_dim: int = Field(32, ge=8, multiple_of=8, description="width of a code and of the DGCNN")
+    num_tokens: int = Field(128, ge=8, multiple_of=4, description="size of the codebook")
+    temperature_end: float = Field(0.0625, gt=0, le=1, description="of the Gumbel softmax, from 1, at half-time")
+    kl_weight: float = Field(0.1, ge=0, description="of the divergence from uniform codes, reached at 55 %")
+    use_lidar: bool = Field(True, description="train on real LiDAR too: this stage needs no labels")
+    optimiser: DvaeOptimiser = DvaeOptimiser()
+    checkpoint_every_steps: int = Field(100, ge=1, description="also: how often validation runs")
+    num_validation: int = Field(128, ge=1, description="clouds of the val split to measure while training")
 
 
 # --- model ------------------------------------------------------------------------------------------------
 
 
+class Masking(Section):
+    """What the model must restore while it trains. The paper: 0, 0 and [0.3, 0.3]."""
+
+    inference_share: Share = Field(0.5, description="samples that hide all digits of height and angles")
+    table1_share: Share = Field(0.2, description="samples that hide all digits; the rest hide random tokens")
+    random_ratio: tuple[Share, Share] = Field((0.15, 1.0), description="share of tokens hidden at random")
+    patch_ratio: tuple[Share, Share] = Field((0.25, 0.45), description="share of patches hidden, in a block")
+
+
+class Augmentation(Section):
+    """Random changes of a building each time it is seen, besides the paper's rotation."""
+
+    mirror: bool = Field(True, description="mirror half of the samples")
+    scale: tuple[float, float] = Field((0.8, 1.25), description="[1, 1] = off; scales the building as a whole")
+    lift_m: float = Field(2.0, ge=0, description="raise or lower what stands above the ground by up to this")
+    jitter_m: float = Field(0.02, ge=0, description="noise on the points, standard deviation")
+    keep_points: tuple[Share, Share] = Field((0.4, 1.0), description="share of the points kept; [1, 1] = off")
+
+
+class Decoding(Section):
+    """From probabilities of digits to values. The paper: argmax, all, 1."""
+
+    mode: Literal["argmax", "median"] = Field("median", description="per digit, or of the joint distribution")
+    angle_support: Literal["roofs", "all"] = Field(
+        "roofs", description="angles that may be answered: 0, 90 and 20 to 45, or 0 to 90"
+    )
+    num_rotations: int = Field(4, ge=1, le=64, description="views whose probabilities are averaged")
+
+
+class ModelOptimiser(Section):
+    """AdamW, cosine warm-up, then cosine decay, per step."""
+
+    num_steps: int = Field(1200, ge=1, description="batches to train on")
+    batch_size: int = Field(64, ge=2, description="buildings per step")
+    learning_rate: float = Field(2e-3, gt=0, description="highest")
+    learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
+    warmup_share: Share = Field(0.05, description="of the steps, with the rate rising")
+    weight_decay: float = Field(5e-4, ge=0, description="not on biases, norms, embeddings and tokens")
+    beta2: float = Field(0.98, gt=0, lt=1, description="of AdamW")
+    gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
+
+
 class Model(Section):
-    """Point2WSS, the multimodal transformer."""
+    """Point2WSS, the multimodal transformer. Points and patches are those of the dvae."""
 
     seed: int = Field(0, ge=0, description="of weights, batches and augmentation")
+    max_vertices: int = Field(16, ge=3, le=128, description="buildings with more are left out of training")
+    coord_decimals: Literal[1, 2] = Field(1, description="of coordinates in tokens; the paper's 2 is slower")
+    hundreds: bool = Field(False, description="digits up to 999 m; without, heights and coordinates < 100 m")
+    dim: int = Field(64, ge=8, multiple_of=8, description="width")
+    num_heads: int = Field(4, ge=1, description="of attention; divides the width")
+    mlp_ratio: float = Field(4.0, gt=0, description="hidden width of the MLPs over the width")
+    drop_path: Share = Field(0.0, description="stochastic depth, at the last block")
+    cloud_depth: int = Field(2, ge=1, description="blocks of the point cloud encoder")
+    sequence_depth: int = Field(1, ge=1, description="blocks of the parameter encoder")
+    cross_depth: int = Field(2, ge=1, description="blocks of each cross-modality encoder")
+    align_dim: int = Field(64, ge=1, description="width of the space in which both modalities are aligned")
+    match_balanced: bool = Field(True, description="matching loss halved between pairs and non-pairs, or 0.1/0.9")
+    ground_relative: bool = Field(True, description="patches also know their height above the ground")
+    numerical_encoding: bool = Field(True, description="digits also carry their value (Regression Transformer)")
+    edge_embedding: bool = Field(True, description="tokens also carry the geometry of their edge where visible")
+    ema_decay: float = Field(0.99, ge=0, lt=1, description="of the averaged weights that are kept; 0 = off")
+    masking: Masking = Masking()
+    augmentation: Augmentation = Augmentation()
+    decoding: Decoding = Decoding()
+    optimiser: ModelOptimiser = ModelOptimiser()
+    checkpoint_every_steps: int = Field(200, ge=1, description="also: how often validation runs")
+    num_validation: int = Field(128, ge=1, description="buildings of the val split to measure while training")
+
+    @model_validator(mode="after")
+    def _heads_divide(self) -> Self:
+        if self.dim % self.num_heads:
+            raise ValueError("num_heads must divide dim")
+        return self
 
 
 # --- eval -------------------------------------------------------------------------------------------------

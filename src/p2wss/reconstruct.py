@@ -1,4 +1,4 @@
-"""From points and footprints to closed buildings: with the network, flat at one height, or with constant values.
+"""From points and footprints to closed buildings: by the network, flat, or with constant values.
 
 Everything here works on buildings in memory. The evaluation and ``p2wss reconstruct`` share it.
 """
@@ -44,8 +44,8 @@ class Building:
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """One row of ``io.RECONSTRUCTIONS``: what a method made of a building. Without a mesh, ``triangle`` is (0, 3)
-    and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``."""
+    """One row of ``io.RECONSTRUCTIONS``: what a method made of a building. Without a mesh, ``triangle`` is
+    (0, 3) and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``."""
 
     building_id: str
     tile: str
@@ -69,8 +69,8 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Decoded parameters of a batch of buildings: heights above ground (b,), one array of angles per building with
-    a value per edge over all rings, confidence (b,) from 0 to 1."""
+    """Decoded parameters of a batch of buildings: heights above ground (b,), an array of angles per building
+    with a value per edge over all rings, confidence (b,) from 0 to 1."""
 
     eave_height_m: np.ndarray
     angle_deg: Sequence[np.ndarray]
@@ -85,9 +85,7 @@ class Predictor(Protocol):
         """Largest number of footprint vertices, all rings together, that :meth:`predict` takes."""
         ...
 
-    def predict(
-        self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]
-    ) -> Parameters:
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Parameters:
         """Heights, angles and confidence. Points (n, 3) with z above the estimated ground, rings as in
         :class:`Building`."""
         ...
@@ -98,8 +96,8 @@ def reconstruct(
 ) -> list[Reconstruction]:
     """One reconstruction per building with the network's height and angles, in the order given.
 
-    A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has no mesh here and
-    a status; :func:`with_fallback` gives it a flat roof.
+    A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has no mesh here
+    and a status; :func:`with_fallback` gives it a flat roof.
     """
     meshed = [_mesh_footprint(building, config) for building in buildings]
     enough = [i for i, b in enumerate(buildings) if len(b.point_m) >= config.min_num_points]
@@ -133,8 +131,8 @@ def reconstruct(
 def with_fallback(
     reconstructions: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
 ) -> list[Reconstruction]:
-    """Flat roofs (method ``lod1``) for the buildings without a mesh that have any point; their status keeps the
-    reason."""
+    """Flat roofs (method ``lod1``) for the buildings without a mesh that have any point; their status keeps
+    the reason."""
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
     for i, flat in zip(missing, lod1([buildings[i] for i in missing], config), strict=True):
@@ -178,8 +176,8 @@ def ground_z_m(building: Building) -> float:
 
 
 def flat_height_m(building: Building) -> float:
-    """Median height above ground of the points inside the footprint: of class 6 if there is any, else of those
-    that are not ground and at least 1 m above it. NaN if none is left."""
+    """Median height above ground of the points inside the footprint: of class 6 if there is any, else of
+    those that are not ground and at least 1 m above it. NaN if none is left."""
     if not len(building.point_m):
         return float("nan")
     x, y, z = building.point_m.T
@@ -218,8 +216,8 @@ def simplify_to(polygon: shapely.Polygon, max_num_vertices: int) -> shapely.Poly
 def transfer_angles(
     known: Sequence[np.ndarray], angle_deg: np.ndarray, wanted: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Angles of the edges of ``known`` (rings, a value per edge) for the edges of ``wanted``, the same building with
-    more or fewer vertices.
+    """Angles of the edges of ``known`` (rings, a value per edge) for the edges of ``wanted``: the same building
+    with more or fewer vertices.
 
     Each edge takes the angle of the nearest edge (between their middles and the segment) that faces within 45
     degrees of its own direction; where none does, of the nearest one.
@@ -241,9 +239,7 @@ def transfer_angles(
     return np.asarray(angle_deg, float)[cost.argmin(axis=1)]
 
 
-def columns(
-    reconstructions: Sequence[Reconstruction], dataset: str | Sequence[str]
-) -> dict[str, Any]:
+def columns(reconstructions: Sequence[Reconstruction], dataset: str | Sequence[str]) -> dict[str, Any]:
     """The columns of ``io.RECONSTRUCTIONS``."""
     rows = reconstructions
     names = [dataset] * len(rows) if isinstance(dataset, str) else list(dataset)

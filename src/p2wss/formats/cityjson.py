@@ -61,7 +61,7 @@ def reference_system(epsg: int) -> str:
 
 
 def lines(solids: Iterable[Solid], epsg: int | None, lod: str = "2.0") -> Iterator[str]:
-    """The lines of a sequence, header first, without line ends. The local origin comes from the first solid."""
+    """The lines of a sequence, header first, without line ends. The first solid gives the local origin."""
     translate = [0.0, 0.0, 0.0]
     started = False
     for solid in solids:
@@ -89,7 +89,9 @@ def _header(translate: list[float], epsg: int | None) -> dict[str, Any]:
 
 
 def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
-    vertex = np.round((np.asarray(solid.vertex_m, float).reshape(-1, 3) - translate) / SCALE_M).astype(np.int64)
+    vertex = np.round((np.asarray(solid.vertex_m, float).reshape(-1, 3) - translate) / SCALE_M).astype(
+        np.int64
+    )
     stored, index = np.unique(vertex, axis=0, return_inverse=True)
     index = index.reshape(-1)
     shell, kinds = [], []

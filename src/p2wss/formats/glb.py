@@ -1,4 +1,4 @@
-"""Meshes as one binary glTF 2.0 file: metres, y up as glTF prescribes, origin stated in the asset's extras."""
+"""Meshes as one binary glTF 2.0 file: metres, y up as glTF prescribes, origin in the asset's extras."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
 
-def glb(
-    meshes: Iterable[tuple[str, np.ndarray, np.ndarray]], origin_m: np.ndarray, crs: str | None
-) -> bytes:
+def glb(meshes: Iterable[tuple[str, np.ndarray, np.ndarray]], origin_m: np.ndarray, crs: str | None) -> bytes:
     """Bytes of a GLB with one node per mesh (name, vertices (v, 3) in the CRS, triangles (t, 3)).
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with ``origin_m`` =

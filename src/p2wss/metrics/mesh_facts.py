@@ -10,9 +10,9 @@ import trimesh
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """num_triangles: without degenerate ones. watertight: every edge has two triangles. oriented: neighbours run
-    through their common edge in opposite directions. volume_m3: positive if the normals point outwards.
-    num_bodies: connected parts."""
+    """num_triangles: without degenerate ones. watertight: every edge has two triangles. oriented: neighbours
+    run through their common edge in opposite directions. volume_m3: positive if the normals point outwards,
+    NaN if not watertight. num_bodies: connected parts."""
 
     num_triangles: int
     watertight: bool
@@ -22,7 +22,7 @@ class MeshFacts:
 
 
 def mesh_facts(vertex_m: np.ndarray, triangle: np.ndarray, weld_m: float = 1e-4) -> MeshFacts:
-    """Facts of a mesh after welding vertices on a grid of ``weld_m`` metres. vertex_m (v, 3), triangle (t, 3)."""
+    """Facts of a mesh, vertices welded on a grid of ``weld_m`` metres. vertex_m (v, 3), triangle (t, 3)."""
     triangle = np.asarray(triangle, int).reshape(-1, 3)
     if not len(triangle):
         return MeshFacts(0, False, False, 0.0, 0)

@@ -35,7 +35,9 @@ def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.nda
     point_m = np.asarray(point_m, float)
     nearest = np.full(len(point_m), np.inf)
     for a, b, c in np.asarray(vertex_m, float)[np.asarray(triangle, int)]:
-        squared = np.minimum.reduce([_squared_to_segment(point_m, *ends) for ends in ((a, b), (b, c), (c, a))])
+        squared = np.minimum.reduce(
+            [_squared_to_segment(point_m, *ends) for ends in ((a, b), (b, c), (c, a))]
+        )
         normal = np.cross(b - a, c - a)
         length = np.linalg.norm(normal)
         if length > 0:

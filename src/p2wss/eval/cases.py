@@ -1,0 +1,202 @@
+"""Buildings to evaluate: rows of the crops' shards, and reconstructions read back from a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from p2wss import footprints, io
+from p2wss.errors import InputError
+from p2wss.reconstruct import Building, Reconstruction
+
+SYNTHETIC = "synthetic"
+LIDAR = "lidar"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A building of a data set with what the shard knows of it; the labels are None for real LiDAR."""
+
+    dataset: str
+    building: Building
+    visible_roof_share: float
+    roof_type: str | None
+    eave_height_m: float | None
+    label_ground_z_m: float | None
+    angle_deg: np.ndarray | None
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """(dataset, tile, building id), which a reconstruction has too."""
+        return self.dataset, self.building.tile, self.building.building_id
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Shards of the crops: (path, dataset) each."""
+
+    shards: Sequence[tuple[Path, str]]
+
+    def crs(self) -> dict[str, str | None]:
+        """CRS per data set, as its first shard has it."""
+        found: dict[str, str | None] = {}
+        for path, dataset in self.shards:
+            if dataset not in found:
+                found[dataset] = io.read_metadata(path).get("crs")
+        return found
+
+
+def read_manifest(path: Path) -> Manifest:
+    """The shards that a manifest lists; relative paths start at its folder, else at the current one.
+
+    Raises :class:`InputError` if the manifest or a shard is missing.
+    """
+    listed = io.read_json(path)
+    shards = []
+    try:
+        for shard in listed["shards"]:
+            name = Path(shard["path"])
+            beside = path.parent / name
+            shards.append((beside if beside.exists() else name, str(shard["dataset"])))
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{path}: not a manifest of crops: no {error}") from error
+    missing = [str(shard) for shard, _ in shards if not shard.exists()]
+    if missing:
+        raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
+    return Manifest(shards)
+
+
+def test_cases(manifest: Manifest) -> list[Case]:
+    """The test split of the simulated shards and every row of the LiDAR shards, in the manifest's order."""
+    cases: list[Case] = []
+    for path, dataset in manifest.shards:
+        table = io.read_table(path, io.CROPS)
+        if dataset == SYNTHETIC:
+            table = table.filter(pc.equal(table["split"], "test"))
+        cases += from_crops(table, dataset)
+    return cases
+
+
+def train_medians(manifest: Manifest) -> tuple[float, float]:
+    """Median eave height (m) and median angle (degrees, over all edges) of the train split; NaN without one."""
+    heights, angles = [np.zeros(0)], [np.zeros(0)]
+    for path, dataset in manifest.shards:
+        if dataset == SYNTHETIC:
+            table = io.read_table(path, io.CROPS, columns=["split", "eave_height_m", "angle_deg"])
+            table = table.filter(pc.equal(table["split"], "train"))
+            heights.append(table["eave_height_m"].to_numpy())
+            angles.append(io.list_column(table, "angle_deg")[0])
+    height, angle = np.concatenate(heights), np.concatenate(angles)
+    if not len(height):
+        return float("nan"), float("nan")
+    return float(np.median(height)), float(np.median(angle))
+
+
+def from_crops(table: pa.Table, dataset: str) -> list[Case]:
+    """Rows of ``io.CROPS`` as cases."""
+    polygons = footprints.from_columns(table)
+    x, offset = io.list_column(table, "x_cm")
+    y, _ = io.list_column(table, "y_cm")
+    z, _ = io.list_column(table, "z_cm")
+    classification, _ = io.list_column(table, "classification")
+    angle, angle_offset = io.list_column(table, "angle_deg")
+    point_m = np.column_stack([x, y, z]) / 100.0
+    plain = table.select(
+        [
+            "building_id",
+            "tile",
+            "origin_x_m",
+            "origin_y_m",
+            "origin_z_m",
+            "ground_z_m",
+            "eave_height_m",
+            "label_ground_z_m",
+            "roof_type",
+            "visible_roof_share",
+        ]
+    ).to_pylist()
+    cases = []
+    for i, row in enumerate(plain):
+        own = slice(offset[i], offset[i + 1])
+        building = Building(
+            row["building_id"],
+            row["tile"],
+            (row["origin_x_m"], row["origin_y_m"]),
+            polygons.rings(i),
+            point_m[own] + [0.0, 0.0, row["origin_z_m"]],
+            classification[own].astype(np.uint8),
+            row["ground_z_m"],
+        )
+        labelled = row["eave_height_m"] is not None
+        cases.append(
+            Case(
+                dataset,
+                building,
+                row["visible_roof_share"],
+                row["roof_type"],
+                row["eave_height_m"],
+                row["label_ground_z_m"],
+                angle[angle_offset[i] : angle_offset[i + 1]].astype(float) if labelled else None,
+            )
+        )
+    return cases
+
+
+def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstruction]:
+    """Rows of ``io.RECONSTRUCTIONS`` by (dataset, tile, building id)."""
+    table = io.read_table(path, io.RECONSTRUCTIONS)
+    polygons = footprints.from_columns(table)
+    lists = {
+        name: io.list_column(table, name)
+        for name in ("angle_deg", "vertex_xyz_m", "triangle", "triangle_kind", "triangle_edge")
+    }
+
+    def own(name: str, i: int) -> np.ndarray:
+        values, offset = lists[name]
+        return values[offset[i] : offset[i + 1]]
+
+    plain = table.select(
+        [
+            "dataset",
+            "building_id",
+            "tile",
+            "method",
+            "status",
+            "origin_x_m",
+            "origin_y_m",
+            "ground_z_m",
+            "eave_height_m",
+            "confidence",
+        ]
+    ).to_pylist()
+    return {
+        (row["dataset"], row["tile"], row["building_id"]): Reconstruction(
+            row["building_id"],
+            row["tile"],
+            row["method"],
+            row["status"],
+            (row["origin_x_m"], row["origin_y_m"]),
+            row["ground_z_m"],
+            polygons.rings(i),
+            row["eave_height_m"],
+            own("angle_deg", i).astype(float) if len(own("angle_deg", i)) else None,
+            row["confidence"],
+            own("vertex_xyz_m", i).reshape(-1, 3),
+            own("triangle", i).reshape(-1, 3),
+            own("triangle_kind", i),
+            own("triangle_edge", i),
+        )
+        for i, row in enumerate(plain)
+    }
+
+
+def columns_of(rows: Iterable[dict[str, Any]], names: Sequence[str]) -> dict[str, list[Any]]:
+    """Rows as columns."""
+    kept = list(rows)
+    return {name: [row[name] for row in kept] for name in names}

@@ -1,0 +1,159 @@
+"""Roofer (Peters et al. 2022), the baseline of Table 2: the user's own installation, a separate program.
+
+Nothing of it is part of this package. It reads LAZ and GeoPackage and writes CityJSON, which is read back.
+"""
+
+from __future__ import annotations
+
+import logging
+import shlex
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyproj
+import shapely
+
+from p2wss.config import Eval
+from p2wss.eval.cases import Case
+from p2wss.formats import cityjson
+from p2wss.formats.cityjson import ReadSolid
+from p2wss.reconstruct import Reconstruction, ground_z_m, no_mesh
+
+log = logging.getLogger("p2wss")
+METHOD = "roofer"
+LOD = "2.2"
+ID_FIELD = "building_id"
+
+
+@dataclass(frozen=True)
+class Roofer:
+    """A command that can be run, and what it says of its version."""
+
+    command: Sequence[str]
+    version: str
+
+
+def find(command: str) -> Roofer | str:
+    """The configured command if it can be run, else why not: ``"not run: .."``."""
+    words = shlex.split(command)
+    if not words:
+        return "not run: eval.roofer_command is empty"
+    if shutil.which(words[0]) is None:
+        return f"not run: no program {words[0]} was found"
+    try:
+        answer = subprocess.run(
+            [words[0], "--version"], capture_output=True, text=True, timeout=60, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"not run: {words[0]} --version: {error}"
+    text = (answer.stdout or answer.stderr).strip().splitlines()
+    return Roofer(words, text[0] if text else "unknown version")
+
+
+def run(
+    roofer: Roofer, cases: Sequence[Case], crs: dict[str, str | None], config: Eval
+) -> list[Reconstruction]:
+    """One reconstruction per case, in order; Roofer runs once per data set and tile.
+
+    A run that fails, or a building that it skips, gives rows without a mesh and the reason.
+    """
+    found: dict[tuple[str, str, str], Reconstruction] = {}
+    for (dataset, _tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
+        members = list(group)
+        with tempfile.TemporaryDirectory(prefix="p2wss-roofer-") as folder:
+            solids, reason = _run_tile(roofer, members, crs.get(dataset), Path(folder), config)
+        for index, case in enumerate(members):
+            solid = solids.get(str(index))
+            found[case.key] = (
+                reconstruction(case, solid)
+                if solid is not None and len(solid.triangle)
+                else no_mesh(case.building, METHOD, reason or "no mesh from Roofer")
+            )
+    return [found[case.key] for case in cases]
+
+
+def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
+    """A solid of Roofer in the frame of the case."""
+    building = case.building
+    # Roofer puts the floor at its own estimate of the ground; ours may be missing
+    ground = ground_z_m(building)
+    return Reconstruction(
+        building.building_id,
+        building.tile,
+        METHOD,
+        "ok",
+        building.origin_xy_m,
+        ground,
+        building.rings,
+        None,
+        None,
+        None,
+        solid.vertex_m - [*building.origin_xy_m, ground],
+        solid.triangle.astype(np.int32),
+        solid.kind,
+        np.full(len(solid.triangle), -1, np.int32),
+    )
+
+
+def _run_key(case: Case) -> tuple[str, str]:
+    return case.dataset, case.building.tile
+
+
+def _run_tile(
+    roofer: Roofer, cases: Sequence[Case], crs: str | None, folder: Path, config: Eval
+) -> tuple[dict[str, ReadSolid], str | None]:
+    """Solids by position of the case, and why the run gave none, if so."""
+    out = folder / "out"
+    write_inputs(cases, crs, folder)
+    command = [word.replace("{folder}", str(folder)) for word in roofer.command]
+    command += ["--id-attribute", ID_FIELD, "--lod22"]
+    command += [str(folder / "points.laz"), str(folder / "footprints.gpkg"), str(out)]
+    try:
+        answer = subprocess.run(
+            command, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return {}, f"Roofer took more than {config.roofer_timeout_s:g} s"
+    if answer.returncode != 0:
+        said = (answer.stderr or answer.stdout).strip().splitlines()
+        log.warning("Roofer failed on tile %s: %s", cases[0].building.tile, said[-1] if said else "")
+        return {}, f"Roofer failed with exit status {answer.returncode}"
+    solids = {}
+    for path in sorted(out.rglob("*.jsonl")):
+        for solid in cityjson.read(path, LOD):
+            solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
+    return solids, None
+
+
+def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
+    """``points.laz`` (each point once, with its class) and ``footprints.gpkg`` (id = position of the case)."""
+    cloud = [case.building.point_m + [*case.building.origin_xy_m, 0.0] for case in cases]
+    classes = np.concatenate([case.building.classification for case in cases])
+    # neighbours' crops overlap; on a grid of centimetres the same point is the same number
+    grid, first = np.unique(np.round(np.concatenate(cloud) * 100).astype(np.int64), axis=0, return_index=True)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.array([0.01, 0.01, 0.01])
+    header.offsets = np.floor(grid.min(axis=0) / 100.0) if len(grid) else np.zeros(3)
+    if crs is not None:
+        header.add_crs(pyproj.CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (grid / 100.0).T
+    las.classification = classes[first]
+    las.return_number = np.ones(len(grid), np.uint8)
+    las.number_of_returns = np.ones(len(grid), np.uint8)
+    las.write(folder / "points.laz")
+    shapes = [
+        shapely.transform(case.building.polygon, lambda xy, case=case: xy + case.building.origin_xy_m)
+        for case in cases
+    ]
+    frame = gpd.GeoDataFrame({ID_FIELD: [str(i) for i in range(len(cases))]}, geometry=shapes, crs=crs)
+    # Roofer 1.1 built with GDAL 3.6 aborts on version 1.4 without a CRS
+    frame.to_file(folder / "footprints.gpkg", driver="GPKG", engine="pyogrio", VERSION="1.2")
