@@ -1,0 +1,160 @@
+"""The self-check of every solid: closed, manifold, right genus, planar, oriented outwards, footprint tiled.
+
+A mesh that passes does not cross itself: its top is made of triangles that all face upwards or are vertical,
+their areas in plan add up to the area of the footprint, whose boundary is theirs, so they tile it once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from p2wss.skeleton.faces import flat_label, ground_label
+from p2wss.skeleton.records import NUM_CAPS
+from p2wss.skeleton.status import Status
+
+_OK = int(Status.OK)
+_OVERFLOW = int(Status.OVERFLOW)
+_NON_FINITE = int(Status.NON_FINITE)
+_NOT_CLOSED = int(Status.NOT_CLOSED)
+_NOT_MANIFOLD = int(Status.NOT_MANIFOLD)
+_WRONG_GENUS = int(Status.WRONG_GENUS)
+_NOT_PLANAR = int(Status.NOT_PLANAR)
+_WRONG_AREA = int(Status.WRONG_AREA)
+_ZERO_AREA_TRIANGLE = int(Status.ZERO_AREA_TRIANGLE)
+_INSIDE_OUT = int(Status.INSIDE_OUT)
+
+_PLANE_M = 1e-3
+_AREA_SHARE = 1e-4
+_SMALLEST_AREA_M2 = 1e-12
+
+
+@njit(cache=True, nogil=True)
+def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
+    """The opposite half-edge of every half-edge 3 * triangle + corner. False: an edge without just one."""
+    num_half = 3 * num_triangles
+    size = 64
+    while size < 2 * num_half:
+        size *= 2
+    if size > len(hash_key):
+        return False
+    mask = size - 1
+    for k in range(size):
+        hash_key[k] = -1
+    for h in range(num_half):
+        a = triangle[h // 3, h % 3]
+        b = triangle[h // 3, (h + 1) % 3]
+        key = a * num_points + b
+        at = (key * 0x9E3779B1 >> 7) & mask
+        while hash_key[at] >= 0:
+            if hash_key[at] == key:
+                return False
+            at = (at + 1) & mask
+        hash_key[at] = key
+        hash_half[at] = h
+    for h in range(num_half):
+        a = triangle[h // 3, h % 3]
+        b = triangle[h // 3, (h + 1) % 3]
+        key = b * num_points + a
+        at = (key * 0x9E3779B1 >> 7) & mask
+        while hash_key[at] >= 0 and hash_key[at] != key:
+            at = (at + 1) & mask
+        if hash_key[at] < 0:
+            return False
+        twin[h] = hash_half[at]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, new_index):
+    """Give every fan of triangles its own vertex where several fans meet in one point. -1: no room."""
+    num_half = 3 * num_triangles
+    for k in range(num_points):
+        new_index[k] = 0  # fans seen
+    for h in range(num_half):
+        corner[h] = -1
+    first_point = num_points
+    for h in range(num_half):
+        if corner[h] >= 0:
+            continue
+        old = triangle[h // 3, h % 3]
+        vertex = old
+        if new_index[old] > 0:
+            if num_points >= len(point):
+                return -1
+            vertex = num_points
+            for axis in range(3):
+                point[vertex, axis] = point[old, axis]
+            num_points += 1
+        new_index[old] += 1
+        k = h
+        for _ in range(num_half):
+            corner[k] = vertex
+            before = k - 1 if k % 3 > 0 else k + 2
+            k = twin[before]
+            if k == h:
+                break
+    if num_points > first_point:
+        for h in range(num_half):
+            triangle[h // 3, h % 3] = corner[h]
+    return num_points
+
+
+@njit(cache=True, nogil=True)
+def check_solid(
+    edge, num_edges, num_rings, plan_area, cap_height, counts, eave, base,
+    point, num_points, triangle, triangle_label, num_triangles, hash_key, hash_half, twin,
+):  # fmt: skip
+    """A ``Status`` for the finished solid; points 0..num_points-1 are all used."""
+    for k in range(num_points):
+        if not (np.isfinite(point[k, 0]) and np.isfinite(point[k, 1]) and np.isfinite(point[k, 2])):
+            return _NON_FINITE
+    if not pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
+        return _NOT_CLOSED
+    # V - E + F = 2 - 2 g with E = 3 F / 2, and one handle per courtyard
+    if 2 * num_points - num_triangles != 4 - 4 * (num_rings - 1):
+        return _WRONG_GENUS
+    first_wall = num_edges + counts[NUM_CAPS]
+    flat = flat_label(num_edges, counts)
+    ground = ground_label(num_edges, counts)
+    volume, top_area, ground_area = 0.0, 0.0, 0.0
+    for t in range(num_triangles):
+        a, b, c = triangle[t, 0], triangle[t, 1], triangle[t, 2]
+        abx, aby, abz = point[b, 0] - point[a, 0], point[b, 1] - point[a, 1], point[b, 2] - point[a, 2]
+        acx, acy, acz = point[c, 0] - point[a, 0], point[c, 1] - point[a, 1], point[c, 2] - point[a, 2]
+        nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
+        if nx * nx + ny * ny + nz * nz < _SMALLEST_AREA_M2 * _SMALLEST_AREA_M2:
+            return _ZERO_AREA_TRIANGLE
+        volume += nx * point[a, 0] + ny * point[a, 1] + nz * (point[a, 2] - base)
+        label = triangle_label[t]
+        if label == ground:
+            if nz >= 0.0:
+                return _INSIDE_OUT
+            ground_area -= 0.5 * nz
+        elif label < first_wall or label == flat:
+            if nz <= 0.0:
+                return _INSIDE_OUT
+            top_area += 0.5 * nz
+        for m in range(3):
+            k = triangle[t, m]
+            if label < num_edges:
+                distance = (point[k, 1] - edge[label].y) * edge[label].dir_x
+                distance -= (point[k, 0] - edge[label].x) * edge[label].dir_y
+                angle = edge[label].angle_deg * np.pi / 180.0
+                off = (point[k, 2] - eave) * np.cos(angle) - distance * np.sin(angle)
+            elif label < first_wall:
+                off = point[k, 2] - eave - cap_height[label - num_edges]
+            elif label == flat:
+                off = point[k, 2] - eave
+            elif label == ground:
+                off = point[k, 2] - base
+            else:
+                e = label - first_wall
+                off = (point[k, 1] - edge[e].y) * edge[e].dir_x - (point[k, 0] - edge[e].x) * edge[e].dir_y
+            if not abs(off) < _PLANE_M:
+                return _NOT_PLANAR
+    if abs(top_area - plan_area) > _AREA_SHARE * plan_area or abs(ground_area - plan_area) > 1e-9 * plan_area:
+        return _WRONG_AREA
+    if not volume > 0.0:
+        return _INSIDE_OUT
+    return _OK

@@ -1,0 +1,214 @@
+"""Footprints as they come to footprints that the skeleton can take: the clean-up of a batch of polygons."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from p2wss.skeleton.footprint import check_rings, load_footprint
+from p2wss.skeleton.records import EDGE, MAX_EDGES
+from p2wss.skeleton.status import Status
+from p2wss.skeleton.types import IntArray, Polygons
+
+_OK = int(Status.OK)
+_EMPTY = int(Status.EMPTY)
+_NON_FINITE = int(Status.NON_FINITE)
+_TOO_SMALL = int(Status.TOO_SMALL)
+_TOO_MANY_EDGES = int(Status.TOO_MANY_EDGES)
+_FARTHEST_M = 1e9  # beyond this a coordinate has no micrometres left
+
+_MAX_RAW_VERTICES = 65536
+
+
+@dataclass(frozen=True)
+class Cleaned:
+    """Clean polygons, and where their edges come from.
+
+    polygons: as many as went in; a rejected one has no rings. edge_source: int64 (num_vertices,), for every edge
+    the index into the ``xy_m`` that went in of the edge whose angle it inherits, the longest of those that were
+    merged into it. status: int32 (num_polygons,), a ``Status``.
+    """
+
+    polygons: Polygons
+    edge_source: IntArray
+    status: IntArray
+
+
+@njit(cache=True, nogil=True)
+def _offence(x, y, before, here, after, min_edge, max_cos, min_offset):
+    """How far the vertex is from the line between its neighbours if it has to go, or -1 if it may stay."""
+    a, b, c = before[here], here, after[here]
+    u_x, u_y = x[b] - x[a], y[b] - y[a]
+    v_x, v_y = x[c] - x[b], y[c] - y[b]
+    u, v = np.hypot(u_x, u_y), np.hypot(v_x, v_y)
+    cross = abs(u_x * v_y - u_y * v_x)
+    along = u_x * v_x + u_y * v_y
+    if along <= -max_cos * u * v:  # a spike, or no length at all
+        return cross / max(u, v, 1e-12)
+    chord = np.hypot(x[c] - x[a], y[c] - y[a])
+    offset = cross / max(chord, 1e-12)
+    if min(u, v) < min_edge or along >= max_cos * u * v or offset < min_offset:
+        return offset
+    return -1.0
+
+
+@njit(cache=True, nogil=True)
+def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge, max_cos, min_offset):
+    """Take out vertices, least offset first, until all that are left may stay. Returns (how many, one of them)."""
+    for k in range(n):
+        offence[k] = _offence(x, y, before, k, after, min_edge, max_cos, min_offset)
+    head = 0
+    left = n
+    while left >= 3:
+        worst, least = -1, np.inf
+        k = head
+        for _ in range(left):
+            # of equals the last goes, so that of a closed ring's two ends the first vertex stays
+            if 0.0 <= offence[k] and (offence[k] < least or (offence[k] == least and k > worst)):
+                worst, least = k, offence[k]
+            k = after[k]
+        if worst < 0 or left == 3:
+            # a triangle that still offends has collapsed
+            return (left if worst < 0 else 0), head
+        a, c = before[worst], after[worst]
+        if source_length[worst] > source_length[a]:
+            source[a], source_length[a] = source[worst], source_length[worst]
+        after[a] = c
+        before[c] = a
+        head = a
+        left -= 1
+        offence[a] = _offence(x, y, before, a, after, min_edge, max_cos, min_offset)
+        offence[c] = _offence(x, y, before, c, after, min_edge, max_cos, min_offset)
+    return 0, head
+
+
+@njit(cache=True, nogil=True)
+def _clean_all(
+    xy_m, ring_offset, polygon_offset, min_edge, max_cos, min_offset, min_area, longest_ring, edge
+):
+    num_polygons = len(polygon_offset) - 1
+    status = np.zeros(num_polygons, np.int32)
+    out_xy = np.empty((len(xy_m), 2))
+    out_source = np.empty(len(xy_m), np.int64)
+    out_ring_offset = np.zeros(len(ring_offset), np.int64)
+    out_polygon_offset = np.zeros(num_polygons + 1, np.int64)
+    x, y = np.empty(longest_ring), np.empty(longest_ring)
+    source, length = np.empty(longest_ring, np.int64), np.empty(longest_ring)
+    before, after = np.empty(longest_ring, np.int64), np.empty(longest_ring, np.int64)
+    offence = np.empty(longest_ring)
+    num_vertices, num_rings = 0, 0
+    for p in range(num_polygons):
+        first_vertex, first_ring = num_vertices, num_rings
+        code = _EMPTY if polygon_offset[p + 1] <= polygon_offset[p] else _OK
+        for ring in range(polygon_offset[p], polygon_offset[p + 1]):
+            start, n = ring_offset[ring], ring_offset[ring + 1] - ring_offset[ring]
+            if n > _MAX_RAW_VERTICES:
+                code = _TOO_MANY_EDGES
+                break
+            for k in range(n):
+                if not (abs(xy_m[start + k, 0]) < _FARTHEST_M and abs(xy_m[start + k, 1]) < _FARTHEST_M):
+                    code = _NON_FINITE
+            if code != _OK:
+                break
+            exterior = ring == polygon_offset[p]
+            if n < 3:
+                if exterior:
+                    code = _EMPTY
+                    break
+                continue
+            area = 0.0
+            for k in range(n):
+                x[k], y[k] = xy_m[start + k, 0] - xy_m[start, 0], xy_m[start + k, 1] - xy_m[start, 1]
+            for k in range(n):
+                m = k + 1 if k + 1 < n else 0
+                area += 0.5 * (x[k] * y[m] - x[m] * y[k])
+            # turn the ring round if it runs the wrong way; its edges then start at what was their end
+            forward = (area > 0.0) == exterior
+            for k in range(n):
+                m = k if forward else n - 1 - k
+                x[k], y[k] = xy_m[start + m, 0] - xy_m[start, 0], xy_m[start + m, 1] - xy_m[start, 1]
+                source[k] = start + (m if forward else (m - 1 if m > 0 else n - 1))
+                before[k] = k - 1 if k > 0 else n - 1
+                after[k] = k + 1 if k + 1 < n else 0
+            for k in range(n):
+                length[k] = np.hypot(x[after[k]] - x[k], y[after[k]] - y[k])
+            left, head = _thin_ring(
+                x, y, source, length, before, after, offence, n, min_edge, max_cos, min_offset
+            )
+            area = 0.0
+            lowest = head
+            k = head
+            for _ in range(left):
+                m = after[k]
+                area += 0.5 * (x[k] * y[m] - x[m] * y[k])
+                lowest = min(lowest, k)
+                k = m
+            if left < 3 or abs(area) < min_area:
+                if exterior:
+                    code = _TOO_SMALL
+                    break
+                continue  # a courtyard this small is none
+            k = lowest  # the first vertex that stays remains first
+            for _ in range(left):
+                out_xy[num_vertices, 0] = x[k] + xy_m[start, 0]
+                out_xy[num_vertices, 1] = y[k] + xy_m[start, 1]
+                out_source[num_vertices] = source[k]
+                num_vertices += 1
+                k = after[k]
+            num_rings += 1
+            out_ring_offset[num_rings] = num_vertices
+        if code == _OK and num_vertices - first_vertex > len(edge):
+            code = _TOO_MANY_EDGES
+        if code == _OK:
+            code, _ = load_footprint(out_xy, out_ring_offset, first_ring, num_rings, edge)
+        if code == _OK:
+            code = check_rings(edge, out_ring_offset, first_ring, num_rings)
+        if code != _OK:
+            num_vertices, num_rings = first_vertex, first_ring
+        status[p] = code
+        out_polygon_offset[p + 1] = num_rings
+    return (
+        out_xy[:num_vertices].copy(),
+        out_ring_offset[: num_rings + 1].copy(),
+        out_polygon_offset,
+        out_source[:num_vertices].copy(),
+        status,
+    )
+
+
+def clean(
+    polygons: Polygons,
+    *,
+    min_edge_m: float = 0.05,
+    min_turn_deg: float = 3.0,
+    min_offset_m: float = 0.02,
+    min_area_m2: float = 0.1,
+) -> Cleaned:
+    """Clean polygons in any state; see :class:`Cleaned`.
+
+    A vertex goes if one of its edges is shorter than ``min_edge_m`` (a repeated vertex is such a case), if it
+    turns by less than ``min_turn_deg`` or back by as much (a spike), or if it is within ``min_offset_m`` of the
+    line between its neighbours; the one nearest to that line goes first. Exteriors become counter-clockwise,
+    courtyards clockwise. A courtyard smaller than ``min_area_m2`` is dropped. A polygon that is then not simple,
+    smaller than ``min_area_m2``, or has a courtyard out of place is rejected: it keeps its place with no rings.
+
+    Never raises for any coordinates.
+    """
+    xy_m = np.ascontiguousarray(polygons.xy_m, np.float64).reshape(-1, 2)
+    ring_offset = np.ascontiguousarray(polygons.ring_offset, np.int64)
+    longest = int(min(np.diff(ring_offset).max(initial=3), _MAX_RAW_VERTICES))
+    largest = int(min(max(np.diff(polygons.vertex_offset).max(initial=3), 16), MAX_EDGES))
+    xy, ring, polygon, source, status = _clean_all(
+        xy_m,
+        ring_offset,
+        np.ascontiguousarray(polygons.polygon_offset, np.int64),
+        float(min_edge_m),
+        float(np.cos(np.radians(min_turn_deg))),
+        float(min_offset_m),
+        float(min_area_m2),
+        longest,
+        np.zeros(largest, EDGE),
+    )
+    return Cleaned(Polygons(xy, ring, polygon), source, status)

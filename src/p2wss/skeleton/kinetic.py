@@ -1,0 +1,647 @@
+"""The weighted straight skeleton by kinetic simulation: every edge moves inwards, the wavefront's events are
+played in order of height, and the paths of the wavefront's vertices are the arcs of the skeleton.
+
+Height plays the part of time. The edge with angle ``a`` moves at ``cot(a)`` metres of plan per metre of height,
+so 90 degrees stands still, exactly. An edge of 0 degrees is infinitely fast: before anything else, in phase 0,
+such edges sweep alone at height 0, all others standing still, until nothing they can reach is left; phase 1 then
+runs with the real speeds on what remains.
+
+Rules for the cases that the definition leaves open:
+
+* A wavefront on which every edge stands still is capped flat at once; one that reaches the maximum height too.
+* Two pieces that become collinear neighbours at different speeds: the faster swallows the slower.
+* Neighbours that face each other (antiparallel) close up towards the nearer end at once.
+
+Courtyards are further wavefronts. A reflex vertex that runs into its own wavefront splits it in two; one that
+runs into another wavefront joins the two into one. Both are the same change of links.
+
+Weighted skeletons and their ambiguities: Held and Palfrader, *Straight skeletons with additive and
+multiplicative weights and their application to the algorithmic generation of roofs and terrains*, 2017.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from p2wss.skeleton.records import (
+    NUM_ALIVE,
+    NUM_ARCS,
+    NUM_CAPS,
+    NUM_HOLES,
+    NUM_LOOPS,
+    NUM_NODES,
+    NUM_VERTICES,
+)
+from p2wss.skeleton.status import Status
+
+_OK = int(Status.OK)
+_TOO_MANY_EVENTS = int(Status.TOO_MANY_EVENTS)
+_BROKEN_WAVEFRONT = int(Status.BROKEN_WAVEFRONT)
+_NO_EVENT = int(Status.NO_EVENT)
+_OVERFLOW = int(Status.OVERFLOW)
+
+_PARALLEL = 1e-7  # sine below which two edges are parallel
+_REFLEX = -1e-9
+_LENGTH_M = 1e-7  # a piece shorter than this has vanished
+_STILL = 1e-12  # a rate of change below this is none
+_TIE = 1e-10  # events closer than this in height: collapses go before splits
+_NEVER = np.inf
+
+_ORDINARY, _COLLINEAR, _FACING = 0, 1, 2  # kinds of wavefront vertex
+_UNKNOWN, _NOTHING = -2, -1  # values of split_from
+
+
+@njit(cache=True, nogil=True)
+def _vertex_velocity(edge, left, right):
+    """Velocity of the vertex between two moving lines, and its kind."""
+    left_nx, left_ny = -edge[left].dir_y, edge[left].dir_x
+    right_nx, right_ny = -edge[right].dir_y, edge[right].dir_x
+    left_speed, right_speed = edge[left].speed, edge[right].speed
+    cross = left_nx * right_ny - left_ny * right_nx
+    if abs(cross) < _PARALLEL:
+        if left_nx * right_nx + left_ny * right_ny > 0:
+            if abs(left_speed - right_speed) < 1e-9:
+                return left_nx * left_speed, left_ny * left_speed, _ORDINARY
+            return 0.0, 0.0, _COLLINEAR
+        if left_speed + right_speed == 0.0:
+            return 0.0, 0.0, _ORDINARY
+        return 0.0, 0.0, _FACING
+    vel_x = (left_speed * right_ny - left_ny * right_speed) / cross
+    vel_y = (left_nx * right_speed - left_speed * right_nx) / cross
+    return vel_x, vel_y, _ORDINARY
+
+
+@njit(cache=True, nogil=True)
+def _position(node, vertex, v, t):
+    dt = t - vertex[v].birth
+    return node[vertex[v].node].x + dt * vertex[v].vel_x, node[vertex[v].node].y + dt * vertex[v].vel_y
+
+
+@njit(cache=True, nogil=True)
+def _start_moving(edge, vertex, v, t):
+    """Set velocity and kind of a vertex from its two edges, and forget its events."""
+    left, right = vertex[v].left, vertex[v].right
+    vel_x, vel_y, kind = _vertex_velocity(edge, left, right)
+    turn = edge[left].dir_x * edge[right].dir_y - edge[left].dir_y * edge[right].dir_x
+    vertex[v].vel_x = vel_x
+    vertex[v].vel_y = vel_y
+    vertex[v].kind = kind
+    vertex[v].birth = t
+    vertex[v].reflex = 1 if kind == _ORDINARY and turn < _REFLEX else 0
+    vertex[v].collapse_time = _NEVER
+    vertex[v].split_time = _NEVER
+    vertex[v].split_from = _UNKNOWN
+
+
+@njit(cache=True, nogil=True)
+def _add_vertex(edge, vertex, counts, left, right, before, after, at_node, loop, t):
+    v = counts[NUM_VERTICES]
+    counts[NUM_VERTICES] += 1
+    counts[NUM_ALIVE] += 1
+    vertex[v].left = left
+    vertex[v].right = right
+    vertex[v].prev = before
+    vertex[v].next = after
+    vertex[v].node = at_node
+    vertex[v].loop = loop
+    vertex[v].alive = 1
+    vertex[before].next = v
+    vertex[after].prev = v
+    _start_moving(edge, vertex, v, t)
+    return v
+
+
+@njit(cache=True, nogil=True)
+def _kill(vertex, counts, v):
+    if vertex[v].alive == 1:
+        vertex[v].alive = 0
+        counts[NUM_ALIVE] -= 1
+
+
+@njit(cache=True, nogil=True)
+def _add_node(node, counts, x, y, z):
+    k = counts[NUM_NODES]
+    counts[NUM_NODES] += 1
+    node[k].x = x
+    node[k].y = y
+    node[k].z = z
+    return k
+
+
+@njit(cache=True, nogil=True)
+def _add_arc(arc, counts, start, end, left, right):
+    k = counts[NUM_ARCS]
+    counts[NUM_ARCS] += 1
+    arc[k].start = start
+    arc[k].end = end
+    arc[k].left = left
+    arc[k].right = right
+
+
+@njit(cache=True, nogil=True)
+def _collapse_time(edge, node, vertex, v, t):
+    """When the piece from v to its successor has no length left; never if it does not shrink."""
+    w = vertex[v].next
+    if vertex[v].kind != _ORDINARY or vertex[w].kind != _ORDINARY:
+        return _NEVER
+    e = vertex[v].right
+    v_x, v_y = _position(node, vertex, v, t)
+    w_x, w_y = _position(node, vertex, w, t)
+    length = (w_x - v_x) * edge[e].dir_x + (w_y - v_y) * edge[e].dir_y
+    growth = (vertex[w].vel_x - vertex[v].vel_x) * edge[e].dir_x + (vertex[w].vel_y - vertex[v].vel_y) * edge[
+        e
+    ].dir_y
+    if growth < -_STILL:
+        return t + max(length, 0.0) / -growth
+    # without this, pieces of no length between equal speeds would stay for ever
+    if length < _LENGTH_M and growth < _LENGTH_M:
+        return t
+    return _NEVER
+
+
+@njit(cache=True, nogil=True)
+def _split_time(edge, node, vertex, v, a, t):
+    """When the reflex vertex v runs into the piece that starts at vertex a."""
+    b = vertex[a].next
+    e = vertex[a].right
+    if a == v or b == v or e == vertex[v].left or e == vertex[v].right:
+        return _NEVER
+    if vertex[a].kind != _ORDINARY or vertex[b].kind != _ORDINARY:
+        return _NEVER
+    dir_x, dir_y = edge[e].dir_x, edge[e].dir_y
+    approach = vertex[v].vel_y * dir_x - vertex[v].vel_x * dir_y - edge[e].speed
+    if approach >= -_STILL:
+        return _NEVER
+    v_x, v_y = _position(node, vertex, v, t)
+    a_x, a_y = _position(node, vertex, a, t)
+    gap = (v_y - a_y) * dir_x - (v_x - a_x) * dir_y
+    if gap <= -_LENGTH_M:
+        return _NEVER
+    dt = max(gap, 0.0) / -approach
+    hit_x, hit_y = v_x + dt * vertex[v].vel_x, v_y + dt * vertex[v].vel_y
+    after_a = (hit_x - a_x - dt * vertex[a].vel_x) * dir_x + (hit_y - a_y - dt * vertex[a].vel_y) * dir_y
+    if after_a <= -_LENGTH_M:
+        return _NEVER
+    b_x, b_y = _position(node, vertex, b, t + dt)
+    before_b = (b_x - hit_x) * dir_x + (b_y - hit_y) * dir_y
+    if before_b <= -_LENGTH_M:
+        return _NEVER
+    return t + dt
+
+
+@njit(cache=True, nogil=True)
+def _try_split(edge, node, vertex, v, a, t):
+    time = _split_time(edge, node, vertex, v, a, t)
+    if time < vertex[v].split_time - _TIE:
+        vertex[v].split_time = time
+        vertex[v].split_from = a
+        vertex[v].split_to = vertex[a].next
+
+
+@njit(cache=True, nogil=True)
+def _find_split(edge, node, vertex, counts, v, t):
+    """The first split of v, from nothing. Without courtyards left, only its own wavefront can be in its way."""
+    vertex[v].split_time = _NEVER
+    vertex[v].split_from = _NOTHING
+    if counts[NUM_HOLES] == 0:
+        a = vertex[v].next
+        for _ in range(counts[NUM_VERTICES]):
+            if a == v:
+                break
+            _try_split(edge, node, vertex, v, a, t)
+            a = vertex[a].next
+    else:
+        for a in range(counts[NUM_VERTICES]):
+            if vertex[a].alive == 1:
+                _try_split(edge, node, vertex, v, a, t)
+
+
+@njit(cache=True, nogil=True)
+def _refresh_pieces(edge, node, vertex, counts, first, second, t):
+    """Bring the stored events up to date after the pieces that end or start at two vertices have changed."""
+    for u in (first, second):
+        if u >= 0 and vertex[u].alive == 1:
+            p = vertex[u].prev
+            vertex[p].collapse_time = _collapse_time(edge, node, vertex, p, t)
+            vertex[u].collapse_time = _collapse_time(edge, node, vertex, u, t)
+    for v in range(counts[NUM_VERTICES]):
+        if vertex[v].alive == 0 or vertex[v].reflex == 0:
+            continue
+        a = vertex[v].split_from
+        stale = a == _UNKNOWN
+        if a >= 0:
+            stale = vertex[a].alive == 0 or vertex[a].next != vertex[v].split_to
+            if counts[NUM_HOLES] == 0 and vertex[a].loop != vertex[v].loop:
+                stale = True
+        if stale:
+            _find_split(edge, node, vertex, counts, v, t)
+            continue
+        for u in (first, second):
+            if u >= 0 and vertex[u].alive == 1:
+                if counts[NUM_HOLES] > 0 or vertex[u].loop == vertex[v].loop:
+                    _try_split(edge, node, vertex, v, vertex[u].prev, t)
+                    _try_split(edge, node, vertex, v, u, t)
+
+
+@njit(cache=True, nogil=True)
+def _loop_moves(edge, vertex, v, limit):
+    """(number of vertices of the loop of v, or limit + 1 when it does not close; whether any edge moves)."""
+    moves = False
+    w = v
+    for k in range(limit):
+        if edge[vertex[w].right].speed > 0.0:
+            moves = True
+        w = vertex[w].next
+        if w == v:
+            return k + 1, moves
+    return limit + 1, moves
+
+
+@njit(cache=True, nogil=True)
+def _loop_area(node, vertex, v, t, limit):
+    """Twice the signed area of the loop of v."""
+    area = 0.0
+    x0, y0 = _position(node, vertex, v, t)
+    a_x, a_y = 0.0, 0.0
+    w = vertex[v].next
+    for _ in range(limit):
+        if w == v:
+            break
+        b_x, b_y = _position(node, vertex, w, t)
+        b_x -= x0
+        b_y -= y0
+        area += a_x * b_y - a_y * b_x
+        a_x, a_y = b_x, b_y
+        w = vertex[w].next
+    return area
+
+
+@njit(cache=True, nogil=True)
+def _inside_loop(node, vertex, v, x, y, t, limit):
+    inside = False
+    w = v
+    a_x, a_y = _position(node, vertex, w, t)
+    for _ in range(limit):
+        w = vertex[w].next
+        b_x, b_y = _position(node, vertex, w, t)
+        if (a_y > y) != (b_y > y) and x < a_x + (y - a_y) / (b_y - a_y) * (b_x - a_x):
+            inside = not inside
+        a_x, a_y = b_x, b_y
+        if w == v:
+            break
+    return inside
+
+
+@njit(cache=True, nogil=True)
+def _region_outline(node, vertex, counts, v, t):
+    """A vertex of the outer wavefront of the region that the loop of v bounds (v itself if that is outer)."""
+    limit = counts[NUM_VERTICES]
+    if _loop_area(node, vertex, v, t, limit) > 0.0:
+        return v
+    x, y = _position(node, vertex, v, t)
+    best, best_area = v, np.inf
+    for w in range(limit):
+        if vertex[w].alive == 0 or not _is_first_of_loop(vertex, w, limit):
+            continue
+        area = _loop_area(node, vertex, w, t, limit)
+        if 0.0 < area < best_area and _inside_loop(node, vertex, w, x, y, t, limit):
+            best, best_area = w, area
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _is_first_of_loop(vertex, v, limit):
+    w = vertex[v].next
+    for _ in range(limit):
+        if w == v:
+            return True
+        if w < v:
+            return False
+        w = vertex[w].next
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _cap_loop(node, vertex, arc, counts, v, t, cap):
+    """End the loop of v at height t along the boundary of the horizontal face number ``cap``."""
+    limit = counts[NUM_VERTICES]
+    first, last = -1, -1
+    w = v
+    for _ in range(limit):
+        x, y = _position(node, vertex, w, t)
+        here = vertex[w].node
+        if t > node[here].z:
+            here = _add_node(node, counts, x, y, t)
+            _add_arc(arc, counts, vertex[w].node, here, vertex[w].left, vertex[w].right)
+        if last >= 0:
+            _add_arc(arc, counts, last, here, cap, vertex[w].left)
+        else:
+            first = here
+        last = here
+        _kill(vertex, counts, w)
+        w = vertex[w].next
+        if w == v:
+            break
+    _add_arc(arc, counts, last, first, cap, vertex[v].left)
+
+
+@njit(cache=True, nogil=True)
+def _freeze_loop(vertex, v, limit):
+    w = v
+    for _ in range(limit):
+        vertex[w].collapse_time = _NEVER
+        vertex[w].split_time = _NEVER
+        vertex[w].split_from = _NOTHING
+        w = vertex[w].next
+        if w == v:
+            break
+
+
+@njit(cache=True, nogil=True)
+def _name_loop(vertex, v, name, limit):
+    w = v
+    for _ in range(limit):
+        vertex[w].loop = name
+        w = vertex[w].next
+        if w == v:
+            break
+
+
+@njit(cache=True, nogil=True)
+def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
+    """The loop of v stands still: if its whole region does, freeze it (phase 0) or cap it (phase 1)."""
+    limit = counts[NUM_VERTICES]
+    region = vertex[v].loop
+    num_holes = 0
+    if counts[NUM_HOLES] > 0:
+        region = vertex[_region_outline(node, vertex, counts, v, t)].loop
+        for pass_number in range(2):  # look at the whole region before changing anything
+            for w in range(limit):
+                if vertex[w].alive == 0 or not _is_first_of_loop(vertex, w, limit):
+                    continue
+                outline = _region_outline(node, vertex, counts, w, t)
+                if vertex[outline].loop != region:
+                    continue
+                if pass_number == 0 and _loop_moves(edge, vertex, w, limit)[1]:
+                    return
+                if pass_number == 1 and vertex[w].loop != region:
+                    _name_loop(vertex, w, region, limit)
+                    num_holes += 1
+    cap = counts[NUM_CAPS]
+    if phase == 1:
+        cap_height[cap] = t
+        counts[NUM_CAPS] += 1
+        counts[NUM_HOLES] -= num_holes
+    for w in range(limit):
+        if vertex[w].alive == 1 and vertex[w].loop == region:
+            if phase == 1:
+                _cap_loop(node, vertex, arc, counts, w, t, num_edges + cap)
+            else:
+                _freeze_loop(vertex, w, limit)
+
+
+@njit(cache=True, nogil=True)
+def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
+    """End the loop of v if two vertices are left or nothing in its region moves. False: the links are broken."""
+    if vertex[v].alive == 0:
+        return True
+    size, moves = _loop_moves(edge, vertex, v, counts[NUM_VERTICES])
+    if size > counts[NUM_VERTICES]:
+        return False
+    if size <= 2:
+        w = vertex[v].next
+        if size == 2 and vertex[v].node != vertex[w].node:
+            _add_arc(arc, counts, vertex[v].node, vertex[w].node, vertex[v].left, vertex[v].right)
+        _kill(vertex, counts, v)
+        _kill(vertex, counts, w)
+    elif not moves:
+        _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _cap_everything(num_edges, node, vertex, arc, cap_height, counts, t):
+    cap = counts[NUM_CAPS]
+    cap_height[cap] = t
+    counts[NUM_CAPS] += 1
+    for v in range(counts[NUM_VERTICES]):
+        if vertex[v].alive == 1:
+            _cap_loop(node, vertex, arc, counts, v, t, num_edges + cap)
+
+
+@njit(cache=True, nogil=True)
+def _merge(edge, node, vertex, arc, counts, v, w, x, y, t):
+    """The piece from v to its successor w vanishes at (x, y): one vertex takes the place of both."""
+    here = _add_node(node, counts, x, y, t)
+    _add_arc(arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
+    _add_arc(arc, counts, vertex[w].node, here, vertex[w].left, vertex[w].right)
+    _kill(vertex, counts, v)
+    _kill(vertex, counts, w)
+    before, after = vertex[v].prev, vertex[w].next
+    return _add_vertex(
+        edge, vertex, counts, vertex[v].left, vertex[w].right, before, after, here, vertex[v].loop, t
+    )
+
+
+@njit(cache=True, nogil=True)
+def _collapse(edge, node, vertex, arc, counts, v, t):
+    w = vertex[v].next
+    v_x, v_y = _position(node, vertex, v, t)
+    w_x, w_y = _position(node, vertex, w, t)
+    x, y = 0.5 * (v_x + w_x), 0.5 * (v_y + w_y)
+    # a much slower vertex knows better where they meet
+    v_speed2 = vertex[v].vel_x ** 2 + vertex[v].vel_y ** 2
+    w_speed2 = vertex[w].vel_x ** 2 + vertex[w].vel_y ** 2
+    if v_speed2 < 1e-2 * w_speed2:
+        x, y = v_x, v_y
+    elif w_speed2 < 1e-2 * v_speed2:
+        x, y = w_x, w_y
+    return _merge(edge, node, vertex, arc, counts, v, w, x, y, t)
+
+
+@njit(cache=True, nogil=True)
+def _close_degenerate(edge, node, vertex, arc, counts, v, t):
+    """A vertex between parallel edges of different speeds takes one neighbour with it, where that one is."""
+    a, b = vertex[v].prev, vertex[v].next
+    a_x, a_y = _position(node, vertex, a, t)
+    b_x, b_y = _position(node, vertex, b, t)
+    if vertex[v].kind == _FACING:
+        x, y = node[vertex[v].node].x, node[vertex[v].node].y
+        to_next = (b_x - x) ** 2 + (b_y - y) ** 2 <= (a_x - x) ** 2 + (a_y - y) ** 2
+    else:
+        to_next = edge[vertex[v].right].speed < edge[vertex[v].left].speed
+    if to_next:
+        return _merge(edge, node, vertex, arc, counts, v, b, b_x, b_y, t)
+    return _merge(edge, node, vertex, arc, counts, a, v, a_x, a_y, t)
+
+
+@njit(cache=True, nogil=True)
+def _split(edge, node, vertex, arc, counts, v, t):
+    """v runs into a piece: its own wavefront comes apart, or two wavefronts become one."""
+    a = vertex[v].split_from
+    b = vertex[a].next
+    e = vertex[a].right
+    x, y = _position(node, vertex, v, t)
+    here = _add_node(node, counts, x, y, t)
+    _add_arc(arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
+    _kill(vertex, counts, v)
+    before, after = vertex[v].prev, vertex[v].next
+    left, right, loop = vertex[v].left, vertex[v].right, vertex[v].loop
+    joins = vertex[a].loop != loop
+    first = _add_vertex(edge, vertex, counts, left, e, before, b, here, loop, t)
+    second = _add_vertex(edge, vertex, counts, e, right, a, after, here, loop, t)
+    limit = counts[NUM_VERTICES]
+    if joins:
+        counts[NUM_HOLES] -= 1
+        _name_loop(vertex, first, loop, limit)
+    else:
+        _name_loop(vertex, second, counts[NUM_LOOPS], limit)
+        counts[NUM_LOOPS] += 1
+    return first, second
+
+
+@njit(cache=True, nogil=True)
+def _next_event(vertex, counts):
+    """(height, vertex, whether it is a split); vertex -1 when there is none."""
+    height, v_best = _NEVER, -1
+    for v in range(counts[NUM_VERTICES]):
+        if vertex[v].alive == 1 and vertex[v].collapse_time < height:
+            height, v_best = vertex[v].collapse_time, v
+    is_split = False
+    for v in range(counts[NUM_VERTICES]):
+        if vertex[v].alive == 1 and vertex[v].split_time < height - _TIE:
+            height, v_best, is_split = vertex[v].split_time, v, True
+    return height, v_best, is_split
+
+
+@njit(cache=True, nogil=True)
+def _start_phase(edge, num_edges, vertex, counts, phase):
+    limit = counts[NUM_VERTICES]
+    for e in range(num_edges):
+        if phase == 1:
+            edge[e].speed = edge[e].final_speed
+        else:
+            edge[e].speed = 1.0 if edge[e].angle_deg == 0.0 else 0.0
+    counts[NUM_LOOPS] = 0
+    for v in range(limit):
+        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, limit):
+            _name_loop(vertex, v, counts[NUM_LOOPS], limit)
+            counts[NUM_LOOPS] += 1
+    for v in range(limit):
+        if vertex[v].alive == 1:
+            _start_moving(edge, vertex, v, 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height):
+    _start_phase(edge, num_edges, vertex, counts, phase)
+    t = 0.0
+    num_start = counts[NUM_VERTICES]
+    for v in range(num_start):
+        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):
+            if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
+                return _BROKEN_WAVEFRONT
+    num_degenerate = 0
+    for v in range(num_start):
+        if vertex[v].alive == 1:
+            vertex[v].collapse_time = _collapse_time(edge, node, vertex, v, t)
+            if vertex[v].reflex == 1:
+                _find_split(edge, node, vertex, counts, v, t)
+            if vertex[v].kind != _ORDINARY:
+                num_degenerate += 1
+    first_degenerate = 0
+
+    max_events = 20 * num_edges + 100
+    for _ in range(max_events):
+        if counts[NUM_ALIVE] == 0:
+            return _OK
+        # one event adds two vertices, four arcs and a node at most, a cap a node and two arcs per vertex
+        room = counts[NUM_ALIVE] + 4
+        if counts[NUM_VERTICES] + 4 > len(vertex) or counts[NUM_NODES] + room > len(node):
+            return _OVERFLOW
+        if counts[NUM_ARCS] + 2 * room > len(arc) or counts[NUM_CAPS] + 2 > len(cap_height):
+            return _OVERFLOW
+        degenerate = -1
+        if num_degenerate > 0:
+            num_degenerate = 0
+            for v in range(first_degenerate, counts[NUM_VERTICES]):
+                if vertex[v].alive == 1 and vertex[v].kind != _ORDINARY:
+                    if degenerate < 0:
+                        degenerate = v
+                        first_degenerate = v
+                    num_degenerate += 1
+        second = -1
+        if degenerate >= 0:
+            first = _close_degenerate(edge, node, vertex, arc, counts, degenerate, t)
+        else:
+            height, v, is_split = _next_event(vertex, counts)
+            if v < 0:
+                if phase == 1:
+                    return _NO_EVENT
+                break
+            if phase == 1 and height > max_roof_height:
+                _cap_everything(num_edges, node, vertex, arc, cap_height, counts, max_roof_height)
+                return _OK
+            t = max(t, height)
+            if is_split:
+                first, second = _split(edge, node, vertex, arc, counts, v, t)
+            else:
+                first = _collapse(edge, node, vertex, arc, counts, v, t)
+        if phase == 0:
+            node[vertex[first].node].z = 0.0
+        if vertex[first].kind != _ORDINARY:
+            num_degenerate += 1
+        if second >= 0 and vertex[second].kind != _ORDINARY:
+            num_degenerate += 1
+        if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, first, phase, t):
+            return _BROKEN_WAVEFRONT
+        if second >= 0:
+            if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, second, phase, t):
+                return _BROKEN_WAVEFRONT
+        _refresh_pieces(edge, node, vertex, counts, first, second, t)
+    if phase == 0 and counts[NUM_ALIVE] > 0:
+        for v in range(counts[NUM_VERTICES]):
+            if vertex[v].alive == 1 and edge[vertex[v].right].speed > 0.0:
+                return _NO_EVENT
+        return _OK
+    return _TOO_MANY_EVENTS
+
+
+@njit(cache=True, nogil=True)
+def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap_height, counts):
+    """Play all events of one polygon. Returns a ``Status``; never raises and always ends.
+
+    edge: EDGE records, filled up to ``num_edges`` by :func:`p2wss.skeleton.footprint.load_footprint` and
+    :func:`p2wss.skeleton.footprint.set_angles`. max_roof_height: metres above the eave, infinity for none.
+    node, vertex, arc, cap_height, counts: as made by :func:`p2wss.skeleton.records.skeleton_work`; their old
+    content does not matter. On return ``counts`` says how many nodes, arcs and caps there are. Face c +
+    num_edges of an arc is the horizontal cap at ``cap_height[c]`` above the eave.
+    """
+    for k in range(len(counts)):
+        counts[k] = 0
+    counts[NUM_NODES] = num_edges
+    counts[NUM_VERTICES] = num_edges
+    counts[NUM_ALIVE] = num_edges
+    counts[NUM_HOLES] = num_rings - 1
+    any_flat = False
+    for i in range(num_edges):
+        node[i].x = edge[i].x
+        node[i].y = edge[i].y
+        node[i].z = 0.0
+        vertex[i].left = edge[i].prev
+        vertex[i].right = i
+        vertex[i].prev = edge[i].prev
+        vertex[i].next = edge[i].next
+        vertex[i].node = i
+        vertex[i].loop = 0
+        vertex[i].alive = 1
+        if edge[i].angle_deg == 0.0:
+            any_flat = True
+    if any_flat:
+        status = _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, 0, max_roof_height)
+        if status != _OK:
+            return status
+        if counts[NUM_ALIVE] == 0:
+            return _OK
+    return _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, 1, max_roof_height)

@@ -1,0 +1,183 @@
+"""One polygon with angles and heights to one closed triangle mesh, checked."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
+from p2wss.skeleton.faces import (
+    collect_half_edges,
+    drop_straight_points,
+    flat_label,
+    ground_label,
+    plane_point,
+    trace_faces,
+)
+from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
+from p2wss.skeleton.kinetic import simulate
+from p2wss.skeleton.records import NUM_CAPS, NUM_NODES
+from p2wss.skeleton.status import Status
+from p2wss.skeleton.triangulate import clip_ears, join_holes
+from p2wss.skeleton.types import FaceKind
+
+_OK = int(Status.OK)
+_OVERFLOW = int(Status.OVERFLOW)
+_BAD_HEIGHT = int(Status.BAD_HEIGHT)
+_NOT_TRIANGULATED = int(Status.NOT_TRIANGULATED)
+_NOT_CLOSED = int(Status.NOT_CLOSED)
+_GROUND, _WALL, _ROOF, _FLAT = (
+    int(k) for k in (FaceKind.GROUND, FaceKind.WALL, FaceKind.ROOF, FaceKind.FLAT)
+)
+
+_LOWEST_WALL_M = 1e-3
+
+
+@njit(cache=True, nogil=True)
+def label_kind_and_edge(num_edges, counts, label):
+    """(FaceKind, edge or -1) of a face label."""
+    first_wall = num_edges + counts[NUM_CAPS]
+    if label < num_edges:
+        return _ROOF, label
+    if label < first_wall or label == flat_label(num_edges, counts):
+        return _FLAT, -1
+    if label == ground_label(num_edges, counts):
+        return _GROUND, -1
+    return _WALL, label - first_wall
+
+
+@njit(cache=True, nogil=True)
+def solid_faces(
+    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
+):  # fmt: skip
+    """Faces of one solid, in ``mesh_work``. Returns (status, number of edges, number of faces)."""
+    edge, counts = skeleton_work.edge, skeleton_work.counts
+    status, num_edges = load_footprint(xy_m, ring_offset, first_ring, last_ring, edge)
+    if status != _OK:
+        return status, 0, 0
+    if not (
+        np.isfinite(eave) and np.isfinite(base) and eave - base >= _LOWEST_WALL_M and max_roof_height >= 0.0
+    ):
+        return _BAD_HEIGHT, 0, 0
+    first = ring_offset[first_ring]
+    status = set_angles(edge, num_edges, angle_deg[first : first + num_edges])
+    if status != _OK:
+        return status, 0, 0
+    status = check_rings(edge, ring_offset, first_ring, last_ring)
+    if status != _OK:
+        return status, 0, 0
+    node = skeleton_work.node
+    status = simulate(
+        edge, num_edges, last_ring - first_ring, max_roof_height, node, skeleton_work.vertex,
+        skeleton_work.arc, skeleton_work.cap_height, counts,
+    )  # fmt: skip
+    if status != _OK:
+        return status, 0, 0
+    status, num_half = collect_half_edges(
+        edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work
+    )
+    if status != _OK:
+        return status, 0, 0
+    point = mesh_work.point
+    num_nodes = counts[NUM_NODES]
+    for k in range(num_nodes):
+        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + eave
+    for i in range(num_edges):
+        k = num_nodes + i
+        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, base
+    drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
+    status, num_faces = trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
+    return status, num_edges, num_faces
+
+
+@njit(cache=True, nogil=True)
+def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
+    """Number of triangles, or -1."""
+    uv, flat_point, first = mesh_work.flat_uv, mesh_work.flat_point, mesh_work.flat_first
+    num_triangles = 0
+    for f in range(num_faces):
+        label = mesh_work.face[f].label
+        num_rings = mesh_work.face[f].last_ring - mesh_work.face[f].first_ring
+        size = 0
+        for r in range(num_rings):
+            ring = mesh_work.ring_order[mesh_work.face[f].first_ring + r]
+            first[r] = size
+            for k in range(mesh_work.ring_start[ring], mesh_work.ring_start[ring + 1]):
+                p = mesh_work.ring_point[k]
+                u, v = plane_point(edge, num_edges, counts, mesh_work.point, label, p)
+                uv[0, size], uv[1, size], flat_point[0, size] = u, v, p
+                size += 1
+        first[num_rings] = size
+        row = 0
+        if num_rings > 1:
+            size = join_holes(
+                uv[0], uv[1], flat_point[0], first, num_rings, uv[2], uv[3], flat_point[1],
+                uv[4], uv[5], flat_point[2],
+            )  # fmt: skip
+            if size < 0:
+                return -1
+            row = 1
+        last = num_triangles
+        num_triangles = clip_ears(
+            uv[2 * row], uv[2 * row + 1], flat_point[row], size, mesh_work.ear[0], mesh_work.ear[1],
+            mesh_work.quality, mesh_work.triangle, num_triangles,
+        )  # fmt: skip
+        if num_triangles < 0:
+            return -1
+        for t in range(last, num_triangles):
+            mesh_work.triangle_label[t] = label
+    return num_triangles
+
+
+@njit(cache=True, nogil=True)
+def solid_mesh(
+    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
+):  # fmt: skip
+    """One checked mesh, in ``mesh_work``. Returns (status, number of edges, points, triangles)."""
+    status, num_edges, num_faces = solid_faces(
+        xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
+    )  # fmt: skip
+    if status != _OK:
+        return status, 0, 0, 0
+    edge, counts = skeleton_work.edge, skeleton_work.counts
+    num_triangles = _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work)
+    if num_triangles < 0:
+        return _NOT_TRIANGULATED, 0, 0, 0
+    point, triangle, new_index = mesh_work.point, mesh_work.triangle, mesh_work.new_index
+    # keep the points in use, in their order
+    num_all = counts[NUM_NODES] + num_edges
+    for k in range(num_all):
+        new_index[k] = -1
+    for t in range(num_triangles):
+        for m in range(3):
+            new_index[triangle[t, m]] = 0
+    num_points = 0
+    for k in range(num_all):
+        if new_index[k] == 0:
+            new_index[k] = num_points
+            for axis in range(3):
+                point[num_points, axis] = point[k, axis]
+            num_points += 1
+    for t in range(num_triangles):
+        for m in range(3):
+            triangle[t, m] = new_index[triangle[t, m]]
+    if not pair_half_edges(
+        triangle, num_triangles, num_points, mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
+    ):
+        return _NOT_CLOSED, 0, 0, 0
+    num_points = separate_pinches(
+        triangle, num_triangles, point, num_points, mesh_work.twin, mesh_work.corner, new_index
+    )
+    if num_points < 0:
+        return _OVERFLOW, 0, 0, 0
+    num_rings = last_ring - first_ring
+    base_vertex = ring_offset[first_ring]
+    plan_area = 0.0
+    for ring in range(first_ring, last_ring):
+        plan_area += ring_area(edge, ring_offset[ring] - base_vertex, ring_offset[ring + 1] - base_vertex)
+    status = check_solid(
+        edge, num_edges, num_rings, plan_area, skeleton_work.cap_height, counts, eave, base, point,
+        num_points, triangle, mesh_work.triangle_label, num_triangles,
+        mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin,
+    )  # fmt: skip
+    return status, num_edges, num_points, num_triangles

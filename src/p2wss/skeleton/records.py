@@ -1,0 +1,172 @@
+"""Records of the work arrays: one set of arrays serves a whole batch, sized for its largest polygon."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+MAX_EDGES = 4096
+
+# One footprint edge: it starts at (x, y), local metres, and moves inwards at `speed` metres of plan per metre
+# of height. `final_speed` is cot(angle); `speed` differs from it while the 0 degree edges sweep (phase 0).
+EDGE = np.dtype(
+    [
+        ("x", "f8"),
+        ("y", "f8"),
+        ("dir_x", "f8"),
+        ("dir_y", "f8"),
+        ("length", "f8"),
+        ("angle_deg", "f8"),
+        ("speed", "f8"),
+        ("final_speed", "f8"),
+        ("prev", "i8"),
+        ("next", "i8"),
+    ],
+    align=True,
+)
+
+# A node of the skeleton. z is the height above the eave. Nodes 0..num_edges-1 are the footprint's corners.
+NODE = np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8")], align=True)
+
+# A vertex of the moving wavefront: it leaves `node` at height `birth` between the edges `left` (arriving) and
+# `right` (departing). `collapse_time`: when the piece of wavefront up to `next` has shrunk to a point.
+# `split_time`: when this reflex vertex runs into the piece `split_from` -> `split_to`.
+VERTEX = np.dtype(
+    [
+        ("vel_x", "f8"),
+        ("vel_y", "f8"),
+        ("birth", "f8"),
+        ("collapse_time", "f8"),
+        ("split_time", "f8"),
+        ("split_from", "i8"),
+        ("split_to", "i8"),
+        ("left", "i8"),
+        ("right", "i8"),
+        ("prev", "i8"),
+        ("next", "i8"),
+        ("node", "i8"),
+        ("loop", "i8"),
+        ("kind", "i8"),
+        ("alive", "i8"),
+        ("reflex", "i8"),
+    ],
+    align=True,
+)
+
+# An arc of the skeleton, from node `start` to node `end`, with the face on either side. A face number below
+# num_edges is the roof of that edge; num_edges + c is the c-th horizontal cap.
+ARC = np.dtype([("start", "i8"), ("end", "i8"), ("left", "i8"), ("right", "i8")], align=True)
+
+# Indices into `counts`
+NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NUM_COUNTS = range(8)
+
+
+class SkeletonWork(NamedTuple):
+    """Arrays that :func:`p2wss.skeleton.kinetic.simulate` reads and fills, for polygons of up to ``max_edges``."""
+
+    edge: np.ndarray
+    node: np.ndarray
+    vertex: np.ndarray
+    arc: np.ndarray
+    cap_height: np.ndarray
+    counts: np.ndarray
+
+
+def skeleton_work(max_edges: int) -> SkeletonWork:
+    """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
+    num_nodes = 8 * max_edges + 64
+    return SkeletonWork(
+        edge=np.zeros(max_edges, EDGE),
+        node=np.zeros(num_nodes, NODE),
+        vertex=np.zeros(num_nodes, VERTEX),
+        arc=np.zeros(3 * num_nodes, ARC),
+        cap_height=np.zeros(num_nodes),
+        counts=np.zeros(NUM_COUNTS, np.int64),
+    )
+
+
+# A directed edge of a face of the solid. alive: 0 cancelled, 1 free, 2 walked.
+HALF = np.dtype(
+    [
+        ("start", "i8"),
+        ("end", "i8"),
+        ("label", "i8"),
+        ("alive", "i8"),
+        ("next_in_label", "i8"),
+        ("next_out", "i8"),
+    ],
+    align=True,
+)
+
+# A face of the solid: rings ``ring_order[first_ring:last_ring]``, the outer one first.
+FACE = np.dtype([("label", "i8"), ("first_ring", "i8"), ("last_ring", "i8")], align=True)
+
+
+class MeshWork(NamedTuple):
+    """Arrays for faces, triangles and checks of one solid."""
+
+    point: np.ndarray
+    parent: np.ndarray
+    label_parent: np.ndarray
+    label_head: np.ndarray
+    out_head: np.ndarray
+    level_node: np.ndarray
+    on_edge: np.ndarray
+    on_at: np.ndarray
+    half: np.ndarray
+    ring_point: np.ndarray
+    ring_start: np.ndarray
+    ring_order: np.ndarray
+    ring_area: np.ndarray
+    face: np.ndarray
+    flat_uv: np.ndarray
+    flat_point: np.ndarray
+    flat_first: np.ndarray
+    ear: np.ndarray
+    quality: np.ndarray
+    triangle: np.ndarray
+    triangle_label: np.ndarray
+    new_index: np.ndarray
+    twin: np.ndarray
+    hash_key: np.ndarray
+    hash_half: np.ndarray
+    corner: np.ndarray
+
+
+def mesh_work(max_edges: int) -> MeshWork:
+    """Work arrays for solids over polygons of up to ``max_edges`` edges."""
+    num_points = 9 * max_edges + 64  # nodes of the skeleton and feet on the ground
+    num_halves = 32 * max_edges + 512
+    num_triangles = 16 * max_edges + 256
+    hash_size = 1
+    while hash_size < 6 * num_triangles:
+        hash_size *= 2
+    return MeshWork(
+        point=np.zeros((2 * num_points, 3)),
+        parent=np.zeros(num_points, np.int64),
+        label_parent=np.zeros(num_points, np.int64),
+        label_head=np.zeros(num_points, np.int64),
+        out_head=np.zeros(num_points, np.int64),
+        level_node=np.zeros(num_points, np.int64),
+        on_edge=np.zeros(num_points, np.int64),
+        on_at=np.zeros(num_points),
+        half=np.zeros(num_halves, HALF),
+        ring_point=np.zeros(num_halves, np.int64),
+        ring_start=np.zeros(num_halves, np.int64),
+        ring_order=np.zeros(num_halves, np.int64),
+        ring_area=np.zeros(num_halves),
+        face=np.zeros(num_halves, FACE),
+        flat_uv=np.zeros((6, num_halves)),
+        flat_point=np.zeros((3, num_halves), np.int64),
+        flat_first=np.zeros(num_halves, np.int64),
+        ear=np.zeros((2, num_halves), np.int64),
+        quality=np.zeros(num_halves),
+        triangle=np.zeros((num_triangles, 3), np.int64),
+        triangle_label=np.zeros(num_triangles, np.int64),
+        new_index=np.zeros(2 * num_points, np.int64),
+        twin=np.zeros(3 * num_triangles, np.int64),
+        hash_key=np.zeros(hash_size, np.int64),
+        hash_half=np.zeros(hash_size, np.int64),
+        corner=np.zeros(3 * num_triangles, np.int64),
+    )

@@ -1,0 +1,136 @@
+"""Clean-up and meshes on shapes whose answer is known."""
+
+import numpy as np
+import pytest
+
+from p2wss.skeleton import FaceKind, Polygons, Status, build, clean
+
+SQUARE = np.array([[0, 0], [10, 0], [10, 10], [0, 10]], float)
+RECTANGLE = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
+L_SHAPE = np.array([[0, 0], [10, 0], [10, 4], [4, 4], [4, 10], [0, 10]], float)
+COURTYARD = np.array([[3, 3], [3, 7], [7, 7], [7, 3]], float)
+
+
+def volume(vertex, triangle):
+    a, b, c = (vertex[triangle[:, k]] for k in range(3))
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+
+
+def build_one(rings, angle_deg, eave_height_m=5.0, **kwargs):
+    meshes = build(
+        Polygons.from_rings([rings]), np.asarray(angle_deg, float), np.array([eave_height_m]), **kwargs
+    )
+    assert Status(meshes.status[0]) == Status.OK
+    return meshes.mesh(0)
+
+
+@pytest.mark.parametrize(
+    ("rings", "angle_deg", "expected_m3", "expected_top_m"),
+    [
+        ([RECTANGLE], [45] * 4, 300 + 72, 8),  # hip: h w (3 l - w) / 6
+        ([RECTANGLE], [45, 90, 45, 90], 300 + 90, 8),  # gable
+        ([RECTANGLE], [45, 90, 90, 90], 300 + 0.5 * 6 * 6 * 10, 11),  # shed
+        ([RECTANGLE], [90] * 4, 300, 5),
+        ([RECTANGLE], [0] * 4, 300, 5),
+        ([RECTANGLE], [0, 45, 30, 90], 300, 5),  # one 0 degree edge sweeps a rectangle
+        ([SQUARE], [45] * 4, 500 + 500 / 3, 10),
+        ([L_SHAPE], [90, 90, 0, 45, 90, 45], 64 * 5 + 40, 7),  # an inner 0 edge flattens its wing only
+        ([SQUARE, COURTYARD], [45] * 8, 84 * 5 + 63, 6.5),
+        ([SQUARE, COURTYARD], [90] * 8, 84 * 5, 5),
+        ([SQUARE, COURTYARD], [90] * 4 + [45] * 4, None, 8),
+    ],
+)
+def test_known_solids(rings, angle_deg, expected_m3, expected_top_m):
+    vertex, triangle, kind, edge = build_one(rings, angle_deg)
+    assert vertex[:, 2].max() == pytest.approx(expected_top_m, abs=1e-9)
+    assert vertex[:, 2].min() == 0
+    if expected_m3 is not None:
+        assert volume(vertex, triangle) == pytest.approx(expected_m3, rel=1e-9)
+    assert len(triangle) == 2 * len(vertex) - 4 + 4 * (len(rings) - 1)
+    assert ((edge >= 0) == np.isin(kind, [FaceKind.WALL, FaceKind.ROOF])).all()
+
+
+def test_gable_merges_with_its_wall():
+    _, triangle, kind, edge = build_one([RECTANGLE], [45, 90, 45, 90])
+    assert len(triangle) == 16  # ground 2, walls 2 + 2, gable walls 3 + 3, roofs 2 + 2
+    assert [(kind[edge == e] == FaceKind.WALL).sum() for e in range(4)] == [2, 3, 2, 3]
+
+
+def test_maximum_height_base_and_frame():
+    shift = np.array([652_000.25, 6_862_000.5])
+    vertex, triangle, kind, _ = build_one(
+        [SQUARE + shift], [45] * 4, 105.0, base_height_m=98.0, max_roof_height_m=2.0
+    )
+    assert vertex[:, 2].min() == 98 and vertex[:, 2].max() == 107
+    local = vertex - [*shift, 98]
+    assert volume(local, triangle) == pytest.approx(700 + 2 / 3 * (100 + 36 + 60), rel=1e-9)
+    assert (kind == FaceKind.FLAT).sum() == 2
+
+
+def test_bad_arguments_get_a_status():
+    polygons = Polygons.from_rings([[SQUARE]] * 6)
+    angle = np.full((6, 4), 45.0)
+    angle[0, 0], angle[1, 0], angle[2, 0] = np.nan, 89, -1
+    eave = np.array([5, 5, 5, np.nan, 0, 5.0])
+    status = build(polygons, angle.ravel(), eave).status
+    assert status.tolist() == [Status.BAD_ANGLE] * 3 + [Status.BAD_HEIGHT] * 2 + [Status.OK]
+    with pytest.raises(ValueError, match="angle_deg"):
+        build(polygons, np.zeros(3), eave)
+
+
+def test_clean_merges_and_keeps_the_longest_edge():
+    ring = np.array([[0, 0], [4, 0], [4.01, 0], [10, 0.001], [10, 10], [10, 10], [0, 10], [0, 0]], float)
+    cleaned = clean(Polygons.from_rings([[ring]]))
+    assert cleaned.status.tolist() == [0]
+    assert len(cleaned.polygons.xy_m) == 4
+    assert cleaned.edge_source.tolist() == [2, 3, 5, 6]
+
+
+def test_clean_orients_and_maps_edges():
+    polygons = Polygons.from_rings([[SQUARE[::-1], COURTYARD[::-1]]])
+    cleaned = clean(polygons)
+    exterior, courtyard = cleaned.polygons.rings(0)
+
+    def area(ring):
+        x, y = ring.T
+        return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+    assert area(exterior) == 100 and area(courtyard) == -16
+    # an edge and its source are the same piece of line
+    raw_rings = polygons.rings(0)
+    middles_raw = np.concatenate([(r + np.roll(r, -1, 0)) / 2 for r in raw_rings])
+    middles = np.concatenate([(r + np.roll(r, -1, 0)) / 2 for r in (exterior, courtyard)])
+    np.testing.assert_allclose(middles, middles_raw[cleaned.edge_source])
+
+
+@pytest.mark.parametrize(
+    ("rings", "status"),
+    [
+        ([], Status.EMPTY),
+        ([np.zeros((0, 2))], Status.EMPTY),
+        ([np.array([[0, 0], [10, 10], [10, 0], [0, 7.0]])], Status.NOT_SIMPLE),
+        ([SQUARE * np.nan], Status.NON_FINITE),
+        ([SQUARE + np.inf], Status.NON_FINITE),
+        ([SQUARE * 1e-3], Status.TOO_SMALL),
+        ([SQUARE, COURTYARD + 20], Status.COURTYARD_OUTSIDE),
+        ([SQUARE, COURTYARD + 5], Status.NOT_SIMPLE),
+        ([SQUARE, COURTYARD, (COURTYARD - 5) / 2 + 5], Status.COURTYARD_OUTSIDE),
+        ([SQUARE, COURTYARD - 3], Status.NOT_SIMPLE),
+    ],
+)
+def test_clean_rejects(rings, status):
+    cleaned = clean(Polygons.from_rings([[SQUARE], rings, [SQUARE]]))
+    assert [Status(s) for s in cleaned.status] == [Status.OK, status, Status.OK]
+    assert len(cleaned.polygons) == 3
+    assert np.diff(cleaned.polygons.polygon_offset).tolist() == [1, 0, 1]
+
+
+def test_spike_goes():
+    ring = np.array([[0, 0], [10, 0], [10, 5], [30, 5], [10, 5.01], [10, 10], [0, 10]], float)
+    cleaned = clean(Polygons.from_rings([[ring]]))
+    np.testing.assert_allclose(cleaned.polygons.xy_m, SQUARE)
+
+
+def test_reasons_are_short_texts():
+    assert Status.NOT_SIMPLE.reason == "not-simple"
+    assert Status.OK == 0
