@@ -81,7 +81,9 @@ class Buildings(Section):
     """Parametric buildings by weighted straight skeleton."""
 
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
-    max_failed_fraction: Share = Field(0.02, description="share of rejected buildings past which the job fails")
+    max_failed_fraction: Share = Field(
+        0.02, description="share of rejected buildings past which the job fails"
+    )
 
 
 # --- scans ------------------------------------------------------------------------------------------------
@@ -92,7 +94,9 @@ class PatternShares(Section):
 
     conical: float = Field(0.5, ge=0, description="circles (Palmer scanner), as Leica's sensors")
     parallel: float = Field(0.35, ge=0, description="parallel lines of a rotating polygon")
-    cross_fire: float = Field(0.15, ge=0, description="two crossed channels of parallel lines, as RIEGL VQ-1560")
+    cross_fire: float = Field(
+        0.15, ge=0, description="two crossed channels of parallel lines, as RIEGL VQ-1560"
+    )
     oscillating: float = Field(0, ge=0, description="zigzag of an oscillating mirror")
 
     @model_validator(mode="after")
@@ -115,7 +119,8 @@ PositiveRange = Annotated[
     tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], AfterValidator(_in_order)
 ]
 HalfAngleRange = Annotated[
-    tuple[Annotated[float, Field(ge=1, le=45)], Annotated[float, Field(ge=1, le=45)]], AfterValidator(_in_order)
+    tuple[Annotated[float, Field(ge=1, le=45)], Annotated[float, Field(ge=1, le=45)]],
+    AfterValidator(_in_order),
 ]
 
 
@@ -128,8 +133,12 @@ class Scans(Section):
         description="hd: mixed sensors as in LiDAR HD; paper: the paper's simulator, "
         "which ignores all below but density_per_m2; none: flown as hd, without any error",
     )
-    density_per_m2: float = Field(8, ge=0.5, le=200, description="pulses per m2 over a scene (hd: the median)")
-    density_spread: float = Field(0.25, ge=0, le=1, description="hd: sigma of the log-normal density of a scene")
+    density_per_m2: float = Field(
+        8, ge=0.5, le=200, description="pulses per m2 over a scene (hd: the median)"
+    )
+    density_spread: float = Field(
+        0.25, ge=0, le=1, description="hd: sigma of the log-normal density of a scene"
+    )
     density_bounds_per_m2: PositiveRange = Field((4, 25), description="hd: limits of that density")
     pattern_shares: PatternShares = PatternShares()
     altitude_m: PositiveRange = Field((900, 2000), description="of the flight above the median ground")
@@ -142,18 +151,25 @@ class Scans(Section):
         AfterValidator(_in_order),
     ] = Field((0.15, 0.55), description="of neighbouring strips, share of the swath")
     cross_strip_share: Share = Field(0.1, description="scenes with one more strip across")
-    drift_m: float = Field(0.3, ge=0, le=10, description="standard deviation of the aircraft's drift, per axis")
+    drift_m: float = Field(
+        0.3, ge=0, le=10, description="standard deviation of the aircraft's drift, per axis"
+    )
     attitude_deg: NonNegativeRange = Field((0.3, 1), description="largest roll, pitch and yaw")
     divergence_mrad: NonNegativeRange = Field((0.18, 0.3), description="beam, full 1/e2 angle")
     range_noise_m: NonNegativeRange = Field((0.015, 0.03), description="standard deviation along the ray")
     pointing_noise_m: NonNegativeRange = Field((0.03, 0.05), description="standard deviation in x and in y")
-    strip_offset_xy_m: float = Field(0.05, ge=0, le=5, description="standard deviation of a strip's shift, per axis")
+    strip_offset_xy_m: float = Field(
+        0.05, ge=0, le=5, description="standard deviation of a strip's shift, per axis"
+    )
     strip_offset_z_m: float = Field(0.03, ge=0, le=5, description="standard deviation of a strip's shift")
     base_loss: NonNegativeRange = Field((0.005, 0.01), description="share of pulses lost on any surface")
     dark_roof_share: Share = Field(0.02, description="roofs, dark or wet, that lose pulses")
     dark_roof_loss: NonNegativeRange = Field((0.3, 0.9), description="share of pulses such a roof loses")
     min_intensity: float = Field(
-        0.02, ge=0, le=1, description="weakest echo: reflectance x cosine of incidence, at the planned altitude"
+        0.02,
+        ge=0,
+        le=1,
+        description="weakest echo: reflectance x cosine of incidence, at the planned altitude",
     )
     speckle: float = Field(0.3, ge=0, le=1, description="relative standard deviation of an echo's strength")
     keep_margin_m: float = Field(
@@ -168,7 +184,9 @@ class Crops(Section):
     """Points of each building, in shards, with splits."""
 
     seed: int = Field(0, ge=0, description="of the split")
-    buffer_m: float = Field(1, gt=0, le=20, description="points within this distance of the footprint are kept")
+    buffer_m: float = Field(
+        1, gt=0, le=20, description="points within this distance of the footprint are kept"
+    )
     min_points: int = Field(20, ge=1, description="buildings with fewer points are left out")
     block_size_m: float = Field(
         250, gt=0, description="edge of the square blocks that go to train, val or test as a whole"
@@ -198,14 +216,18 @@ class Dvae(Section):
     """Discrete VAE that turns patches of points into tokens."""
 
     seed: int = Field(0, ge=0, description="of weights, batches and augmentation")
-    num_points: int = Field(768, ge=64, description="points of a cloud that are used; larger ones are thinned")
+    num_points: int = Field(
+        768, ge=64, description="points of a cloud that are used; larger ones are thinned"
+    )
     min_points: int = Field(64, ge=1, description="smaller clouds are left out of training")
     num_patches: int = Field(32, ge=4, description="patches per cloud (farthest point sampling)")
     patch_size: int = Field(16, ge=4, multiple_of=4, description="points per patch (nearest neighbours)")
     patch_dim: int = Field(64, ge=8, multiple_of=8, description="width of a patch embedding")
     token_dim: int = Field(32, ge=8, multiple_of=8, description="width of a code and of the DGCNN")
     num_tokens: int = Field(128, ge=8, multiple_of=4, description="size of the codebook")
-    temperature_end: float = Field(0.0625, gt=0, le=1, description="of the Gumbel softmax, from 1, at half-time")
+    temperature_end: float = Field(
+        0.0625, gt=0, le=1, description="of the Gumbel softmax, from 1, at half-time"
+    )
     kl_weight: float = Field(0.1, ge=0, description="of the divergence from uniform codes, reached at 55 %")
     use_lidar: bool = Field(True, description="train on real LiDAR too: this stage needs no labels")
     optimiser: DvaeOptimiser = DvaeOptimiser()
@@ -229,7 +251,9 @@ class Augmentation(Section):
     """Random changes of a building each time it is seen, besides the paper's rotation."""
 
     mirror: bool = Field(True, description="mirror half of the samples")
-    scale: tuple[float, float] = Field((0.8, 1.25), description="[1, 1] = off; scales the building as a whole")
+    scale: tuple[float, float] = Field(
+        (0.8, 1.25), description="[1, 1] = off; scales the building as a whole"
+    )
     lift_m: float = Field(2.0, ge=0, description="raise or lower what stands above the ground by up to this")
     jitter_m: float = Field(0.02, ge=0, description="noise on the points, standard deviation")
     keep_points: tuple[Share, Share] = Field((0.4, 1.0), description="share of the points kept; [1, 1] = off")
@@ -273,10 +297,16 @@ class Model(Section):
     sequence_depth: int = Field(1, ge=1, description="blocks of the parameter encoder")
     cross_depth: int = Field(2, ge=1, description="blocks of each cross-modality encoder")
     align_dim: int = Field(64, ge=1, description="width of the space in which both modalities are aligned")
-    match_balanced: bool = Field(True, description="matching loss halved between pairs and non-pairs, or 0.1/0.9")
+    match_balanced: bool = Field(
+        True, description="matching loss halved between pairs and non-pairs, or 0.1/0.9"
+    )
     ground_relative: bool = Field(True, description="patches also know their height above the ground")
-    numerical_encoding: bool = Field(True, description="digits also carry their value (Regression Transformer)")
-    edge_embedding: bool = Field(True, description="tokens also carry the geometry of their edge where visible")
+    numerical_encoding: bool = Field(
+        True, description="digits also carry their value (Regression Transformer)"
+    )
+    edge_embedding: bool = Field(
+        True, description="tokens also carry the geometry of their edge where visible"
+    )
     ema_decay: float = Field(0.99, ge=0, lt=1, description="of the averaged weights that are kept; 0 = off")
     masking: Masking = Masking()
     augmentation: Augmentation = Augmentation()
@@ -328,8 +358,12 @@ class Eval(Section):
 class Reconstruct(Section):
     """Buildings from the user's own LiDAR."""
 
-    buffer_m: float = Field(1, ge=0, le=20, description="points within this distance of a footprint are its cloud")
-    min_num_points: int = Field(10, ge=1, description="a building with fewer gets a flat roof, none without any")
+    buffer_m: float = Field(
+        1, ge=0, le=20, description="points within this distance of a footprint are its cloud"
+    )
+    min_num_points: int = Field(
+        10, ge=1, description="a building with fewer gets a flat roof, none without any"
+    )
     simplify_m: float = Field(
         0.3, ge=0, le=5, description="Douglas-Peucker tolerance for real footprints; 0 = as they are"
     )

@@ -183,7 +183,9 @@ MEASURES = pa.schema(
         ),
         _field("points_to_mesh_m", pa.float32(), "mean distance of those points to the mesh", True),
         _field("height_error_m", pa.float32(), "absolute error of the eave's z; null without label", True),
-        _field("angle_error_deg", pa.float32(), "mean absolute error over the edges; null without label", True),
+        _field(
+            "angle_error_deg", pa.float32(), "mean absolute error over the edges; null without label", True
+        ),
     ]
 )
 
@@ -267,7 +269,9 @@ def write_scene(path: str | Path, scene: Any, metadata: dict[str, Any]) -> None:
         scene[[*SCENE.names, scene.geometry.name]].to_parquet(temporary, compression="zstd")
         table = pq.read_table(temporary)
         own = {METADATA_KEY: json.dumps(metadata).encode()}
-        pq.write_table(table.replace_schema_metadata(table.schema.metadata | own), temporary, compression="zstd")
+        pq.write_table(
+            table.replace_schema_metadata(table.schema.metadata | own), temporary, compression="zstd"
+        )
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
@@ -281,6 +285,11 @@ def read_metadata(path: str | Path) -> dict[str, Any]:
 def write_json(path: str | Path, value: Any) -> None:
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    with atomic(path) as temporary:
+        temporary.write_text(text)
 
 
 def read_json(path: str | Path) -> Any:

@@ -1,0 +1,151 @@
+"""Stage dvae: train the discrete VAE that turns patches of points into tokens (paper, sections 4.2 and 5.2)."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from p2wss import dataset, io, training
+from p2wss.config import Dvae as DvaeConfig
+from p2wss.dataset import Buildings, Limits, Order
+from p2wss.errors import InputError
+from p2wss.nets import augment
+from p2wss.nets.augment import Batch
+from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes, kl_weight, temperature
+from p2wss.nets.patches import Patches, make_patches
+from p2wss.seeds import derive_seed, generator
+
+log = logging.getLogger("p2wss")
+
+# metres to network units: 10 m = 1 (never the unit sphere, which would erase heights)
+SCALE = 0.1
+# with fewer codes in use the tokens say nothing
+MIN_CODES_IN_USE = 4
+
+
+def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> DiscreteVae:
+    """Train on the train split of ``manifest`` (and real LiDAR, if so configured); see :mod:`training`.
+
+    ``code`` is the fingerprint of this stage. Raises :class:`InputError` if nothing can be trained on or the
+    codebook collapses.
+    """
+    limits = Limits(config.min_points, max_vertices=0, max_length_m=0)
+    buildings = dataset.load(manifest, ["train"], limits, labelled=False, lidar=config.use_lidar)
+    log.info("dvae: train: %s", dataset.describe(buildings))
+    held_out = dataset.load(manifest, ["val"], limits, labelled=False, lidar=False)
+    torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
+    task = _Task(DiscreteVae(sizes(config)), buildings, held_out, config)
+    plan = training.Plan(config.seed, config.optimiser, 0.0, config.checkpoint_every_steps)
+    identity = {
+        "stage": "dvae",
+        "config": config.model_dump(mode="json"),
+        "code": code,
+        "data": io.sha256(manifest),
+    }
+    training.train(task, plan, checkpoints, identity)
+    used = config.num_tokens - task.num_dead_codes
+    if used < MIN_CODES_IN_USE:
+        raise InputError(
+            f"dvae: the codebook collapsed: {used} of {config.num_tokens} codes in use; "
+            "raise dvae.kl_weight or lower dvae.optimiser.learning_rate"
+        )
+    return task.module
+
+
+def sizes(config: DvaeConfig) -> DvaeSizes:
+    return DvaeSizes(
+        num_patches=config.num_patches,
+        patch_size=config.patch_size,
+        patch_dim=config.patch_dim,
+        token_dim=config.token_dim,
+        num_tokens=config.num_tokens,
+    )
+
+
+def patches_of(batch: Batch, num_patches: int, patch_size: int) -> Patches:
+    """Patches in network units of a centred batch in metres."""
+    return make_patches(batch.points * SCALE, batch.valid, num_patches, patch_size)
+
+
+class _Task:
+    def __init__(
+        self, module: DiscreteVae, buildings: Buildings, held_out: Buildings, config: DvaeConfig
+    ) -> None:
+        self.module = module
+        self.config = config
+        self.buildings = buildings
+        self.held_out = held_out
+        self.num_dead_codes = 0
+        self.order = Order(np.zeros(len(buildings)), config.optimiser.batch_size, config.seed)
+
+    def step(self, step: int) -> dict[str, Tensor]:
+        config = self.config
+        rng = generator(config.seed, "dvae", "points", step)
+        batch = self.buildings.batch(self.order.batch(step), config.num_points, rng)
+        batch = augment.rotate_randomly(augment.centre(batch))
+        progress = step / config.optimiser.num_steps
+        tau = temperature(progress, config.temperature_end)
+        losses = self.module.losses(patches_of(batch, config.num_patches, config.patch_size), tau)
+        weight = kl_weight(progress, config.kl_weight)
+        used = torch.bincount(losses.pop("codes").flatten(), minlength=config.num_tokens)
+        return {
+            "loss": losses["coarse"] + losses["fine"] + weight * losses["kl"],
+            **losses,
+            "temperature": torch.tensor(tau),
+            "kl_weight": torch.tensor(weight),
+            "perplexity": _perplexity(used),
+        }
+
+    def validate(self, module: nn.Module) -> dict[str, float]:
+        assert isinstance(module, DiscreteVae)
+        config = self.config
+        chamfer, used, count = 0.0, torch.zeros(config.num_tokens, dtype=torch.int64), 0
+        size = config.optimiser.batch_size
+        total = min(len(self.held_out), config.num_validation)
+        for first in range(0, total, size):
+            index = np.arange(first, min(first + size, total))
+            batch = augment.centre(self.held_out.batch(index, config.num_points, None))
+            patches = patches_of(batch, config.num_patches, config.patch_size)
+            losses = module.losses(patches, config.temperature_end)
+            chamfer += float(losses["fine"]) * len(index)
+            codes = losses["codes"][patches.valid]
+            used += torch.bincount(codes, minlength=config.num_tokens)
+            count += len(index)
+        self.num_dead_codes = int((used == 0).sum())
+        return {
+            # Chamfer-L1 of restored patches in metres
+            "val_chamfer_m": chamfer / count / SCALE,
+            "val_code_usage": 1 - self.num_dead_codes / config.num_tokens,
+            "val_perplexity": float(_perplexity(used)),
+            "val_dead_codes": float(self.num_dead_codes),
+        }
+
+
+def _perplexity(count: Tensor) -> Tensor:
+    """exp(entropy) of the codes: how many are in use, evenly weighted."""
+    share = count / count.sum()
+    return (-(share * share.clamp_min(1e-12).log()).sum()).exp()
+
+
+def save(module: DiscreteVae, path: Path, config: DvaeConfig, code: str, metrics: str) -> None:
+    """Write weights with metadata (config, code, last measures) as safetensors, whole or not at all."""
+    facts = io.provenance(
+        kind="dvae",
+        config=config.model_dump(mode="json"),
+        code=code,
+        measures=training.last_measures(metrics),
+    )
+    training.write_weights(path, module.state_dict(), facts)
+
+
+def load(path: Path) -> tuple[DiscreteVae, DvaeConfig]:
+    """The trained tokenizer, frozen, and its config. Raises :class:`InputError` for any other file."""
+    state, facts = training.read_weights(path, "dvae")
+    config = DvaeConfig.model_validate(facts["config"])
+    module = DiscreteVae(sizes(config))
+    module.load_state_dict(state)
+    return module.eval().requires_grad_(False), config

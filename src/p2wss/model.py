@@ -1,0 +1,451 @@
+"""Stage model: train Point2WSS (paper, sections 4 and 5.2), and use it.
+
+A height is the gutter above the ground that the cloud itself shows (``ground_z_m`` of the crops), because
+that is all an inference knows; the label is moved there from the terrain it was made on.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from p2wss import dataset, dvae, io, training
+from p2wss.config import Decoding
+from p2wss.config import Dvae as DvaeConfig
+from p2wss.config import Model as ModelConfig
+from p2wss.dataset import Buildings, Limits, Order
+from p2wss.nets import augment, decoding
+from p2wss.nets import tokenizer as words
+from p2wss.nets.augment import Batch
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.masking import mask_parameters, mask_patches
+from p2wss.nets.patches import Patches
+from p2wss.nets.point2wss import ModelSizes, Point2Wss, inference_weights
+from p2wss.nets.tokenizer import Tokenizer, roll_index
+from p2wss.seeds import derive_seed, generator
+
+log = logging.getLogger("p2wss")
+
+INFERENCE_BATCH = 64
+
+
+def train(
+    manifest: Path, tokens: Path, config: ModelConfig, checkpoints: Path, code: str
+) -> tuple[Point2Wss, DvaeConfig]:
+    """Train on the train split of ``manifest`` with the trained dvae ``tokens``; see :mod:`training`.
+
+    Returns the weights to keep and the dvae's config. Raises :class:`InputError` for unusable input.
+    """
+    vae, dvae_config = dvae.load(tokens)
+    tokenizer = make_tokenizer(config)
+    limits = limits_of(config, dvae_config, tokenizer)
+    buildings = dataset.load(manifest, ["train"], limits, labelled=True, lidar=False)
+    held_out = dataset.load(manifest, ["val"], limits, labelled=True, lidar=False)
+    log.info("model: train: %s", dataset.describe(buildings))
+    log.info("model: val: %s", dataset.describe(held_out))
+    torch.manual_seed(derive_seed(config.seed, "model", "weights"))
+    module = make_module(config, dvae_config, tokenizer)
+    module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
+    log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
+    task = _Task(module, vae, buildings, held_out, config, dvae_config)
+    plan = training.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
+    identity = {
+        "stage": "model",
+        "config": config.model_dump(mode="json"),
+        "code": code,
+        "data": io.sha256(manifest),
+        "dvae": io.sha256(tokens),
+    }
+    kept = training.train(task, plan, checkpoints, identity)
+    assert isinstance(kept, Point2Wss)
+    return kept, dvae_config
+
+
+def save(
+    module: Point2Wss, path: Path, config: ModelConfig, dvae_config: DvaeConfig, code: str, metrics: str
+) -> None:
+    """Write what inference needs, with the configs of both stages, as safetensors, whole or not at all."""
+    tokenizer = module.tokenizer
+    facts = io.provenance(
+        kind="model",
+        config=config.model_dump(mode="json"),
+        dvae_config=dvae_config.model_dump(mode="json"),
+        words=tokenizer.words,
+        code=code,
+        measures=training.last_measures(metrics),
+    )
+    training.write_weights(path, inference_weights(module.state_dict()), facts)
+
+
+def load(path: Path) -> Predictor:
+    """A trained model, ready to use. Raises :class:`InputError` for a file that is none."""
+    state, facts = training.read_weights(path, "model")
+    config = ModelConfig.model_validate(facts["config"])
+    dvae_config = DvaeConfig.model_validate(facts["dvae_config"])
+    tokenizer = make_tokenizer(config)
+    module = make_module(config, dvae_config, tokenizer)
+    module.load_state_dict(state, strict=False)
+    missing = set(inference_weights(module.state_dict())) - set(state)
+    assert not missing, missing
+    return Predictor(module, config.decoding, dvae_config, config.max_vertices)
+
+
+def make_tokenizer(config: ModelConfig) -> Tokenizer:
+    return Tokenizer(config.coord_decimals, config.hundreds)
+
+
+def make_module(config: ModelConfig, dvae_config: DvaeConfig, tokenizer: Tokenizer) -> Point2Wss:
+    sizes = ModelSizes(
+        dim=config.dim,
+        num_heads=config.num_heads,
+        mlp_ratio=config.mlp_ratio,
+        drop_path=config.drop_path,
+        cloud_depth=config.cloud_depth,
+        sequence_depth=config.sequence_depth,
+        cross_depth=config.cross_depth,
+        patch_dim=dvae_config.patch_dim,
+        num_tokens=dvae_config.num_tokens,
+        max_vertices=config.max_vertices,
+        align_dim=config.align_dim,
+        ground_relative=config.ground_relative,
+        numerical_encoding=config.numerical_encoding,
+        edge_embedding=config.edge_embedding,
+    )
+    return Point2Wss(sizes, tokenizer, dvae.SCALE)
+
+
+def limits_of(config: ModelConfig, dvae_config: DvaeConfig, tokenizer: Tokenizer) -> Limits:
+    """Buildings that every augmentation leaves within the number format."""
+    longest = 10.0 ** (tokenizer.places[0] + 1)
+    # the middle of a thinned cloud is not that of the whole one
+    room = 0.9 * (longest / max(config.augmentation.scale[1], 1.0)) - config.augmentation.lift_m
+    return Limits(dvae_config.min_points, config.max_vertices, room)
+
+
+class _Task:
+    """The second stage as :func:`training.train` sees it."""
+
+    def __init__(
+        self,
+        module: Point2Wss,
+        vae: DiscreteVae,
+        buildings: Buildings,
+        held_out: Buildings,
+        config: ModelConfig,
+        dvae_config: DvaeConfig,
+    ) -> None:
+        self.module = module
+        self.vae = vae
+        self.buildings = buildings
+        self.held_out = held_out
+        self.config = config
+        self.dvae_config = dvae_config
+        self.order = Order(buildings.num_vertices, config.optimiser.batch_size, config.seed)
+        self.constant_height = float(np.median(buildings.height_m))
+        self.constant_angle = float(np.median(buildings.angle_deg))
+
+    def step(self, step: int) -> dict[str, Tensor]:
+        config = self.config
+        rng = generator(config.seed, "model", "points", step)
+        batch = self.buildings.batch(self.order.batch(step), self.dvae_config.num_points, rng)
+        batch = augmented(batch, config, self.dvae_config.min_points)
+        tokenizer = self.module.tokenizer
+        parameters, _ = tokenizer.canonical(
+            tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
+        )
+        tokens = tokenizer.encode(parameters)
+        masking = config.masking
+        token_masked = mask_parameters(
+            tokenizer.kinds(tokens.shape, batch.num_vertices),
+            masking.inference_share,
+            masking.table1_share,
+            masking.random_ratio,
+        )
+        patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
+        losses = self.module.losses(
+            patches,
+            batch.ground_z * dvae.SCALE,
+            mask_patches(patches, masking.patch_ratio),
+            self.vae.tokens(patches),
+            tokens,
+            token_masked,
+            batch.num_vertices,
+            config.match_balanced,
+        )
+        total = losses["cloud"] + losses["sequence"] + losses["modal"] + losses["match"]  # (5)
+        return {"loss": total, **{f"loss_{name}": value for name, value in losses.items()}}
+
+    def validate(self, module: nn.Module) -> dict[str, float]:
+        assert isinstance(module, Point2Wss)
+        # one view: the learning curve needs no more
+        decode = self.config.decoding.model_copy(update={"num_rotations": 1})
+        predictor = Predictor(module, decode, self.dvae_config, self.config.max_vertices)
+        index = np.arange(min(len(self.held_out), self.config.num_validation))
+        height, angle = predictor.errors(self.held_out, index)
+        label = self.held_out.batch(index, 1, None)
+        inside = torch.arange(label.angle.shape[1]) < label.num_vertices[:, None]
+        constant_angle = (label.angle[inside] - self.constant_angle).abs()
+        return {
+            "val_height_mae_m": float(np.abs(height).mean()),
+            "val_height_mae_constant_m": float((label.height - self.constant_height).abs().mean()),
+            "val_angle_mae_deg": float(np.abs(angle).mean()),
+            "val_angle_mae_constant_deg": float(constant_angle.mean()),
+        }
+
+
+def augmented(batch: Batch, config: ModelConfig, min_points: int) -> Batch:
+    """The random changes of the config, the paper's rotation among them; the result is centred."""
+    change = config.augmentation
+    if change.keep_points != (1, 1):
+        batch = augment.drop_points_randomly(batch, change.keep_points, min_points)
+    if change.lift_m > 0:
+        batch = augment.lift_randomly(batch, change.lift_m)
+    if change.scale != (1, 1):
+        batch = augment.scale_randomly(batch, change.scale)
+    if change.mirror:
+        batch = augment.mirror_randomly(batch)
+    batch = augment.rotate_randomly(augment.centre(batch))
+    return augment.jitter(batch, change.jitter_m) if change.jitter_m > 0 else batch
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Decoded parameters of a batch of b buildings.
+
+    eave_height_m: float (b,), gutter above ground. angle_deg: per building one value per edge over all rings,
+    in the order of the rings given. confidence: float (b,), the probability that the height is within 0.5 m
+    and, on average over the edges, an angle within 5 degrees: the mean of the two. A footprint too large for
+    the number format has NaN everywhere and confidence 0.
+    """
+
+    eave_height_m: np.ndarray
+    angle_deg: list[np.ndarray]
+    confidence: np.ndarray
+
+
+class Predictor:
+    """A trained model. Memory is bounded whatever the number of buildings; results depend on no order."""
+
+    def __init__(
+        self, module: Point2Wss, decode: Decoding, dvae_config: DvaeConfig, max_num_vertices: int
+    ) -> None:
+        self.module = module.eval()
+        self.tokenizer = module.tokenizer
+        self.decode = decode
+        self.dvae_config = dvae_config
+        self._max_num_vertices = max_num_vertices
+
+    @property
+    def max_num_vertices(self) -> int:
+        """Largest number of vertices of an exterior ring."""
+        return self._max_num_vertices
+
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
+        """Heights and angles from clouds (n, 3), z above the ground, and the rings of their footprints.
+
+        x and y of cloud and rings share any local frame; the first ring is the exterior, counter-clockwise,
+        without a repeated first vertex. Edges of courtyards get the median slope of the exterior's (paper,
+        section 4.3: a sequence has one ring). Raises ``ValueError`` for an empty cloud or too many vertices.
+        """
+        exterior = [np.asarray(r[0], np.float32) for r in rings]
+        self._check(points_m, exterior)
+        height = np.full(len(points_m), np.nan)
+        confidence = np.zeros(len(points_m))
+        angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
+        for index, batch in self._batches(points_m, exterior):
+            heights, angles, sure = self._decode(batch)
+            for row, i in enumerate(index):
+                height[i], confidence[i] = heights[row], sure[row]
+                own = angles[row, : len(exterior[i])]
+                angle[i][: len(own)] = own
+                angle[i][len(own) :] = _courtyard_angle(own)
+        return Prediction(height, angle, confidence)
+
+    def reconstruct_all_masked(
+        self,
+        points_m: Sequence[np.ndarray],
+        footprints_m: Sequence[np.ndarray],
+        signs_visible: bool = True,
+    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+        """Table 1: height, footprint and angles with all numerical tokens masked.
+
+        Of the footprints only the number of vertices, the order and, if ``signs_visible``, the signs of the
+        centred coordinates reach the network. Arguments as in :meth:`predict`, exterior rings only. Returns
+        heights (b,), footprints [(v, 2)] in the frame and vertex order given, and angles [(v,)].
+        """
+        exterior = [np.asarray(ring, np.float32) for ring in footprints_m]
+        self._check(points_m, exterior)
+        height = np.full(len(points_m), np.nan)
+        xy: list[np.ndarray] = [np.full(ring.shape, np.nan) for ring in exterior]
+        angle: list[np.ndarray] = [np.full(len(ring), np.nan) for ring in exterior]
+        for index, batch in self._batches(points_m, exterior):
+            heights, places, angles = self._decode_all(batch, signs_visible)
+            # the batch is centred: its first vertex tells by how much
+            for row, i in enumerate(index):
+                num = len(exterior[i])
+                shift = exterior[i][0] - batch.xy[row, 0].numpy()
+                height[i], angle[i], xy[i] = heights[row], angles[row, :num], places[row, :num] + shift
+        return height, xy, angle
+
+    def errors(self, buildings: Buildings, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed errors of labelled buildings, footprint given: heights (n,) in m, angles (edges,) in degrees."""
+        heights, angles = [], []
+        for first in range(0, len(index), INFERENCE_BATCH):
+            rows = index[first : first + INFERENCE_BATCH]
+            batch = augment.centre(buildings.batch(rows, self.dvae_config.num_points, None))
+            height, angle, _ = self._decode(batch)
+            inside = np.arange(angle.shape[1]) < batch.num_vertices.numpy()[:, None]
+            heights.append(height - batch.height.numpy())
+            angles.append((angle - batch.angle.numpy())[inside])
+        return np.concatenate(heights), np.concatenate(angles)
+
+    def _check(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> None:
+        for i, (points, ring) in enumerate(zip(points_m, exterior, strict=True)):
+            if not len(points):
+                raise ValueError(f"building {i} has no points")
+            if not 3 <= len(ring) <= self._max_num_vertices:
+                raise ValueError(f"building {i} has {len(ring)} vertices, not 3 to {self._max_num_vertices}")
+
+    def _batches(
+        self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]
+    ) -> Iterator[tuple[np.ndarray, Batch]]:
+        """Centred batches of similar length; buildings that the number format cannot hold are left out."""
+        order = np.argsort([len(ring) for ring in exterior], kind="stable")
+        for first in range(0, len(order), INFERENCE_BATCH):
+            index = order[first : first + INFERENCE_BATCH]
+            batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
+            reach = batch.xy.norm(dim=-1).amax(1) * 10**self.tokenizer.coord_decimals
+            fits = reach.numpy() < self.tokenizer.max_coord
+            if fits.all():
+                yield index, batch
+            elif fits.any():
+                rows = torch.from_numpy(fits)
+                yield index[fits], Batch(**{name: value[rows] for name, value in vars(batch).items()})
+
+    def _batch(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> Batch:
+        num_points = self.dvae_config.num_points
+        chosen = [points[dataset.thin(len(points), num_points, None)] for points in points_m]
+        num_vertices = np.array([len(ring) for ring in exterior])
+        width = max(map(len, chosen))
+        points = np.zeros((len(chosen), width, 3), np.float32)
+        valid = np.zeros((len(chosen), width), bool)
+        xy = np.zeros((len(chosen), num_vertices.max(), 2), np.float32)
+        for row, (cloud, ring) in enumerate(zip(chosen, exterior, strict=True)):
+            points[row, : len(cloud)] = cloud
+            valid[row, : len(cloud)] = True
+            xy[row, : len(ring)] = ring
+        return augment.centre(
+            Batch(
+                points=torch.from_numpy(points),
+                valid=torch.from_numpy(valid),
+                ground_z=torch.zeros(len(chosen)),
+                height=torch.zeros(len(chosen)),
+                xy=torch.from_numpy(xy),
+                angle=torch.zeros(xy.shape[:2]),
+                num_vertices=torch.from_numpy(num_vertices),
+            )
+        )
+
+    @torch.no_grad()
+    def _decode(self, batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Heights (b,) m, angles (b, n) degrees and confidence (b,) of a centred batch, footprint given.
+
+        The probabilities of ``num_rotations`` views are averaged before anything is decided.
+        """
+        tokenizer, decode = self.tokenizer, self.decode
+        patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
+        heights = angles = torch.zeros(())
+        for view in range(decode.num_rotations):
+            turned, seen = _turned(batch, patches, 2 * math.pi * view / decode.num_rotations)
+            parameters, start = tokenizer.canonical(
+                tokenizer.quantise(turned.height, turned.xy, turned.angle, turned.num_vertices)
+            )
+            tokens, _ = tokenizer.masked(parameters)
+            cloud, valid = self.module.cloud_features(seen, batch.ground_z * dvae.SCALE)
+            logits = self.module.restore(tokens, batch.num_vertices, cloud, valid)
+            heights = heights + self._height_distribution(logits)
+            back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
+            angle = self._angle_distribution(logits)
+            angles = angles + angle.gather(1, back[..., None].expand_as(angle))
+        heights = heights / decode.num_rotations
+        angles = decoding.constrain(angles, decoding.angle_support(decode.angle_support))
+        height, angle = decoding.decode(heights, decode.mode), decoding.decode(angles, decode.mode)
+        unit = 10.0 ** tokenizer.height_places[-1]
+        inside = torch.arange(angle.shape[1]) < batch.num_vertices[:, None]
+        sure_height = decoding.mass_near(heights, height, round(decoding.CONFIDENT_HEIGHT_M / unit))
+        sure_angle = decoding.mass_near(angles, angle, decoding.CONFIDENT_ANGLE_DEG)
+        sure_angle = (sure_angle * inside).sum(1) / batch.num_vertices
+        return (
+            (height * unit).numpy(),
+            angle.double().numpy(),
+            ((sure_height + sure_angle) / 2).numpy(),
+        )
+
+    @torch.no_grad()
+    def _decode_all(self, batch: Batch, signs_visible: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Heights (b,) m, vertices (b, n, 2) m and angles (b, n) degrees of a centred batch, all masked."""
+        tokenizer, mode = self.tokenizer, self.decode.mode
+        parameters, start = tokenizer.canonical(
+            tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
+        )
+        tokens, kind = tokenizer.masked(parameters)
+        hidden = (kind == words.KIND_COORDINATE) | ((kind == words.KIND_SIGN) & (not signs_visible))
+        tokens = tokens.masked_fill(hidden, words.MASK)
+        patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
+        cloud, valid = self.module.cloud_features(patches, batch.ground_z * dvae.SCALE)
+        logits = self.module.restore(tokens, batch.num_vertices, cloud, valid)
+        height = decoding.decode(self._height_distribution(logits), mode)
+        angle = self._angle_distribution(logits)
+        angle = decoding.constrain(angle, decoding.angle_support(self.decode.angle_support))
+        signs, block_logits = tokenizer.blocks(tokens), tokenizer.blocks(logits)
+        axes = []
+        for slot in (tokenizer.x_slot, tokenizer.y_slot):
+            digits = block_logits[..., slot + 1 : slot + 1 + len(tokenizer.coord_places), :]
+            size = decoding.decode(
+                decoding.number_distribution(digits, tokenizer, tokenizer.coord_places), mode
+            )
+            guessed = block_logits[..., slot, [words.PLUS, words.MINUS]].argmax(-1) == 1
+            negative = signs[..., slot] == words.MINUS if signs_visible else guessed
+            axes.append(torch.where(negative, -size, size))
+        back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
+        xy = torch.stack(axes, -1).gather(1, back[..., None].expand(-1, -1, 2))
+        return (
+            (height * 10.0 ** tokenizer.height_places[-1]).numpy(),
+            (xy * 10.0**-tokenizer.coord_decimals).numpy(),
+            decoding.decode(angle, mode).gather(1, back).double().numpy(),
+        )
+
+    def _height_distribution(self, logits: Tensor) -> Tensor:
+        digits = logits[:, 2 : self.tokenizer.header_length]
+        return decoding.number_distribution(digits, self.tokenizer, self.tokenizer.height_places)
+
+    def _angle_distribution(self, logits: Tensor) -> Tensor:
+        digits = self.tokenizer.blocks(logits)[..., self.tokenizer.angle_slot :, :]
+        return decoding.number_distribution(digits, self.tokenizer, self.tokenizer.angle_places)
+
+
+def _turned(batch: Batch, patches: Patches, theta: float) -> tuple[Batch, Patches]:
+    """A batch and its patches rotated by ``theta``: which points make a patch does not depend on it."""
+    if theta == 0:
+        return batch, patches
+    matrix = torch.tensor([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
+
+    def turn(points: Tensor) -> Tensor:
+        return torch.cat([points[..., :2] @ matrix, points[..., 2:]], -1)
+
+    return (
+        replace(batch, xy=batch.xy @ matrix),
+        Patches(turn(patches.centre), turn(patches.points), patches.valid),
+    )
+
+
+def _courtyard_angle(exterior: np.ndarray) -> float:
+    slopes = exterior[exterior < 90]
+    return float(np.median(slopes if len(slopes) else exterior))

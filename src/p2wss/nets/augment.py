@@ -1,0 +1,113 @@
+"""Random changes of clouds and their parameters, on whole batches, that keep the two in agreement."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from p2wss.nets.tokenizer import mirror_rings
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Buildings in metres, in any local frame; padded.
+
+    points: float32 (b, p, 3). valid: bool (b, p). ground_z: float32 (b,), ground estimated from the cloud.
+    height: float32 (b,), gutter above ground_z. xy: float32 (b, n, 2), exterior ring, counter-clockwise.
+    angle: float32 (b, n), degrees, of the edge that leaves each vertex. num_vertices: int64 (b,).
+    """
+
+    points: Tensor
+    valid: Tensor
+    ground_z: Tensor
+    height: Tensor
+    xy: Tensor
+    angle: Tensor
+    num_vertices: Tensor
+
+    def to(self, device: torch.device) -> Batch:
+        return Batch(**{name: value.to(device) for name, value in vars(self).items()})
+
+
+def centre(batch: Batch) -> Batch:
+    """Move cloud, footprint and ground so that the centroid of the points is the origin (section 5.2)."""
+    count = batch.valid.sum(1, keepdim=True)
+    centroid = (batch.points * batch.valid[..., None]).sum(1) / count
+    return replace(
+        batch,
+        points=(batch.points - centroid[:, None]) * batch.valid[..., None],
+        xy=batch.xy - centroid[:, None, :2],
+        ground_z=batch.ground_z - centroid[:, 2],
+    )
+
+
+def rotate(batch: Batch, theta: Tensor) -> Batch:
+    """Rotate clouds and footprints by ``theta`` (b,) radians about the vertical through the origin."""
+    cos, sin = torch.cos(theta), torch.sin(theta)
+    matrix = torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], -2)
+    xy = batch.points[..., :2] @ matrix
+    return replace(
+        batch,
+        points=torch.cat([xy, batch.points[..., 2:]], -1),
+        xy=batch.xy @ matrix,
+    )
+
+
+def rotate_randomly(batch: Batch) -> Batch:
+    return rotate(batch, 2 * math.pi * torch.rand(len(batch.points), device=batch.points.device))
+
+
+def mirror_randomly(batch: Batch) -> Batch:
+    """Mirror half of the samples at x = 0; rings stay counter-clockwise, angles stay at their edges."""
+    chosen = torch.rand(len(batch.points), device=batch.points.device) < 0.5
+    sign = torch.where(chosen, -1.0, 1.0)[:, None]
+    xy, angle = mirror_rings(batch.xy, batch.angle, batch.num_vertices, chosen)
+    points = torch.cat([batch.points[..., :1] * sign[..., None], batch.points[..., 1:]], -1)
+    return replace(batch, points=points, xy=xy, angle=angle)
+
+
+def scale_randomly(batch: Batch, ratio: tuple[float, float]) -> Batch:
+    """Scale buildings as a whole by a factor drawn from ``ratio``: slopes stay, heights follow."""
+    low, high = ratio
+    factor = low + (high - low) * torch.rand(len(batch.points), device=batch.points.device)
+    return replace(
+        batch,
+        points=batch.points * factor[:, None, None],
+        xy=batch.xy * factor[:, None, None],
+        ground_z=batch.ground_z * factor,
+        height=batch.height * factor,
+    )
+
+
+def jitter(batch: Batch, sigma_m: float) -> Batch:
+    """Gaussian noise on the valid points."""
+    noise = torch.randn_like(batch.points) * sigma_m
+    return replace(batch, points=batch.points + noise * batch.valid[..., None])
+
+
+def lift_randomly(batch: Batch, lift_m: float) -> Batch:
+    """Raise or lower what stands on the ground by up to ``lift_m``, the gutter with it.
+
+    Points above half the gutter height move, by at most a third of that height downwards: the walls are
+    stretched or squeezed, the roof keeps its shape.
+    """
+    lift = lift_m * (2 * torch.rand(len(batch.points), device=batch.points.device) - 1)
+    lift = torch.maximum(lift, -batch.height / 3)
+    above = batch.points[..., 2] - batch.ground_z[:, None] > batch.height[:, None] / 2
+    z = batch.points[..., 2] + lift[:, None] * (above & batch.valid)
+    return replace(
+        batch, points=torch.cat([batch.points[..., :2], z[..., None]], -1), height=batch.height + lift
+    )
+
+
+def drop_points_randomly(batch: Batch, keep: tuple[float, float], at_least: int) -> Batch:
+    """Keep a share of each cloud drawn from ``keep``, but ``at_least`` so many points (or all there are)."""
+    low, high = keep
+    device = batch.points.device
+    share = low + (high - low) * torch.rand(len(batch.points), 1, device=device)
+    count = (share * batch.valid.sum(1, keepdim=True)).clamp(min=at_least)
+    rank = torch.rand(batch.valid.shape, device=device).masked_fill(~batch.valid, 2).argsort(1).argsort(1)
+    return replace(batch, valid=batch.valid & (rank < count))

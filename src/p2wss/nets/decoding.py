@@ -1,0 +1,68 @@
+"""From logits of masked digits to heights, angles and coordinates.
+
+The digits of one number are predicted side by side, so their joint distribution is the product. The paper
+takes the most probable digit at each place; a slip at the tens then costs ten metres. The median of the
+joint distribution is the value of least expected absolute error, and averages well over rotations.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from p2wss.nets.tokenizer import Tokenizer
+
+Mode = Literal["argmax", "median"]
+Support = Literal["roofs", "all"]
+
+CONFIDENT_HEIGHT_M = 0.5
+CONFIDENT_ANGLE_DEG = 5
+
+
+def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int, ...]) -> Tensor:
+    """(..., 10^k) probabilities of the integers 0 .. 10^k - 1 from logits (..., k, words) of k digits.
+
+    Only the ten words of each place count.
+    """
+    joint = torch.ones(*logits.shape[:-2], 1, device=logits.device)
+    for index, place in enumerate(places):
+        digit = F.softmax(logits[..., index, tokenizer.digit_words(place)].float(), -1)
+        joint = (joint[..., :, None] * digit[..., None, :]).flatten(-2)
+    return joint
+
+
+def angle_support(support: Support) -> Tensor:
+    """bool (100,): degrees that an answer may have; "roofs" is the paper's 0, 90 and 20 to 45."""
+    allowed = torch.zeros(100, dtype=torch.bool)
+    if support == "all":
+        allowed[:91] = True
+    else:
+        allowed[[0, 90, *range(20, 46)]] = True
+    return allowed
+
+
+def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
+    """Set what is not ``allowed`` (v,) to 0 and renormalise (..., v); uniform where nothing is left."""
+    kept = distribution * allowed
+    total = kept.sum(-1, keepdim=True)
+    return torch.where(total > 0, kept / total.clamp_min(1e-30), allowed / allowed.sum())
+
+
+def decode(distribution: Tensor, mode: Mode) -> Tensor:
+    """int64 (...): most probable value, or the smallest value with at least half of the mass below or at it."""
+    if mode == "argmax":
+        return distribution.argmax(-1)
+    # double: the sum over 10^4 values must not stop short of one half
+    cumulated = distribution.double().cumsum(-1)
+    return (cumulated < 0.5 * cumulated[..., -1:]).sum(-1)
+
+
+def mass_near(distribution: Tensor, value: Tensor, tolerance: int) -> Tensor:
+    """(...): probability of the integers within ``tolerance`` of ``value``."""
+    cumulated = F.pad(distribution.cumsum(-1), (1, 0))
+    low = (value - tolerance).clamp(min=0)
+    high = (value + tolerance + 1).clamp(max=distribution.shape[-1])
+    return (cumulated.gather(-1, high[..., None]) - cumulated.gather(-1, low[..., None]))[..., 0].clamp(0, 1)

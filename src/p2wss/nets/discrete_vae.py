@@ -1,0 +1,221 @@
+"""The discrete VAE whose codes are the words of point patches (paper, section 4.2; Point-BERT, stage 1).
+
+mini-PointNet -> DGCNN over patch centres -> Gumbel softmax over the codebook -> DGCNN -> folding decoder.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from p2wss.nets.patches import Patches, squared_distance
+
+NUM_NEIGHBOURS = 4
+NORM_GROUPS = 4
+SEED_RADIUS = 0.05
+
+
+class MiniPointNet(nn.Module):
+    """Patch points (b, g, k, 3) to one embedding per patch (b, g, dim).
+
+    Widths dim/2, dim, 2 dim, dim. The second block reads each point beside its patch's maximum; the weight of
+    that pair is split, so that the maximum's half is multiplied once per patch and not once per point.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(3, dim // 2)
+        self.first_norm = nn.BatchNorm1d(dim // 2)
+        self.second = nn.Linear(dim // 2, dim)
+        self.third_point = nn.Linear(dim, 2 * dim, bias=False)
+        self.third_patch = nn.Linear(dim, 2 * dim)
+        self.third_norm = nn.BatchNorm1d(2 * dim)
+        self.fourth = nn.Linear(2 * dim, dim)
+
+    def forward(self, points: Tensor) -> Tensor:
+        batch, groups, k, _ = points.shape
+        x = points.reshape(batch * groups * k, 3)
+        x = self.second(F.relu(self.first_norm(self.first(x))))
+        patch = x.view(-1, k, x.shape[-1]).amax(1)
+        x = self.third_point(x).view(-1, k, self.third_point.out_features) + self.third_patch(patch)[:, None]
+        x = self.fourth(F.relu(self.third_norm(x.flatten(0, 1))))
+        return x.view(batch, groups, k, -1).amax(2)
+
+
+class EdgeConvolution(nn.Module):
+    """One edge convolution on a given graph: max over neighbours of act(norm(W [neighbour - x; x])).
+
+    W [nb - x; x] = W1 nb + (W2 - W1) x is applied per node before the gather: k times fewer multiplications.
+    """
+
+    def __init__(self, dim_in: int, dim_out: int) -> None:
+        super().__init__()
+        self.difference = nn.Linear(dim_in, dim_out, bias=False)
+        self.self = nn.Linear(dim_in, dim_out, bias=False)
+        self.norm = nn.GroupNorm(NORM_GROUPS, dim_out)
+
+    def forward(self, x: Tensor, neighbour: Tensor) -> Tensor:
+        """``x`` (b, g, dim_in), ``neighbour`` int64 (b, g, k) -> (b, g, dim_out)."""
+        batch, groups, k = neighbour.shape
+        from_neighbour = self.difference(x)
+        from_self = F.linear(x, self.self.weight - self.difference.weight)
+        index = neighbour.reshape(batch, groups * k, 1).expand(-1, -1, from_neighbour.shape[-1])
+        edges = from_neighbour.gather(1, index).view(batch, groups, k, -1) + from_self[:, :, None]
+        # the norm's statistics are per sample and channel group, over all edges
+        edges = self.norm(edges.flatten(1, 2).transpose(1, 2)).transpose(1, 2).view(batch, groups, k, -1)
+        # the activation increases, so it may follow the maximum: k times fewer evaluations
+        return F.leaky_relu(edges.amax(2), 0.2)
+
+
+class Dgcnn(nn.Module):
+    """Four edge convolutions on the graph of the patch centres, their outputs joined (Point-BERT's DGCNN).
+
+    The graph is the same for all four, so it is found once per cloud and passed in.
+    """
+
+    def __init__(self, dim_in: int, dim: int, dim_out: int) -> None:
+        super().__init__()
+        self.first = nn.Linear(dim_in, dim // 2)
+        widths = [dim // 2, dim, 2 * dim, 2 * dim, 4 * dim]
+        self.convolutions = nn.ModuleList(
+            EdgeConvolution(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
+        )
+        self.last = nn.Linear(sum(widths[1:]), dim_out, bias=False)
+        self.norm = nn.GroupNorm(NORM_GROUPS, dim_out)
+
+    def forward(self, x: Tensor, neighbour: Tensor) -> Tensor:
+        x = self.first(x)
+        outputs = []
+        for convolution in self.convolutions:
+            x = convolution(x, neighbour)
+            outputs.append(x)
+        x = self.last(torch.cat(outputs, -1))
+        return F.leaky_relu(self.norm(x.transpose(1, 2)).transpose(1, 2), 0.2)
+
+
+class FoldingDecoder(nn.Module):
+    """Patch features (b, g, dim) to coarse (b, g, k/4, 3) and fine (b, g, k, 3) points (PCN / FoldingNet)."""
+
+    def __init__(self, dim: int, patch_size: int) -> None:
+        super().__init__()
+        self.num_coarse = patch_size // 4
+        self.coarse = nn.Sequential(
+            nn.Linear(dim, 4 * dim),
+            nn.ReLU(),
+            nn.Linear(4 * dim, 4 * dim),
+            nn.ReLU(),
+            nn.Linear(4 * dim, 3 * self.num_coarse),
+        )
+        side = torch.tensor([-SEED_RADIUS, SEED_RADIUS])
+        self.register_buffer("seeds", torch.cartesian_prod(side, side), persistent=False)
+        # the input of the fold is [feature; seed; coarse point]: its first layer is split by what it reads
+        self.from_feature = nn.Linear(dim, 2 * dim)
+        self.from_point = nn.Linear(5, 2 * dim, bias=False)
+        self.norm = nn.BatchNorm1d(2 * dim)
+        self.middle = nn.Linear(2 * dim, 2 * dim)
+        self.middle_norm = nn.BatchNorm1d(2 * dim)
+        self.last = nn.Linear(2 * dim, 3)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        batch, groups, _ = x.shape
+        coarse = self.coarse(x).view(batch, groups, self.num_coarse, 3)
+        centre = coarse.repeat_interleave(4, 2)
+        seeds = self.get_buffer("seeds").to(centre.dtype).repeat(self.num_coarse, 1)
+        point = torch.cat([seeds.expand(batch, groups, -1, -1), centre], -1)
+        h = (self.from_point(point) + self.from_feature(x)[:, :, None]).flatten(0, 2)
+        h = F.relu(self.middle_norm(self.middle(F.relu(self.norm(h)))))
+        return coarse, centre + self.last(h).view_as(centre)
+
+
+@dataclass(frozen=True)
+class DvaeSizes:
+    """What a checkpoint must agree on. ``patch_size`` is a multiple of 4."""
+
+    num_patches: int
+    patch_size: int
+    patch_dim: int
+    token_dim: int
+    num_tokens: int
+
+
+class DiscreteVae(nn.Module):
+    """See the module's docstring. ``tokens`` is what the second stage uses."""
+
+    def __init__(self, sizes: DvaeSizes) -> None:
+        super().__init__()
+        self.sizes = sizes
+        self.encoder = MiniPointNet(sizes.patch_dim)
+        self.to_logits = Dgcnn(sizes.patch_dim, sizes.token_dim, sizes.num_tokens)
+        self.codebook = nn.Parameter(torch.randn(sizes.num_tokens, sizes.token_dim))
+        self.to_features = Dgcnn(sizes.token_dim, sizes.token_dim, sizes.token_dim)
+        self.decoder = FoldingDecoder(sizes.token_dim, sizes.patch_size)
+
+    def logits(self, patches: Patches) -> Tensor:
+        """(b, g, num_tokens)."""
+        return self.to_logits(self.encoder(patches.points), centre_graph(patches))
+
+    @torch.no_grad()
+    def tokens(self, patches: Patches) -> Tensor:
+        """int64 (b, g): the most probable code of each patch, without Gumbel noise."""
+        return self.logits(patches).argmax(-1)
+
+    def losses(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
+        """Reconstruction (Chamfer-L1 of coarse and fine), divergence from the uniform code, codes used."""
+        graph = centre_graph(patches)
+        logits = self.to_logits(self.encoder(patches.points), graph).float()
+        soft = F.gumbel_softmax(logits, tau=temperature, hard=False, dim=-1)
+        coarse, fine = self.decoder(self.to_features(soft @ self.codebook, graph))
+        valid = patches.valid
+        log_mean = _masked_mean(F.softmax(logits, -1), valid).clamp_min(1e-20).log()
+        log_uniform = -math.log(logits.shape[-1])
+        return {
+            "coarse": chamfer_l1(coarse, patches.points, valid),
+            "fine": chamfer_l1(fine, patches.points, valid),
+            # KL(uniform || mean posterior of the cloud), as in Point-BERT; in float32
+            "kl": (log_uniform - log_mean).mean(),
+            "codes": logits.detach().argmax(-1),
+        }
+
+
+def centre_graph(patches: Patches) -> Tensor:
+    """int64 (b, g, 4): the nearest valid patches of each patch by their centres, itself among them."""
+    distance = squared_distance(patches.centre, patches.centre)
+    distance.masked_fill_(~patches.valid[:, None], torch.inf)
+    k = min(NUM_NEIGHBOURS, distance.shape[-1])
+    near, index = distance.topk(k, largest=False, sorted=True)
+    return torch.where(near.isinf(), index[..., :1], index)
+
+
+def chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
+    """Half the sum of the two mean nearest distances of point sets (b, g, n, 3) and (b, g, m, 3).
+
+    The mean over patches leaves out those that are not ``valid`` (b, g).
+    """
+    distance = squared_distance(made, given)
+    # the root has no finite slope at 0
+    forth = distance.amin(-1).clamp_min(1e-12).sqrt().mean(-1)
+    back = distance.amin(-2).clamp_min(1e-12).sqrt().mean(-1)
+    return ((forth + back) * valid).sum() / (2 * valid.sum())
+
+
+def _masked_mean(x: Tensor, valid: Tensor) -> Tensor:
+    """Mean over patches: (b, g, c), (b, g) -> (b, c)."""
+    return (x * valid[..., None]).sum(1) / valid.sum(1)[:, None]
+
+
+def temperature(progress: float, end: float) -> float:
+    """Gumbel temperature at ``progress`` in [0, 1]: cosine from 1 to ``end`` over the first half.
+
+    Point-BERT's 100,000 of 197,000 iterations, as a share, so that it holds for any length of training.
+    """
+    return end + (1 - end) * (1 + math.cos(math.pi * min(progress / 0.5, 1.0))) / 2
+
+
+def kl_weight(progress: float, end: float) -> float:
+    """Weight of the divergence: 0 for the first 5 %, then cosine up to ``end`` at 55 % (Point-BERT, as shares)."""
+    share = min(max((progress - 0.05) / 0.5, 0.0), 1.0)
+    return end * (1 - math.cos(math.pi * share)) / 2

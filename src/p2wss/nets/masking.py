@@ -1,0 +1,46 @@
+"""Which tokens the network has to restore while it trains."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from p2wss.nets import tokenizer as words
+from p2wss.nets.patches import Patches, squared_distance
+
+
+def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
+    """bool (b, g): a random valid patch and its nearest neighbours, a share drawn from ``ratio`` (Point-BERT)."""
+    valid = patches.valid
+    batch = len(valid)
+    device = valid.device
+    seed = torch.rand(valid.shape, device=device).masked_fill(~valid, -1).argmax(1)
+    centre = patches.centre[torch.arange(batch, device=device), seed]
+    distance = squared_distance(centre[:, None], patches.centre)[:, 0].masked_fill(~valid, torch.inf)
+    rank = distance.argsort(1).argsort(1)
+    share = ratio[0] + (ratio[1] - ratio[0]) * torch.rand(batch, device=device)
+    count = (share * valid.sum(1)).long().clamp(min=1)
+    return (rank < count[:, None]) & valid
+
+
+def mask_parameters(
+    kind: Tensor, inference_share: float, table1_share: float, random_ratio: tuple[float, float]
+) -> Tensor:
+    """bool (b, l): tokens to hide, each sample by one of three patterns drawn with the given shares.
+
+    Inference pattern: all digits of height and angles. Table-1 pattern: all digits. Else: each token but
+    [start] and [end] with a probability drawn per sample from ``random_ratio``. The paper's masking is shares
+    of 0 and a ratio of (0.3, 0.3). ``kind`` is what :meth:`Tokenizer.kinds` gives.
+    """
+    batch = len(kind)
+    device = kind.device
+    draw = torch.rand(batch, 1, device=device)
+    ratio = random_ratio[0] + (random_ratio[1] - random_ratio[0]) * torch.rand(batch, 1, device=device)
+    random = torch.rand(kind.shape, device=device) < ratio
+    random &= (kind != words.KIND_PAD) & (kind != words.KIND_FRAME)
+    asked = (kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE)
+    return torch.where(
+        draw < inference_share,
+        asked,
+        torch.where(draw < inference_share + table1_share, asked | (kind == words.KIND_COORDINATE), random),
+    )

@@ -1,0 +1,278 @@
+"""Point2WSS: two masked transformer branches that read each other (paper, sections 4.1 to 4.5, figures 3 and 4)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from p2wss.nets.discrete_vae import MiniPointNet
+from p2wss.nets.patches import Patches
+from p2wss.nets.tokenizer import MASK, MINUS, PAD, Tokenizer
+from p2wss.nets.transformer import Encoder
+
+POSITION_WIDTH = 128
+INITIAL_LOGIT_SCALE = math.log(1 / 0.07)
+MAX_LOGIT_SCALE = math.log(100)
+# what inference needs: the rest of the weights serves training only
+INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.")
+
+
+@dataclass(frozen=True)
+class ModelSizes:
+    """Sizes and switches of the network that its weights depend on."""
+
+    dim: int
+    num_heads: int
+    mlp_ratio: float
+    drop_path: float
+    cloud_depth: int
+    sequence_depth: int
+    cross_depth: int
+    patch_dim: int
+    num_tokens: int
+    max_vertices: int
+    align_dim: int
+    ground_relative: bool
+    numerical_encoding: bool
+    edge_embedding: bool
+
+
+class CloudEncoder(nn.Module):
+    """Patches to features: mini-PointNet, [cls] token, position of the centres before every block."""
+
+    def __init__(self, sizes: ModelSizes) -> None:
+        super().__init__()
+        dim = sizes.dim
+        self.ground_relative = sizes.ground_relative
+        self.embed = MiniPointNet(sizes.patch_dim)
+        self.reduce = nn.Linear(sizes.patch_dim, dim)
+        self.position = nn.Sequential(
+            nn.Linear(4 if sizes.ground_relative else 3, POSITION_WIDTH),
+            nn.GELU(),
+            nn.Linear(POSITION_WIDTH, dim),
+        )
+        self.cls_token = nn.Parameter(torch.zeros(dim))
+        self.cls_position = nn.Parameter(torch.zeros(dim))
+        self.mask_token = nn.Parameter(torch.zeros(dim))
+        self.encoder = Encoder(dim, sizes.cloud_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
+
+    def embed_patches(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Embeddings (b, 1 + g, dim), positions (b, 1 + g, dim) and validity (b, 1 + g), [cls] first."""
+        batch = len(patches.centre)
+        where = patches.centre
+        if self.ground_relative:
+            where = torch.cat([where, where[..., 2:] - ground_z[:, None, None]], -1)
+        cls = self.cls_token.expand(batch, 1, -1)
+        x = torch.cat([cls, self.reduce(self.embed(patches.points))], 1)
+        position = torch.cat([self.cls_position.expand(batch, 1, -1), self.position(where)], 1)
+        return x, position, F.pad(patches.valid, (1, 0), value=True)
+
+    def hide(self, x: Tensor, masked: Tensor) -> Tensor:
+        """Replace the embeddings of ``masked`` (b, g) patches by the mask token."""
+        return torch.where(F.pad(masked, (1, 0), value=False)[..., None], self.mask_token, x)
+
+
+class SequenceEncoder(nn.Module):
+    """Parameter token sequences to features."""
+
+    def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer) -> None:
+        super().__init__()
+        dim = sizes.dim
+        self.tokenizer = tokenizer
+        self.max_vertices = sizes.max_vertices
+        self.word = nn.Embedding(tokenizer.num_words, dim)
+        # a position is the slot within the header or a vertex, and the vertex; the last rows mean "none"
+        self.slot = nn.Embedding(tokenizer.header_length + tokenizer.block_length + 1, dim)
+        self.vertex = nn.Embedding(sizes.max_vertices + 1, dim)
+        self.encoder = Encoder(dim, sizes.sequence_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
+        value = tokenizer.word_value
+        self.register_buffer("word_value", value, persistent=False)
+        self.numerical: Tensor | None
+        self.register_buffer(
+            "numerical",
+            numerical_encoding(value, dim) if sizes.numerical_encoding else None,
+            persistent=False,
+        )
+        self.edge: nn.Module | None = None
+        if sizes.edge_embedding:
+            self.edge = nn.Sequential(nn.Linear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim))
+
+    def embed(self, tokens: Tensor, num_vertices: Tensor, scale: float) -> Tensor:
+        """(b, l, dim). ``scale`` is what lengths are multiplied by, as in the cloud."""
+        tok = self.tokenizer
+        position = torch.arange(tokens.shape[1], device=tokens.device) - tok.header_length
+        slot = torch.where(position < 0, position, position % tok.block_length) + tok.header_length
+        vertex = torch.where(position < 0, self.max_vertices, position // tok.block_length)
+        end = (position == (tok.block_length * num_vertices)[:, None]) | (tokens == PAD)
+        slot = torch.where(end, self.slot.num_embeddings - 1, slot)
+        vertex = torch.where(end, self.max_vertices, vertex)
+        x = self.word(tokens) + self.slot(slot) + self.vertex(vertex)
+        if self.numerical is not None:
+            x = x + self.numerical[tokens]
+        if self.edge is not None:
+            edge = self.edge(edge_features(tok, tokens, num_vertices, self.get_buffer("word_value"), scale))
+            edge = edge[:, :, None].expand(-1, -1, tok.block_length, -1).flatten(1, 2)
+            x = x + F.pad(edge, (0, 0, tok.header_length, 1))
+        return x
+
+
+def numerical_encoding(value: Tensor, dim: int) -> Tensor:
+    """Fixed encodings of the Regression Transformer: NE[2i] = v / (2i + 1), NE[2i + 1] = -NE[2i], (words, dim).
+
+    v is the word's value scaled to at most 10.
+    """
+    even = value[:, None] * (10 / value.max()) / (2 * torch.arange((dim + 1) // 2) + 1)
+    return torch.stack([even, -even], -1).flatten(1)[:, :dim]
+
+
+def edge_features(
+    tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, word_value: Tensor, scale: float
+) -> Tensor:
+    """Both ends, length and outward normal of each edge, read from the tokens; zeros where any is hidden.
+
+    Returns (b, n, 9): visible, start, end (scaled), length (scaled), outward normal, distance of the edge's
+    line from the origin. It restates what the coordinate words say: no digit that is masked can leak.
+    """
+    block = tokenizer.blocks(tokens)
+    count = len(tokenizer.coord_places)
+    axes = []
+    visible = torch.ones(block.shape[:2], dtype=torch.bool, device=tokens.device)
+    for slot in (tokenizer.x_slot, tokenizer.y_slot):
+        words = block[..., slot : slot + 1 + count]
+        visible &= (words != MASK).all(-1)
+        axes.append(word_value[words[..., 1:]].sum(-1) * torch.where(words[..., 0] == MINUS, -1, 1))
+    start = torch.stack(axes, -1) * scale
+    position = torch.arange(block.shape[1], device=tokens.device)
+    following = (position + 1) % num_vertices[:, None].clamp(min=1)
+    end = start.gather(1, following[..., None].expand(-1, -1, 2))
+    visible &= visible.gather(1, following) & (position < num_vertices[:, None])
+    along = end - start
+    length = along.norm(dim=-1, keepdim=True)
+    # counter-clockwise: the outside is to the right
+    normal = torch.stack([along[..., 1], -along[..., 0]], -1) / length.clamp_min(1e-6)
+    offset = (normal * start).sum(-1, keepdim=True)
+    features = torch.cat([torch.ones_like(length), start, end, length, normal, offset], -1)
+    return features * visible[..., None]
+
+
+class Point2Wss(nn.Module):
+    """Both branches, their token classifiers and the alignment heads. ``sequence`` is the parameter branch."""
+
+    def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer, scale: float) -> None:
+        super().__init__()
+        self.sizes = sizes
+        self.tokenizer = tokenizer
+        self.scale = scale
+        dim = sizes.dim
+
+        def cross() -> Encoder:
+            return Encoder(
+                dim, sizes.cross_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path, cross=True
+            )
+
+        self.cloud = CloudEncoder(sizes)
+        self.sequence = SequenceEncoder(sizes, tokenizer)
+        self.cloud_cross = cross()
+        self.sequence_cross = cross()
+        self.cloud_head = nn.Linear(dim, sizes.num_tokens)
+        self.sequence_head = nn.Linear(dim, tokenizer.num_words)
+        self.align_cloud = nn.Linear(dim, sizes.align_dim)
+        self.align_sequence = nn.Linear(dim, sizes.align_dim)
+        self.logit_scale = nn.Parameter(torch.tensor(INITIAL_LOGIT_SCALE))
+        self.match = nn.Linear(dim, 2)
+        self.apply(_initialise)
+        for token in (self.cloud.cls_token, self.cloud.cls_position, self.cloud.mask_token):
+            nn.init.trunc_normal_(token, std=0.02)
+
+    def losses(
+        self,
+        patches: Patches,
+        ground_z: Tensor,
+        patch_masked: Tensor,
+        patch_labels: Tensor,
+        tokens: Tensor,
+        token_masked: Tensor,
+        num_vertices: Tensor,
+        match_balanced: bool,
+    ) -> dict[str, Tensor]:
+        """The four losses of section 4 on one batch of matching pairs.
+
+        patches, ground_z (b,): in scaled, centred units. patch_masked bool (b, g), patch_labels int64 (b, g):
+        codes of the dVAE. tokens int64 (b, l) without masks, token_masked bool (b, l), num_vertices (b,).
+        """
+        # each branch runs once on a batch of its masked and its unmasked form
+        x, position, valid = self.cloud.embed_patches(patches, ground_z)
+        both = self.cloud.encoder(
+            torch.cat([self.cloud.hide(x, patch_masked), x]), valid.repeat(2, 1), position.repeat(2, 1, 1)
+        )
+        cloud_masked, cloud = both.chunk(2)
+        hidden = tokens.masked_fill(token_masked, MASK)
+        present = tokens != PAD
+        both = self.sequence.encoder(
+            self.sequence.embed(torch.cat([hidden, tokens]), num_vertices.repeat(2), self.scale),
+            present.repeat(2, 1),
+        )
+        sequence_masked, sequence = both.chunk(2)
+        from_cloud = self.cloud_cross(cloud_masked, valid, position, sequence, present)
+        from_sequence = self.sequence_cross(sequence_masked, present, None, cloud, valid)
+
+        cloud_logits = self.cloud_head(from_cloud[:, 1:][patch_masked])
+        sequence_logits = self.sequence_head(from_sequence[token_masked])
+        return {
+            "cloud": F.cross_entropy(cloud_logits.float(), patch_labels[patch_masked]),  # (1)
+            "sequence": F.cross_entropy(sequence_logits.float(), tokens[token_masked]),  # (2)
+            "modal": self._modal_loss(cloud[:, 0], sequence[:, 0]),  # (3)
+            "match": self._match_loss(from_cloud[:, 0], from_sequence[:, 0], match_balanced),  # (4)
+        }
+
+    def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
+        z_p = F.normalize(self.align_cloud(cloud).float(), dim=-1)
+        z_s = F.normalize(self.align_sequence(sequence).float(), dim=-1)
+        logits = self.logit_scale.clamp(max=MAX_LOGIT_SCALE).exp() * z_p @ z_s.T
+        target = torch.arange(len(logits), device=logits.device)
+        return (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target)) / 2
+
+    def _match_loss(self, g_p: Tensor, g_s: Tensor, balanced: bool) -> Tensor:
+        """Equation 4 over all B^2 pairs of (b, dim) features.
+
+        FC(g_p[i] * g_s[j]) = sum_d W[c, d] g_p[i, d] g_s[j, d] + b[c]: two matrix products instead of
+        B^2 fused features; exact.
+        """
+        weight, bias = self.match.weight.float(), self.match.bias.float()
+        logits = torch.stack([(g_p.float() * row) @ g_s.float().T for row in weight], -1) + bias
+        target = torch.eye(len(g_p), dtype=torch.int64, device=g_p.device)
+        if balanced:
+            loss = F.cross_entropy(logits.flatten(0, 1), target.flatten(), reduction="none").view_as(target)
+            same = loss.diagonal().mean()
+            other = (loss.sum() - loss.diagonal().sum()) / max(loss.numel() - len(loss), 1)
+            return (same + other) / 2
+        return F.cross_entropy(logits.flatten(0, 1), target.flatten(), weight=logits.new_tensor([0.1, 0.9]))
+
+    def cloud_features(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor]:
+        """(b, 1 + g, dim) features of unmasked clouds and their validity (b, 1 + g)."""
+        x, position, valid = self.cloud.embed_patches(patches, ground_z)
+        return self.cloud.encoder(x, valid, position), valid
+
+    def restore(self, tokens: Tensor, num_vertices: Tensor, cloud: Tensor, valid: Tensor) -> Tensor:
+        """Logits (b, l, words) of partly masked sequences, given the features of their clouds."""
+        present = tokens != PAD
+        x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, self.scale), present)
+        return self.sequence_head(self.sequence_cross(x, present, None, cloud, valid))
+
+
+def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The part of a state dict that :meth:`Point2Wss.restore` and ``cloud_features`` use."""
+    return {name: value for name, value in state.items() if name.startswith(INFERENCE_PARTS)}
+
+
+def _initialise(module: nn.Module) -> None:
+    if isinstance(module, nn.Linear):
+        nn.init.trunc_normal_(module.weight, std=0.02)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)
+    elif isinstance(module, nn.Embedding):
+        nn.init.trunc_normal_(module.weight, std=0.02)

@@ -1,0 +1,270 @@
+"""Parameter sets to token sequences and back (paper, section 4.3).
+
+A building with n vertices is ::
+
+    [start] [height] d d d d  ( [point] [x] ± d d d d [y] ± d d d d [angle] d d ) * n  [end]
+
+where ``d`` at place j is the word d * 10^j, as in the Regression Transformer (Born and Manica, 2022): with four
+digits per length and two per angle, 7 + 16 n tokens of 51 words. The sequence starts at the uppermost-left
+vertex (largest y, then smallest x, on the quantised integers: axis-aligned buildings tie exactly) and goes
+round counter-clockwise; the angle after a vertex is that of the edge which leaves it.
+
+All functions work on batches of padded tensors; ``num_vertices`` tells how much of a row is meant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+SPECIAL = (
+    "[pad]",
+    "[mask]",
+    "[start]",
+    "[end]",
+    "[height]",
+    "[angle]",
+    "[point]",
+    "[x]",
+    "[y]",
+    "[+]",
+    "[-]",
+)
+PAD, MASK, START, END, HEIGHT, ANGLE, POINT, X, Y, PLUS, MINUS = range(len(SPECIAL))
+FIRST_DIGIT = len(SPECIAL)
+
+# what a position of the sequence holds
+KIND_PAD, KIND_FRAME, KIND_TYPE, KIND_SIGN, KIND_HEIGHT, KIND_COORDINATE, KIND_ANGLE = range(7)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Quantised parameter sets of a batch, in canonical order.
+
+    height: int64 (b,), units of 10^-height_decimals m. xy: int64 (b, n, 2), units of 10^-coord_decimals m.
+    angle: int64 (b, n), degrees. num_vertices: int64 (b,). What lies beyond ``num_vertices`` is 0.
+    """
+
+    height: Tensor
+    xy: Tensor
+    angle: Tensor
+    num_vertices: Tensor
+
+
+class Tokenizer:
+    """The bijection between canonical, quantised parameter sets and token sequences.
+
+    ``coord_decimals`` 2 is the paper's reading (centimetres), 1 saves two tokens per vertex. ``hundreds`` adds
+    the place 10^2 to heights and coordinates: without it both stay below 100 m.
+    """
+
+    def __init__(self, coord_decimals: int = 2, hundreds: bool = False) -> None:
+        top = 2 if hundreds else 1
+        self.places = tuple(range(top, -3, -1))
+        self.coord_decimals = coord_decimals
+        self.height_places = self.places
+        self.coord_places = tuple(place for place in self.places if place >= -coord_decimals)
+        self.angle_places = (1, 0)
+        self.num_words = FIRST_DIGIT + 10 * len(self.places)
+        self.words = SPECIAL + tuple(f"[{digit}·10^{place}]" for place in self.places for digit in range(10))
+        self.max_height = 10 ** len(self.height_places) - 1
+        self.max_coord = 10 ** len(self.coord_places) - 1
+
+        header = [(START, KIND_FRAME), (HEIGHT, KIND_TYPE)] + [(MASK, KIND_HEIGHT)] * len(self.height_places)
+        axis = [(PLUS, KIND_SIGN)] + [(MASK, KIND_COORDINATE)] * len(self.coord_places)
+        block = [(POINT, KIND_TYPE), (X, KIND_TYPE), *axis, (Y, KIND_TYPE), *axis, (ANGLE, KIND_TYPE)]
+        block += [(MASK, KIND_ANGLE)] * len(self.angle_places)
+        self.header_length = len(header)
+        self.block_length = len(block)
+        self._header = torch.tensor(header).T
+        self._block = torch.tensor(block).T
+        # slots within a vertex block
+        self.x_slot, self.y_slot = 2, 4 + len(self.coord_places)
+        self.angle_slot = self.block_length - len(self.angle_places)
+        # value of each word, 0 for those that are no digits
+        self.word_value = torch.tensor(
+            [0.0] * FIRST_DIGIT + [digit * 10.0**place for place in self.places for digit in range(10)]
+        )
+
+    def length(self, num_vertices: int) -> int:
+        """Tokens of a building with so many vertices."""
+        return self.header_length + self.block_length * num_vertices + 1
+
+    # --- quantise, canonical order ---
+
+    def quantise(self, height_m: Tensor, xy_m: Tensor, angle_deg: Tensor, num_vertices: Tensor) -> Parameters:
+        """Round metres and degrees; arguments (b,), (b, n, 2), (b, n), (b,). Not yet in canonical order."""
+        inside = _inside(num_vertices, xy_m.shape[1])
+        return Parameters(
+            height=torch.round(height_m.double() * 10 ** -self.height_places[-1]).long(),
+            xy=torch.round(xy_m.double() * 10**self.coord_decimals).long() * inside[..., None],
+            angle=torch.round(angle_deg.double()).long() * inside,
+            num_vertices=num_vertices,
+        )
+
+    def representable(self, parameters: Parameters) -> Tensor:
+        """bool (b,): whether every value fits its digits."""
+        return (
+            (parameters.height >= 0)
+            & (parameters.height <= self.max_height)
+            & (parameters.xy.abs().amax((1, 2)) <= self.max_coord)
+            & ((parameters.angle >= 0) & (parameters.angle <= 99)).all(1)
+        )
+
+    def canonical(self, parameters: Parameters) -> tuple[Parameters, Tensor]:
+        """Roll each ring to its uppermost-left vertex, angles with it.
+
+        Returns the parameters and the start (b,): canonical vertex i is the input's vertex (start + i) mod n.
+        """
+        num_vertices = parameters.num_vertices
+        inside = _inside(num_vertices, parameters.xy.shape[1])
+        # y first, then -x: one integer key, larger is earlier
+        key = parameters.xy[..., 1] * (4 * self.max_coord) - parameters.xy[..., 0]
+        start = key.masked_fill(~inside, torch.iinfo(torch.int64).min).argmax(1)
+        order = roll_index(start, num_vertices, parameters.xy.shape[1])
+        return (
+            Parameters(
+                height=parameters.height,
+                xy=parameters.xy.gather(1, order[..., None].expand(-1, -1, 2)) * inside[..., None],
+                angle=parameters.angle.gather(1, order) * inside,
+                num_vertices=num_vertices,
+            ),
+            start,
+        )
+
+    # --- tokens ---
+
+    def encode(self, parameters: Parameters) -> Tensor:
+        """int64 (b, length(n)) tokens of canonical parameters, padded with [pad].
+
+        Raises ``ValueError`` where a value does not fit its digits.
+        """
+        if not bool(self.representable(parameters).all()):
+            raise ValueError("a height, coordinate or angle does not fit the number format")
+        device = parameters.xy.device
+        batch, n = parameters.angle.shape
+        header = self._header[0].to(device).expand(batch, -1).clone()
+        header[:, 2:] = self._digits(parameters.height, self.height_places)
+        block = self._block[0].to(device).expand(batch, n, -1).clone()
+        for axis, slot in ((0, self.x_slot), (1, self.y_slot)):
+            value = parameters.xy[..., axis]
+            block[..., slot] = torch.where(value < 0, MINUS, PLUS)
+            block[..., slot + 1 : slot + 1 + len(self.coord_places)] = self._digits(
+                value.abs(), self.coord_places
+            )
+        block[..., self.angle_slot :] = self._digits(parameters.angle, self.angle_places)
+        tokens = torch.cat([header, block.flatten(1), header.new_full((batch, 1), PAD)], 1)
+        end = self.header_length + self.block_length * parameters.num_vertices
+        position = torch.arange(tokens.shape[1], device=device)
+        tokens = tokens.masked_fill(position >= end[:, None], PAD)
+        return tokens.scatter(1, end[:, None], END)
+
+    def decode(self, tokens: Tensor) -> Parameters:
+        """The parameters of complete sequences (no [mask]), the inverse of :meth:`encode`.
+
+        Raises ``ValueError`` for a sequence that :meth:`encode` cannot have made.
+        """
+        num_vertices = self.num_vertices(tokens)
+        n = (tokens.shape[1] - self.header_length - 1) // self.block_length
+        inside = _inside(num_vertices, n)
+        block = self.blocks(tokens)
+        value = {
+            slot: self._number(block[..., slot + 1 : slot + 1 + len(self.coord_places)], self.coord_places)
+            * torch.where(block[..., slot] == MINUS, -1, 1)
+            for slot in (self.x_slot, self.y_slot)
+        }
+        parameters = Parameters(
+            height=self._number(tokens[:, 2 : self.header_length], self.height_places),
+            xy=torch.stack([value[self.x_slot], value[self.y_slot]], -1) * inside[..., None],
+            angle=self._number(block[..., self.angle_slot :], self.angle_places) * inside,
+            num_vertices=num_vertices,
+        )
+        if (
+            not bool(self.representable(parameters).all())
+            or not torch.equal(self.encode(parameters), tokens)
+            or bool(self.canonical(parameters)[1].any())
+        ):
+            raise ValueError("not a token sequence of a parameter set")
+        return parameters
+
+    def num_vertices(self, tokens: Tensor) -> Tensor:
+        """int64 (b,): vertices of each sequence, told by its padding ([mask] counts as a token)."""
+        return ((tokens != PAD).sum(1) - self.header_length - 1) // self.block_length
+
+    def blocks(self, tokens: Tensor) -> Tensor:
+        """(b, n, block_length) view of what lies between header and the last position."""
+        return tokens[:, self.header_length : -1].unflatten(1, (-1, self.block_length))
+
+    def kinds(self, tokens_shape: torch.Size, num_vertices: Tensor) -> Tensor:
+        """int64 (b, l): what each position holds, one of the ``KIND_`` constants."""
+        device = num_vertices.device
+        n = (tokens_shape[1] - self.header_length - 1) // self.block_length
+        kind = torch.cat([self._header[1], self._block[1].repeat(n), torch.tensor([KIND_PAD])]).to(device)
+        end = self.header_length + self.block_length * num_vertices[:, None]
+        position = torch.arange(tokens_shape[1], device=device)
+        kind = kind.expand(len(num_vertices), -1).masked_fill(position >= end, KIND_PAD)
+        return kind.masked_fill(position == end, KIND_FRAME)
+
+    def masked(self, parameters: Parameters) -> tuple[Tensor, Tensor]:
+        """The inference sequence (section 4.3): digits of height and angles are [mask].
+
+        ``height`` and ``angle`` of the argument are ignored. Returns tokens (b, l) and kinds (b, l).
+        """
+        empty = Parameters(
+            torch.zeros_like(parameters.height),
+            parameters.xy,
+            torch.zeros_like(parameters.angle),
+            parameters.num_vertices,
+        )
+        tokens = self.encode(empty)
+        kind = self.kinds(tokens.shape, parameters.num_vertices)
+        return tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK), kind
+
+    def _digits(self, value: Tensor, places: tuple[int, ...]) -> Tensor:
+        """(..., len(places)) words of non-negative integers in units of the last place."""
+        powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=value.device)
+        first = torch.tensor(
+            [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=value.device
+        )
+        return (value[..., None] // powers) % 10 + first
+
+    def _number(self, words: Tensor, places: tuple[int, ...]) -> Tensor:
+        powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=words.device)
+        first = torch.tensor(
+            [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=words.device
+        )
+        return ((words - first) * powers).sum(-1)
+
+    def digit_words(self, place: int) -> slice:
+        """The ten words of a place, as a slice of the vocabulary."""
+        first = FIRST_DIGIT + 10 * self.places.index(place)
+        return slice(first, first + 10)
+
+
+def roll_index(start: Tensor, num_vertices: Tensor, n: int) -> Tensor:
+    """int64 (b, n): index (start + i) mod num_vertices; beyond a ring's end any valid index."""
+    return (start[:, None] + torch.arange(n, device=start.device)) % num_vertices[:, None].clamp(min=1)
+
+
+def mirror_rings(xy: Tensor, angle: Tensor, num_vertices: Tensor, chosen: Tensor) -> tuple[Tensor, Tensor]:
+    """Mirror the chosen rings at x = 0 and keep them counter-clockwise with each angle at its edge.
+
+    Vertex i becomes the old vertex n - 1 - i, so that edge i is the old edge n - 2 - i, backwards.
+    """
+    n = xy.shape[1]
+    count = num_vertices[:, None]
+    position = torch.arange(n, device=xy.device)
+    inside = position < count
+    vertex = torch.where(inside, count - 1 - position, position)
+    edge = torch.where(inside, (count - 2 - position) % count.clamp(min=1), position)
+    flipped = xy.gather(1, vertex[..., None].expand(-1, -1, 2)) * xy.new_tensor([-1, 1])
+    return (
+        torch.where(chosen[:, None, None], flipped, xy),
+        torch.where(chosen[:, None], angle.gather(1, edge), angle),
+    )
+
+
+def _inside(num_vertices: Tensor, n: int) -> Tensor:
+    return torch.arange(n, device=num_vertices.device) < num_vertices[:, None]

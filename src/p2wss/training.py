@@ -1,0 +1,338 @@
+"""The one training loop of both stages: seeds, checkpoints, metrics.
+
+Everything random in step i follows from (seed, i) alone, so a run that was stopped and resumed takes the
+same steps, to the bit on a CPU, as one that was not.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from p2wss import io
+from p2wss.errors import InputError
+from p2wss.seeds import derive_seed
+
+log = logging.getLogger("p2wss")
+
+NUM_CHECKPOINTS_KEPT = 2
+PROGRESS_EVERY_S = 10.0
+METRICS_EVERY_STEPS = 20
+
+
+class Optimiser(Protocol):
+    """What the config says about optimisation."""
+
+    num_steps: int
+    batch_size: int
+    learning_rate: float
+    learning_rate_end: float
+    warmup_share: float
+    weight_decay: float
+    beta2: float
+    gradient_clip: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How to train: seed, optimiser, decay of the averaged weights (0 = none), and when to look and save."""
+
+    seed: int
+    optimiser: Optimiser
+    ema_decay: float
+    checkpoint_every_steps: int
+
+
+class Task(Protocol):
+    """What to train."""
+
+    @property
+    def module(self) -> nn.Module:
+        """The weights."""
+        ...
+
+    def step(self, step: int) -> dict[str, Tensor]:
+        """Losses of the batch of ``step``; the one named ``loss`` is minimised, the others are logged."""
+
+    def validate(self, module: nn.Module) -> dict[str, float]:
+        """Measures of ``module`` (the averaged weights, where there are such) on held-out data."""
+
+
+def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -> nn.Module:
+    """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return the weights to keep.
+
+    Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of
+    the same ``identity`` (config, code, data; JSON values), training continues there; one of another
+    identity is discarded. On SIGTERM a checkpoint is written and the process exits with status 0.
+    Raises :class:`InputError` when the loss is no longer finite.
+    """
+    state = _State.new(task.module, plan)
+    metrics = _Metrics(checkpoints / "metrics.jsonl")
+    start = state.resume(checkpoints, identity)
+    metrics.keep_until(start)
+    num_steps = plan.optimiser.num_steps
+    progress = _Progress(start, num_steps, plan.optimiser.batch_size)
+    with _termination() as terminated:
+        for step in range(start, num_steps):
+            rate = learning_rate(step, plan.optimiser)
+            losses = _take_step(task, state, plan, step, rate)
+            done = step + 1
+            if done % METRICS_EVERY_STEPS == 0 or done == num_steps:
+                values = {name: float(value) for name, value in losses.items()}
+                if not math.isfinite(values["loss"]):
+                    raise InputError(
+                        f"training: the loss is {values['loss']} at step {done}: lower the learning rate"
+                    )
+                metrics.add({"step": done, "learning_rate": rate, **values})
+                progress.show(done, values["loss"])
+            if done % plan.checkpoint_every_steps == 0 or done == num_steps:
+                metrics.add({"step": done, **_validate(task, state, plan, done)})
+                state.save(checkpoints, done, identity)
+            elif terminated():
+                state.save(checkpoints, done, identity)
+            if terminated() and done < num_steps:
+                log.info("stopped at step %d of %d; the next run continues there", done, num_steps)
+                raise SystemExit(0)
+    return state.kept
+
+
+def learning_rate(step: int, optimiser: Optimiser) -> float:
+    """Cosine warm-up from 0, then cosine decay to ``learning_rate_end`` (paper, section 5.2)."""
+    warmup = max(round(optimiser.warmup_share * optimiser.num_steps), 1)
+    if step < warmup:
+        return optimiser.learning_rate * (1 - math.cos(math.pi * (step + 1) / warmup)) / 2
+    share = (step - warmup) / max(optimiser.num_steps - warmup, 1)
+    low, high = optimiser.learning_rate_end, optimiser.learning_rate
+    return low + (high - low) * (1 + math.cos(math.pi * share)) / 2
+
+
+def remove_checkpoints(checkpoints: Path) -> None:
+    """Remove what :func:`train` wrote to the folder, and the folder if nothing else is in it."""
+    for path in [*_steps(checkpoints).values(), checkpoints / "metrics.jsonl"]:
+        path.unlink(missing_ok=True)
+    if checkpoints.is_dir() and not any(checkpoints.iterdir()):
+        checkpoints.rmdir()
+
+
+def read_metrics(checkpoints: Path) -> str:
+    """The metrics of a finished training, one JSON object per line."""
+    return (checkpoints / "metrics.jsonl").read_text()
+
+
+def last_measures(metrics: str) -> dict[str, float]:
+    """The last validation among lines of metrics."""
+    records = [json.loads(line) for line in metrics.splitlines()]
+    found = [record for record in records if any(name.startswith("val_") for name in record)]
+    return found[-1] if found else {}
+
+
+def write_weights(path: Path, state: dict[str, Tensor], facts: dict[str, Any]) -> None:
+    """Weights as safetensors with ``facts`` as JSON in the header, under the key ``p2wss``."""
+    from safetensors.torch import save_file
+
+    tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
+    with io.atomic(path) as temporary:
+        save_file(tensors, temporary, metadata={"p2wss": json.dumps(facts, sort_keys=True)})
+
+
+def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """The inverse of :func:`write_weights`. Raises :class:`InputError` for a file of another kind."""
+    from safetensors import SafetensorError, safe_open
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; train it first (p2wss {kind})")
+    try:
+        with safe_open(path, "pt") as file:
+            facts = json.loads((file.metadata() or {}).get("p2wss", "{}"))
+            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable safetensors file: {error}") from error
+    if facts.get("kind") != kind:
+        raise InputError(f"{path}: not a {kind} of p2wss")
+    return state, facts
+
+
+def _take_step(task: Task, state: _State, plan: Plan, step: int, rate: float) -> dict[str, Tensor]:
+    torch.manual_seed(derive_seed(plan.seed, "step", step))
+    task.module.train()
+    for group in state.optimiser.param_groups:
+        group["lr"] = rate
+    losses = task.step(step)
+    state.optimiser.zero_grad(set_to_none=True)
+    losses["loss"].backward()
+    nn.utils.clip_grad_norm_(task.module.parameters(), plan.optimiser.gradient_clip)
+    state.optimiser.step()
+    state.average(step)
+    return {name: value.detach() for name, value in losses.items() if value.ndim == 0}
+
+
+def _validate(task: Task, state: _State, plan: Plan, step: int) -> dict[str, float]:
+    torch.manual_seed(derive_seed(plan.seed, "validate", step))
+    module = state.kept
+    module.eval()
+    with torch.no_grad():
+        measures = task.validate(module)
+    log.info("step %d: %s", step, ", ".join(f"{name} {value:.4g}" for name, value in measures.items()))
+    return measures
+
+
+@dataclass
+class _State:
+    """All that changes while training."""
+
+    module: nn.Module
+    average_module: nn.Module | None
+    optimiser: torch.optim.Optimizer
+    ema_decay: float
+
+    @classmethod
+    def new(cls, module: nn.Module, plan: Plan) -> _State:
+        decayed: list[nn.Parameter] = []
+        plain: list[nn.Parameter] = []
+        for name, parameter in module.named_parameters():
+            if parameter.requires_grad:
+                (decayed if _is_decayed(module, name, parameter) else plain).append(parameter)
+        optimiser = torch.optim.AdamW(
+            [
+                {"params": decayed, "weight_decay": plan.optimiser.weight_decay},
+                {"params": plain, "weight_decay": 0.0},
+            ],
+            lr=plan.optimiser.learning_rate,
+            betas=(0.9, plan.optimiser.beta2),
+            foreach=True,
+        )
+        average = None
+        if plan.ema_decay > 0:
+            average = deepcopy(module).requires_grad_(False)
+        return cls(module, average, optimiser, plan.ema_decay)
+
+    @property
+    def kept(self) -> nn.Module:
+        return self.module if self.average_module is None else self.average_module
+
+    @torch.no_grad()
+    def average(self, step: int) -> None:
+        if self.average_module is None:
+            return
+        # short memory at first: the initial weights must not linger
+        decay = min(self.ema_decay, (1 + step) / (10 + step))
+        for ours, new in zip(self.average_module.parameters(), self.module.parameters(), strict=True):
+            ours.lerp_(new, 1 - decay)
+        for ours, new in zip(self.average_module.buffers(), self.module.buffers(), strict=True):
+            ours.copy_(new)
+
+    def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
+        state = {
+            "step": step,
+            "identity": json.dumps(identity, sort_keys=True),
+            "module": self.module.state_dict(),
+            "average": None if self.average_module is None else self.average_module.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+        with io.atomic(folder / f"step-{step:08d}.pt") as temporary:
+            torch.save(state, temporary)
+        for old in sorted(_steps(folder))[:-NUM_CHECKPOINTS_KEPT]:
+            _steps(folder)[old].unlink()
+
+    def resume(self, folder: Path, identity: dict[str, Any]) -> int:
+        """Load the latest checkpoint; returns its step, or 0."""
+        wanted = json.dumps(identity, sort_keys=True)
+        for step, path in sorted(_steps(folder).items(), reverse=True):
+            try:
+                state = torch.load(path, weights_only=True)
+            except Exception as error:
+                log.warning("%s: not readable (%s): trying the one before", path, type(error).__name__)
+                continue
+            if state["identity"] != wanted:
+                log.warning("%s: of another configuration, code or data: starting afresh", folder)
+                break
+            self.module.load_state_dict(state["module"])
+            if self.average_module is not None:
+                self.average_module.load_state_dict(state["average"])
+            self.optimiser.load_state_dict(state["optimiser"])
+            log.info("continuing at step %d", step)
+            return step
+        for path in _steps(folder).values():
+            path.unlink()
+        return 0
+
+
+def _is_decayed(module: nn.Module, name: str, parameter: Tensor) -> bool:
+    """Weights of linear layers only: no biases, norms, tokens, codebooks, embeddings."""
+    owner = module.get_submodule(name.rpartition(".")[0])
+    return parameter.ndim > 1 and isinstance(owner, nn.Linear)
+
+
+def _steps(folder: Path) -> dict[int, Path]:
+    return {int(path.stem.removeprefix("step-")): path for path in folder.glob("step-*.pt")}
+
+
+class _Metrics:
+    """Lines of JSON in a file that survives an interruption."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def keep_until(self, step: int) -> None:
+        """Forget what was written after ``step``: it will be written again."""
+        lines = self.path.read_text().splitlines() if step and self.path.exists() else []
+        kept = [line for line in lines if json.loads(line)["step"] <= step]
+        with io.atomic(self.path) as temporary:
+            temporary.write_text("".join(line + "\n" for line in kept))
+
+    def add(self, values: dict[str, Any]) -> None:
+        try:
+            with open(self.path, "a") as file:
+                file.write(json.dumps(values) + "\n")
+        except OSError as error:
+            raise InputError(f"{self.path}: not written: {error.strerror or error}") from error
+
+
+class _Progress:
+    """A line every few seconds: step, loss, samples per second, time left."""
+
+    def __init__(self, start: int, num_steps: int, batch_size: int) -> None:
+        self.start, self.num_steps, self.batch_size = start, num_steps, batch_size
+        self.began = self.shown = time.monotonic()
+
+    def show(self, step: int, loss: float) -> None:
+        now = time.monotonic()
+        if now - self.shown < PROGRESS_EVERY_S and step < self.num_steps:
+            return
+        self.shown = now
+        per_step = (now - self.began) / max(step - self.start, 1)
+        log.info(
+            "step %d/%d  loss %.4f  %.0f samples/s  %.0f s left",
+            step,
+            self.num_steps,
+            loss,
+            self.batch_size / max(per_step, 1e-9),
+            per_step * (self.num_steps - step),
+        )
+
+
+@contextmanager
+def _termination() -> Iterator[Callable[[], bool]]:
+    """Yields a function that tells whether SIGTERM has come; the old handler is restored."""
+    received: list[int] = []
+    try:
+        old = signal.signal(signal.SIGTERM, lambda number, _frame: received.append(number))
+    except ValueError:  # not in the main thread: the host handles signals
+        yield lambda: False
+        return
+    try:
+        yield lambda: bool(received)
+    finally:
+        signal.signal(signal.SIGTERM, old)
