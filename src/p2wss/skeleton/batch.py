@@ -27,7 +27,7 @@ def _build_all(
     edge = np.empty(len(triangle), np.int32)
     num_vertices, num_triangles = 0, 0
     for p in range(num_polygons):
-        code, num_edges, more_vertices, more_triangles = solid_mesh(
+        code, num_edges, _, more_vertices, more_triangles = solid_mesh(
             xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave_height_m[p],
             base_height_m[p], max_roof_height_m[p], skeleton, mesh,
         )  # fmt: skip
@@ -41,9 +41,9 @@ def _build_all(
                 edge = np.concatenate((edge, np.empty_like(edge)))
             origin = ring_offset[polygon_offset[p]]
             for k in range(more_vertices):
-                vertex[num_vertices + k, 0] = mesh.point[k, 0] + xy_m[origin, 0]
-                vertex[num_vertices + k, 1] = mesh.point[k, 1] + xy_m[origin, 1]
-                vertex[num_vertices + k, 2] = mesh.point[k, 2]
+                vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]
+                vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
+                vertex[num_vertices + k, 2] = mesh.vertex[k, 2]
             for t in range(more_triangles):
                 for m in range(3):
                     triangle[num_triangles + t, m] = mesh.triangle[t, m]

@@ -75,7 +75,8 @@ def _weld(parent, a, b, num_edges):
 
 
 @njit(cache=True, nogil=True)
-def _weld_nodes(edge, num_edges, node, arc, counts, parent, any_flat):
+def _weld_nodes(num_edges, node, arc, counts, parent, weld_up_to):
+    """Join the ends of very short arcs, and nodes in one place up to the height ``weld_up_to``."""
     num_nodes = counts[NUM_NODES]
     for k in range(num_nodes):
         parent[k] = k
@@ -84,18 +85,17 @@ def _weld_nodes(edge, num_edges, node, arc, counts, parent, any_flat):
         dx, dy, dz = node[a].x - node[b].x, node[a].y - node[b].y, node[a].z - node[b].z
         if dx * dx + dy * dy + dz * dz < _WELD_M * _WELD_M:
             _weld(parent, a, b, num_edges)
-    if any_flat:  # the sweep at the eave may reach a point from two sides
-        for b in range(num_edges, num_nodes):
-            if node[b].z > 1e-9 or parent[b] != b:
-                continue
-            for a in range(b):
-                if (
-                    node[a].z <= 1e-9
-                    and abs(node[a].x - node[b].x) < _WELD_M
-                    and abs(node[a].y - node[b].y) < _WELD_M
-                ):
-                    _weld(parent, a, b, num_edges)
-                    break
+    for b in range(num_edges, num_nodes):
+        if node[b].z > weld_up_to or parent[b] != b:
+            continue
+        for a in range(b):
+            if (
+                abs(node[a].x - node[b].x) < _WELD_M
+                and abs(node[a].y - node[b].y) < _WELD_M
+                and abs(node[a].z - node[b].z) < _WELD_M
+            ):
+                _weld(parent, a, b, num_edges)
+                break
 
 
 @njit(cache=True, nogil=True)
@@ -135,23 +135,23 @@ def _put(half, label_head, num_half, start, end, label):
 
 
 @njit(cache=True, nogil=True)
-def _put_subdivided(
-    half, label_head, num_half, start, end, label, node, level_node, num_level, on_edge, on_at
-):
-    """Put an edge that lies at the eave, cut at every node on it. -1: no room."""
+def _put_subdivided(half, label_head, num_half, start, end, label, node, cut_node, num_cut, on_edge, on_at):
+    """Put an edge, cut at every one of the nodes ``cut_node[:num_cut]`` that lies on it. -1: no room."""
     # the same order of computation in both directions, so that both are cut alike
     a, b = min(start, end), max(start, end)
-    dx, dy = node[b].x - node[a].x, node[b].y - node[a].y
-    length = np.hypot(dx, dy)
+    dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
+    length = np.sqrt(dx * dx + dy * dy + dz * dz)
     num_on = 0
     if length > _STRAIGHT_M:
-        for k in range(num_level):
-            m = level_node[k]
-            if m == a or m == b:
+        dx, dy, dz = dx / length, dy / length, dz / length
+        for k in range(num_cut):
+            m = cut_node[k]
+            qx, qy, qz = node[m].x - node[a].x, node[m].y - node[a].y, node[m].z - node[a].z
+            along = qx * dx + qy * dy + qz * dz
+            if along <= _STRAIGHT_M or along >= length - _STRAIGHT_M or m in (a, b):
                 continue
-            qx, qy = node[m].x - node[a].x, node[m].y - node[a].y
-            along = (qx * dx + qy * dy) / length
-            if _STRAIGHT_M < along < length - _STRAIGHT_M and abs(qx * dy - qy * dx) < _STRAIGHT_M * length:
+            qx, qy, qz = qx - along * dx, qy - along * dy, qz - along * dz
+            if qx * qx + qy * qy + qz * qz < _STRAIGHT_M * _STRAIGHT_M:
                 at = num_on
                 while at > 0 and on_at[at - 1] > along:
                     on_at[at] = on_at[at - 1]
@@ -172,9 +172,8 @@ def _put_subdivided(
 
 @njit(cache=True, nogil=True)
 def _cancel_label(half, label_head, label):
-    """Drop pairs of opposite edges under one label. Returns whether anything is left."""
+    """Drop pairs of opposite edges under one label."""
     k = label_head[label]
-    left = False
     while k >= 0:
         if half[k].alive == 1:
             m = half[k].next_in_label
@@ -184,17 +183,16 @@ def _cancel_label(half, label_head, label):
                     half[k].alive = 0
                     break
                 m = half[m].next_in_label
-            if half[k].alive == 1:
-                left = True
         k = half[k].next_in_label
-    return left
 
 
 @njit(cache=True, nogil=True)
-def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work):
+def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work, thorough):
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
     Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is the foot of corner i on the ground.
+    What 0 degree edges sweep may touch at the eave: edges there are cut where nodes lie on them. Elsewhere that
+    takes a coincidence (two unrelated events in one place at one height), so it is done only if ``thorough``.
     """
     parent, label_parent, label_head = mesh_work.parent, mesh_work.label_parent, mesh_work.label_head
     half = mesh_work.half
@@ -206,32 +204,46 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
     for i in range(num_edges):
         if edge[i].angle_deg == 0.0:
             num_flat += 1
-    any_flat = 0 < num_flat < num_edges
-    _weld_nodes(edge, num_edges, node, arc, counts, parent, any_flat)
+    cut_up_to = -1.0
+    if 0 < num_flat < num_edges:
+        cut_up_to = 1e-9
+    if thorough:
+        cut_up_to = np.inf
+    _weld_nodes(num_edges, node, arc, counts, parent, cut_up_to)
     _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent)
     for label in range(labels):
         label_head[label] = -1
-    num_level = 0
-    if any_flat:
-        for k in range(num_nodes):
-            if parent[k] == k and node[k].z <= 1e-9:
-                mesh_work.level_node[num_level] = k
-                num_level += 1
+    num_cut = 0
+    for k in range(num_nodes):
+        if parent[k] == k and node[k].z <= cut_up_to:
+            mesh_work.cut_node[num_cut] = k
+            num_cut += 1
     num_half = 0
-    if 6 * num_edges + 2 * counts[NUM_ARCS] > len(half):
-        return _OVERFLOW, 0
-    for k in range(counts[NUM_ARCS]):
-        a, b = _find(parent, arc[k].start), _find(parent, arc[k].end)
-        left = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].left))
-        right = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].right))
+    ground = ground_label(num_edges, counts)
+    for k in range(counts[NUM_ARCS] + num_edges):
+        if k < counts[NUM_ARCS]:
+            a, b = _find(parent, arc[k].start), _find(parent, arc[k].end)
+            left = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].left))
+            right = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].right))
+        else:
+            a = k - counts[NUM_ARCS]
+            b = edge[a].next
+            left = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, a))
+            right = _find(label_parent, wall_label(num_edges, counts, a))
+            if num_half + 4 > len(half):
+                return _OVERFLOW, 0
+            num_half = _put(half, label_head, num_half, num_nodes + b, num_nodes + a, ground)
+            num_half = _put(half, label_head, num_half, num_nodes + a, num_nodes + b, right)
+            num_half = _put(half, label_head, num_half, num_nodes + b, b, right)
+            num_half = _put(half, label_head, num_half, a, num_nodes + a, right)
         if a == b or left == right:
             continue
         for side in range(2):
             if side == 1:
                 a, b, left = b, a, right
-            if any_flat and node[a].z <= 1e-9 and node[b].z <= 1e-9:
+            if node[a].z <= cut_up_to and node[b].z <= cut_up_to:
                 num_half = _put_subdivided(
-                    half, label_head, num_half, a, b, left, node, mesh_work.level_node, num_level,
+                    half, label_head, num_half, a, b, left, node, mesh_work.cut_node, num_cut,
                     mesh_work.on_edge, mesh_work.on_at,
                 )  # fmt: skip
             elif num_half < len(half):
@@ -240,29 +252,6 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
                 num_half = -1
             if num_half < 0:
                 return _OVERFLOW, 0
-    ground = ground_label(num_edges, counts)
-    for i in range(num_edges):
-        j = edge[i].next
-        roof = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, i))
-        wall = _find(label_parent, wall_label(num_edges, counts, i))
-        if num_half + 6 > len(half):
-            return _OVERFLOW, 0
-        num_half = _put(half, label_head, num_half, num_nodes + j, num_nodes + i, ground)
-        num_half = _put(half, label_head, num_half, num_nodes + i, num_nodes + j, wall)
-        num_half = _put(half, label_head, num_half, num_nodes + j, j, wall)
-        num_half = _put(half, label_head, num_half, i, num_nodes + i, wall)
-        if roof != wall:
-            for side in range(2):
-                a, b, label = (i, j, roof) if side == 0 else (j, i, wall)
-                if num_level > 0:
-                    num_half = _put_subdivided(
-                        half, label_head, num_half, a, b, label, node, mesh_work.level_node, num_level,
-                        mesh_work.on_edge, mesh_work.on_at,
-                    )  # fmt: skip
-                    if num_half < 0:
-                        return _OVERFLOW, 0
-                else:
-                    num_half = _put(half, label_head, num_half, a, b, label)
     for label in range(labels):
         if label != ground and label_head[label] >= 0:
             _cancel_label(half, label_head, label)

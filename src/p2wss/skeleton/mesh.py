@@ -47,37 +47,39 @@ def label_kind_and_edge(num_edges, counts, label):
 
 
 @njit(cache=True, nogil=True)
-def solid_faces(
-    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
+def solid_skeleton(
+    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, work
 ):  # fmt: skip
-    """Faces of one solid, in ``mesh_work``. Returns (status, number of edges, number of faces)."""
-    edge, counts = skeleton_work.edge, skeleton_work.counts
+    """The skeleton of one polygon whose arguments have been checked. Returns (status, number of edges)."""
+    edge = work.edge
     status, num_edges = load_footprint(xy_m, ring_offset, first_ring, last_ring, edge)
     if status != _OK:
-        return status, 0, 0
-    if not (
-        np.isfinite(eave) and np.isfinite(base) and eave - base >= _LOWEST_WALL_M and max_roof_height >= 0.0
-    ):
-        return _BAD_HEIGHT, 0, 0
+        return status, 0
+    if not (np.isfinite(eave) and np.isfinite(base) and eave - base >= _LOWEST_WALL_M):
+        return _BAD_HEIGHT, 0
+    if not max_roof_height >= 0.0:
+        return _BAD_HEIGHT, 0
     first = ring_offset[first_ring]
     status = set_angles(edge, num_edges, angle_deg[first : first + num_edges])
-    if status != _OK:
-        return status, 0, 0
-    status = check_rings(edge, ring_offset, first_ring, last_ring)
-    if status != _OK:
-        return status, 0, 0
-    node = skeleton_work.node
-    status = simulate(
-        edge, num_edges, last_ring - first_ring, max_roof_height, node, skeleton_work.vertex,
-        skeleton_work.arc, skeleton_work.cap_height, counts,
-    )  # fmt: skip
-    if status != _OK:
-        return status, 0, 0
+    if status == _OK:
+        status = check_rings(edge, ring_offset, first_ring, last_ring)
+    if status == _OK:
+        status = simulate(
+            edge, num_edges, last_ring - first_ring, max_roof_height, work.node, work.vertex, work.arc,
+            work.cap_height, work.counts,
+        )  # fmt: skip
+    return status, num_edges
+
+
+@njit(cache=True, nogil=True)
+def _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough):
+    """Faces of one solid, in ``mesh_work``. Returns (status, number of faces)."""
+    edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
     status, num_half = collect_half_edges(
-        edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work
+        edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work, thorough
     )
     if status != _OK:
-        return status, 0, 0
+        return status, 0
     point = mesh_work.point
     num_nodes = counts[NUM_NODES]
     for k in range(num_nodes):
@@ -86,8 +88,7 @@ def solid_faces(
         k = num_nodes + i
         point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, base
     drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
-    status, num_faces = trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
-    return status, num_edges, num_faces
+    return trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
 
 
 @njit(cache=True, nogil=True)
@@ -130,54 +131,72 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
 
 
 @njit(cache=True, nogil=True)
-def solid_mesh(
-    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
-):  # fmt: skip
-    """One checked mesh, in ``mesh_work``. Returns (status, number of edges, points, triangles)."""
-    status, num_edges, num_faces = solid_faces(
-        xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
-    )  # fmt: skip
+def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
+    """Faces, triangles and checks. Returns (status, number of faces, vertices, triangles)."""
+    status, num_faces = _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough)
     if status != _OK:
         return status, 0, 0, 0
     edge, counts = skeleton_work.edge, skeleton_work.counts
     num_triangles = _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work)
     if num_triangles < 0:
         return _NOT_TRIANGULATED, 0, 0, 0
-    point, triangle, new_index = mesh_work.point, mesh_work.triangle, mesh_work.new_index
+    point, vertex = mesh_work.point, mesh_work.vertex
+    triangle, new_index = mesh_work.triangle, mesh_work.new_index
     # keep the points in use, in their order
-    num_all = counts[NUM_NODES] + num_edges
-    for k in range(num_all):
+    num_points = counts[NUM_NODES] + num_edges
+    for k in range(num_points):
         new_index[k] = -1
     for t in range(num_triangles):
         for m in range(3):
             new_index[triangle[t, m]] = 0
-    num_points = 0
-    for k in range(num_all):
+    num_vertices = 0
+    for k in range(num_points):
         if new_index[k] == 0:
-            new_index[k] = num_points
+            new_index[k] = num_vertices
             for axis in range(3):
-                point[num_points, axis] = point[k, axis]
-            num_points += 1
+                vertex[num_vertices, axis] = point[k, axis]
+            num_vertices += 1
     for t in range(num_triangles):
         for m in range(3):
             triangle[t, m] = new_index[triangle[t, m]]
     if not pair_half_edges(
-        triangle, num_triangles, num_points, mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
+        triangle, num_triangles, num_vertices, mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
     ):
         return _NOT_CLOSED, 0, 0, 0
-    num_points = separate_pinches(
-        triangle, num_triangles, point, num_points, mesh_work.twin, mesh_work.corner, new_index
+    num_vertices = separate_pinches(
+        triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, new_index
     )
-    if num_points < 0:
+    if num_vertices < 0:
         return _OVERFLOW, 0, 0, 0
-    num_rings = last_ring - first_ring
-    base_vertex = ring_offset[first_ring]
-    plan_area = 0.0
-    for ring in range(first_ring, last_ring):
-        plan_area += ring_area(edge, ring_offset[ring] - base_vertex, ring_offset[ring + 1] - base_vertex)
     status = check_solid(
-        edge, num_edges, num_rings, plan_area, skeleton_work.cap_height, counts, eave, base, point,
-        num_points, triangle, mesh_work.triangle_label, num_triangles,
+        edge, num_edges, num_rings, plan_area, skeleton_work.cap_height, counts, eave, base, vertex,
+        num_vertices, triangle, mesh_work.triangle_label, num_triangles,
         mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin,
     )  # fmt: skip
-    return status, num_edges, num_points, num_triangles
+    return status, num_faces, num_vertices, num_triangles
+
+
+@njit(cache=True, nogil=True)
+def solid_mesh(
+    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
+):  # fmt: skip
+    """One checked mesh, in ``mesh_work``. Returns (status, number of edges, faces, vertices, triangles)."""
+    status, num_edges = solid_skeleton(
+        xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work
+    )
+    if status != _OK:
+        return status, 0, 0, 0, 0
+    first_vertex = ring_offset[first_ring]
+    plan_area = 0.0
+    for ring in range(first_ring, last_ring):
+        first, last = ring_offset[ring] - first_vertex, ring_offset[ring + 1] - first_vertex
+        plan_area += ring_area(skeleton_work.edge, first, last)
+    num_rings = last_ring - first_ring
+    num_faces, num_vertices, num_triangles = 0, 0, 0
+    for thorough in (False, True):
+        status, num_faces, num_vertices, num_triangles = _finish_solid(
+            num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough
+        )
+        if status == _OK:
+            break
+    return status, num_edges, num_faces, num_vertices, num_triangles

@@ -111,7 +111,7 @@ class MeshWork(NamedTuple):
     label_parent: np.ndarray
     label_head: np.ndarray
     out_head: np.ndarray
-    level_node: np.ndarray
+    cut_node: np.ndarray
     on_edge: np.ndarray
     on_at: np.ndarray
     half: np.ndarray
@@ -129,6 +129,7 @@ class MeshWork(NamedTuple):
     triangle_label: np.ndarray
     new_index: np.ndarray
     twin: np.ndarray
+    vertex: np.ndarray
     hash_key: np.ndarray
     hash_half: np.ndarray
     corner: np.ndarray
@@ -143,12 +144,12 @@ def mesh_work(max_edges: int) -> MeshWork:
     while hash_size < 6 * num_triangles:
         hash_size *= 2
     return MeshWork(
-        point=np.zeros((2 * num_points, 3)),
+        point=np.zeros((num_points, 3)),
         parent=np.zeros(num_points, np.int64),
         label_parent=np.zeros(num_points, np.int64),
         label_head=np.zeros(num_points, np.int64),
         out_head=np.zeros(num_points, np.int64),
-        level_node=np.zeros(num_points, np.int64),
+        cut_node=np.zeros(num_points, np.int64),
         on_edge=np.zeros(num_points, np.int64),
         on_at=np.zeros(num_points),
         half=np.zeros(num_halves, HALF),
@@ -165,6 +166,7 @@ def mesh_work(max_edges: int) -> MeshWork:
         triangle=np.zeros((num_triangles, 3), np.int64),
         triangle_label=np.zeros(num_triangles, np.int64),
         new_index=np.zeros(2 * num_points, np.int64),
+        vertex=np.zeros((2 * num_points, 3)),
         twin=np.zeros(3 * num_triangles, np.int64),
         hash_key=np.zeros(hash_size, np.int64),
         hash_half=np.zeros(hash_size, np.int64),
