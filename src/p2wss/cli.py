@@ -13,6 +13,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 from p2wss import __version__, io
 from p2wss.config import Config, load, section_json
@@ -251,22 +252,90 @@ def _report(log: logging.Logger, out: Path, status: Iterable[str]) -> None:
 
 
 def scans(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    import pyproj
+
+    from p2wss import scans
+
+    config = _config(arguments)
+    facts = io.read_metadata(arguments.scene)
+    table = io.read_table(arguments.buildings, io.BUILDINGS)
+    if io.read_metadata(arguments.buildings)["tile"] != facts["tile"]:
+        raise InputError(f"{arguments.buildings}: is not of tile {facts['tile']}, as {arguments.scene} is")
+    terrain, dtm_crs = scans.read_dtm(arguments.dtm)
+    crs = pyproj.CRS.from_user_input(facts["crs"])
+    scans.check_dtm_crs(dtm_crs, crs, arguments.dtm)
+    scan = scans.simulate(
+        table, terrain, facts["tile"], facts["tile_size_m"], config.scans, threads=arguments.threads
+    )
+    bare = scan.facts["buildings_on_nodata"]
+    if bare:
+        log.warning(
+            f"{arguments.dtm}: no data under {len(bare)} buildings, the first is {bare[0]}; no ground there"
+        )
+    survey = scan.facts["survey"]
+    log.info(
+        f"{arguments.out.name}: {survey['pattern']} scan, {len(survey['strips'])} strips, "
+        f"{scan.facts['num_points']} points, {scan.facts['points_per_m2']:.1f} per m2 of {survey['density_per_m2']:.1f} pulses requested"
+    )
+    scans.write_scan(arguments.out, scan, crs, threads=arguments.threads)
+    made_by = io.provenance(
+        tile=facts["tile"], crs=facts["crs"], config=section_json(config, "scans"), code=fingerprint("scans")
+    )
+    io.write_json(arguments.out_survey, scan.facts | made_by)
 
 
 # --- crops ---
 
 
 def crops_scene(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss import crops
+
+    config = _config(arguments)
+    facts = io.read_metadata(arguments.buildings)
+    table = io.read_table(arguments.buildings, io.BUILDINGS)
+    if facts["margin_m"] < config.crops.guard_m:
+        raise InputError(
+            f"{arguments.buildings}: its margin of {facts['margin_m']} m is smaller than crops.guard_m "
+            f"{config.crops.guard_m}; raise scenes.margin_m"
+        )
+    scan = crops.read_scan(arguments.scan)
+    crops.check_crs(scan[0].crs, facts["crs"], str(arguments.scan))
+    columns, left_out = crops.crop_scene(table, scan, config.crops)
+    _write_crops(arguments.out, columns, left_out, facts["tile"], facts["crs"], section_json(config, "crops"))
 
 
 def crops_lidar(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss import crops, scenes
+
+    config = _config(arguments)
+    frame = scenes.read_footprints(arguments.footprints)
+    columns, left_out = crops.crop_lidar(
+        frame, arguments.clouds, arguments.tile, config.region.tile_size_m, config.crops
+    )
+    made_by = section_json(config, "region", "scenes", "crops")
+    _write_crops(arguments.out, columns, left_out, arguments.tile, config.region.crs, made_by)
+
+
+def _write_crops(
+    out: Path, columns: dict[str, Any], left_out: Counter[str], tile: str, crs: str, config: str
+) -> None:
+    found = {reason: count for reason, count in left_out.items() if count}
+    _report(log, out, ["ok"] * len(columns["num_points"]) + list(Counter(found).elements()))
+    metadata = io.provenance(config=config, code=fingerprint("crops"), tile=tile, crs=crs, left_out=found)
+    io.write_table(out, columns, io.CROPS, metadata)
 
 
 def crops_manifest(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss import crops
+
+    config = _config(arguments)
+    shards = [(path, crops.SYNTHETIC) for path in arguments.scenes] + [
+        (path, crops.LIDAR) for path in arguments.lidar
+    ]
+    listed = crops.list_shards(shards, arguments.out.parent)
+    made_by = io.provenance(config=section_json(config, "crops"), code=fingerprint("crops"))
+    io.write_json(arguments.out, listed | made_by)
+    log.info(f"{arguments.out.name}: {listed['num_rows']} buildings, {listed['splits']}")
 
 
 # --- dvae, model ---

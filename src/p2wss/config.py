@@ -61,17 +61,133 @@ class Region(Section):
 # --- fetch ------------------------------------------------------------------------------------------------
 
 
+class Folder(Section):
+    """Files that are already on disk."""
+
+    footprints: str = Field(
+        "tests/mini/bdtopo/BDTOPO_mini.gpkg",
+        description="BD TOPO as GeoPackage, shapefile or GeoParquet, or a folder or pattern of such files",
+    )
+    footprints_layer: str = Field("batiment", description="layer, where a file has several")
+    dtm: str = Field(
+        "tests/mini/rgealti",
+        description="RGE ALTI .asc or GeoTIFF: a file, a folder or a pattern such as dtm/*.asc",
+    )
+    lidar: str = Field("tests/mini/lidar", description="LAS, LAZ or COPC: a file, a folder or a pattern")
+
+
+class Geoplateforme(Section):
+    """IGN's services; names and limits as of 2026."""
+
+    wfs_url: str = Field("https://data.geopf.fr/wfs/ows", description="vector service (WFS 2.0)")
+    wms_url: str = Field("https://data.geopf.fr/wms-r", description="raster service (WMS 1.3)")
+    footprints_type: str = Field("BDTOPO_V3:batiment", description="WFS type of the footprints")
+    footprints_id: str = Field(
+        "cleabs", description="attribute that pages are sorted by and repeats are found by"
+    )
+    page_size: int = Field(1000, ge=1, le=5000, description="features per request; the service cuts at 5000")
+    dtm_layer: str = Field(
+        "ELEVATION.ELEVATIONGRIDCOVERAGE.HIGHRES",
+        description="WMS layer: RGE ALTI; LiDAR HD is IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
+    )
+    dtm_format: Literal["image/geotiff", "image/x-bil;bits=32"] = Field(
+        "image/geotiff", description="both carry heights as float32"
+    )
+    dtm_resolution_m: float = Field(
+        1.0, gt=0, description="cells centred on multiples of it; 0.5 for LiDAR HD"
+    )
+    dtm_max_pixels: int = Field(
+        4000, ge=1, le=10000, description="per side of one request; the service allows 10000"
+    )
+    dtm_nodata_below_m: float = Field(
+        -9998, description="heights below are no data: -9999 in LiDAR HD, -99999 in RGE ALTI"
+    )
+    lidar_types: list[str] = Field(
+        ["IGNF_LIDAR-HD_METADONNEE:metadata", "IGNF_NUAGES-DE-POINTS-LIDAR-HD:dalle"],
+        description="WFS types that list the LiDAR tiles, tried in turn",
+    )
+    lidar_url_fields: list[str] = Field(
+        ["url_npl", "url"], description="attributes that may hold the address of the point cloud"
+    )
+    requests_per_s: float = Field(1.0, gt=0, description="at most; the services allow more, but not always")
+    timeout_s: float = Field(60, gt=0, description="without an answer, per request")
+    max_attempts: int = Field(6, ge=1, description="of one request, while the service is busy or fails")
+    max_wait_s: float = Field(600, gt=0, description="for one request with all its attempts")
+    user_agent: str = Field("p2wss", description="how requests introduce themselves")
+
+
 class Fetch(Section):
     """Get footprints, terrain and LiDAR."""
 
+    source: Literal["folder", "geoplateforme"] = Field(
+        "folder", description="files on disk, or IGN's services"
+    )
+    margin_m: float = Field(
+        100,
+        ge=0,
+        description="footprints beyond the region and terrain beyond a tile; scenes.margin_m + 30 or more",
+    )
+    folder: Folder = Folder()
+    geoplateforme: Geoplateforme = Geoplateforme()
+
 
 # --- scenes -----------------------------------------------------------------------------------------------
+
+
+class RoofShares(Section):
+    """How often each roof type is drawn; what cannot be built on a footprint becomes the nearest that can."""
+
+    gable: float = Field(0.44, ge=0, description="two slopes, vertical gables; wings get gables of their own")
+    hip: float = Field(0.18, ge=0, description="slopes on all sides")
+    half_hip: float = Field(0.1, ge=0, description="one end hipped, the other a gable")
+    shed: float = Field(0.06, ge=0, description="one slope")
+    flat: float = Field(0.14, ge=0, description="no slope")
+    mixed: float = Field(0.08, ge=0, description="each edge on its own")
+
+    @model_validator(mode="after")
+    def _not_all_zero(self) -> Self:
+        if not sum(self.model_dump().values()) > 0:
+            raise ValueError("at least one share must be above 0")
+        return self
 
 
 class Scenes(Section):
     """Cut tiles, clean footprints, draw heights and roof angles."""
 
     seed: int = Field(0, ge=0, description="of heights and angles")
+    margin_m: float = Field(
+        60, ge=0, description="buildings this near to a tile stand in its scene, as occluders"
+    )
+    simplify_tolerance_m: float = Field(
+        0.2,
+        ge=0,
+        le=5,
+        description="outlines may move by this much to lose vertices (Douglas-Peucker); 0 = never",
+    )
+    min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter edges are taken out")
+    min_area_m2: float = Field(5, gt=0, description="smaller footprints and courtyards are left out")
+    max_edges: int = Field(128, ge=3, le=1000, description="footprints with more edges are left out")
+    min_eave_height_m: float = Field(1.5, gt=0, description="a lower height counts as unknown")
+    max_eave_height_m: float = Field(99, gt=0, description="higher buildings are left out")
+    storey_height_m: float = Field(
+        3, gt=0, description="of a building whose number of floors is all that is known"
+    )
+    min_terrain_share: Share = Field(
+        0.5, description="of a footprint's outline that must lie on known terrain, else it is left out"
+    )
+    sampler: Literal["realistic", "uniform"] = Field(
+        "realistic",
+        description="angles by roof type, or (the paper's words) each edge from 0, 90, 20..45 alike",
+    )
+    roof_shares: RoofShares = RoofShares()
+    max_rise_m: float = Field(
+        7,
+        gt=0,
+        description="the realistic sampler draws flatter roofs for buildings whose roof would rise more",
+    )
+    max_failed_fraction: Share = Field(
+        0.1, description="share of rejected buildings past which the job fails; too small ones do not count"
+    )
 
 
 # --- buildings --------------------------------------------------------------------------------------------
@@ -369,7 +485,6 @@ class Reconstruct(Section):
     )
     min_eave_height_m: float = Field(1, gt=0, description="lower predictions are raised to this")
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
-    batch_size: int = Field(64, gt=0, description="buildings per call of the network")
 
 
 # --- the whole --------------------------------------------------------------------------------------------
@@ -388,6 +503,14 @@ class Config(Section):
     model: Model = Model()
     eval: Eval = Eval()
     reconstruct: Reconstruct = Reconstruct()
+
+    @model_validator(mode="after")
+    def _terrain_under_margins(self) -> Self:
+        # a command gets only the sections of its stage; the others then stand at their defaults
+        together = {"fetch", "scenes"} <= self.model_fields_set
+        if together and self.fetch.margin_m < self.scenes.margin_m + 30:
+            raise ValueError("fetch.margin_m must be at least scenes.margin_m + 30")
+        return self
 
 
 def load(*documents: str | Path | dict[str, Any]) -> Config:

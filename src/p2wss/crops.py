@@ -1,0 +1,372 @@
+"""Stage crops: the points of each building, from a simulated scan or from real LiDAR (paper, section 5.1)."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyarrow as pa
+import pyproj
+import shapely
+
+from p2wss import footprints, io, skeleton, tiling
+from p2wss.clouds import Cloud, read_clouds, same_crs
+from p2wss.config import Crops
+from p2wss.errors import InputError
+from p2wss.lidar.cropping import crop_points, gather_cm, medians, seen_share
+from p2wss.seeds import generator
+from p2wss.skeleton.types import FaceKind, Polygons
+
+__all__ = [
+    "Cloud",
+    "Cropped",
+    "assign_splits",
+    "crop_cloud",
+    "crop_lidar",
+    "crop_scene",
+    "ground_height",
+    "list_shards",
+    "read_clouds",
+    "read_scan",
+]
+
+GROUND_CLASS, BUILDING_CLASS = 2, 6
+SYNTHETIC, LIDAR = "synthetic", "lidar"
+_REACH_M = 320.0  # int16 centimetres end at 327 m
+_NOT_INT16 = -32768
+# distance from the footprint within which the ground is looked for, wider where it is not found
+_GROUND_RINGS_M = (1.0, 4.0, 16.0, 64.0)
+_ENOUGH_GROUND_POINTS = 5
+_LOW_PERCENTILE = 5.0
+
+
+@dataclass(frozen=True)
+class Cropped:
+    """Points of each of n polygons: polygon p has the pairs ``offset[p]:offset[p + 1]``.
+
+    point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for the ring around the
+    footprint. ground_z_m: float64 (n,), see :func:`ground_height`.
+    """
+
+    point: np.ndarray
+    inside: np.ndarray
+    offset: np.ndarray
+    ground_z_m: np.ndarray
+
+    def of(self, polygon: int) -> np.ndarray:
+        """Indices of the points of one polygon."""
+        return self.point[self.offset[polygon] : self.offset[polygon + 1]]
+
+
+def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cropped:
+    """The points of ``cloud`` inside or within ``buffer_m`` of each polygon, which is in the cloud's CRS."""
+    point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
+    return Cropped(point, inside, offset, ground_height(cloud, polygons))
+
+
+def ground_height(cloud: Cloud, polygons: Polygons) -> np.ndarray:
+    """z of the ground around each polygon as the cloud tells it, float64 (num_polygons,), NaN where it does
+    not.
+
+    The median of the ground points (class 2) outside the footprint, at most 1 m away; if these are fewer than
+    five, at most 4, 16 or 64 m away. In a cloud without any class 2, a low percentile of all points of the
+    ring.
+    """
+    ground = np.flatnonzero(cloud.classification == GROUND_CLASS)
+    unclassified = not len(ground)
+    if unclassified:
+        ground = np.arange(len(cloud))
+    x, y, z = cloud.x_m[ground], cloud.y_m[ground], cloud.z_m[ground]
+    result = np.full(len(polygons), np.nan)
+    pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
+    for distance_m in _GROUND_RINGS_M:
+        if not len(pending):
+            break
+        point, inside, offset = crop_points(x, y, footprints.take(polygons, pending), distance_m)
+        counts = _counts(~inside, offset)
+        outside = point[~inside]
+        ring_offset = np.concatenate([[0], np.cumsum(counts)])
+        is_last = distance_m == _GROUND_RINGS_M[-1]
+        enough = counts >= (1 if is_last else _ENOUGH_GROUND_POINTS)
+        if unclassified:
+            for p in np.flatnonzero(enough):
+                heights = z[outside[ring_offset[p] : ring_offset[p + 1]]]
+                result[pending[p]] = np.percentile(heights, _LOW_PERCENTILE)
+        else:
+            result[pending[enough]] = medians(z, outside, ring_offset)[enough]
+        pending = pending[~enough]
+    return result
+
+
+def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
+    """A simulated scan: its points, and the building id and face id of each, int32 (see
+    ``scans.write_scan``)."""
+    try:
+        las = laspy.read(path)
+        building, face = np.asarray(las["building_id"]), np.asarray(las["face_id"])
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except Exception as error:  # laspy and lazrs raise many kinds for a broken file
+        raise InputError(f"{path}: not a readable scan of p2wss, or truncated: {error}") from error
+    cloud = Cloud(
+        np.asarray(las.x),
+        np.asarray(las.y),
+        np.asarray(las.z),
+        np.asarray(las.classification).astype(np.uint8),
+        las.header.parse_crs(),
+    )
+    return cloud, building, face
+
+
+def crop_scene(
+    buildings: pa.Table, scan: tuple[Cloud, np.ndarray, np.ndarray], settings: Crops
+) -> tuple[dict[str, Any], Counter[str]]:
+    """Rows of ``io.CROPS`` for the buildings of one tile, with labels, and the number left out per reason.
+
+    ``buildings`` has the columns of ``io.BUILDINGS``; those of the margin only decide which rows are on
+    guard.
+    """
+    cloud, building_of_point, face = scan
+    polygons = _absolute(buildings)
+    split = assign_splits(polygons, settings)
+    left_out: Counter[str] = Counter()
+    own = np.flatnonzero(buildings["in_tile"].to_numpy())
+    status = np.array(buildings["status"].to_pylist(), dtype=object)
+    left_out.update(status[own][status[own] != "ok"].tolist())
+    rows = own[status[own] == "ok"]
+    origin = np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
+
+    chosen = footprints.take(polygons, rows)
+    cropped = crop_cloud(cloud, chosen, settings.buffer_m)
+    of_this = building_of_point[cropped.point] == np.repeat(rows, np.diff(cropped.offset))
+    kind = face[cropped.point] & 3
+    on_roof = of_this & ((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT))
+    on_wall = of_this & (kind == FaceKind.WALL)
+    kept, columns = _rows(cloud, cropped, chosen, origin[rows], on_roof, settings, left_out)
+    labels = buildings.take(rows[kept])
+    columns |= {name: labels[name].combine_chunks() for name in _LABELS}
+    columns |= {
+        "label_ground_z_m": labels["ground_z_m"].combine_chunks(),
+        "split": split[rows[kept]],
+        "num_wall_points": _counts(on_wall, cropped.offset)[kept].astype(np.int32),
+    }
+    return columns, left_out
+
+
+def crop_lidar(
+    frame: gpd.GeoDataFrame,
+    clouds: Sequence[str | Path],
+    tile: str,
+    tile_size_m: float,
+    settings: Crops,
+) -> tuple[dict[str, Any], Counter[str]]:
+    """Rows of ``io.CROPS`` without labels for the footprints whose centroid is in ``tile``, and what was
+    left out.
+
+    ``frame`` has ``building_id`` and polygons in its CRS; ``clouds`` are the tile's and its neighbours'
+    files. Raises :class:`InputError` if a cloud is unreadable or in another CRS.
+    """
+    bounds = tiling.tile_bounds(tile, tile_size_m)
+    near = frame.cx[bounds[0] : bounds[2], bounds[1] : bounds[3]]
+    centroid = shapely.centroid(near.geometry.to_numpy())
+    in_tile = tiling.tiles_of_points(shapely.get_x(centroid), shapely.get_y(centroid), tile_size_m) == tile
+    own = near[in_tile]
+    cleaned = skeleton.clean(footprints.to_polygons(own.geometry.to_numpy()))
+    left_out = Counter(skeleton.Status(code).reason for code in cleaned.status[cleaned.status != 0])
+    rows = np.flatnonzero(cleaned.status == skeleton.Status.OK)
+    polygons = footprints.take(cleaned.polygons, rows)
+    cloud = read_clouds(clouds, _bounds_around(polygons, bounds))
+    check_crs(cloud.crs, frame.crs, f"{clouds[0]}")
+
+    cropped = crop_cloud(cloud, polygons, settings.buffer_m)
+    classification = cloud.classification[cropped.point]
+    has_buildings = bool((cloud.classification == BUILDING_CLASS).any())
+    roof = classification == BUILDING_CLASS if has_buildings else classification != GROUND_CLASS
+    on_roof = roof & cropped.inside
+    kept, columns = _rows(cloud, cropped, polygons, footprints.origins(polygons), on_roof, settings, left_out)
+    for field in io.CROPS:
+        if field.nullable:
+            columns[field.name] = pa.nulls(len(kept), field.type)
+    columns["building_id"] = own["building_id"].to_numpy()[rows[kept]]
+    columns["tile"] = np.full(len(kept), tile, dtype=object)
+    columns["split"] = np.full(len(kept), "none", dtype=object)
+    return columns, left_out
+
+
+def check_crs(cloud: pyproj.CRS | None, wanted: Any, name: str) -> None:
+    """Raise :class:`InputError` if a cloud tells another CRS than ``wanted``; one that tells none is
+    believed."""
+    wanted = pyproj.CRS.from_user_input(wanted) if wanted is not None else None
+    if cloud is not None and wanted is not None and not same_crs(cloud, wanted):
+        raise InputError(
+            f"{name} is in {cloud.name}, but the footprints are in {wanted.name}; reproject one of them"
+        )
+
+
+def _bounds_around(polygons: Polygons, bounds: tiling.Bounds) -> tiling.Bounds:
+    """What a cloud must cover: the polygons (the tile if there are none) and the ground around them."""
+    low = polygons.xy_m.min(axis=0, initial=np.inf)
+    high = polygons.xy_m.max(axis=0, initial=-np.inf)
+    if not len(polygons.xy_m):
+        low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    margin_m = _GROUND_RINGS_M[-1]
+    return (
+        float(low[0]) - margin_m,
+        float(low[1]) - margin_m,
+        float(high[0]) + margin_m,
+        float(high[1]) + margin_m,
+    )
+
+
+def assign_splits(polygons: Polygons, settings: Crops) -> np.ndarray:
+    """train, val, test or guard for each polygon (object array), by the place of its centroid.
+
+    Square blocks go to a split as a whole; of every 5 by 2 blocks, one drawn by the seed is val and another
+    is test, so that the shares are 80, 10 and 10 percent of any larger area. A val or test building nearer
+    than ``guard_m`` to a building of another split is set aside as guard. The polygons must be in the CRS,
+    not local; a polygon without rings is guard.
+    """
+    shapes = footprints.to_geometries(polygons)
+    split = np.full(len(shapes), "guard", dtype=object)
+    filled = np.flatnonzero(~shapely.is_empty(shapes))
+    shapes = shapes[filled]
+    centroid = shapely.centroid(shapes)
+    block = np.floor(shapely.get_coordinates(centroid) / settings.block_size_m).astype(np.int64)
+    group, place = block // [5, 2], block % [5, 2]
+    groups, group_of = np.unique(group, axis=0, return_inverse=True)
+    drawn = np.array(
+        [generator(settings.seed, "crops", "split", x, y).permutation(10)[:2] for x, y in groups.tolist()]
+    ).reshape(-1, 2)
+    cell = place[:, 0] + 5 * place[:, 1]
+    first = np.where(cell == drawn[group_of.ravel(), 0], "val", "train").astype(object)
+    first[cell == drawn[group_of.ravel(), 1]] = "test"
+
+    held_out = np.flatnonzero(first != "train")
+    one, other = shapely.STRtree(shapes).query(
+        shapes[held_out], predicate="dwithin", distance=settings.guard_m
+    )
+    one = held_out[one]
+    final = first.copy()
+    final[one[first[one] != first[other]]] = "guard"
+    split[filled] = final
+    return split
+
+
+def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, Any]:
+    """The manifest: every shard (file, data set) with its path relative to ``folder``, rows per split and
+    SHA-256.
+
+    Raises :class:`InputError` if there is no row at all, or if shards of one data set differ in CRS.
+    """
+    listed: list[dict[str, Any]] = []
+    total: Counter[str] = Counter()
+    crs: dict[str, Any] = {}
+    for path, dataset in shards:
+        split = io.read_table(path, io.CROPS, columns=["split"])["split"].to_pylist()
+        metadata = io.read_metadata(path)
+        if crs.setdefault(dataset, metadata.get("crs")) != metadata.get("crs"):
+            raise InputError(f"{path}: is in {metadata.get('crs')}, other {dataset} shards in {crs[dataset]}")
+        total.update(split)
+        listed.append(
+            {
+                "path": Path(os.path.relpath(path, folder)).as_posix(),
+                "dataset": dataset,
+                "tile": metadata.get("tile"),
+                "num_rows": len(split),
+                "splits": dict(sorted(Counter(split).items())),
+                "left_out": metadata.get("left_out", {}),
+                "sha256": io.sha256(path),
+            }
+        )
+    if not total:
+        raise InputError("no building in any shard; the log of the stage crops tells why they were left out")
+    return {
+        "num_rows": sum(total.values()),
+        "splits": dict(sorted(total.items())),
+        "crs": crs,
+        "shards": listed,
+    }
+
+
+_LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
+
+
+def _absolute(buildings: pa.Table) -> Polygons:
+    """Footprints in the CRS of the file."""
+    local = footprints.from_columns(buildings)
+    origin = np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
+    return Polygons(local.xy_m + _per_vertex(local, origin), local.ring_offset, local.polygon_offset)
+
+
+def _per_vertex(polygons: Polygons, value: np.ndarray) -> np.ndarray:
+    return np.repeat(value, np.diff(polygons.vertex_offset), axis=0)
+
+
+def _counts(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """True values of ``mask`` in each slice ``offset[i]:offset[i + 1]``."""
+    return np.diff(np.concatenate([[0], np.cumsum(mask)])[offset])
+
+
+def _rows(
+    cloud: Cloud,
+    cropped: Cropped,
+    polygons: Polygons,
+    origin_xy_m: np.ndarray,
+    on_roof: np.ndarray,
+    settings: Crops,
+    left_out: Counter[str],
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """Which polygons make a row, and the columns of ``io.CROPS`` that synthetic and real clouds share.
+
+    Adds to ``left_out`` the number of polygons that are too large or have too few points.
+    """
+    offset = cropped.offset
+    local = Polygons(
+        polygons.xy_m - _per_vertex(polygons, origin_xy_m), polygons.ring_offset, polygons.polygon_offset
+    )
+    origin_z_m = np.round(medians(cloud.z_m, cropped.point, offset))
+    x_cm = gather_cm(cloud.x_m, cropped.point, offset, origin_xy_m[:, 0].copy())
+    y_cm = gather_cm(cloud.y_m, cropped.point, offset, origin_xy_m[:, 1].copy())
+    z_cm = gather_cm(cloud.z_m, cropped.point, offset, origin_z_m)
+    usable = z_cm != _NOT_INT16  # what is 300 m above or below the rest is no part of the building
+
+    reach = np.abs(local.xy_m).max(axis=1) + settings.buffer_m
+    large = _counts(reach > _REACH_M, local.vertex_offset) > 0
+    few = ~large & (_counts(usable, offset) < settings.min_points)
+    left_out["too-large"] += int(large.sum())
+    left_out["too-few-points"] += int(few.sum())
+    kept = np.flatnonzero(~(large | few))
+    pairs = usable & np.repeat(~(large | few), np.diff(offset))
+    num_points = _counts(usable, offset)[kept]
+    point_offset = np.concatenate([[0], np.cumsum(num_points)])
+    shape = footprints.take(local, kept)
+    columns = {
+        "num_points": num_points.astype(np.int32),
+        "origin_x_m": origin_xy_m[kept, 0],
+        "origin_y_m": origin_xy_m[kept, 1],
+        "origin_z_m": origin_z_m[kept],
+        "x_cm": io.ragged(x_cm[pairs], point_offset),
+        "y_cm": io.ragged(y_cm[pairs], point_offset),
+        "z_cm": io.ragged(z_cm[pairs], point_offset),
+        "classification": io.ragged(cloud.classification[cropped.point[pairs]], point_offset),
+        **footprints.to_columns(shape, np.zeros((len(kept), 2))),
+        "ground_z_m": cropped.ground_z_m[kept],
+        "num_roof_points": _counts(on_roof & usable, offset)[kept].astype(np.int32),
+        "visible_roof_share": seen_share(
+            x_cm[pairs],
+            y_cm[pairs],
+            on_roof[pairs],
+            point_offset,
+            shape.xy_m,
+            shape.ring_offset,
+            shape.polygon_offset,
+        ),
+    }
+    return kept, columns

@@ -1,0 +1,111 @@
+"""The cast: pulses in chunks through Embree, in the order of firing, on any number of threads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from p2wss.lidar.pulses import BLOCK_PULSES, Box, blocks_over, generate
+from p2wss.lidar.randomness import NORMAL_QUANTILE
+from p2wss.lidar.returns import OUTCOMES, Points, record
+from p2wss.lidar.surface import Surface
+from p2wss.lidar.survey import Strip
+
+CHUNK_PULSES = 262_144  # arrays of a chunk stay in the cache; 128 k to 512 k are equally fast
+
+
+class Caster:
+    """A surface inside Embree. ``hits`` may be called from several threads at once."""
+
+    def __init__(self, surface: Surface):
+        self._scene = EmbreeScene()
+        self._mesh = TriangleMesh(self._scene, surface.vertex_m.astype(np.float32), surface.triangle)
+        # the first call builds the tree, and only one thread may do so
+        self.hits(np.zeros((1, 3), np.float32), np.array([[0, 0, -1]], np.float32))
+
+    def hits(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """The triangle that each ray meets first, int32 (n,), -1 for none. Arguments: float32 (n, 3)."""
+        return self._scene.run(origin, direction, query="INTERSECT")
+
+
+def cast(
+    surface: Surface,
+    strips: list[Strip],
+    box: Box,
+    threads: int = 1,
+    chunk_pulses: int = CHUNK_PULSES,
+) -> tuple[Points, dict[str, int]]:
+    """All points that a survey records over ``box``, ordered by strip and pulse, and the fate of the pulses.
+
+    ``box`` bounds the points in x and y; its z range must hold the whole surface. The result does not depend
+    on ``threads`` and ``chunk_pulses``. Counts: those of :data:`returns.OUTCOMES` and ``cast``, their sum.
+    """
+    caster = Caster(surface)
+    counts = np.zeros(len(OUTCOMES), np.int64)
+    chunks: list[Points] = []
+    with ThreadPoolExecutor(threads) as pool:
+        work = (
+            (caster, surface, strips[s], s, blocks, box) for s, blocks in _chunks(strips, box, chunk_pulses)
+        )
+        for points, outcome in pool.map(lambda item: _cast_chunk(*item), work):
+            chunks.append(points)
+            counts += outcome
+    fate = {name: int(count) for name, count in zip(OUTCOMES, counts, strict=True)}
+    return _concatenate(chunks), {"cast": int(counts.sum()), **fate}
+
+
+def _chunks(strips: list[Strip], box: Box, chunk_pulses: int) -> Iterator[tuple[int, np.ndarray]]:
+    step = max(1, chunk_pulses // BLOCK_PULSES)
+    for index, strip in enumerate(strips):
+        blocks = blocks_over(strip.path, strip.path.num_blocks, box)
+        for start in range(0, len(blocks), step):
+            yield index, blocks[start : start + step]
+
+
+def _cast_chunk(
+    caster: Caster, surface: Surface, strip: Strip, index: int, blocks: np.ndarray, box: Box
+) -> tuple[Points, np.ndarray]:
+    room = len(blocks) * BLOCK_PULSES
+    origin, direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
+    advance_m, pulse = np.empty(room), np.empty(room, np.int64)
+    n = generate(strip.path, blocks, box, NORMAL_QUANTILE, origin, direction, advance_m, pulse)
+    hit = caster.hits(origin[:n], direction[:n]) if n else np.zeros(0, np.int32)
+    points, outcome = _empty_points(n), np.zeros(len(OUTCOMES), np.int64)
+    kept = record(
+        origin,
+        direction,
+        advance_m,
+        pulse,
+        hit,
+        surface,
+        strip.path,
+        strip.errors,
+        index,
+        box,
+        NORMAL_QUANTILE,
+        points,
+        outcome,
+    )
+    return Points(*(column[:kept].copy() for column in points)), outcome
+
+
+def _empty_points(n: int) -> Points:
+    return Points(
+        np.empty((n, 3), np.int32),
+        np.empty(n, np.uint16),
+        np.empty(n, np.int16),
+        np.empty(n, np.int64),
+        np.empty(n, np.uint16),
+        np.empty(n, np.int32),
+        np.empty(n, np.int32),
+    )
+
+
+def _concatenate(chunks: list[Points]) -> Points:
+    if not chunks:
+        return _empty_points(0)
+    return Points(*(np.concatenate(column) for column in zip(*chunks, strict=True)))

@@ -1,0 +1,252 @@
+"""Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in
+docs/lidar.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyarrow as pa
+import pyproj
+import rasterio
+
+from p2wss import io
+from p2wss.clouds import same_crs
+from p2wss.config import Scans
+from p2wss.errors import InputError
+from p2wss.lidar.caster import CHUNK_PULSES, cast
+from p2wss.lidar.pulses import Box
+from p2wss.lidar.returns import Points
+from p2wss.lidar.surface import Surface, encode_face, join
+from p2wss.lidar.survey import Survey, plan
+from p2wss.lidar.terrain import Terrain, triangulate
+from p2wss.seeds import derive_seed, generator
+from p2wss.skeleton.types import FaceKind
+from p2wss.tiling import Bounds, tile_bounds
+
+GROUND_CLASS, BUILDING_CLASS = 2, 6
+_CLEARANCE_M = 100.0  # of the flight above the highest surface
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Recorded points in a local frame, with the survey that made them.
+
+    origin_m: float64 (3,), whole metres, what the local frame's zero is in the CRS. points: see
+    :class:`lidar.returns.Points`. facts: parameters, counts and realised density, ready for JSON.
+    """
+
+    origin_m: np.ndarray
+    points: Points
+    survey: Survey
+    facts: dict[str, Any]
+
+
+def read_dtm(path: str | Path) -> tuple[Terrain, pyproj.CRS]:
+    """A single-band raster of heights; its nodata value becomes NaN.
+
+    Raises :class:`InputError` if it is unreadable, rotated, without CRS or its cells are not square.
+    """
+    try:
+        with rasterio.open(path) as raster:
+            heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
+            transform, crs = raster.transform, raster.crs
+    except rasterio.errors.RasterioIOError as error:
+        raise InputError(f"{path}: not a readable raster: {error}") from error
+    if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
+        raise InputError(f"{path}: expected a north-up raster with square cells")
+    if crs is None:
+        raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
+    return Terrain(heights, transform.c, transform.f, transform.a), pyproj.CRS.from_user_input(crs)
+
+
+def check_dtm_crs(dtm: pyproj.CRS, wanted: pyproj.CRS, name: str | Path) -> None:
+    """Raise :class:`InputError` if the terrain is in another CRS than the buildings."""
+    if not same_crs(dtm, wanted):
+        raise InputError(f"{name} is in {dtm.name}, but the buildings are in {wanted.name}; reproject it")
+
+
+def simulate(
+    buildings: pa.Table,
+    terrain: Terrain,
+    tile: str,
+    tile_size_m: float,
+    settings: Scans,
+    threads: int = 1,
+    chunk_pulses: int = CHUNK_PULSES,
+) -> Scan:
+    """Survey one scene.
+
+    ``buildings`` has the columns of ``io.BUILDINGS``; those of the margin cast shadows, and points are kept
+    over the tile, its buildings and a margin. The same tile, settings and input give the same points
+    whatever ``threads`` and ``chunk_pulses``. Raises :class:`InputError` if the terrain has no data over the
+    tile or rises to the flight.
+    """
+    bounds = tile_bounds(tile, tile_size_m)
+    inside = _within(terrain, bounds)
+    if not np.isfinite(inside).any():
+        raise InputError(f"tile {tile}: the terrain has no data there; is it the DTM of another tile?")
+    middle = [(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2, float(np.nanmedian(inside))]
+    origin = np.floor(np.array(middle))
+    seed = derive_seed(settings.seed, "scans", tile)
+    surface = _surface(buildings, terrain, origin, settings)
+    low, high = surface.vertex_m[:, 2].min() - 0.1, surface.vertex_m[:, 2].max() + 0.1
+    if high + _CLEARANCE_M > settings.altitude_m[0]:
+        raise InputError(
+            f"tile {tile}: its highest surface is {high:.0f} m above the median ground; "
+            f"set scans.altitude_m above {high + _CLEARANCE_M:.0f} m"
+        )
+    kept = _kept_bounds(buildings, bounds, settings.keep_margin_m)
+    survey = plan(settings, seed, _box(kept, origin, low, high), _box(bounds, origin, low, high))
+    points, counts = cast(surface, survey.strips, _box(kept, origin, low, high), threads, chunk_pulses)
+    return Scan(
+        origin, points, survey, _facts(points, counts, survey, buildings, terrain, origin, bounds, seed)
+    )
+
+
+def _within(terrain: Terrain, bounds: Bounds) -> np.ndarray:
+    rows, columns = terrain.height_m.shape
+    column = np.clip((np.array(bounds[0::2]) - terrain.x_min_m) // terrain.cell_m, 0, columns).astype(int)
+    row = np.clip((terrain.y_max_m - np.array(bounds[3::-2])) // terrain.cell_m, 0, rows).astype(int)
+    return terrain.height_m[row[0] : row[1], column[0] : column[1]]
+
+
+def _box(bounds: Bounds, origin: np.ndarray, low: float, high: float) -> Box:
+    x_min, y_min, x_max, y_max = bounds
+    return Box(
+        x_min - origin[0], y_min - origin[1], x_max - origin[0], y_max - origin[1], float(low), float(high)
+    )
+
+
+def _surface(buildings: pa.Table, terrain: Terrain, origin: np.ndarray, settings: Scans) -> Surface:
+    """Terrain and every building that has a mesh, without the meshes' ground faces, which no pulse can
+    reach."""
+    flat_vertices, vertex_offset = io.list_column(buildings, "vertex_xyz_m")
+    flat_triangles, triangle_offset = io.list_column(buildings, "triangle")
+    kind, kind_offset = io.list_column(buildings, "triangle_kind")
+    edge, _ = io.list_column(buildings, "triangle_edge")
+    frame = np.stack(
+        [buildings[name].to_numpy() for name in ("origin_x_m", "origin_y_m", "ground_z_m")], axis=1
+    )
+    num_vertices, num_triangles = np.diff(vertex_offset) // 3, np.diff(triangle_offset) // 3
+    if not np.array_equal(np.diff(kind_offset), num_triangles):
+        raise InputError("buildings: triangle and triangle_kind differ in length; rerun the buildings stage")
+    vertices = flat_vertices.reshape(-1, 3) + np.repeat(frame - origin, num_vertices, axis=0)
+    owner = np.repeat(np.arange(len(frame)), num_triangles)
+    triangles = flat_triangles.reshape(-1, 3) + (vertex_offset[owner] // 3)[:, None]
+    roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
+    roof_reflectance, wall_reflectance, roof_loss = _optics(buildings["building_id"].to_pylist(), settings)
+    reachable = kind != FaceKind.GROUND
+    return join(
+        triangulate(terrain, origin),
+        vertices,
+        triangles[reachable],
+        owner[reachable],
+        encode_face(kind, edge)[reachable],
+        np.where(roof, roof_reflectance[owner], wall_reflectance[owner])[reachable],
+        np.where(roof, roof_loss[owner], 0)[reachable],
+    )
+
+
+def _optics(building_ids: list[str], settings: Scans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reflectance of roof and of walls, and loss of the roof, per building; equal in every tile that sees
+    it."""
+    drawn = np.empty((3, len(building_ids)))
+    for i, name in enumerate(building_ids):
+        rng = generator(settings.seed, "scans", "optics", name)
+        dark = rng.uniform() < settings.dark_roof_share
+        loss = rng.uniform(*settings.dark_roof_loss)
+        drawn[:, i] = rng.beta(4, 9), rng.beta(4, 9), loss if dark else 0
+    return drawn[0], drawn[1], drawn[2]
+
+
+def _kept_bounds(buildings: pa.Table, bounds: Bounds, margin_m: float) -> Bounds:
+    """The tile and the footprints of its own buildings, which may stick out, grown by ``margin_m``."""
+    own = buildings["in_tile"].to_numpy()
+    x, y, row = _footprint_vertices(buildings)
+    x, y = x[own[row]], y[own[row]]
+    return (
+        min(bounds[0], x.min(initial=np.inf)) - margin_m,
+        min(bounds[1], y.min(initial=np.inf)) - margin_m,
+        max(bounds[2], x.max(initial=-np.inf)) + margin_m,
+        max(bounds[3], y.max(initial=-np.inf)) + margin_m,
+    )
+
+
+def _footprint_vertices(buildings: pa.Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y in the CRS and row of every footprint vertex."""
+    values, offset = io.list_column(buildings, "footprint_xy_m")
+    row = np.repeat(np.arange(len(buildings)), np.diff(offset) // 2)
+    local = values.reshape(-1, 2)
+    x = local[:, 0] + buildings["origin_x_m"].to_numpy()[row]
+    y = local[:, 1] + buildings["origin_y_m"].to_numpy()[row]
+    return x, y, row
+
+
+def _facts(
+    points: Points,
+    counts: dict[str, int],
+    survey: Survey,
+    buildings: pa.Table,
+    terrain: Terrain,
+    origin: np.ndarray,
+    bounds: Bounds,
+    seed: int,
+) -> dict[str, Any]:
+    x, y = points.xyz_mm[:, 0] / 1000 + origin[0], points.xyz_mm[:, 1] / 1000 + origin[1]
+    in_tile = (x >= bounds[0]) & (x < bounds[2]) & (y >= bounds[1]) & (y < bounds[3])
+    area_m2 = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
+    kind = points.face & 3
+    vertex_x, vertex_y, row = _footprint_vertices(buildings)
+    bare = np.unique(row[np.isnan(terrain.at(vertex_x, vertex_y)) & buildings["in_tile"].to_numpy()[row]])
+    return {
+        "seed": seed,
+        "survey": survey.parameters,
+        "pulses": counts,
+        "num_points": len(points.pulse),
+        "num_ground_points": int((points.building < 0).sum()),
+        "num_wall_points": int(((points.building >= 0) & (kind == FaceKind.WALL)).sum()),
+        "num_roof_points": int(((points.building >= 0) & (kind >= FaceKind.ROOF)).sum()),
+        "points_per_m2": float(in_tile.sum() / area_m2),
+        "buildings_on_nodata": [buildings["building_id"][int(i)].as_py() for i in bare],
+    }
+
+
+def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) -> None:
+    """Write LAS 1.4 points of format 6, compressed; whole or not at all.
+
+    Classes: 2 ground, 6 building. Extra dimensions: ``building_id`` int32, the row in the buildings file or
+    -1; ``face_id`` int32, see :func:`lidar.surface.encode_face`.
+    """
+    points, survey = scan.points, scan.survey
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, 0.001), scan.origin_m
+    header.system_identifier, header.generating_software = "p2wss simulated survey", "p2wss"
+    header.creation_date = None  # the same points make the same file on any day
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.WEEK_TIME
+    header.add_crs(crs)
+    header.add_extra_dims(
+        [
+            laspy.ExtraBytesParams("building_id", "int32", "row in buildings, -1 none"),
+            laspy.ExtraBytesParams("face_id", "int32", "4 (edge + 1) + kind, -1 none"),
+        ]
+    )
+    record = laspy.ScaleAwarePointRecord.zeros(len(points.pulse), header=header)
+    record.X, record.Y, record.Z = points.xyz_mm.T
+    record.intensity, record.scan_angle = points.intensity, points.scan_angle
+    record.classification = np.where(points.building < 0, GROUND_CLASS, BUILDING_CLASS).astype(np.uint8)
+    record.return_number = np.ones(len(points.pulse), np.uint8)
+    record.number_of_returns = np.ones(len(points.pulse), np.uint8)
+    record.point_source_id = points.strip
+    start_s = np.array([strip.start_s for strip in survey.strips])
+    record.gps_time = start_s[points.strip] + points.pulse / survey.parameters["pulse_rate_hz"]
+    record.building_id, record.face_id = points.building, points.face
+    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
+    with (
+        io.atomic(path) as temporary,
+        laspy.open(temporary, mode="w", header=header, laz_backend=backend, do_compress=True) as writer,
+    ):
+        writer.write_points(record)
