@@ -19,6 +19,7 @@ from p2wss import __version__, io
 from p2wss.config import Config, load, section_json
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.tiling import Bounds, tile_bounds, tiles_of_bounds
 
 Command = Callable[[argparse.Namespace], None]
 log = logging.getLogger("p2wss")
@@ -144,6 +145,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--crs", default=None, help="of the clouds, where their headers tell none, such as EPSG:28992"
     )
+    command.add_argument(
+        "--tile", default=None, help="only the buildings of this tile, whose name the outputs get"
+    )
     command.add_argument("--threads", type=int, default=1)
     return parser
 
@@ -188,26 +192,110 @@ def _config(arguments: argparse.Namespace) -> Config:
 
 
 def fetch_footprints(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.fetch import normalise, open_source, write_footprints
+
+    config = _config(arguments)
+    margin_m = config.fetch.margin_m
+    x_min, y_min, x_max, y_max = config.region.bounds_m
+    source = open_source(config.region, config.fetch)
+    found = source.footprints((x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m))
+    frame = normalise(found, config.region.crs, source.name)
+    if not len(frame):
+        raise InputError(f"{source.name}: no building in region.bounds_m {config.region.bounds_m}")
+    log.info(f"{arguments.out.name}: {len(frame)} buildings from {source.name}")
+    write_footprints(arguments.out, frame, _fetched(config))
 
 
 def fetch_dtm(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.fetch import check_terrain, open_source
+    from p2wss.terrain import write_terrain
+
+    config = _config(arguments)
+    source = open_source(config.region, config.fetch)
+    terrain = source.dtm(_tile_bounds(arguments.tile, config, config.fetch.margin_m))
+    share = check_terrain(terrain, _tile_bounds(arguments.tile, config), source.name)
+    log.info(
+        f"{arguments.out.name}: {terrain.height_m.shape} cells of {terrain.cell_m} m, {share:.1%} of the tile known"
+    )
+    write_terrain(arguments.out, terrain, config.region.crs, _fetched(config))
 
 
 def fetch_lidar(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.fetch import open_source, write_cloud
+
+    config = _config(arguments)
+    bounds = _tile_bounds(arguments.tile, config)
+    paths = open_source(config.region, config.fetch).lidar(bounds, arguments.out.parent)
+    num_points = write_cloud(arguments.out, paths, bounds, config.region.crs)
+    log.info(f"{arguments.out.name}: {num_points} points from {', '.join(path.name for path in paths)}")
+
+
+def _tile_bounds(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:
+    try:
+        return tile_bounds(tile, config.region.tile_size_m, margin_m)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def _fetched(config: Config) -> dict[str, Any]:
+    return io.provenance(
+        vintage=config.region.vintage,
+        crs=config.region.crs,
+        config=section_json(config, "region", "fetch"),
+        code=fingerprint("fetch"),
+    )
 
 
 # --- scenes ---
 
 
 def scenes_index(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.scenes import count_buildings, read_footprints
+
+    config = _config(arguments)
+    counts = count_buildings(
+        read_footprints(arguments.footprints), config.region.tile_size_m, config.scenes.min_area_m2
+    )
+    inside = set(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
+    rows = [f"{tile}\t{number}\n" for tile, number in counts.items() if tile in inside]
+    log.info(f"{arguments.out.name}: {len(rows)} tiles with buildings")
+    with io.atomic(arguments.out) as temporary:
+        temporary.write_text("tile\tnum_buildings\n" + "".join(rows))
 
 
 def scenes_cut(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.clouds import same_crs
+    from p2wss.scenes import NEIGHBOUR_M, cut_scene, failed_fraction, read_footprints
+    from p2wss.terrain import read_terrain, write_terrain
+
+    config = _config(arguments)
+    tile, tile_size_m, margin_m = arguments.tile, config.region.tile_size_m, config.scenes.margin_m
+    frame = read_footprints(arguments.footprints, bounds=_tile_bounds(tile, config, margin_m + NEIGHBOUR_M))
+    terrain, dtm_crs = read_terrain(arguments.dtm)
+    if not same_crs(dtm_crs, frame.crs):
+        raise InputError(
+            f"{arguments.dtm}: is in {dtm_crs.name}, but {arguments.footprints} in {frame.crs.name}"
+        )
+    scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
+    _report(log, arguments.out, scene["status"][scene["in_tile"]])
+    failed = failed_fraction(scene)
+    if failed > config.scenes.max_failed_fraction:
+        raise InputError(
+            f"tile {tile}: {failed:.1%} of its footprints in {arguments.footprints} were left out, more than "
+            f"scenes.max_failed_fraction {config.scenes.max_failed_fraction:.1%}; the reasons are above"
+        )
+    metadata = io.provenance(
+        tile=tile,
+        tile_size_m=tile_size_m,
+        margin_m=margin_m,
+        crs=config.region.crs,
+        config=section_json(config, "region", "scenes"),
+        code=fingerprint("scenes"),
+        num_by_status=dict(sorted(Counter(scene["status"][scene["in_tile"]]).items())),
+    )
+    window = terrain.cut(_tile_bounds(tile, config, margin_m))
+    write_terrain(arguments.out_dtm, window, config.region.crs, metadata)
+    io.write_scene(arguments.out, scene, metadata)
 
 
 # --- buildings ---
@@ -369,26 +457,100 @@ def model(arguments: argparse.Namespace) -> None:
 
 
 def eval_predict(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    _use_threads(arguments.threads)
+    from p2wss import inference, model
+    from p2wss.eval import cases, predict
+
+    config = _config(arguments)
+    predictor = model.load(arguments.model)
+    manifest = cases.read_manifest(arguments.manifest)
+    found = cases.test_cases(manifest)
+    rows = predict.predict(found, predictor, config.reconstruct)
+    errors = predict.parameter_errors(found, rows, predictor, cases.train_medians(manifest))
+    facts = _eval_facts(config, method=rows[0].method if rows else "point2wss", status="ok")
+    columns = inference.columns(rows, [case.dataset for case in found])
+    io.write_table(arguments.out, columns, io.RECONSTRUCTIONS, facts)
+    io.write_json(arguments.out_parameters, errors | {"p2wss": facts})
+    _report(log, arguments.out, columns["status"])
 
 
 def eval_baseline(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss import inference
+    from p2wss.eval import baselines, cases
+
+    config = _config(arguments)
+    manifest = cases.read_manifest(arguments.manifest)
+    found = cases.test_cases(manifest)
+    rows, run = baselines.baseline(arguments.name, found, manifest, config.eval, config.reconstruct)
+    columns = inference.columns(rows, [case.dataset for case in found] if rows else [])
+    facts = _eval_facts(config, method=arguments.name, **run)
+    io.write_table(arguments.out, columns, io.RECONSTRUCTIONS, facts)
+    log.info("%s: %s", arguments.name, run["status"])
+    _report(log, arguments.out, columns["status"])
 
 
 def eval_measure(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.eval import cases, measure
+
+    config = _config(arguments)
+    found = cases.test_cases(cases.read_manifest(arguments.manifest))
+    methods = [cases.read_reconstructions(path) for path in arguments.reconstructions]
+    rows = cases.columns_of(measure.measure(found, methods, config.eval), io.MEASURES.names)
+    io.write_table(arguments.out, rows, io.MEASURES, _eval_facts(config))
+    log.info("%s: %d rows", arguments.out, len(rows["method"]))
 
 
 def eval_report(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    from p2wss.eval import report
+
+    config = _config(arguments)
+    inputs = report.read(
+        config.region.name,
+        arguments.manifest,
+        arguments.measures,
+        arguments.parameters,
+        arguments.reconstructions,
+        arguments.metrics,
+        config.eval,
+    )
+    for name, text in report.documents(inputs).items():
+        io.write_text(arguments.out / name, text)
+    log.info("%s", arguments.out / "report.html")
+
+
+def _eval_facts(config: Config, **facts: Any) -> dict[str, Any]:
+    made_by = section_json(config, "eval", "reconstruct")
+    return io.provenance(config=made_by, code=fingerprint("eval"), **facts)
 
 
 # --- reconstruct ---
 
 
 def reconstruct(arguments: argparse.Namespace) -> None:
-    raise NotImplementedError
+    _use_threads(arguments.threads)
+    from p2wss import clouds, model, reconstruct
+    from p2wss.formats import gpkg
+
+    config = _config(arguments)
+    predictor = model.load(arguments.model)
+    frame = reconstruct.read_footprints(arguments.footprints, arguments.id_field)
+    if arguments.tile is not None:
+        frame = reconstruct.of_tile(frame, arguments.tile, config.region.tile_size_m)
+    cloud = clouds.read_clouds(arguments.clouds, reconstruct.window(frame))
+    names = (str(arguments.clouds[0]), str(arguments.footprints))
+    crs, note = reconstruct.common_crs(cloud.crs, frame.crs, arguments.crs, names)
+    if note:
+        log.info("note: %s", note)
+    stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
+    results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct)
+    if arguments.tile is None:
+        reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
+    made_by = section_json(config, "reconstruct")
+    facts = io.provenance(config=made_by, code=fingerprint("reconstruct"), crs=crs.to_string())
+    io.write_text(arguments.out / f"{stem}.city.jsonl", reconstruct.city_json(results, crs))
+    io.write_bytes(arguments.out / f"{stem}.glb", reconstruct.gltf(results, crs, facts))
+    gpkg.write(arguments.out / f"{stem}.gpkg", reconstruct.table(frame, results, crs), facts)
+    log.info("%s", reconstruct.summary(results))
 
 
 if __name__ == "__main__":

@@ -292,6 +292,11 @@ def write_text(path: str | Path, text: str) -> None:
         temporary.write_text(text)
 
 
+def write_bytes(path: str | Path, content: bytes) -> None:
+    with atomic(path) as temporary:
+        temporary.write_bytes(content)
+
+
 def read_json(path: str | Path) -> Any:
     try:
         return json.loads(Path(path).read_text())

@@ -1,357 +1,307 @@
-"""From points and footprints to closed buildings: by the network, flat, or with constant values.
-
-Everything here works on buildings in memory. The evaluation and ``p2wss reconstruct`` share it.
-"""
+"""Stage 9, reconstruct: from the user's own footprints and LiDAR to closed buildings, each with a status."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import geopandas as gpd
 import numpy as np
+import pandas as pd
+import pyproj
 import shapely
 
-from p2wss import footprints, skeleton
+from p2wss import footprints, inference, skeleton
+from p2wss.clouds import Cloud, horizontal, same_crs
 from p2wss.config import Reconstruct
-from p2wss.skeleton.types import Meshes, Polygons
+from p2wss.crops import crop_cloud
+from p2wss.errors import InputError
+from p2wss.formats.cityjson import Solid, lines
+from p2wss.formats.glb import glb
+from p2wss.formats.polygons import planar_surfaces
+from p2wss.inference import BUILDING_CLASS, Building, Predictor, Reconstruction
+from p2wss.metrics.surface import distance_to_mesh
+from p2wss.tiling import Bounds, tiles_of_points
 
-BUILDING_CLASS = 6
-GROUND_CLASS = 2
+METHOD = "point2wss"
+# the usual names of a building's id: BD TOPO, BAG and 3DBAG, cadastral and generic files
+ID_FIELDS = ("building_id", "cleabs", "ID", "id", "identificatie", "gml_id", "fid", "osm_id")
+# ground is looked for this far away where there is none nearer
+MARGIN_M = 64.0
+# points that a residual is taken over
+_MAX_RESIDUAL_POINTS = 2048
 
 
 @dataclass(frozen=True)
-class Building:
-    """What is known of one building before its reconstruction.
+class Result:
+    """A building of the output: its reconstruction, what was read for it and how well the mesh fits.
 
-    rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
-    ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
-    classification: uint8 (m,). ground_z_m: z of the ground at the building, NaN if unknown.
+    status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
+    residual_m: mean distance of the points on the building (class 6 inside the footprint, else all inside) to
+    the mesh; NaN without any.
     """
 
-    building_id: str
-    tile: str
-    origin_xy_m: tuple[float, float]
-    rings: Sequence[np.ndarray]
-    point_m: np.ndarray
-    classification: np.ndarray
-    ground_z_m: float
-
-    @property
-    def polygon(self) -> shapely.Polygon:
-        return shapely.Polygon(self.rings[0], self.rings[1:])
-
-
-@dataclass(frozen=True)
-class Reconstruction:
-    """One row of ``io.RECONSTRUCTIONS``: what a method made of a building. Without a mesh, ``triangle`` is
-    (0, 3) and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``."""
-
-    building_id: str
-    tile: str
-    method: str
+    reconstruction: Reconstruction
     status: str
-    origin_xy_m: tuple[float, float]
-    ground_z_m: float
-    rings: Sequence[np.ndarray]
-    eave_height_m: float | None
-    angle_deg: np.ndarray | None
-    confidence: float | None
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    edge: np.ndarray
-
-    @property
-    def has_mesh(self) -> bool:
-        return len(self.triangle) > 0
+    reason: str | None
+    num_points: int
+    residual_m: float
 
 
-@dataclass(frozen=True)
-class Parameters:
-    """Decoded parameters of a batch of buildings: heights above ground (b,), an array of angles per building
-    with a value per edge over all rings, confidence (b,) from 0 to 1."""
+def common_crs(
+    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
+) -> tuple[pyproj.CRS, str | None]:
+    """The one CRS of clouds and footprints, and a note if it was assumed. ``names``: of the two files.
 
-    eave_height_m: np.ndarray
-    angle_deg: Sequence[np.ndarray]
-    confidence: np.ndarray
-
-
-class Predictor(Protocol):
-    """The part of the network that reconstruction needs; ``p2wss.model`` has the real one."""
-
-    @property
-    def max_num_vertices(self) -> int:
-        """Largest number of footprint vertices, all rings together, that :meth:`predict` takes."""
-        ...
-
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Parameters:
-        """Heights, angles and confidence. Points (n, 3) with z above the estimated ground, rings as in
-        :class:`Building`."""
-        ...
-
-
-def reconstruct(
-    buildings: Sequence[Building], predictor: Predictor, config: Reconstruct, method: str = "point2wss"
-) -> list[Reconstruction]:
-    """One reconstruction per building with the network's height and angles, in the order given.
-
-    A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has no mesh here
-    and a status; :func:`with_fallback` gives it a flat roof.
+    Raises :class:`InputError` if two known ones differ, none is known, or it is not projected in metres.
     """
-    meshed = [_mesh_footprint(building, config) for building in buildings]
-    enough = [i for i, b in enumerate(buildings) if len(b.point_m) >= config.min_num_points]
-    height = np.full(len(buildings), np.nan)
-    confidence = np.full(len(buildings), np.nan)
-    angle: list[np.ndarray] = [np.zeros(0)] * len(buildings)
-    ground = [ground_z_m(building) for building in buildings]
-    for start in range(0, len(enough), config.batch_size):
-        batch = enough[start : start + config.batch_size]
-        seen = [simplify_to(meshed[i], predictor.max_num_vertices) for i in batch]
-        parameters = predictor.predict(
-            [buildings[i].point_m - [0, 0, ground[i]] for i in batch], [_rings(p) for p in seen]
+    note = None
+    if stated is not None:
+        try:
+            told = pyproj.CRS.from_user_input(stated)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"--crs {stated}: no such CRS; give one such as EPSG:28992") from error
+        if cloud is not None and not same_crs(cloud, told):
+            raise InputError(f"{names[0]} is in {cloud.name}, but --crs says {told.name}; leave --crs out")
+        cloud = cloud or told
+    if cloud is not None and frame is not None and not same_crs(cloud, frame):
+        raise InputError(
+            f"{names[0]} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
         )
-        for k, i in enumerate(batch):
-            height[i] = max(float(parameters.eave_height_m[k]), config.min_eave_height_m)
-            confidence[i] = parameters.confidence[k]
-            angle[i] = transfer_angles(_rings(seen[k]), parameters.angle_deg[k], _rings(meshed[i]))
-    return _build(
-        buildings,
-        [_rings(polygon) for polygon in meshed],
-        ground,
-        height,
-        angle,
-        confidence,
-        method,
-        config,
-        refused=f"fewer than {config.min_num_points} points",
-    )
+    crs = cloud or frame
+    if crs is None:
+        raise InputError(
+            f"neither {names[0]} nor {names[1]} tells its CRS; give it with --crs, as EPSG:28992"
+        )
+    if cloud is None:
+        note = f"{names[0]} tells no CRS: taken to be in {crs.name} as {names[1]}; --crs says otherwise"
+    flat = horizontal(crs)
+    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
+        raise InputError(
+            f"{names[0]}: {crs.name} is not a projected CRS in metres; reproject clouds and footprints"
+        )
+    return crs, note
 
 
-def with_fallback(
-    reconstructions: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
-) -> list[Reconstruction]:
-    """Flat roofs (method ``lod1``) for the buildings without a mesh that have any point; their status keeps
-    the reason."""
-    result = list(reconstructions)
-    missing = [i for i, r in enumerate(result) if not r.has_mesh]
-    for i, flat in zip(missing, lod1([buildings[i] for i in missing], config), strict=True):
-        if flat.has_mesh:
-            result[i] = replace(flat, status=result[i].status)
-        elif not len(buildings[i].point_m):
-            result[i] = replace(result[i], status=flat.status)
-    return result
+def read_footprints(path: Path, id_field: str | None) -> gpd.GeoDataFrame:
+    """Columns ``building_id`` (text, unique) and ``geometry`` (2D polygons) of any vector file, in its CRS.
+
+    Parts of a multipolygon become rows whose ids end in -1, -2, ..; of what is no polygon after a repair only
+    the polygons are kept. Raises :class:`InputError` for a file without polygons or without ``id_field``.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        frame = gpd.read_file(path)
+    except Exception as error:  # GDAL's drivers raise many kinds for a broken file
+        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+    if not isinstance(frame, gpd.GeoDataFrame) or frame.geometry.name not in frame:
+        raise InputError(f"{path}: a table without geometry; footprints must be polygons")
+    if id_field is not None and id_field not in frame.columns:
+        known = ", ".join(map(str, frame.columns.drop(frame.geometry.name))) or "none"
+        raise InputError(f"{path}: no column {id_field} for --id-field; columns: {known}")
+    found = id_field or next((name for name in ID_FIELDS if name in frame.columns), None)
+    names = frame[found].astype(str) if found else pd.Series(np.arange(len(frame)).astype(str), frame.index)
+    if names.duplicated().any():
+        raise InputError(
+            f"{path}: {names[names.duplicated()].iloc[0]} occurs twice in column {found}; choose another with"
+            " --id-field"
+        )
+    shapes = shapely.make_valid(shapely.force_2d(frame.geometry.to_numpy()))
+    parts, of = shapely.get_parts(shapes, return_index=True)
+    # make_valid may leave collections: polygons and multipolygons among lines
+    parts, inner = shapely.get_parts(parts, return_index=True)
+    of = of[inner]
+    is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) > 0)
+    parts, of = parts[is_polygon], of[is_polygon]
+    if not len(parts):
+        raise InputError(f"{path}: no polygons; footprints must be polygons")
+    count = Counter(of.tolist())
+    seen: Counter[int] = Counter()
+    ids = []
+    for row in of.tolist():
+        seen[row] += 1
+        ids.append(names.iloc[row] if count[row] == 1 else f"{names.iloc[row]}-{seen[row]}")
+    return gpd.GeoDataFrame({"building_id": ids}, geometry=parts, crs=frame.crs)
 
 
-def lod1(buildings: Sequence[Building], config: Reconstruct) -> list[Reconstruction]:
-    """Flat roofs at the median height of the points on each building (:func:`flat_height_m`)."""
-    height = np.array([flat_height_m(building) for building in buildings])
-    return constant(buildings, height, 0.0, config, "lod1", refused="no point above the ground")
+def window(frame: gpd.GeoDataFrame) -> Bounds:
+    """What a cloud must cover: the footprints and the ground around them."""
+    if not len(frame):
+        return 0.0, 0.0, 0.0, 0.0
+    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
+    return x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
 
 
-def constant(
-    buildings: Sequence[Building],
-    eave_height_m: np.ndarray,
-    angle_deg: float,
-    config: Reconstruct,
-    method: str = "constant",
-    refused: str = "no height",
-) -> list[Reconstruction]:
-    """Buildings with given heights (b,), NaN for none, and the same angle at every edge."""
-    rings = [_rings(_mesh_footprint(building, config)) for building in buildings]
-    angle = [np.full(sum(map(len, r)), angle_deg) for r in rings]
-    ground = [ground_z_m(building) for building in buildings]
-    unknown = np.full(len(buildings), np.nan)
-    return _build(
-        buildings, rings, ground, np.asarray(eave_height_m, float), angle, unknown, method, config, refused
-    )
+def run(
+    frame: gpd.GeoDataFrame, cloud: Cloud, predictor: Predictor, tile: str, config: Reconstruct
+) -> list[Result]:
+    """A result per row of ``frame`` (:func:`read_footprints`), in its order."""
+    cleaned = skeleton.clean(footprints.to_polygons(frame.geometry.to_numpy()))
+    cropped = crop_cloud(cloud, cleaned.polygons, config.buffer_m)
+    origin_xy_m = footprints.origins(cleaned.polygons)
+    xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
+    buildings, usable = [], []
+    for i, name in enumerate(frame["building_id"]):
+        rejected = cleaned.status[i] != skeleton.Status.OK
+        rings = [ring - origin_xy_m[i] for ring in cleaned.polygons.rings(i)]
+        own = cropped.of(i)
+        buildings.append(
+            Building(
+                str(name),
+                tile,
+                (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
+                rings,
+                xyz[own] - np.array([*origin_xy_m[i], 0.0]),
+                cloud.classification[own],
+                float(cropped.ground_z_m[i]),
+            )
+        )
+        if not rejected:
+            usable.append(i)
+    chosen = [buildings[i] for i in usable]
+    made = inference.reconstruct(chosen, predictor, config, METHOD)
+    made = inference.with_fallback(made, chosen, config)
+    found = dict(zip(usable, made, strict=True))
+    results = []
+    for i, building in enumerate(buildings):
+        if i in found:
+            results.append(_result(building, found[i]))
+        else:
+            reason = skeleton.Status(int(cleaned.status[i])).reason
+            lost = inference.no_mesh(building, METHOD, reason)
+            results.append(Result(lost, "none", reason, len(building.point_m), float("nan")))
+    return results
 
 
-def ground_z_m(building: Building) -> float:
-    """The ground that the crop found, else the lowest percentile of the points; NaN without any."""
-    if np.isfinite(building.ground_z_m):
-        return float(building.ground_z_m)
-    # without ground points the lowest hits are the foot of a wall, at best
-    return float(np.quantile(building.point_m[:, 2], 0.01)) if len(building.point_m) else float("nan")
+def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
+    """Raise :class:`InputError` if not one building has a point."""
+    if not any(result.num_points for result in results):
+        raise InputError(
+            f"{cloud}: no point near any of the {len(results)} footprints of {footprint_file}: do they cover"
+            " the same place, in the same CRS?"
+        )
 
 
-def flat_height_m(building: Building) -> float:
-    """Median height above ground of the points inside the footprint: of class 6 if there is any, else of
-    those that are not ground and at least 1 m above it. NaN if none is left."""
-    if not len(building.point_m):
+def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
+    """The footprints whose centroid is in the tile."""
+    middle = shapely.centroid(frame.geometry.to_numpy())
+    chosen = tiles_of_points(shapely.get_x(middle), shapely.get_y(middle), tile_size_m) == tile
+    return frame[chosen].reset_index(drop=True)
+
+
+def output_stem(cloud: Path) -> str:
+    """Name of the outputs: the cloud's, without its endings.
+
+    >>> output_stem(Path("in/Semis_2021.copc.laz"))
+    'Semis_2021'
+    """
+    return cloud.stem.removesuffix(".copc")
+
+
+def _result(building: Building, made: Reconstruction) -> Result:
+    status = "none" if not made.has_mesh else "ok" if made.status == "ok" else "flat"
+    reason = None if made.status == "ok" else made.status
+    return Result(made, status, reason, len(building.point_m), _residual_m(building, made))
+
+
+def _residual_m(building: Building, made: Reconstruction) -> float:
+    if not made.has_mesh or not len(building.point_m):
         return float("nan")
-    x, y, z = building.point_m.T
-    above = z - ground_z_m(building)
-    inside = shapely.contains_xy(building.polygon, x, y)
-    chosen = inside & (building.classification == BUILDING_CLASS)
-    if not chosen.any():
-        chosen = inside & (building.classification != GROUND_CLASS) & (above >= 1.0)
-    return float(np.median(above[chosen])) if chosen.any() else float("nan")
+    inside = shapely.contains_xy(building.polygon, building.point_m[:, 0], building.point_m[:, 1])
+    on_building = inside & (building.classification == BUILDING_CLASS)
+    point = building.point_m[on_building if on_building.any() else inside]
+    if not len(point):
+        return float("nan")
+    # every k-th point: no draw, no dependence on a seed
+    point = point[:: -(-len(point) // _MAX_RESIDUAL_POINTS)] - np.array([0, 0, made.ground_z_m])
+    return float(distance_to_mesh(point, made.vertex_m, made.triangle).mean())
 
 
-def simplify_to(polygon: shapely.Polygon, max_num_vertices: int) -> shapely.Polygon:
-    """The polygon with at most so many vertices over all rings, by Douglas-Peucker with a growing tolerance.
+def summary(results: Sequence[Result]) -> str:
+    """One line: how many of each status, and why.
 
-    Courtyards stay as long as there is room for them: triangles of all rings must fit, else the smallest
-    courtyards are left out. What cannot be simplified further without losing its shape becomes its minimum
-    rotated rectangle, or with room for three vertices only, a triangle of the hull.
+    ``74 buildings: 72 ok, 1 flat (fewer than 10 points: 1), 1 none (no point: 1)``
     """
-    holes = sorted(polygon.interiors, key=lambda ring: shapely.Polygon(ring).area, reverse=True)
-    room = max(max_num_vertices - 4, 0) // 4
-    polygon = shapely.Polygon(polygon.exterior, holes[:room])
-    tolerance = 0.05
-    simple = polygon
-    size = float(np.hypot(*np.subtract(polygon.bounds[2:], polygon.bounds[:2])))
-    while _num_vertices(simple) > max_num_vertices and tolerance < size:
-        candidate = polygon.simplify(tolerance, preserve_topology=True)
-        if isinstance(candidate, shapely.Polygon) and candidate.is_valid and not candidate.is_empty:
-            simple = candidate
-        tolerance *= 1.25
-    if _num_vertices(simple) > max_num_vertices:
-        box = polygon.minimum_rotated_rectangle
-        simple = box if isinstance(box, shapely.Polygon) and max_num_vertices >= 4 else _triangle(polygon)
-    return shapely.orient_polygons(simple, exterior_cw=False)
+    parts = []
+    for status in ("ok", "flat", "none"):
+        own = [result for result in results if result.status == status]
+        reasons = Counter(result.reason for result in own if result.reason)
+        told = ", ".join(f"{reason}: {count}" for reason, count in sorted(reasons.items()))
+        if own or status == "ok":
+            parts.append(f"{len(own)} {status}" + (f" ({told})" if told else ""))
+    return f"{len(results)} buildings: " + ", ".join(parts)
 
 
-def transfer_angles(
-    known: Sequence[np.ndarray], angle_deg: np.ndarray, wanted: Sequence[np.ndarray]
-) -> np.ndarray:
-    """Angles of the edges of ``known`` (rings, a value per edge) for the edges of ``wanted``: the same building
-    with more or fewer vertices.
+def table(frame: gpd.GeoDataFrame, results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
+    """A row per footprint: geometry as the mesh has it (as read, without a mesh) and what was found.
 
-    Each edge takes the angle of the nearest edge (between their middles and the segment) that faces within 45
-    degrees of its own direction; where none does, of the nearest one.
+    ``angle_deg`` is text, one number per edge, edge i from vertex i of the geometry, rings in order.
     """
-    if len(known) == len(wanted) and all(map(np.array_equal, known, wanted)):
-        return np.asarray(angle_deg, float)
-    start, end = _edges(known)
-    from_, to = _edges(wanted)
-    middle = (from_ + to) / 2
-    along = end - start
-    length = np.linalg.norm(along, axis=1)
-    share = np.einsum("wkd,kd->wk", middle[:, None] - start, along) / length**2
-    foot = start + np.clip(share, 0, 1)[..., None] * along
-    distance = np.linalg.norm(middle[:, None] - foot, axis=2)
-    direction = to - from_
-    cosine = (direction @ along.T) / (np.linalg.norm(direction, axis=1)[:, None] * length)
-    facing = cosine >= np.sqrt(0.5)
-    cost = np.where(facing, distance, distance + distance.max(initial=0) + 1)
-    return np.asarray(angle_deg, float)[cost.argmin(axis=1)]
+    rows, shapes = [], []
+    for result, read in zip(results, frame.geometry, strict=True):
+        made = result.reconstruction
+        rows.append({"building_id": made.building_id, **attributes(result)})
+        if made.has_mesh:
+            rings = [ring + made.origin_xy_m for ring in made.rings]
+            shapes.append(shapely.Polygon(rings[0], rings[1:]))
+        else:
+            shapes.append(read)
+    return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
 
 
-def columns(reconstructions: Sequence[Reconstruction], dataset: str | Sequence[str]) -> dict[str, Any]:
-    """The columns of ``io.RECONSTRUCTIONS``."""
-    rows = reconstructions
-    names = [dataset] * len(rows) if isinstance(dataset, str) else list(dataset)
+def attributes(result: Result) -> dict[str, Any]:
+    """What is told of a building, None where unknown: the same in every format."""
+    made = result.reconstruction
+    angles = (
+        None if made.angle_deg is None else " ".join(f"{angle:g}" for angle in np.round(made.angle_deg, 2))
+    )
     return {
-        "dataset": names,
-        "building_id": [r.building_id for r in rows],
-        "tile": [r.tile for r in rows],
-        "method": [r.method for r in rows],
-        "status": [r.status for r in rows],
-        "origin_x_m": [r.origin_xy_m[0] for r in rows],
-        "origin_y_m": [r.origin_xy_m[1] for r in rows],
-        "ground_z_m": [r.ground_z_m for r in rows],
-        **footprints.to_columns(Polygons.from_rings([list(r.rings) for r in rows]), np.zeros((len(rows), 2))),
-        "eave_height_m": [r.eave_height_m for r in rows],
-        "angle_deg": [r.angle_deg for r in rows],
-        "confidence": [r.confidence for r in rows],
-        "vertex_xyz_m": [r.vertex_m.ravel() for r in rows],
-        "triangle": [r.triangle.ravel() for r in rows],
-        "triangle_kind": [r.kind for r in rows],
-        "triangle_edge": [r.edge for r in rows],
+        "status": result.status,
+        "reason": result.reason,
+        "method": made.method if made.has_mesh else None,
+        "eave_height_m": _rounded(made.eave_height_m),
+        "angle_deg": angles,
+        "ground_z_m": _rounded(made.ground_z_m),
+        "confidence": _rounded(made.confidence),
+        "residual_m": _rounded(result.residual_m),
+        "num_points": result.num_points,
+        "num_triangles": len(made.triangle),
     }
 
 
-def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
-    """The row of a building that a method could not reconstruct."""
-    return Reconstruction(
-        building.building_id,
-        building.tile,
-        method,
-        status,
-        building.origin_xy_m,
-        ground_z_m(building),
-        building.rings,
-        None,
-        None,
-        None,
-        np.zeros((0, 3)),
-        np.zeros((0, 3), np.int32),
-        np.zeros(0, np.uint8),
-        np.zeros(0, np.int32),
-    )
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 3)
 
 
-def _build(
-    buildings: Sequence[Building],
-    rings: Sequence[Sequence[np.ndarray]],
-    ground: Sequence[float],
-    eave_height_m: np.ndarray,
-    angle_deg: Sequence[np.ndarray],
-    confidence: np.ndarray,
-    method: str,
-    config: Reconstruct,
-    refused: str,
-) -> list[Reconstruction]:
-    """Meshes through the kernel, which checks each; a building without a finite height is refused."""
-    result = [no_mesh(b, method, refused if len(b.point_m) else "no point") for b in buildings]
-    usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground))
-    if not len(usable):
-        return result
-    meshes: Meshes = skeleton.build(
-        Polygons.from_rings([list(rings[i]) for i in usable]),
-        np.concatenate([angle_deg[i] for i in usable]),
-        eave_height_m[usable],
-        max_roof_height_m=config.max_roof_height_m,
-    )
-    for k, i in enumerate(usable):
-        status = skeleton.Status(int(meshes.status[k]))
-        vertex, triangle, kind, edge = meshes.mesh(k)
-        accepted = status == skeleton.Status.OK
-        result[i] = Reconstruction(
-            buildings[i].building_id,
-            buildings[i].tile,
-            method,
-            "ok" if accepted else status.reason,
-            buildings[i].origin_xy_m,
-            ground[i],
-            rings[i],
-            float(eave_height_m[i]),
-            angle_deg[i],
-            float(confidence[i]) if np.isfinite(confidence[i]) else None,
-            vertex,
-            triangle,
-            kind,
-            edge,
-        )
-    return result
+def gltf(results: Sequence[Result], crs: pyproj.CRS, facts: dict[str, Any]) -> bytes:
+    """All meshes as GLB; its origin is the least corner of them all, in whole metres."""
+    made = [result.reconstruction for result in results if result.reconstruction.has_mesh]
+    meshes = [(one.building_id, vertices_m(one), one.triangle) for one in made]
+    corners = [vertex_m.min(axis=0) for _, vertex_m, _ in meshes]
+    origin_m = np.floor(np.min(corners, axis=0)) if corners else np.zeros(3)
+    return glb(meshes, origin_m, crs.to_string(), facts)
 
 
-def _mesh_footprint(building: Building, config: Reconstruct) -> shapely.Polygon:
-    polygon = building.polygon
-    if config.simplify_m == 0:
-        return polygon
-    simple = polygon.simplify(config.simplify_m, preserve_topology=True)
-    usable = isinstance(simple, shapely.Polygon) and simple.is_valid and simple.area > 0
-    return shapely.orient_polygons(simple if usable else polygon, exterior_cw=False)
+def city_json(results: Sequence[Result], crs: pyproj.CRS) -> str:
+    """All buildings as a CityJSON text sequence, those without a mesh without geometry."""
+    epsg = crs.to_epsg() or horizontal(crs).to_epsg()
+    ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
+    return "\n".join(lines([solid(result) for result in ordered], epsg)) + "\n"
 
 
-def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:
-    return [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
+def vertices_m(made: Reconstruction) -> np.ndarray:
+    """Mesh vertices in the CRS of the cloud, (v, 3)."""
+    return made.vertex_m + np.array([*made.origin_xy_m, made.ground_z_m])
 
 
-def _edges(rings: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    return np.concatenate(list(rings)), np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
-
-
-def _num_vertices(polygon: shapely.Polygon) -> int:
-    return shapely.get_num_coordinates(polygon) - 1 - len(polygon.interiors)
-
-
-def _triangle(polygon: shapely.Polygon) -> shapely.Polygon:
-    ring = np.asarray(polygon.convex_hull.exterior.coords)[:-1]
-    far = ring[np.linalg.norm(ring - ring[0], axis=1).argmax()]
-    side = far - ring[0]
-    off = np.abs((ring - ring[0]) @ [-side[1], side[0]])
-    return shapely.Polygon([ring[0], far, ring[off.argmax()]])
+def solid(result: Result) -> Solid:
+    """The building for CityJSON, its triangles merged into planar polygons."""
+    made = result.reconstruction
+    if not made.has_mesh:
+        return Solid(made.building_id, np.zeros((0, 3)), [], attributes(result))
+    surfaces = planar_surfaces(made.vertex_m, made.triangle, made.kind, made.edge)
+    return Solid(made.building_id, vertices_m(made), surfaces, attributes(result))

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from p2wss import reconstruct
+from p2wss import inference
 from p2wss.config import Eval, Reconstruct
 from p2wss.errors import InputError
 from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Manifest, train_medians
 from p2wss.eval.predict import by_dataset
-from p2wss.reconstruct import Reconstruction
+from p2wss.inference import Reconstruction
 
 
 def baseline(
@@ -24,7 +24,7 @@ def baseline(
     Raises :class:`InputError` for another name than lod1, constant, roofer.
     """
     if name == "lod1":
-        return by_dataset(cases, reconstruct.lod1, config), {"status": "ok"}
+        return by_dataset(cases, inference.lod1, config), {"status": "ok"}
     if name == "constant":
         return _constant(cases, manifest, config)
     if name == roofer.METHOD:
@@ -40,14 +40,17 @@ def _constant(
     cases: Sequence[Case], manifest: Manifest, config: Reconstruct
 ) -> tuple[list[Reconstruction], dict[str, str]]:
     """Every building with the median height and the median angle of the train split."""
-    height_m, angle_deg = train_medians(manifest)
-    if not np.isfinite(height_m):
+    medians = train_medians(manifest)
+    if not np.isfinite(medians.eave_height_m):
         return [], {"status": "not run: the manifest has no train split"}
     rows = by_dataset(
         cases,
-        lambda buildings, own: reconstruct.constant(
-            buildings, np.full(len(buildings), height_m), angle_deg, own
+        lambda buildings, own: inference.constant(
+            buildings, np.full(len(buildings), medians.eave_height_m), medians.angle_deg, own
         ),
         config,
     )
-    return rows, {"status": "ok", "eave_height_m": f"{height_m:.3f}", "angle_deg": f"{angle_deg:.1f}"}
+    return rows, {
+        "status": "ok",
+        "medians": f"{medians.eave_height_m:.3f} m, {medians.angle_deg:.1f} degrees",
+    }

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from p2wss import footprints, io
 from p2wss.errors import InputError
-from p2wss.reconstruct import Building, Reconstruction
+from p2wss.inference import Building, Reconstruction
 
 SYNTHETIC = "synthetic"
 LIDAR = "lidar"
@@ -83,19 +83,29 @@ def test_cases(manifest: Manifest) -> list[Case]:
     return cases
 
 
-def train_medians(manifest: Manifest) -> tuple[float, float]:
-    """Median eave height (m) and median angle (degrees, over all edges) of the train split; NaN without one."""
+@dataclass(frozen=True)
+class Medians:
+    """The constant predictor: medians of eave heights above the cloud's ground, and of all edges' angles."""
+
+    eave_height_m: float
+    angle_deg: float
+
+
+def train_medians(manifest: Manifest) -> Medians:
+    """Medians of the train split; NaN without one."""
     heights, angles = [np.zeros(0)], [np.zeros(0)]
     for path, dataset in manifest.shards:
         if dataset == SYNTHETIC:
-            table = io.read_table(path, io.CROPS, columns=["split", "eave_height_m", "angle_deg"])
+            wanted = ["split", "eave_height_m", "label_ground_z_m", "ground_z_m", "angle_deg"]
+            table = io.read_table(path, io.CROPS, columns=wanted)
             table = table.filter(pc.equal(table["split"], "train"))
-            heights.append(table["eave_height_m"].to_numpy())
+            lift = table["label_ground_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
+            heights.append(table["eave_height_m"].to_numpy() + np.nan_to_num(lift))
             angles.append(io.list_column(table, "angle_deg")[0])
     height, angle = np.concatenate(heights), np.concatenate(angles)
     if not len(height):
-        return float("nan"), float("nan")
-    return float(np.median(height)), float(np.median(angle))
+        return Medians(float("nan"), float("nan"))
+    return Medians(float(np.median(height)), float(np.median(angle)))
 
 
 def from_crops(table: pa.Table, dataset: str) -> list[Case]:

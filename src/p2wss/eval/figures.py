@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 
 import matplotlib
@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from p2wss.eval.cases import Case
-from p2wss.reconstruct import Reconstruction
+from p2wss.inference import Reconstruction
 from p2wss.skeleton.types import FaceKind
 
 COLORS = {"point2wss": "#b4451f", "roofer": "#2a6f97", "lod1": "#6c757d", "constant": "#b8a13c"}
@@ -37,7 +37,7 @@ def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
 
 
-def curves(series: dict[str, tuple[Sequence[float], Sequence[float]]], x_label: str, title: str) -> Figure:
+def curves(series: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, title: str) -> Figure:
     """Lines of (x, y) by name, one panel, logarithmic where all values are positive and span a decade."""
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for name, (x, y) in series.items():

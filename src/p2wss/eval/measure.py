@@ -10,10 +10,10 @@ import shapely
 
 from p2wss.config import Eval
 from p2wss.eval.cases import Case
+from p2wss.inference import BUILDING_CLASS, Reconstruction
 from p2wss.metrics.chamfer import chamfer_distance_m
 from p2wss.metrics.mesh_facts import mesh_facts
 from p2wss.metrics.surface import distance_to_mesh, sample_surface
-from p2wss.reconstruct import BUILDING_CLASS, Reconstruction
 from p2wss.seeds import generator
 from p2wss.skeleton.types import FaceKind
 

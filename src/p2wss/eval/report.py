@@ -13,11 +13,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from p2wss import io
 from p2wss.config import Eval
 from p2wss.errors import InputError
 from p2wss.eval import figures, tables
-from p2wss.eval.cases import LIDAR, SYNTHETIC, Case
-from p2wss.reconstruct import Reconstruction
+from p2wss.eval.cases import LIDAR, SYNTHETIC, Case, read_manifest, read_reconstructions, test_cases
+from p2wss.inference import Reconstruction
 
 Key = tuple[str, str, str]
 BREAKDOWNS = {
@@ -31,8 +32,8 @@ BREAKDOWNS = {
 
 @dataclass(frozen=True)
 class Inputs:
-    """All that the report shows. ``training``: records of ``metrics.jsonl`` per stage; ``provenance``: the metadata
-    that each file carries."""
+    """All that the report shows. ``training``: records of ``metrics.jsonl`` per stage; ``provenance``: the
+    metadata that each file carries."""
 
     region: str
     measures: pa.Table
@@ -48,6 +49,51 @@ class Inputs:
 def dataset_names(config: Eval) -> dict[str, str]:
     """What the report calls the data sets."""
     return {SYNTHETIC: "Synthetic", LIDAR: config.lidar_name}
+
+
+def read(
+    region: str,
+    manifest: Path,
+    measures: Path,
+    parameters: Path,
+    reconstructions: Sequence[Path],
+    metrics: Sequence[Path],
+    config: Eval,
+) -> Inputs:
+    """The report's inputs from files; a stage of training is named after the folder of its metrics."""
+    tables_of = {}
+    runs = []
+    made_by: dict[str, dict[str, Any]] = {}
+    for path in reconstructions:
+        facts = io.read_metadata(path)
+        method = str(facts.get("method", path.stem))
+        runs.append(tables.Run(method, str(facts.get("status", "ok"))))
+        tables_of[method] = read_reconstructions(path)
+        made_by[path.name] = facts
+    found = test_cases(read_manifest(manifest))
+    made_by[measures.name] = io.read_metadata(measures)
+    return Inputs(
+        region,
+        io.read_table(measures, io.MEASURES),
+        io.read_json(parameters),
+        runs,
+        tables_of,
+        {case.key: case for case in found},
+        {path.parent.name: read_training(path) for path in metrics},
+        made_by,
+        config,
+    )
+
+
+def documents(inputs: Inputs) -> dict[str, str]:
+    """The files of the report: ``table1.csv``, ``table2.csv`` and ``report.html``, name to text."""
+    details = tables.details(inputs.measures, inputs.config)
+    columns = tables.columns_2(details, inputs.runs)
+    return {
+        "table1.csv": tables.to_csv(tables.table_1(inputs.parameters)),
+        "table2.csv": tables.to_csv(tables.table_2(columns, dataset_names(inputs.config))),
+        "report.html": render(inputs),
+    }
 
 
 def render(inputs: Inputs) -> str:

@@ -19,13 +19,13 @@ import geopandas as gpd
 import laspy
 import numpy as np
 import pyproj
-import shapely
+import shapely.affinity
 
 from p2wss.config import Eval
 from p2wss.eval.cases import Case
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import ReadSolid
-from p2wss.reconstruct import Reconstruction, ground_z_m, no_mesh
+from p2wss.inference import Reconstruction, ground_z_m, no_mesh
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"
@@ -134,8 +134,8 @@ def _run_tile(
 
 
 def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
-    """``points.laz`` (each point once, with its class) and ``footprints.gpkg`` (id = position of the case)."""
-    cloud = [case.building.point_m + [*case.building.origin_xy_m, 0.0] for case in cases]
+    """``points.laz``, each point once with its class, and ``footprints.gpkg``, id = position of the case."""
+    cloud = [case.building.point_m + np.array([*case.building.origin_xy_m, 0.0]) for case in cases]
     classes = np.concatenate([case.building.classification for case in cases])
     # neighbours' crops overlap; on a grid of centimetres the same point is the same number
     grid, first = np.unique(np.round(np.concatenate(cloud) * 100).astype(np.int64), axis=0, return_index=True)
@@ -150,10 +150,7 @@ def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
     las.return_number = np.ones(len(grid), np.uint8)
     las.number_of_returns = np.ones(len(grid), np.uint8)
     las.write(folder / "points.laz")
-    shapes = [
-        shapely.transform(case.building.polygon, lambda xy, case=case: xy + case.building.origin_xy_m)
-        for case in cases
-    ]
+    shapes = [shapely.affinity.translate(case.building.polygon, *case.building.origin_xy_m) for case in cases]
     frame = gpd.GeoDataFrame({ID_FIELD: [str(i) for i in range(len(cases))]}, geometry=shapes, crs=crs)
     # Roofer 1.1 built with GDAL 3.6 aborts on version 1.4 without a CRS
     frame.to_file(folder / "footprints.gpkg", driver="GPKG", engine="pyogrio", VERSION="1.2")

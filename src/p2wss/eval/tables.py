@@ -38,6 +38,7 @@ ROWS_1 = {
 }
 SETTINGS_1 = {
     "all_masked": "Ours, all masked",
+    "all_masked_signs": "Ours, signs masked too",
     "footprint_given": "Ours, footprint given",
     "constant": "Constant predictor",
 }
@@ -58,7 +59,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Column:
-    """One column of Table 2: whose figures, on which data set, and the seven values of :data:`ROWS_2` or None."""
+    """One column of Table 2: whose figures, on which data set, the seven values of :data:`ROWS_2` or None."""
 
     dataset: str
     method: str
@@ -143,17 +144,21 @@ def details(measures: pa.Table, config: Eval) -> list[Detail]:
             pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
         )
         watertight = [value for value in own["watertight"].to_pylist() if value is not None]
+        cd, roof, to_mesh, triangles = (
+            _summary(own, name, config, dataset, method)
+            for name in ("chamfer_m", "roof_chamfer_m", "points_to_mesh_m", "num_triangles")
+        )
         found.append(
             Detail(
                 dataset,
                 method,
-                len(own),
-                len(own) - len(watertight),
-                *(
-                    _summary(own, name, config, dataset, method)
-                    for name in ("chamfer_m", "roof_chamfer_m", "points_to_mesh_m", "num_triangles")
-                ),
-                float(np.mean(watertight)) if watertight else float("nan"),
+                num_buildings=len(own),
+                num_without_mesh=len(own) - len(watertight),
+                chamfer_m=cd,
+                roof_chamfer_m=roof,
+                points_to_mesh_m=to_mesh,
+                num_triangles=triangles,
+                watertight_share=float(np.mean(watertight)) if watertight else float("nan"),
             )
         )
     return found
@@ -162,8 +167,8 @@ def details(measures: pa.Table, config: Eval) -> list[Detail]:
 def breakdown(
     measures: pa.Table, dataset: str, by: str, method: str = OURS
 ) -> list[tuple[str, int, float, float]]:
-    """(group, buildings with a mesh, median CD, median points-to-mesh) of a method, by a column of the measures:
-    text as it is, numbers in four groups of equal size."""
+    """(group, buildings with a mesh, median CD, median points-to-mesh) of a method, by a column of the
+    measures: text as it is, numbers in four groups of equal size."""
     own = measures.filter(
         pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
     )

@@ -11,11 +11,16 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
 
-def glb(meshes: Iterable[tuple[str, np.ndarray, np.ndarray]], origin_m: np.ndarray, crs: str | None) -> bytes:
+def glb(
+    meshes: Iterable[tuple[str, np.ndarray, np.ndarray]],
+    origin_m: np.ndarray,
+    crs: str | None,
+    facts: dict[str, Any],
+) -> bytes:
     """Bytes of a GLB with one node per mesh (name, vertices (v, 3) in the CRS, triangles (t, 3)).
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with ``origin_m`` =
-    (x0, y0, z0). The extras of the asset say so.
+    (x0, y0, z0). The extras of the asset say so, and hold ``facts`` under ``p2wss``.
     """
     scene = trimesh.Scene()
     material = PBRMaterial(
@@ -31,6 +36,7 @@ def glb(meshes: Iterable[tuple[str, np.ndarray, np.ndarray]], origin_m: np.ndarr
 
     def with_extras(tree: dict[str, Any]) -> None:
         tree["asset"]["extras"] = {
+            "p2wss": facts,
             "crs": crs,
             "origin_m": [float(value) for value in origin_m],
             "axes": "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - northing; metres",

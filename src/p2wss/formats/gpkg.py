@@ -1,0 +1,31 @@
+"""GeoPackage tables, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+
+from p2wss import io
+
+
+def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str = "buildings") -> None:
+    """Write one layer, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``.
+
+    Raises :class:`InputError` that names ``path`` if the disk refuses.
+    """
+    with io.atomic(path) as temporary:
+        # GDAL makes the file itself, and takes an empty one for a broken one
+        temporary.unlink()
+        try:
+            frame.to_file(
+                temporary,
+                driver="GPKG",
+                layer=layer,
+                engine="pyogrio",
+                dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)},
+            )
+        except RuntimeError as error:  # pyogrio's errors are no OSError, a full disk among them
+            raise OSError(str(error)) from error
