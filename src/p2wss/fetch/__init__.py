@@ -1,0 +1,62 @@
+"""Stage 1, fetch: footprints, terrain and LiDAR from a service or from disk, in one form.
+
+Both sources answer the same three questions; what comes out is normalised, so that no later stage knows where
+it came from.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import geopandas as gpd
+import numpy as np
+
+from p2wss.config import Fetch, Region
+from p2wss.errors import InputError
+from p2wss.fetch.batiment import normalise, write_footprints
+from p2wss.fetch.cloud import write_cloud
+from p2wss.terrain import Terrain
+from p2wss.tiling import Bounds
+
+__all__ = ["Source", "check_terrain", "normalise", "open_source", "write_cloud", "write_footprints"]
+
+
+class Source(Protocol):
+    """Where data comes from. All bounds are (x_min, y_min, x_max, y_max) in the CRS of the region."""
+
+    name: str  # for messages
+
+    def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
+        """Buildings that meet ``bounds``, with the columns of BD TOPO in either spelling."""
+        ...
+
+    def dtm(self, bounds: Bounds) -> Terrain:
+        """Heights over ``bounds``, NaN where there are none."""
+        ...
+
+    def lidar(self, bounds: Bounds, workspace: Path) -> list[Path]:
+        """LAS, LAZ or COPC files that hold the points in ``bounds``; downloads go to the folder ``workspace``."""
+        ...
+
+
+def open_source(region: Region, config: Fetch) -> Source:
+    """The source that the config names."""
+    if config.source == "folder":
+        from p2wss.fetch.folder import FolderSource
+
+        return FolderSource(config.folder, region.crs)
+    from p2wss.fetch.geoplateforme import GeoplateformeSource
+
+    return GeoplateformeSource(config.geoplateforme, region.crs)
+
+
+def check_terrain(terrain: Terrain, bounds: Bounds, name: str) -> float:
+    """Share of the cells in ``bounds`` that have a height. Raises :class:`InputError` if none has."""
+    x_min, y_min, x_max, y_max = bounds
+    share = float(np.isfinite(terrain.cut(bounds).height_m).mean())
+    if share == 0:
+        raise InputError(
+            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}, only no-data cells"
+        )
+    return share

@@ -1,0 +1,163 @@
+"""Files that are already on disk: BD TOPO, RGE ALTI and LiDAR HD as delivered, or others like them."""
+
+from __future__ import annotations
+
+from glob import glob
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import pyproj
+import rasterio
+import rasterio.merge
+from rasterio.enums import Resampling
+from rasterio.io import DatasetReader
+
+from p2wss.clouds import same_crs
+from p2wss.config import Folder
+from p2wss.errors import InputError
+from p2wss.fetch.cloud import read_header
+from p2wss.terrain import Terrain
+from p2wss.tiling import Bounds
+
+VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
+RASTER = (".asc", ".tif", ".tiff", ".vrt")
+CLOUD = (".laz", ".las")
+
+
+class FolderSource:
+    """See :class:`p2wss.fetch.Source`."""
+
+    def __init__(self, config: Folder, crs: str) -> None:
+        self.config = config
+        self.crs = crs
+        self.name = config.footprints
+
+    def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
+        files = _files(self.config.footprints, VECTOR, "fetch.folder.footprints")
+        return pd.concat(
+            [read_footprint_window(path, self.config.footprints_layer, bounds) for path in files],
+            ignore_index=True,
+        )
+
+    def dtm(self, bounds: Bounds) -> Terrain:
+        files = _files(self.config.dtm, RASTER, "fetch.folder.dtm")
+        return mosaic(files, bounds, self.crs, self.config.dtm)
+
+    def lidar(self, bounds: Bounds, workspace: Path) -> list[Path]:
+        files = _files(self.config.lidar, CLOUD, "fetch.folder.lidar")
+        found = [path for path in files if _overlaps(path, bounds)]
+        if not found:
+            x_min, y_min, x_max, y_max = bounds
+            raise InputError(
+                f"{self.config.lidar}: none of its {len(files)} files has points in "
+                f"{x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
+            )
+        return found
+
+
+def read_footprint_window(path: Path, layer: str, bounds: Bounds) -> gpd.GeoDataFrame:
+    """The features of a vector file that meet ``bounds``; the file's index is used, so it may be large.
+
+    layer: used if the file has a layer of that name, else its only layer. Raises :class:`InputError` for a
+    file that is broken or has several layers of other names.
+    """
+    try:
+        if path.suffix == ".parquet":
+            return gpd.read_parquet(path, bbox=bounds)
+        layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+        if layer not in layers and len(layers) != 1:
+            raise InputError(
+                f"{path}: no layer {layer}; it has {', '.join(layers) or 'none'}; set fetch.folder.footprints_layer"
+            )
+        name = layer if layer in layers else layers[0]
+        # IGN's shapefiles are in UTF-8, without the .cpg file that would say so
+        encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
+        try:
+            return pyogrio.read_dataframe(path, layer=name, bbox=bounds, encoding=encoding)
+        except UnicodeDecodeError:
+            return pyogrio.read_dataframe(path, layer=name, bbox=bounds)
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+
+
+def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
+    """Heights of all rasters that meet ``bounds``, on the grid of the first: copied where the grids agree, bilinear
+    where not. Cells that no file covers are NaN.
+
+    Raises :class:`InputError` if no file meets ``bounds``, or one that does is unreadable or in another CRS.
+    """
+    wanted = pyproj.CRS.from_user_input(crs)
+    rasters: list[DatasetReader] = []
+    try:
+        for path in files:
+            try:
+                raster = rasterio.open(path)
+            except rasterio.errors.RasterioIOError as error:
+                raise InputError(f"{path}: not a readable raster: {error}") from error
+            if rasterio.coords.disjoint_bounds(raster.bounds, bounds):
+                raster.close()
+                continue
+            rasters.append(raster)
+            if raster.crs is not None and not same_crs(pyproj.CRS.from_user_input(raster.crs), wanted):
+                raise InputError(
+                    f"{path}: is in {pyproj.CRS.from_user_input(raster.crs).name}, but the region in {wanted.name}; "
+                    "reproject it or set region.crs"
+                )
+        if not rasters:
+            x_min, y_min, x_max, y_max = bounds
+            raise InputError(
+                f"{name}: none of its {len(files)} files covers {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
+            )
+        return _merged(rasters, bounds)
+    finally:
+        for raster in rasters:
+            raster.close()
+
+
+def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
+    grid = rasters[0].transform
+    cell = grid.a
+    # outwards to whole cells of the first raster's grid
+    left = grid.c + np.floor((bounds[0] - grid.c) / cell) * cell
+    right = grid.c + np.ceil((bounds[2] - grid.c) / cell) * cell
+    bottom = grid.f - np.ceil((grid.f - bounds[1]) / cell) * cell
+    top = grid.f - np.floor((grid.f - bounds[3]) / cell) * cell
+    try:
+        heights, transform = rasterio.merge.merge(
+            rasters,
+            bounds=(left, bottom, right, top),
+            res=(cell, cell),
+            nodata=np.nan,
+            dtype="float32",
+            indexes=[1],
+            resampling=Resampling.bilinear,
+        )
+    except (rasterio.errors.RasterioIOError, rasterio.errors.RasterioError) as error:
+        raise InputError(f"{rasters[0].name} or a neighbour: unreadable or truncated: {error}") from error
+    return Terrain(heights[0], transform.c, transform.f, cell)
+
+
+def _overlaps(path: Path, bounds: Bounds) -> bool:
+    """Whether a cloud and ``bounds`` share more than an edge."""
+    header = read_header(path)
+    low, high = header.mins, header.maxs
+    return bool(
+        header.point_count > 0
+        and min(high[0], bounds[2]) - max(low[0], bounds[0]) > 0.5
+        and min(high[1], bounds[3]) - max(low[1], bounds[1]) > 0.5
+    )
+
+
+def _files(where: str, suffixes: tuple[str, ...], key: str) -> list[Path]:
+    """The files that a path, a folder (searched to its depths) or a pattern names, in order of their names."""
+    path = Path(where)
+    if path.is_dir():
+        found = [file for file in path.rglob("*") if file.suffix.lower() in suffixes and file.is_file()]
+    else:
+        found = [Path(name) for name in glob(where, recursive=True) if Path(name).is_file()]
+    if not found:
+        raise InputError(f"{key}: {where}: no such file, and no folder or pattern with {', '.join(suffixes)}")
+    return sorted(found)

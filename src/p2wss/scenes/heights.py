@@ -1,0 +1,91 @@
+"""Heights of a building: its gutter from BD TOPO, its ground from the terrain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import shapely
+
+from p2wss.config import Scenes
+from p2wss.seeds import generator
+from p2wss.terrain import Terrain
+
+# gutter heights to draw from where nothing is known, metres, by BD TOPO's nature, then by its usage
+DRAWN_BY_NATURE_M = {
+    "Serre": (2.5, 4.0),
+    "Silo": (8.0, 20.0),
+    "Eglise": (8.0, 14.0),
+    "Chapelle": (3.5, 6.0),
+    "Château": (7.0, 12.0),
+    "Tour, donjon": (10.0, 20.0),
+    "Industriel, agricole ou commercial": (4.0, 9.0),
+}
+DRAWN_BY_USAGE_M = {
+    "Annexe": (2.2, 3.2),
+    "Industriel": (4.0, 9.0),
+    "Agricole": (3.5, 7.0),
+    "Résidentiel": (2.8, 7.0),
+}
+DRAWN_M = (2.5, 6.5)
+_STEP_M = 1.0  # between samples of the ground along an outline
+
+
+def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
+    """(gutter height above the ground, metres; where it comes from), one per row.
+
+    The first of these that is known and at least ``min_eave_height_m``:
+
+    1. "hauteur": BD TOPO's own;
+    2. "altitudes": altitude_minimale_toit - altitude_minimale_sol;
+    3. "floors": num_floors x ``storey_height_m``;
+    4. "drawn": uniform over a range by nature or usage, from (seed, "scenes", building_id).
+
+    Columns that ``frame`` lacks count as unknown.
+    """
+
+    def numbers(name: str) -> np.ndarray:
+        return frame[name].to_numpy(dtype=float) if name in frame else np.full(len(frame), np.nan)
+
+    candidates = {
+        "hauteur": numbers("hauteur_m"),
+        "altitudes": numbers("altitude_minimale_toit_m") - numbers("altitude_minimale_sol_m"),
+        "floors": numbers("num_floors") * config.storey_height_m,
+    }
+    height = np.full(len(frame), np.nan)
+    source = np.full(len(frame), "drawn", dtype=object)
+    for name, values in candidates.items():
+        use = np.isnan(height) & (values >= config.min_eave_height_m) & np.isfinite(values)
+        height[use], source[use] = values[use], name
+    for row in np.flatnonzero(np.isnan(height)):
+        low, high = _range_m(_text(frame, "nature", row), _text(frame, "usage", row))
+        rng = generator(config.seed, "scenes", frame["building_id"].iloc[row], "height")
+        height[row] = np.round(rng.uniform(low, high), 1)
+    return height, source
+
+
+def _text(frame: pd.DataFrame, column: str, row: int) -> str:
+    value = frame[column].iloc[row] if column in frame else None
+    return value if isinstance(value, str) else ""
+
+
+def _range_m(nature: str, usage: str) -> tuple[float, float]:
+    return DRAWN_BY_NATURE_M.get(nature) or DRAWN_BY_USAGE_M.get(usage) or DRAWN_M
+
+
+def ground_heights(shapes: np.ndarray, terrain: Terrain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(median, lowest, known share) of the terrain along the outline of each polygon, sampled every metre.
+
+    Arrays of len(shapes); NaN, NaN and 0 for an empty polygon or where no sample is known.
+    """
+    num = len(shapes)
+    outline = shapely.segmentize(shapely.boundary(shapes), _STEP_M)
+    xy, owner = shapely.get_coordinates(outline, return_index=True)
+    z = terrain.interpolated(xy[:, 0], xy[:, 1])
+    known = np.isfinite(z)
+    count = np.bincount(owner, minlength=num)
+    share = np.bincount(owner[known], minlength=num) / np.maximum(count, 1)
+    by_owner = pd.Series(z[known]).groupby(owner[known])
+    median, lowest = np.full(num, np.nan), np.full(num, np.nan)
+    rows = np.unique(owner[known])
+    median[rows], lowest[rows] = by_owner.median().to_numpy(), by_owner.min().to_numpy()
+    return median, lowest, share
