@@ -270,9 +270,10 @@ def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def _initialise(module: nn.Module) -> None:
-    if isinstance(module, nn.Linear):
-        nn.init.trunc_normal_(module.weight, std=0.02)
-        if module.bias is not None:
-            nn.init.zeros_(module.bias)
-    elif isinstance(module, nn.Embedding):
-        nn.init.trunc_normal_(module.weight, std=0.02)
+    """Embeddings as large as what a linear layer makes of them.
+
+    Linear layers keep the default, which follows their width: Point-BERT's 0.02 suits a width of 384 and
+    would drown the position of patches in a narrow network.
+    """
+    if isinstance(module, nn.Embedding):
+        nn.init.trunc_normal_(module.weight, std=module.embedding_dim**-0.5)

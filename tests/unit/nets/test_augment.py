@@ -1,0 +1,96 @@
+"""Cloud and parameters change together."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from p2wss.nets import augment
+from p2wss.nets.augment import Batch
+
+from .test_tokenizer import buildings
+
+
+def batch(seed: int = 0) -> Batch:
+    """Clouds of noise around rings, of which each vertex is also the first points of its cloud."""
+    height, xy, angle, num = buildings(seed, 6, most=8)
+    rng = np.random.default_rng(seed)
+    points = torch.from_numpy(rng.normal(0, 10, (6, 60, 3))).float()
+    points[:, : xy.shape[1], :2] = xy.float()
+    valid = torch.ones(6, 60, dtype=torch.bool)
+    valid[:, 50:] = False
+    return Batch(points, valid, torch.full((6,), -8.0), height.float(), xy.float(), angle.float(), num)
+
+
+def rings_follow(before: Batch, after: Batch) -> None:
+    """The points that lay on the vertices still do (in any order of the vertices)."""
+    for row, n in enumerate(before.num_vertices.tolist()):
+        gap = torch.cdist(after.points[row, :n, :2], after.xy[row, :n])
+        assert gap.amin(1).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        augment.centre,
+        augment.rotate_randomly,
+        augment.mirror_randomly,
+        lambda b: augment.scale_randomly(b, (0.5, 2)),
+        lambda b: augment.lift_randomly(b, 3),
+    ],
+)
+def test_rings_stay_on_their_points(change: object) -> None:
+    torch.manual_seed(0)
+    before = batch()
+    after = change(before)  # type: ignore[operator]
+    rings_follow(before, after)
+    assert not torch.equal(after.points, before.points)
+
+
+def test_centre_ignores_padding() -> None:
+    after = augment.centre(batch())
+    mean = after.points[:, :50].mean(1)
+    assert mean.abs().max() < 1e-4
+    assert (after.points[:, 50:] == 0).all()
+
+
+def test_rotation_turns_counter_clockwise_and_keeps_heights() -> None:
+    before = batch()
+    after = augment.rotate(before, torch.full((6,), math.pi / 2))
+    assert torch.allclose(after.xy[..., 0], -before.xy[..., 1], atol=1e-4)
+    assert torch.allclose(after.points[..., 2], before.points[..., 2])
+
+
+def test_scale_keeps_the_ratio_of_height_to_ground_and_cloud() -> None:
+    torch.manual_seed(0)
+    before = batch()
+    after = augment.scale_randomly(before, (0.5, 2))
+    factor = after.height / before.height
+    assert torch.allclose(after.points, before.points * factor[:, None, None])
+    assert torch.allclose(after.ground_z, before.ground_z * factor)
+    assert factor.min() >= 0.5 and factor.max() <= 2 and factor.std() > 0.1
+
+
+def test_lift_moves_the_roof_with_the_label_and_leaves_the_ground() -> None:
+    torch.manual_seed(0)
+    before = batch()
+    after = augment.lift_randomly(before, 2)
+    lift = after.height - before.height
+    above = before.points[..., 2] - before.ground_z[:, None] > before.height[:, None] / 2
+    above &= before.valid
+    moved = after.points[..., 2] - before.points[..., 2]
+    assert torch.allclose(moved, lift[:, None] * above, atol=1e-4)
+    assert (after.height > 0).all() and lift.abs().max() > 0.5
+
+
+def test_dropped_points_leave_a_share_but_never_too_few() -> None:
+    torch.manual_seed(0)
+    before = batch()
+    after = augment.drop_points_randomly(before, (0.5, 0.5), 10)
+    assert after.valid.sum(1).tolist() == [25] * 6
+    assert not (after.valid & ~before.valid).any()
+    assert augment.drop_points_randomly(before, (0.0, 0.1), 20).valid.sum(1).tolist() == [20] * 6
+    assert augment.drop_points_randomly(before, (0.0, 0.1), 99).valid.sum(1).tolist() == [50] * 6

@@ -1,0 +1,67 @@
+"""From digits to values."""
+
+from __future__ import annotations
+
+import itertools
+
+import torch
+
+from p2wss.nets.decoding import angle_support, constrain, decode, mass_near, number_distribution
+from p2wss.nets.tokenizer import Tokenizer
+
+
+def test_joint_distribution_is_the_product_of_the_digits() -> None:
+    tok = Tokenizer()
+    torch.manual_seed(0)
+    logits = torch.randn(2, 3, tok.num_words)
+    joint = number_distribution(logits, tok, (1, 0, -1))
+    digit = torch.stack(
+        [logits[:, i, tok.digit_words(place)].softmax(-1) for i, place in enumerate((1, 0, -1))], 1
+    )
+    for a, b, c in itertools.product(range(0, 10, 3), repeat=3):
+        expected = digit[:, 0, a] * digit[:, 1, b] * digit[:, 2, c]
+        assert torch.allclose(joint[:, 100 * a + 10 * b + c], expected, atol=1e-6)
+    assert torch.allclose(joint.sum(-1), torch.ones(2), atol=1e-5)
+    assert torch.equal(decode(joint, "argmax"), (digit.argmax(-1) * torch.tensor([100, 10, 1])).sum(-1))
+
+
+def test_median_minimises_the_expected_absolute_error() -> None:
+    torch.manual_seed(0)
+    distribution = torch.rand(20, 50).pow(4)
+    distribution /= distribution.sum(-1, keepdim=True)
+    value = torch.arange(50.0)
+    cost = distribution @ (value[:, None] - value).abs()
+    found = decode(distribution, "median")
+    assert torch.allclose(cost.gather(1, found[:, None])[:, 0], cost.amin(1), atol=1e-5)
+
+
+def test_a_slip_at_the_tens_does_not_move_the_median() -> None:
+    """9.9 or 10.1: each digit is torn, their most probable values alone could say 10.9."""
+    tok = Tokenizer()
+    logits = torch.full((1, 4, tok.num_words), -30.0)
+    for index, (place, digits) in enumerate({1: (0, 1), 0: (9, 0), -1: (9, 1), -2: (0, 0)}.items()):
+        for digit in digits:
+            logits[0, index, tok.digit_words(place).start + digit] = 0
+    joint = number_distribution(logits, tok, (1, 0, -1, -2))
+    assert 900 <= int(decode(joint, "median")) <= 1010
+
+
+def test_support_is_the_papers() -> None:
+    allowed = angle_support("roofs")
+    assert allowed.nonzero()[:, 0].tolist() == [0, *range(20, 46), 90]
+    assert int(angle_support("all").sum()) == 91
+    distribution = torch.zeros(3, 100)
+    distribution[0, 10], distribution[0, 30] = 0.8, 0.2
+    distribution[1, 99] = 1
+    distribution[2, 0], distribution[2, 90] = 0.6, 0.4
+    kept = constrain(distribution, allowed)
+    assert decode(kept, "median").tolist()[0] == 30 and decode(kept, "median").tolist()[2] == 0
+    assert torch.allclose(kept.sum(-1), torch.ones(3))
+
+
+def test_mass_near_a_value() -> None:
+    distribution = torch.full((1, 10), 0.1)
+    for value, tolerance, expected in [(5, 1, 0.3), (0, 2, 0.3), (9, 2, 0.3), (4, 20, 1.0)]:
+        assert torch.allclose(
+            mass_near(distribution, torch.tensor([value]), tolerance), torch.tensor(expected), atol=1e-6
+        )

@@ -1,0 +1,168 @@
+"""The network: padding, masks and losses do what they should and nothing else."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from p2wss.nets import tokenizer as words
+from p2wss.nets.masking import mask_parameters, mask_patches
+from p2wss.nets.patches import Patches, make_patches
+from p2wss.nets.point2wss import ModelSizes, Point2Wss, edge_features, inference_weights
+from p2wss.nets.tokenizer import Tokenizer
+
+from .test_tokenizer import buildings
+
+SIZES = ModelSizes(
+    dim=16,
+    num_heads=2,
+    mlp_ratio=2,
+    drop_path=0,
+    cloud_depth=1,
+    sequence_depth=1,
+    cross_depth=1,
+    patch_dim=16,
+    num_tokens=20,
+    max_vertices=12,
+    align_dim=8,
+    ground_relative=True,
+    numerical_encoding=True,
+    edge_embedding=True,
+)
+
+
+def network(**switches: object) -> Point2Wss:
+    torch.manual_seed(0)
+    return Point2Wss(replace(SIZES, **switches), Tokenizer(), 0.1)  # type: ignore[arg-type]
+
+
+def sample(count: int = 4) -> tuple[Patches, torch.Tensor, torch.Tensor]:
+    """Patches, complete tokens (b, l) and num_vertices (b,)."""
+    torch.manual_seed(1)
+    points = torch.randn(count, 100, 3)
+    patches = make_patches(points, torch.ones(count, 100, dtype=torch.bool), 12, 8)
+    tok = Tokenizer()
+    height, xy, angle, num = buildings(5, count)
+    return patches, tok.encode(tok.canonical(tok.quantise(height, xy, angle, num))[0]), num
+
+
+def test_padding_of_the_sequence_changes_nothing() -> None:
+    model = network().eval()
+    patches, tokens, num = sample()
+    shortest = int(num.argmin())
+    cloud, valid = model.cloud_features(patches, torch.zeros(4))
+    together = model.restore(tokens, num, cloud, valid)
+    length = Tokenizer().length(int(num[shortest]))
+    one = slice(shortest, shortest + 1)
+    alone = model.restore(tokens[one, :length], num[one], cloud[one], valid[one])
+    assert length < tokens.shape[1]
+    assert torch.allclose(together[shortest, :length], alone[0], atol=1e-5)
+
+
+def test_repeated_patches_change_nothing() -> None:
+    model = network().eval()
+    patches, tokens, num = sample()
+    cloud, valid = model.cloud_features(patches, torch.zeros(4))
+    expected = model.restore(tokens, num, cloud, valid)
+    more = Patches(
+        torch.cat([patches.centre, torch.full((4, 3, 3), 9.0)], 1),
+        torch.cat([patches.points, torch.full((4, 3, 8, 3), 9.0)], 1),
+        torch.cat([patches.valid, torch.zeros(4, 3, dtype=torch.bool)], 1),
+    )
+    cloud, valid = model.cloud_features(more, torch.zeros(4))
+    assert torch.allclose(model.restore(tokens, num, cloud, valid), expected, atol=1e-5)
+
+
+def test_masked_digits_cannot_leak() -> None:
+    """What the network answers depends on no token that is hidden from it."""
+    tok = Tokenizer()
+    model = network().eval()
+    patches, tokens, num = sample()
+    kind = tok.kinds(tokens.shape, num)
+    asked = (kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE) | (kind == words.KIND_COORDINATE)
+    captured: list[torch.Tensor] = []
+    model.sequence.encoder.register_forward_pre_hook(lambda _m, inputs: captured.append(inputs[0].detach()))
+    other = tokens.clone()
+    other[asked] = words.FIRST_DIGIT + (other[asked] - words.FIRST_DIGIT + 3) % 10
+    for given in (tokens, other):
+        model.losses(
+            patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
+            given, asked, num, True,
+        )  # fmt: skip
+    assert torch.equal(captured[0][:4], captured[1][:4])  # the masked half of the doubled batch
+    assert not torch.equal(captured[0][4:], captured[1][4:])
+
+
+def test_edge_features_restate_the_visible_coordinates_only() -> None:
+    tok = Tokenizer()
+    square = torch.tensor([[[-3.0, 2.5], [-3.0, -2.5], [3.0, -2.5], [3.0, 2.5]]])
+    parameters = tok.quantise(torch.tensor([5.0]), square, torch.zeros(1, 4), torch.tensor([4]))
+    tokens, _ = tok.masked(parameters)
+    found = edge_features(tok, tokens, torch.tensor([4]), tok.word_value, 0.1)[0]
+    #            seen  start        end          length normal  distance
+    expected = [
+        [1, -0.3, 0.25, -0.3, -0.25, 0.5, -1, 0, 0.3],
+        [1, -0.3, -0.25, 0.3, -0.25, 0.6, 0, -1, 0.25],
+        [1, 0.3, -0.25, 0.3, 0.25, 0.5, 1, 0, 0.3],
+        [1, 0.3, 0.25, -0.3, 0.25, 0.6, 0, 1, 0.25],
+    ]
+    assert torch.allclose(found, torch.tensor(expected), atol=1e-6)
+    hidden = tokens.clone()
+    hidden[0, tok.header_length + tok.block_length + tok.x_slot + 2] = words.MASK  # a digit of vertex 1
+    found = edge_features(tok, hidden, torch.tensor([4]), tok.word_value, 0.1)[0]
+    assert (found[:2] == 0).all()
+    assert torch.allclose(found[2:], torch.tensor(expected)[2:], atol=1e-6)
+
+
+@pytest.mark.parametrize("balanced", [False, True])
+def test_match_loss_is_that_of_all_fused_pairs(balanced: bool) -> None:
+    model = network()
+    g_p, g_s = torch.randn(6, 16), torch.randn(6, 16)
+    fused = (g_p[:, None] * g_s[None]).flatten(0, 1)
+    target = torch.eye(6, dtype=torch.long).flatten()
+    weight = torch.tensor([1 / 30, 1 / 6]) if balanced else torch.tensor([0.1, 0.9])
+    expected = F.cross_entropy(model.match(fused), target, weight=weight)
+    assert torch.allclose(model._match_loss(g_p, g_s, balanced), expected, atol=1e-6)
+
+
+def test_losses_start_near_chance_and_reach_every_weight() -> None:
+    model = network()
+    patches, tokens, num = sample(8)
+    masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
+    losses = model.losses(
+        patches, torch.zeros(8), mask_patches(patches, (0.25, 0.45)),
+        torch.randint(20, (8, 12)), tokens, masked, num, False,
+    )  # fmt: skip
+    assert float(losses["sequence"]) == pytest.approx(math.log(51), abs=0.7)
+    assert float(losses["cloud"]) == pytest.approx(math.log(20), abs=0.7)
+    torch.stack(list(losses.values())).sum().backward()
+    idle = [name for name, p in model.named_parameters() if p.grad is None]
+    assert idle == []
+
+
+def test_inference_needs_only_the_parts_that_are_kept() -> None:
+    model = network().eval()
+    patches, tokens, num = sample()
+    kept = inference_weights(model.state_dict())
+    assert not any(name.startswith(("cloud_cross", "cloud_head", "align", "match")) for name in kept)
+    torch.manual_seed(9)
+    other = Point2Wss(SIZES, Tokenizer(), 0.1).eval()
+    other.load_state_dict(kept, strict=False)
+    answers = []
+    for net in (model, other):
+        cloud, valid = net.cloud_features(patches, torch.ones(4))
+        answers.append(net.restore(tokens, num, cloud, valid))
+    assert torch.equal(*answers)
+
+
+def test_ground_enters_only_where_it_is_switched_on() -> None:
+    patches, _, _ = sample()
+    for on in (True, False):
+        model = network(ground_relative=on).eval()
+        low, _ = model.cloud_features(patches, torch.zeros(4))
+        high, _ = model.cloud_features(patches, torch.ones(4))
+        assert torch.equal(low, high) is not on

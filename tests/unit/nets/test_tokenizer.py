@@ -1,0 +1,151 @@
+"""Tokens and parameter sets are in bijection."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from p2wss.nets import tokenizer as words
+from p2wss.nets.tokenizer import Parameters, Tokenizer, mirror_rings
+
+FORMATS = [(2, False), (1, False), (2, True), (1, True)]
+
+
+def star(rng: np.random.Generator, n: int, radius: float = 40) -> np.ndarray:
+    """A simple counter-clockwise ring (n, 2) around the origin."""
+    # no gap of half a turn: the origin stays inside
+    theta = 2 * math.pi * (np.arange(n) + rng.uniform(0, 0.45, n)) / n
+    return np.column_stack([np.cos(theta), np.sin(theta)]) * rng.uniform(radius / 4, radius, (n, 1))
+
+
+def buildings(seed: int, count: int, most: int = 12) -> tuple[torch.Tensor, ...]:
+    """height (b,), xy (b, n, 2), angle (b, n), num_vertices (b,) in metres and degrees, padded with 0."""
+    rng = np.random.default_rng(seed)
+    num = rng.integers(3, most + 1, count)
+    xy, angle = np.zeros((count, num.max(), 2)), np.zeros((count, num.max()))
+    for i, n in enumerate(num):
+        xy[i, :n] = star(rng, n)
+        angle[i, :n] = rng.choice([0, 90, *range(20, 46)], n)
+    return tuple(map(torch.from_numpy, (rng.uniform(0, 99, count), xy, angle, num)))
+
+
+def equal(a: Parameters, b: Parameters) -> bool:
+    return all(torch.equal(getattr(a, name), getattr(b, name)) for name in vars(a))
+
+
+def test_vocabulary_and_length_are_the_papers() -> None:
+    tok = Tokenizer()
+    assert tok.num_words == len(tok.words) == len(set(tok.words)) == 51
+    assert [tok.length(n) for n in (4, 8, 16)] == [71, 135, 263]
+    assert tok.word_value[tok.words.index("[7·10^-1]")] == pytest.approx(0.7)
+
+
+def test_the_sequence_of_a_square_word_by_word() -> None:
+    tok = Tokenizer()
+    square = torch.tensor([[[-3.0, -2.5], [3.0, -2.5], [3.0, 2.5], [-3.0, 2.5]]])
+    parameters, start = tok.canonical(
+        tok.quantise(torch.tensor([12.34]), square, torch.tensor([[45, 90, 30.0, 0]]), torch.tensor([4]))
+    )
+    assert start.tolist() == [3]  # uppermost, then leftmost
+    text = "".join(tok.words[i] for i in tok.encode(parameters)[0])
+    assert text.startswith(
+        "[start][height][1·10^1][2·10^0][3·10^-1][4·10^-2]"
+        "[point][x][-][0·10^1][3·10^0][0·10^-1][0·10^-2][y][+][0·10^1][2·10^0][5·10^-1][0·10^-2]"
+        "[angle][0·10^1][0·10^0][point][x][-][0·10^1][3·10^0][0·10^-1][0·10^-2][y][-]"
+    )
+    assert text.endswith("[angle][3·10^1][0·10^0][end]")
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from(FORMATS), st.floats(0, 2 * math.pi))
+def test_tokens_to_parameters_to_tokens(seed: int, fmt: tuple[int, bool], theta: float) -> None:
+    tok = Tokenizer(*fmt)
+    height, xy, angle, num = buildings(seed, 5)
+    turn = torch.tensor([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
+    parameters, _ = tok.canonical(tok.quantise(height, xy @ turn.double(), angle, num))
+    tokens = tok.encode(parameters)
+    back = tok.decode(tokens)
+    assert equal(back, parameters)
+    assert torch.equal(tok.encode(back), tokens)
+    assert torch.equal(tok.num_vertices(tokens), num)
+    assert ((tokens != words.PAD).sum(1) == torch.tensor([tok.length(int(n)) for n in num])).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 11), st.booleans())
+def test_start_vertex_of_the_input_does_not_matter(seed: int, roll: int, mirrored: bool) -> None:
+    tok = Tokenizer()
+    height, xy, angle, num = buildings(seed, 4)
+    xy, angle = mirror_rings(xy, angle, num, torch.full((4,), mirrored))
+    rolled_xy, rolled_angle = xy.clone(), angle.clone()
+    for i, n in enumerate(num.tolist()):
+        rolled_xy[i, :n] = xy[i, :n].roll(roll, 0)
+        rolled_angle[i, :n] = angle[i, :n].roll(roll, 0)
+    one, _ = tok.canonical(tok.quantise(height, xy, angle, num))
+    other, start = tok.canonical(tok.quantise(height, rolled_xy, rolled_angle, num))
+    assert torch.equal(tok.encode(one), tok.encode(other))
+    for i, n in enumerate(num.tolist()):  # the start leads back to the input's order
+        assert torch.equal(other.angle[i, :n].roll(int(start[i])), rolled_angle[i, :n].long())
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**32))
+def test_mirror_keeps_orientation_and_each_angle_at_its_edge(seed: int) -> None:
+    _, xy, angle, num = buildings(seed, 4)
+    chosen = torch.tensor([True, False, True, False])
+    flipped, moved = mirror_rings(xy, angle, num, chosen)
+    for i, n in enumerate(num.tolist()):
+        sign = torch.tensor([-1.0 if chosen[i] else 1.0, 1.0])
+        middle = (xy[i, :n] + xy[i, :n].roll(-1, 0)) / 2 * sign
+        new_middle = (flipped[i, :n] + flipped[i, :n].roll(-1, 0)) / 2
+        nearest = torch.cdist(new_middle, middle).argmin(1)
+        assert torch.equal(moved[i, :n], angle[i, nearest])
+        x, y = flipped[i, :n].T
+        assert (x * y.roll(-1) - x.roll(-1) * y).sum() > 0
+    again, back = mirror_rings(flipped, moved, num, chosen)
+    assert torch.equal(again, xy) and torch.equal(back, angle)
+
+
+def test_inference_sequence_hides_height_and_angles_only() -> None:
+    tok = Tokenizer()
+    height, xy, angle, num = buildings(3, 6)
+    parameters, _ = tok.canonical(tok.quantise(height, xy, angle, num))
+    full = tok.encode(parameters)
+    hidden, kind = tok.masked(parameters)
+    masked = hidden == words.MASK
+    assert torch.equal(hidden[~masked], full[~masked])
+    assert torch.equal(masked.sum(1), 4 + 2 * num)
+    assert (full[masked] >= words.FIRST_DIGIT).all()
+    assert torch.equal(tok.num_vertices(hidden), num)
+    assert torch.equal(kind == words.KIND_PAD, full == words.PAD)
+
+
+@pytest.mark.parametrize("value", [100.0, -0.01])
+def test_heights_that_do_not_fit_are_refused(value: float) -> None:
+    tok = Tokenizer()
+    _, xy, angle, num = buildings(0, 1)
+    with pytest.raises(ValueError, match="number format"):
+        tok.encode(tok.quantise(torch.tensor([value]), xy, angle, num))
+    assert Tokenizer(2, True).representable(
+        Tokenizer(2, True).quantise(torch.tensor([100.0]), xy, angle, num)
+    ).all()
+
+
+def test_sequences_that_encode_cannot_make_are_refused() -> None:
+    tok = Tokenizer()
+    height, xy, angle, num = buildings(1, 1, most=4)
+    tokens = tok.encode(tok.canonical(tok.quantise(height, xy, angle, num))[0])
+    for position, word in [(0, words.END), (1, words.ANGLE), (3, words.PLUS), (7, words.POINT)]:
+        broken = tokens.clone()
+        broken[0, position] = word
+        with pytest.raises(ValueError, match="not a token sequence"):
+            tok.decode(broken)
+    block = tok.blocks(tokens).roll(1, 1)  # another start vertex
+    rolled = torch.cat([tokens[:, : tok.header_length], block.flatten(1), tokens[:, -1:]], 1)
+    with pytest.raises(ValueError, match="not a token sequence"):
+        tok.decode(rolled)
