@@ -43,7 +43,7 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
         "tile": scene["tile"],
         "in_tile": scene["in_tile"],
         "status": status,
-        "eave_height_m": scene["eave_height_m"],
+        "eave_height_m": scene["eave_height_m"].to_numpy(),  # a Series would turn NaN into null
         "ground_z_m": ground_z_m,
         "base_z_m": base_z_m,
         "roof_type": scene["roof_type"],

@@ -29,6 +29,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one sub-command. Returns the exit status: 0, or 2 for input that the user can mend."""
     parsed = _parser().parse_args(arguments)
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
+    logging.getLogger("pyogrio").setLevel(logging.WARNING)  # it reports every file that it writes
     try:
         parsed.run(parsed)
     except InputError as error:

@@ -165,7 +165,7 @@ class Scenes(Section):
         description="outlines may move by this much to lose vertices (Douglas-Peucker); 0 = never",
     )
     min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter edges are taken out")
-    min_area_m2: float = Field(5, gt=0, description="smaller footprints and courtyards are left out")
+    min_area_m2: float = Field(2, gt=0, description="smaller footprints and courtyards are left out")
     max_edges: int = Field(128, ge=3, le=1000, description="footprints with more edges are left out")
     min_eave_height_m: float = Field(1.5, gt=0, description="a lower height counts as unknown")
     max_eave_height_m: float = Field(99, gt=0, description="higher buildings are left out")
@@ -375,6 +375,15 @@ class Augmentation(Section):
     keep_points: tuple[Share, Share] = Field((0.4, 1.0), description="share of the points kept; [1, 1] = off")
 
 
+class LossWeights(Section):
+    """Shares of the four losses in the total. The paper: 1, 1, 1, 1."""
+
+    cloud: float = Field(0.3, ge=0, description="restoring masked patches")
+    sequence: float = Field(1.0, ge=0, description="restoring masked parameter tokens")
+    modal: float = Field(0.1, ge=0, description="alignment of the encoders")
+    match: float = Field(0.1, ge=0, description="matching of pairs after the cross-modality encoders")
+
+
 class Decoding(Section):
     """From probabilities of digits to values. The paper: argmax, all, 1."""
 
@@ -424,6 +433,7 @@ class Model(Section):
         True, description="tokens also carry the geometry of their edge where visible"
     )
     ema_decay: float = Field(0.99, ge=0, lt=1, description="of the averaged weights that are kept; 0 = off")
+    loss_weights: LossWeights = LossWeights()
     masking: Masking = Masking()
     augmentation: Augmentation = Augmentation()
     decoding: Decoding = Decoding()
