@@ -66,12 +66,13 @@ def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split
 
 @pytest.fixture(scope="session")
 def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A manifest with 24 training and 16 test buildings, and 12 of a LiDAR tile without labels."""
+    """A manifest with 20 buildings to train on, 4 to validate, 16 to test, and 12 of a LiDAR tile without labels."""
     folder = tmp_path_factory.mktemp("crops")
     train = crop_columns(24, "0652_6862", True, 1, "train")
     test = crop_columns(16, "0652_6862", True, 2, "test")
     synthetic = {name: [*train[name], *test[name]] for name in train}
     synthetic["building_id"] = [f"b{i}" for i in range(40)]
+    synthetic["split"] = ["val"] * 4 + ["train"] * 20 + ["test"] * 16
     lidar = crop_columns(12, "0653_6861", False, 3, "none")
     metadata = io.provenance(crs="EPSG:2154")
     io.write_table(folder / "a.parquet", synthetic, io.CROPS, metadata)
@@ -81,7 +82,7 @@ def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
         json.dumps(
             {
                 "shards": [
-                    {"path": "a.parquet", "dataset": "synthetic", "rows": {"train": 24, "test": 16}},
+                    {"path": "a.parquet", "dataset": "synthetic", "rows": {"val": 4, "train": 20, "test": 16}},
                     {"path": "b.parquet", "dataset": "lidar", "rows": {"none": 12}},
                 ]
             }
