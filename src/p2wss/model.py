@@ -179,7 +179,8 @@ class _Task:
             batch.num_vertices,
             config.match_balanced,
         )
-        total = losses["cloud"] + losses["sequence"] + losses["modal"] + losses["match"]  # (5)
+        weights = config.loss_weights.model_dump()
+        total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()  # (5)
         return {"loss": total, **{f"loss_{name}": value for name, value in losses.items()}}
 
     def validate(self, module: nn.Module) -> dict[str, float]:
