@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import entry
 
 from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
 from p2wss.skeleton.records import MAX_EDGES, mesh_work, skeleton_work
@@ -13,56 +13,43 @@ from p2wss.skeleton.types import FloatArray, Meshes, Polygons
 _OK = int(Status.OK)
 
 
-@njit(cache=True, nogil=True)
-def _build_all(
-    xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m, skeleton, mesh
+@entry
+def _build_some(
+    xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m,
+    skeleton, mesh, start, vertex, triangle, kind, edge, vertex_offset, triangle_offset, status,
 ):  # fmt: skip
-    num_polygons = len(polygon_offset) - 1
-    status = np.zeros(num_polygons, np.int32)
-    vertex_offset = np.zeros(num_polygons + 1, np.int64)
-    triangle_offset = np.zeros(num_polygons + 1, np.int64)
-    vertex = np.empty((4 * len(xy_m) + 64, 3))
-    triangle = np.empty((8 * len(xy_m) + 64, 3), np.int32)
-    kind = np.empty(len(triangle), np.uint8)
-    edge = np.empty(len(triangle), np.int32)
-    num_vertices, num_triangles = 0, 0
-    for p in range(num_polygons):
+    """Meshes of the polygons from ``start`` on. Returns the first one for which there was no room."""
+    for p in range(start, len(status)):
         code, num_edges, _, more_vertices, more_triangles = solid_mesh(
             xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave_height_m[p],
             base_height_m[p], max_roof_height_m[p], skeleton, mesh,
         )  # fmt: skip
+        num_vertices, num_triangles = vertex_offset[p], triangle_offset[p]
+        if code != _OK:
+            more_vertices, more_triangles = 0, 0
+        if num_vertices + more_vertices > len(vertex) or num_triangles + more_triangles > len(triangle):
+            return p
         status[p] = code
-        if code == _OK:
-            while num_vertices + more_vertices > len(vertex):
-                vertex = np.concatenate((vertex, np.empty_like(vertex)))
-            while num_triangles + more_triangles > len(triangle):
-                triangle = np.concatenate((triangle, np.empty_like(triangle)))
-                kind = np.concatenate((kind, np.empty_like(kind)))
-                edge = np.concatenate((edge, np.empty_like(edge)))
-            origin = ring_offset[polygon_offset[p]]
-            for k in range(more_vertices):
-                vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]
-                vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
-                vertex[num_vertices + k, 2] = mesh.vertex[k, 2]
-            for t in range(more_triangles):
-                for m in range(3):
-                    triangle[num_triangles + t, m] = mesh.triangle[t, m]
-                of_kind, of_edge = label_kind_and_edge(num_edges, skeleton.counts, mesh.triangle_label[t])
-                kind[num_triangles + t] = of_kind
-                edge[num_triangles + t] = of_edge
-            num_vertices += more_vertices
-            num_triangles += more_triangles
-        vertex_offset[p + 1] = num_vertices
-        triangle_offset[p + 1] = num_triangles
-    return (
-        vertex[:num_vertices].copy(),
-        triangle[:num_triangles].copy(),
-        kind[:num_triangles].copy(),
-        edge[:num_triangles].copy(),
-        vertex_offset,
-        triangle_offset,
-        status,
-    )
+        vertex_offset[p + 1] = num_vertices + more_vertices
+        triangle_offset[p + 1] = num_triangles + more_triangles
+        origin = ring_offset[polygon_offset[p]]
+        for k in range(more_vertices):
+            vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]
+            vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
+            vertex[num_vertices + k, 2] = mesh.vertex[k, 2]
+        for t in range(more_triangles):
+            for m in range(3):
+                triangle[num_triangles + t, m] = mesh.triangle[t, m]
+            of_kind, of_edge = label_kind_and_edge(num_edges, skeleton.counts, mesh.triangle_label[t])
+            kind[num_triangles + t] = of_kind
+            edge[num_triangles + t] = of_edge
+    return len(status)
+
+
+def _grown(array: FloatArray, num_rows: int) -> FloatArray:
+    larger = np.empty((num_rows, *array.shape[1:]), array.dtype)
+    larger[: len(array)] = array
+    return larger
 
 
 def _per_polygon(value: float | FloatArray, num_polygons: int) -> FloatArray:
@@ -125,7 +112,30 @@ def build(
     """
     arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
     size = work_size(polygons)
-    vertex, triangle, kind, edge, vertex_offset, triangle_offset, status = _build_all(
-        *arguments, skeleton_work(size), mesh_work(size)
+    num_polygons, num_edges = len(polygons), len(polygons.xy_m)
+    vertex = np.empty((4 * num_edges + 64, 3))
+    triangle = np.empty((8 * num_edges + 64, 3), np.int32)
+    kind, edge = np.empty(len(triangle), np.uint8), np.empty(len(triangle), np.int32)
+    vertex_offset, triangle_offset = np.zeros((2, num_polygons + 1), np.int64)
+    status = np.zeros(num_polygons, np.int32)
+    work = skeleton_work(size), mesh_work(size)
+    done = 0
+    while True:
+        done = _build_some(
+            *arguments, *work, done, vertex, triangle, kind, edge, vertex_offset, triangle_offset, status
+        )
+        if done == num_polygons:
+            break
+        room = 2 * len(vertex) + 64 * size
+        vertex, triangle = _grown(vertex, room), _grown(triangle, 2 * room)
+        kind, edge = _grown(kind, 2 * room), _grown(edge, 2 * room)
+    num_vertices, num_triangles = vertex_offset[-1], triangle_offset[-1]
+    return Meshes(
+        vertex[:num_vertices].copy(),
+        triangle[:num_triangles].copy(),
+        kind[:num_triangles].copy(),
+        edge[:num_triangles].copy(),
+        vertex_offset,
+        triangle_offset,
+        status,
     )
-    return Meshes(vertex, triangle, kind, edge, vertex_offset, triangle_offset, status)

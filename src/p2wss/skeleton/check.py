@@ -7,7 +7,7 @@ their areas in plan add up to the area of the footprint, whose boundary is their
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import inner
 
 from p2wss.skeleton.faces import flat_label, ground_label
 from p2wss.skeleton.records import NUM_CAPS
@@ -29,7 +29,7 @@ _AREA_SHARE = 1e-4
 _SMALLEST_AREA_M2 = 1e-12
 
 
-@njit(cache=True, nogil=True)
+@inner
 def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
     """The opposite half-edge of every half-edge 3 * triangle + corner. False: an edge without just one."""
     num_half = 3 * num_triangles
@@ -65,7 +65,7 @@ def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, tw
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
 def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, new_index):
     """Give every fan of triangles its own vertex where several fans meet in one point. -1: no room."""
     num_half = 3 * num_triangles
@@ -100,7 +100,7 @@ def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, n
     return num_points
 
 
-@njit(cache=True, nogil=True)
+@inner
 def check_solid(
     edge, num_edges, num_rings, plan_area, cap_height, counts, eave, base,
     point, num_points, triangle, triangle_label, num_triangles, hash_key, hash_half, twin,

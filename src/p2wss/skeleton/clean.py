@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import entry, inner
 
 from p2wss.skeleton.footprint import check_rings, load_footprint
 from p2wss.skeleton.records import EDGE, MAX_EDGES
@@ -36,7 +36,7 @@ class Cleaned:
     status: IntArray
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _offence(x, y, before, here, after, min_edge, max_cos, min_offset):
     """How far the vertex is from the line between its neighbours if it has to go, or -1 if it may stay."""
     a, b, c = before[here], here, after[here]
@@ -54,7 +54,7 @@ def _offence(x, y, before, here, after, min_edge, max_cos, min_offset):
     return -1.0
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge, max_cos, min_offset):
     """Take out vertices, least offset first, until all that are left may stay. Returns (how many, one of them)."""
     for k in range(n):
@@ -84,7 +84,7 @@ def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge,
     return 0, head
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _clean_all(
     xy_m, ring_offset, polygon_offset, min_edge, max_cos, min_offset, min_area, longest_ring, edge
 ):
@@ -98,7 +98,7 @@ def _clean_all(
     source, length = np.empty(longest_ring, np.int64), np.empty(longest_ring)
     before, after = np.empty(longest_ring, np.int64), np.empty(longest_ring, np.int64)
     offence = np.empty(longest_ring)
-    num_vertices, num_rings = 0, 0
+    num_vertices, num_rings = np.int64(0), np.int64(0)
     for p in range(num_polygons):
         first_vertex, first_ring = num_vertices, num_rings
         code = _EMPTY if polygon_offset[p + 1] <= polygon_offset[p] else _OK
@@ -170,10 +170,10 @@ def _clean_all(
         status[p] = code
         out_polygon_offset[p + 1] = num_rings
     return (
-        out_xy[:num_vertices].copy(),
-        out_ring_offset[: num_rings + 1].copy(),
+        out_xy[:num_vertices],
+        out_ring_offset[: num_rings + 1],
         out_polygon_offset,
-        out_source[:num_vertices].copy(),
+        out_source[:num_vertices],
         status,
     )
 

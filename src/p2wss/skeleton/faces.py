@@ -8,7 +8,7 @@ degree edges have swept, roof pieces that share a plane. What is left is walked 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import inner
 
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, NUM_NODES
 from p2wss.skeleton.status import Status
@@ -22,27 +22,27 @@ _STRAIGHT_M = 1e-6  # a point nearer than this to a line lies on it
 _PARALLEL = 1e-7
 
 
-@njit(cache=True, nogil=True)
+@inner
 def num_labels(num_edges, counts):
     return 2 * num_edges + counts[NUM_CAPS] + 2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def wall_label(num_edges, counts, e):
     return num_edges + counts[NUM_CAPS] + e
 
 
-@njit(cache=True, nogil=True)
+@inner
 def flat_label(num_edges, counts):
     return 2 * num_edges + counts[NUM_CAPS]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def ground_label(num_edges, counts):
     return 2 * num_edges + counts[NUM_CAPS] + 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _face_label(edge, num_edges, cap_height, counts, face):
     """The label of a face number of an arc: vertical faces join their wall, faces at the eave are one."""
     if face < num_edges:
@@ -56,7 +56,7 @@ def _face_label(edge, num_edges, cap_height, counts, face):
     return face
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _find(parent, a):
     while parent[a] != a:
         parent[a] = parent[parent[a]]
@@ -64,7 +64,7 @@ def _find(parent, a):
     return a
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _weld(parent, a, b, num_edges):
     """Make two nodes one; the footprint's corners stay apart and stay themselves."""
     a, b = _find(parent, a), _find(parent, b)
@@ -74,7 +74,7 @@ def _weld(parent, a, b, num_edges):
         parent[b] = a
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _weld_nodes(num_edges, node, arc, counts, parent, weld_up_to):
     """Join the ends of very short arcs, and nodes in one place up to the height ``weld_up_to``."""
     num_nodes = counts[NUM_NODES]
@@ -98,7 +98,7 @@ def _weld_nodes(num_edges, node, arc, counts, parent, weld_up_to):
                 break
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _same_line(edge, i, j):
     if abs(edge[i].dir_x * edge[j].dir_y - edge[i].dir_y * edge[j].dir_x) > _PARALLEL:
         return False
@@ -108,7 +108,7 @@ def _same_line(edge, i, j):
     return abs(offset) < _STRAIGHT_M
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent):
     """Neighbouring roof faces of one plane get one label."""
     for k in range(num_labels(num_edges, counts)):
@@ -123,7 +123,7 @@ def _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent
             label_parent[max(a, b)] = min(a, b)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _put(half, label_head, num_half, start, end, label):
     half[num_half].start = start
     half[num_half].end = end
@@ -134,7 +134,7 @@ def _put(half, label_head, num_half, start, end, label):
     return num_half + 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _put_subdivided(half, label_head, num_half, start, end, label, node, cut_node, num_cut, on_edge, on_at):
     """Put an edge, cut at every one of the nodes ``cut_node[:num_cut]`` that lies on it. -1: no room."""
     # the same order of computation in both directions, so that both are cut alike
@@ -170,7 +170,7 @@ def _put_subdivided(half, label_head, num_half, start, end, label, node, cut_nod
     return _put(half, label_head, num_half, last, end, label)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _cancel_label(half, label_head, label):
     """Drop pairs of opposite edges under one label."""
     k = label_head[label]
@@ -186,7 +186,7 @@ def _cancel_label(half, label_head, label):
         k = half[k].next_in_label
 
 
-@njit(cache=True, nogil=True)
+@inner
 def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work, thorough):
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
@@ -213,12 +213,12 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
     _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent)
     for label in range(labels):
         label_head[label] = -1
-    num_cut = 0
+    num_cut = np.int64(0)
     for k in range(num_nodes):
         if parent[k] == k and node[k].z <= cut_up_to:
             mesh_work.cut_node[num_cut] = k
             num_cut += 1
-    num_half = 0
+    num_half = np.int64(0)
     ground = ground_label(num_edges, counts)
     for k in range(counts[NUM_ARCS] + num_edges):
         if k < counts[NUM_ARCS]:
@@ -258,7 +258,7 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
     return _OK, num_half
 
 
-@njit(cache=True, nogil=True)
+@inner
 def drop_straight_points(half, num_half, degree, point, num_points):
     """Take out the points where two merged faces have left nothing but a straight line between two faces."""
     for k in range(num_points):
@@ -294,7 +294,7 @@ def drop_straight_points(half, num_half, degree, point, num_points):
                     break
 
 
-@njit(cache=True, nogil=True)
+@inner
 def plane_point(edge, num_edges, counts, point, label, k):
     """Coordinates (u, v) of a point in the plane of a face, such that a face seen from outside turns left."""
     first_wall = num_edges + counts[NUM_CAPS]
@@ -307,7 +307,7 @@ def plane_point(edge, num_edges, counts, point, label, k):
     return point[k, 0], point[k, 1]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _next_half(half, out_head, edge, num_edges, counts, point, label, start, here):
     """The unused half-edge that goes on from ``here``; at a pinch, the one that keeps the face on the left."""
     best, best_turn = -1, 0.0
@@ -338,7 +338,7 @@ def _next_half(half, out_head, edge, num_edges, counts, point, label, start, her
     return best
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _ring_area(edge, num_edges, counts, point, label, ring_point, first, last):
     area = 0.0
     u0, v0 = plane_point(edge, num_edges, counts, point, label, ring_point[first])
@@ -352,7 +352,7 @@ def _ring_area(edge, num_edges, counts, point, label, ring_point, first, last):
     return 0.5 * area
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _inside(edge, num_edges, counts, point, label, ring_point, first, last, u, v):
     inside = False
     a_u, a_v = plane_point(edge, num_edges, counts, point, label, ring_point[last - 1])
@@ -364,7 +364,7 @@ def _inside(edge, num_edges, counts, point, label, ring_point, first, last, u, v
     return inside
 
 
-@njit(cache=True, nogil=True)
+@inner
 def trace_faces(edge, num_edges, counts, num_half, point, mesh_work):
     """Walk the half-edges into faces, each an outer ring and its holes. Returns (status, number of faces).
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import inner
 
 from p2wss.skeleton.records import MAX_EDGES
 from p2wss.skeleton.status import Status
@@ -22,7 +22,7 @@ _CLEARANCE_M = 1e-4  # edges that are not neighbours stay at least this far apar
 MIN_SLOPE_DEG, MAX_SLOPE_DEG = 5.0, 85.0
 
 
-@njit(cache=True, nogil=True)
+@inner
 def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
     """Fill ``edge`` from rings ``first_ring:last_ring``; coordinates become relative to the first vertex.
 
@@ -61,7 +61,7 @@ def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
     return _OK, n
 
 
-@njit(cache=True, nogil=True)
+@inner
 def set_angles(edge, num_edges, angle_deg):
     """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, num_edges or more long."""
     for i in range(num_edges):
@@ -76,7 +76,7 @@ def set_angles(edge, num_edges, angle_deg):
     return _OK
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _point_to_piece2(x, y, edge, i):
     """Squared distance of a point to edge i."""
     dx, dy = x - edge[i].x, y - edge[i].y
@@ -87,7 +87,7 @@ def _point_to_piece2(x, y, edge, i):
     return dx * dx + dy * dy
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _edges_touch(edge, i, j, clearance):
     i2, j2 = edge[i].next, edge[j].next
     if (
@@ -112,7 +112,7 @@ def _edges_touch(edge, i, j, clearance):
     return nearest2 < clearance * clearance
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _inside_ring(edge, first, last, x, y):
     inside = False
     for i in range(first, last):
@@ -123,7 +123,7 @@ def _inside_ring(edge, first, last, x, y):
     return inside
 
 
-@njit(cache=True, nogil=True)
+@inner
 def ring_area(edge, first, last):
     """Signed area, m2, of the ring of edges ``first:last``; positive when counter-clockwise."""
     area = 0.0
@@ -134,7 +134,7 @@ def ring_area(edge, first, last):
     return 0.5 * area
 
 
-@njit(cache=True, nogil=True)
+@inner
 def check_rings(edge, ring_offset, first_ring, last_ring):
     """A ``Status``: exterior counter-clockwise, courtyards clockwise and inside it, nothing crosses or touches."""
     base = ring_offset[first_ring]
@@ -154,7 +154,7 @@ def check_rings(edge, ring_offset, first_ring, last_ring):
                 return _NOT_SIMPLE
     for ring in range(first_ring + 1, last_ring):
         k = ring_offset[ring] - base
-        if not _inside_ring(edge, 0, ring_offset[first_ring + 1] - base, edge[k].x, edge[k].y):
+        if not _inside_ring(edge, base - base, ring_offset[first_ring + 1] - base, edge[k].x, edge[k].y):
             return _COURTYARD_OUTSIDE
         for other in range(first_ring + 1, last_ring):
             if other != ring and _inside_ring(

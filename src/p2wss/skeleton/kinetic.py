@@ -22,7 +22,7 @@ multiplicative weights and their application to the algorithmic generation of ro
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import inner
 
 from p2wss.skeleton.records import (
     NUM_ALIVE,
@@ -52,7 +52,7 @@ _ORDINARY, _COLLINEAR, _FACING = 0, 1, 2  # kinds of wavefront vertex
 _UNKNOWN, _NOTHING = -2, -1  # values of split_from
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _vertex_velocity(edge, left, right):
     """Velocity of the vertex between two moving lines, and its kind."""
     left_nx, left_ny = -edge[left].dir_y, edge[left].dir_x
@@ -72,13 +72,13 @@ def _vertex_velocity(edge, left, right):
     return vel_x, vel_y, _ORDINARY
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _position(node, vertex, v, t):
     dt = t - vertex[v].birth
     return node[vertex[v].node].x + dt * vertex[v].vel_x, node[vertex[v].node].y + dt * vertex[v].vel_y
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _start_moving(edge, vertex, v, t):
     """Set velocity and kind of a vertex from its two edges, and forget its events."""
     left, right = vertex[v].left, vertex[v].right
@@ -94,7 +94,7 @@ def _start_moving(edge, vertex, v, t):
     vertex[v].split_from = _UNKNOWN
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _add_vertex(edge, vertex, counts, left, right, before, after, at_node, loop, t):
     v = counts[NUM_VERTICES]
     counts[NUM_VERTICES] += 1
@@ -112,14 +112,14 @@ def _add_vertex(edge, vertex, counts, left, right, before, after, at_node, loop,
     return v
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _kill(vertex, counts, v):
     if vertex[v].alive == 1:
         vertex[v].alive = 0
         counts[NUM_ALIVE] -= 1
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _add_node(node, counts, x, y, z):
     k = counts[NUM_NODES]
     counts[NUM_NODES] += 1
@@ -129,7 +129,7 @@ def _add_node(node, counts, x, y, z):
     return k
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _add_arc(arc, counts, start, end, left, right):
     k = counts[NUM_ARCS]
     counts[NUM_ARCS] += 1
@@ -139,7 +139,7 @@ def _add_arc(arc, counts, start, end, left, right):
     arc[k].right = right
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _collapse_time(edge, node, vertex, v, t):
     """When the piece from v to its successor has no length left; never if it does not shrink."""
     w = vertex[v].next
@@ -160,7 +160,7 @@ def _collapse_time(edge, node, vertex, v, t):
     return _NEVER
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _split_time(edge, node, vertex, v, a, t):
     """When the reflex vertex v runs into the piece that starts at vertex a."""
     b = vertex[a].next
@@ -190,7 +190,7 @@ def _split_time(edge, node, vertex, v, a, t):
     return t + dt
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _try_split(edge, node, vertex, v, a, t):
     time = _split_time(edge, node, vertex, v, a, t)
     if time < vertex[v].split_time - _TIE:
@@ -199,7 +199,7 @@ def _try_split(edge, node, vertex, v, a, t):
         vertex[v].split_to = vertex[a].next
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _find_split(edge, node, vertex, counts, v, t):
     """The first split of v, from nothing. Without courtyards left, only its own wavefront can be in its way."""
     vertex[v].split_time = _NEVER
@@ -217,7 +217,7 @@ def _find_split(edge, node, vertex, counts, v, t):
                 _try_split(edge, node, vertex, v, a, t)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _refresh_pieces(edge, node, vertex, counts, first, second, t):
     """Bring the stored events up to date after the pieces that end or start at two vertices have changed."""
     for u in (first, second):
@@ -244,7 +244,7 @@ def _refresh_pieces(edge, node, vertex, counts, first, second, t):
                     _try_split(edge, node, vertex, v, u, t)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _loop_moves(edge, vertex, v, limit):
     """(number of vertices of the loop of v, or limit + 1 when it does not close; whether any edge moves)."""
     moves = False
@@ -258,7 +258,7 @@ def _loop_moves(edge, vertex, v, limit):
     return limit + 1, moves
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _loop_area(node, vertex, v, t, limit):
     """Twice the signed area of the loop of v."""
     area = 0.0
@@ -277,7 +277,7 @@ def _loop_area(node, vertex, v, t, limit):
     return area
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _inside_loop(node, vertex, v, x, y, t, limit):
     inside = False
     w = v
@@ -293,7 +293,7 @@ def _inside_loop(node, vertex, v, x, y, t, limit):
     return inside
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _region_outline(node, vertex, counts, v, t):
     """A vertex of the outer wavefront of the region that the loop of v bounds (v itself if that is outer)."""
     limit = counts[NUM_VERTICES]
@@ -310,7 +310,7 @@ def _region_outline(node, vertex, counts, v, t):
     return best
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _is_first_of_loop(vertex, v, limit):
     w = vertex[v].next
     for _ in range(limit):
@@ -322,11 +322,11 @@ def _is_first_of_loop(vertex, v, limit):
     return False
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _cap_loop(node, vertex, arc, counts, v, t, cap):
     """End the loop of v at height t along the boundary of the horizontal face number ``cap``."""
     limit = counts[NUM_VERTICES]
-    first, last = -1, -1
+    first, last = np.int64(-1), np.int64(-1)
     w = v
     for _ in range(limit):
         x, y = _position(node, vertex, w, t)
@@ -346,7 +346,7 @@ def _cap_loop(node, vertex, arc, counts, v, t, cap):
     _add_arc(arc, counts, last, first, cap, vertex[v].left)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _freeze_loop(vertex, v, limit):
     w = v
     for _ in range(limit):
@@ -358,7 +358,7 @@ def _freeze_loop(vertex, v, limit):
             break
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _name_loop(vertex, v, name, limit):
     w = v
     for _ in range(limit):
@@ -368,7 +368,7 @@ def _name_loop(vertex, v, name, limit):
             break
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
     """The loop of v stands still: if its whole region does, freeze it (phase 0) or cap it (phase 1)."""
     limit = counts[NUM_VERTICES]
@@ -401,7 +401,7 @@ def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v,
                 _freeze_loop(vertex, w, limit)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
     """End the loop of v if two vertices are left or nothing in its region moves. False: the links are broken."""
     if vertex[v].alive == 0:
@@ -420,7 +420,7 @@ def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t)
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _cap_everything(num_edges, node, vertex, arc, cap_height, counts, t):
     cap = counts[NUM_CAPS]
     cap_height[cap] = t
@@ -430,7 +430,7 @@ def _cap_everything(num_edges, node, vertex, arc, cap_height, counts, t):
             _cap_loop(node, vertex, arc, counts, v, t, num_edges + cap)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _merge(edge, node, vertex, arc, counts, v, w, x, y, t):
     """The piece from v to its successor w vanishes at (x, y): one vertex takes the place of both."""
     here = _add_node(node, counts, x, y, t)
@@ -444,7 +444,7 @@ def _merge(edge, node, vertex, arc, counts, v, w, x, y, t):
     )
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _collapse(edge, node, vertex, arc, counts, v, t):
     w = vertex[v].next
     v_x, v_y = _position(node, vertex, v, t)
@@ -460,7 +460,7 @@ def _collapse(edge, node, vertex, arc, counts, v, t):
     return _merge(edge, node, vertex, arc, counts, v, w, x, y, t)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _close_degenerate(edge, node, vertex, arc, counts, v, t):
     """A vertex between parallel edges of different speeds takes one neighbour with it, where that one is."""
     a, b = vertex[v].prev, vertex[v].next
@@ -476,7 +476,7 @@ def _close_degenerate(edge, node, vertex, arc, counts, v, t):
     return _merge(edge, node, vertex, arc, counts, a, v, a_x, a_y, t)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _split(edge, node, vertex, arc, counts, v, t):
     """v runs into a piece: its own wavefront comes apart, or two wavefronts become one."""
     a = vertex[v].split_from
@@ -501,10 +501,10 @@ def _split(edge, node, vertex, arc, counts, v, t):
     return first, second
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _next_event(vertex, counts):
     """(height, vertex, whether it is a split); vertex -1 when there is none."""
-    height, v_best = _NEVER, -1
+    height, v_best = _NEVER, np.int64(-1)
     for v in range(counts[NUM_VERTICES]):
         if vertex[v].alive == 1 and vertex[v].collapse_time < height:
             height, v_best = vertex[v].collapse_time, v
@@ -515,7 +515,7 @@ def _next_event(vertex, counts):
     return height, v_best, is_split
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _start_phase(edge, num_edges, vertex, counts, phase):
     limit = counts[NUM_VERTICES]
     for e in range(num_edges):
@@ -533,7 +533,7 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
             _start_moving(edge, vertex, v, 0.0)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height):
     _start_phase(edge, num_edges, vertex, counts, phase)
     t = 0.0
@@ -562,7 +562,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
             return _OVERFLOW
         if counts[NUM_ARCS] + 2 * room > len(arc) or counts[NUM_CAPS] + 2 > len(cap_height):
             return _OVERFLOW
-        degenerate = -1
+        degenerate = np.int64(-1)
         if num_degenerate > 0:
             num_degenerate = 0
             for v in range(first_degenerate, counts[NUM_VERTICES]):
@@ -571,7 +571,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
                         degenerate = v
                         first_degenerate = v
                     num_degenerate += 1
-        second = -1
+        second = np.int64(-1)
         if degenerate >= 0:
             first = _close_degenerate(edge, node, vertex, arc, counts, degenerate, t)
         else:
@@ -608,7 +608,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
     return _TOO_MANY_EVENTS
 
 
-@njit(cache=True, nogil=True)
+@inner
 def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap_height, counts):
     """Play all events of one polygon. Returns a ``Status``; never raises and always ends.
 
@@ -625,6 +625,7 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
     counts[NUM_ALIVE] = num_edges
     counts[NUM_HOLES] = num_rings - 1
     any_flat = False
+    phase = np.int64(0)  # a literal would compile everything below once for each value
     for i in range(num_edges):
         node[i].x = edge[i].x
         node[i].y = edge[i].y
@@ -639,9 +640,10 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
         if edge[i].angle_deg == 0.0:
             any_flat = True
     if any_flat:
-        status = _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, 0, max_roof_height)
+        status = _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height)
         if status != _OK:
             return status
         if counts[NUM_ALIVE] == 0:
             return _OK
-    return _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, 1, max_roof_height)
+    phase += 1
+    return _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height)

@@ -3,38 +3,51 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from p2wss.skeleton.compiled import inner
 
 _SMALLEST_QUALITY = 1e-9
 
 
-@njit(cache=True, nogil=True)
+@inner
+def _turn(a_u, a_v, b_u, b_v, c_u, c_v):
+    """Twice the area of triangle a, b, c: positive when c is on the left of a -> b."""
+    return (b_u - a_u) * (c_v - a_v) - (b_v - a_v) * (c_u - a_u)
+
+
+@inner
 def _cross(u, v, a, b, c):
     return (u[b] - u[a]) * (v[c] - v[a]) - (v[b] - v[a]) * (u[c] - u[a])
 
 
-@njit(cache=True, nogil=True)
-def _blocks(u, v, a, b, p, q):
-    """Whether segment p-q crosses or touches segment a-b, other than at a common place."""
-    same_a = (u[a] == u[p] and v[a] == v[p]) or (u[a] == u[q] and v[a] == v[q])
-    same_b = (u[b] == u[p] and v[b] == v[p]) or (u[b] == u[q] and v[b] == v[q])
-    if same_a or same_b:
-        return False
-    return (
-        _cross(u, v, a, b, p) * _cross(u, v, a, b, q) <= 0.0
-        and _cross(u, v, p, q, a) * _cross(u, v, p, q, b) <= 0.0
-    )
+@inner
+def _ring_blocks(u, v, first, last, p_u, p_v, q_u, q_v):
+    """Whether an edge of the ring ``first:last`` crosses or touches segment p-q, other than at its ends."""
+    for a in range(first, last):
+        b = a + 1 if a + 1 < last else first
+        if (u[a] == p_u and v[a] == p_v) or (u[a] == q_u and v[a] == q_v):
+            continue
+        if (u[b] == p_u and v[b] == p_v) or (u[b] == q_u and v[b] == q_v):
+            continue
+        p_side = _turn(u[a], v[a], u[b], v[b], p_u, p_v)
+        q_side = _turn(u[a], v[a], u[b], v[b], q_u, q_v)
+        a_side = _turn(p_u, p_v, q_u, q_v, u[a], v[a])
+        b_side = _turn(p_u, p_v, q_u, q_v, u[b], v[b])
+        if p_side * q_side <= 0.0 and a_side * b_side <= 0.0:
+            return True
+    return False
 
 
-@njit(cache=True, nogil=True)
-def _in_cone(u, v, before, here, after, target):
-    """Whether the way from ``here`` to ``target`` starts on the left of both edges at ``here``."""
+@inner
+def _in_cone(u, v, before, here, after, to_u, to_v):
+    """Whether the way from corner ``here`` to a place starts inside the ring."""
+    left_of_first = _turn(u[here], v[here], to_u, to_v, u[before], v[before])
+    left_of_second = _turn(to_u, to_v, u[here], v[here], u[after], v[after])
     if _cross(u, v, before, here, after) > 0.0:
-        return _cross(u, v, here, target, before) > 0.0 and _cross(u, v, target, here, after) > 0.0
-    return not (_cross(u, v, here, target, after) >= 0.0 and _cross(u, v, target, here, before) >= 0.0)
+        return left_of_first > 0.0 and left_of_second > 0.0
+    return not (left_of_second <= 0.0 and left_of_first <= 0.0)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, spare_u, spare_v, spare_point):
     """One ring from an outer ring and its holes by bridges between nearest visible corners.
 
@@ -47,6 +60,7 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
     total = ring_first[num_rings]
     if total + 2 * (num_rings - 1) > len(loop_u):
         return -1
+    zero = np.int64(0)
     joined = np.zeros(num_rings, np.bool_)
     joined[0] = True
     for _ in range(num_rings - 1):
@@ -62,40 +76,18 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
                     distance = (loop_u[p] - u[q]) ** 2 + (loop_v[p] - v[q]) ** 2
                     if distance >= best:
                         continue
-                    # a small array with the two ends, so that one set of predicates serves both rings
-                    p_before, p_after = (p - 1) % size, (p + 1) % size
-                    spare_u[0], spare_v[0] = loop_u[p], loop_v[p]
-                    spare_u[1], spare_v[1] = u[q], v[q]
-                    spare_u[2], spare_v[2] = loop_u[p_before], loop_v[p_before]
-                    spare_u[3], spare_v[3] = loop_u[p_after], loop_v[p_after]
-                    spare_u[4], spare_v[4] = u[q_before], v[q_before]
-                    spare_u[5], spare_v[5] = u[q_after], v[q_after]
-                    if not _in_cone(spare_u, spare_v, 2, 0, 3, 1) or not _in_cone(
-                        spare_u, spare_v, 4, 1, 5, 0
-                    ):
+                    p_u, p_v = loop_u[p], loop_v[p]
+                    p_before, p_after = p - 1 if p > 0 else size - 1, p + 1 if p + 1 < size else 0
+                    if not _in_cone(loop_u, loop_v, p_before, p, p_after, u[q], v[q]):
                         continue
-                    free = True
-                    for k in range(size):
-                        spare_u[6], spare_v[6] = loop_u[k], loop_v[k]
-                        spare_u[7], spare_v[7] = loop_u[(k + 1) % size], loop_v[(k + 1) % size]
-                        if _blocks(spare_u, spare_v, 6, 7, 0, 1):
-                            free = False
-                            break
-                    if free:
-                        for other in range(1, num_rings):
-                            if joined[other]:
-                                continue
+                    if not _in_cone(u, v, q_before, q, q_after, p_u, p_v):
+                        continue
+                    blocked = _ring_blocks(loop_u, loop_v, zero, size, p_u, p_v, u[q], v[q])
+                    for other in range(1, num_rings):
+                        if not blocked and not joined[other]:
                             start, end = ring_first[other], ring_first[other + 1]
-                            for k in range(start, end):
-                                m = k + 1 if k + 1 < end else start
-                                spare_u[6], spare_v[6] = u[k], v[k]
-                                spare_u[7], spare_v[7] = u[m], v[m]
-                                if _blocks(spare_u, spare_v, 6, 7, 0, 1):
-                                    free = False
-                                    break
-                            if not free:
-                                break
-                    if free:
+                            blocked = _ring_blocks(u, v, start, end, p_u, p_v, u[q], v[q])
+                    if not blocked:
                         best, best_p, best_q, best_ring = distance, p, q, ring
         if best_ring < 0:
             return -1
@@ -120,7 +112,7 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
     return size
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _ear_quality(u, v, point, before, after, i):
     """Area over squared longest side of the ear at i, or 0 when it is none."""
     a, c = before[i], after[i]
@@ -145,7 +137,7 @@ def _ear_quality(u, v, point, before, after, i):
     return area / longest2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles):
     """Triangulate a counter-clockwise ring of ``size`` corners; the best shaped ear goes first.
 
@@ -160,7 +152,7 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
     if size > 4:
         for i in range(size):
             quality[i] = _ear_quality(u, v, point, before, after, i)
-    here = 0
+    here = np.int64(0)
     while size > 3:
         best = 0.0
         ear = -1

@@ -1,0 +1,10 @@
+"""How this package compiles: to cached machine code without the GIL, where a division by zero gives infinity."""
+
+from __future__ import annotations
+
+from numba import njit
+
+# called from Python
+entry = njit(cache=True, nogil=True, error_model="numpy")
+# called from compiled code only: without the wrappers for Python it compiles much faster
+inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
