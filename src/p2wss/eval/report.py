@@ -233,33 +233,41 @@ def _panels(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, tuple[list
 
 
 def _pictures(inputs: Inputs) -> list[dict[str, Any]]:
-    """Best, middle and worst buildings of our method by Chamfer distance, each beside the baselines."""
-    ours = inputs.reconstructions.get(tables.OURS, {})
-    shown = []
+    """Groups of pictures: the best, middle and worst buildings of our method by CD, beside the baselines."""
+    measured = {
+        (row["dataset"], row["tile"], row["building_id"], row["method"]): row
+        for row in inputs.measures.to_pylist()
+    }
+    groups = []
     for dataset, title in dataset_names(inputs.config).items():
-        rows = inputs.measures.filter(
-            pc.and_(
-                pc.equal(inputs.measures["dataset"], dataset),
-                pc.equal(inputs.measures["method"], tables.OURS),
-            )
+        ranked = sorted(
+            (
+                row
+                for key, row in measured.items()
+                if key[0] == dataset and key[3] == tables.OURS and row["chamfer_m"] is not None
+            ),
+            key=lambda row: (row["chamfer_m"], row["tile"], row["building_id"]),
         )
-        ranked = rows.filter(pc.is_valid(rows["chamfer_m"])).sort_by("chamfer_m").to_pylist()
         for group, chosen in choose(len(ranked), inputs.config.num_pictures).items():
-            for i in chosen:
-                row = ranked[i]
-                key = (dataset, row["tile"], row["building_id"])
-                if key in inputs.cases and key in ours:
-                    panels = [
-                        (
-                            f"{tables.METHOD_NAMES.get(name, name)}{_caption(inputs.measures, key, name)}",
-                            found[key],
-                        )
-                        for name, found in inputs.reconstructions.items()
-                        if name != "constant" and key in found and found[key].has_mesh
-                    ]
-                    image = figures.data_uri(figures.building(inputs.cases[key], panels), 90)
-                    shown.append({"dataset": title, "group": group, "row": row, "image": image})
-    return shown
+            pictures = [_picture(inputs, measured, ranked[i]) for i in chosen]
+            if pictures:
+                groups.append({"title": f"{title}: {group}", "pictures": pictures})
+    return groups
+
+
+def _picture(
+    inputs: Inputs, measured: Mapping[tuple[str, ...], dict[str, Any]], row: dict[str, Any]
+) -> dict[str, Any]:
+    key = (row["dataset"], row["tile"], row["building_id"])
+    panels = []
+    for method, found in inputs.reconstructions.items():
+        if method != "constant" and key in found and found[key].has_mesh:
+            own = measured[*key, method]
+            name = tables.METHOD_NAMES.get(method, method)
+            title = f"{name}\nCD {_number(own['chamfer_m'])} m, {own['num_triangles']} triangles"
+            panels.append((title, found[key]))
+    image = figures.data_uri(figures.building(inputs.cases[key], panels), 90)
+    return {"row": row, "image": image}
 
 
 def choose(count: int, per_group: int) -> dict[str, list[int]]:
@@ -273,13 +281,3 @@ def choose(count: int, per_group: int) -> dict[str, list[int]]:
     first = max((count - per_group) // 2, 0)
     middle = [i for i in range(first, min(first + per_group, count)) if i not in best and i not in worst]
     return {"best": best, "median": middle, "worst": worst}
-
-
-def _caption(measures: pa.Table, key: Key, method: str) -> str:
-    row = measures.filter(
-        pc.and_(
-            pc.and_(pc.equal(measures["dataset"], key[0]), pc.equal(measures["tile"], key[1])),
-            pc.and_(pc.equal(measures["building_id"], key[2]), pc.equal(measures["method"], method)),
-        )
-    ).to_pylist()
-    return f"\nCD {_number(row[0]['chamfer_m'])} m, {row[0]['num_triangles']} triangles" if row else ""

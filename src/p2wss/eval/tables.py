@@ -180,7 +180,7 @@ def breakdown(
     chamfer = _numbers(own, "chamfer_m")
     to_mesh = _numbers(own, "points_to_mesh_m")
     groups = []
-    for name in sorted(set(names)):
+    for name in dict.fromkeys(names[i] for i in np.argsort(values, kind="stable")):
         chosen = np.array([n == name for n in names])
         known = to_mesh[chosen][~np.isnan(to_mesh[chosen])]
         groups.append(
@@ -217,8 +217,12 @@ def _numbers(table: pa.Table, name: str) -> np.ndarray:
 
 
 def _quarters(values: np.ndarray) -> list[str]:
-    edges = np.unique(np.quantile(values, [0, 0.25, 0.5, 0.75, 1]))
-    if len(edges) < 2:
-        return [f"{values[0]:.3g}"] * len(values)
-    group = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2)
-    return [f"{g + 1}: {edges[g]:.3g} to {edges[g + 1]:.3g}" for g in group]
+    """For each value the range of its quarter, as the values in it have it."""
+    edges = np.unique(np.quantile(values, [0.25, 0.5, 0.75]))
+    group = np.searchsorted(edges, values, side="left")
+    labels = {}
+    for g in np.unique(group):
+        own = values[group == g]
+        low, high = f"{own.min():.3g}", f"{own.max():.3g}"
+        labels[g] = low if low == high else f"{low} to {high}"
+    return [labels[g] for g in group]
