@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -216,7 +217,7 @@ def fetch_dtm(arguments: argparse.Namespace) -> None:
     terrain = source.dtm(_tile_bounds(arguments.tile, config, config.fetch.margin_m))
     share = check_terrain(terrain, _tile_bounds(arguments.tile, config), source.name)
     log.info(
-        f"{arguments.out.name}: {terrain.height_m.shape} cells of {terrain.cell_m} m, {share:.1%} of the tile known"
+        f"{arguments.out.name}: {terrain.height_m.shape} heights, {terrain.cell_m} m apart, {share:.1%} known"
     )
     write_terrain(arguments.out, terrain, config.region.crs, _fetched(config))
 
@@ -226,8 +227,10 @@ def fetch_lidar(arguments: argparse.Namespace) -> None:
 
     config = _config(arguments)
     bounds = _tile_bounds(arguments.tile, config)
-    paths = open_source(config.region, config.fetch).lidar(bounds, arguments.out.parent)
+    downloads = arguments.out.with_suffix(".parts")  # stays after a failure, so that the next attempt resumes
+    paths = open_source(config.region, config.fetch).lidar(bounds, downloads)
     num_points = write_cloud(arguments.out, paths, bounds, config.region.crs)
+    shutil.rmtree(downloads, ignore_errors=True)
     log.info(f"{arguments.out.name}: {num_points} points from {', '.join(path.name for path in paths)}")
 
 
@@ -278,6 +281,8 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
             f"{arguments.dtm}: is in {dtm_crs.name}, but {arguments.footprints} in {frame.crs.name}"
         )
     scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
+    if not scene["in_tile"].any():
+        raise InputError(f"{arguments.footprints}: no building in tile {tile}; take it out of region.tiles")
     _report(log, arguments.out, scene["status"][scene["in_tile"]])
     failed = failed_fraction(scene)
     if failed > config.scenes.max_failed_fraction:
@@ -397,10 +402,12 @@ def crops_lidar(arguments: argparse.Namespace) -> None:
     from p2wss import crops, scenes
 
     config = _config(arguments)
-    frame = scenes.read_footprints(arguments.footprints)
-    columns, left_out = crops.crop_lidar(
-        frame, arguments.clouds, arguments.tile, config.region.tile_size_m, config.crops
+    tile_size_m = config.region.tile_size_m
+    bounds = _tile_bounds(arguments.tile, config)
+    frame = scenes.clean_footprints(
+        scenes.read_footprints(arguments.footprints, bounds=bounds), config.scenes
     )
+    columns, left_out = crops.crop_lidar(frame, arguments.clouds, arguments.tile, tile_size_m, config.crops)
     made_by = section_json(config, "region", "scenes", "crops")
     _write_crops(arguments.out, columns, left_out, arguments.tile, config.region.crs, made_by)
 

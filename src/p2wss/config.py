@@ -71,7 +71,7 @@ class Folder(Section):
     footprints_layer: str = Field("batiment", description="layer, where a file has several")
     dtm: str = Field(
         "tests/mini/rgealti",
-        description="RGE ALTI .asc or GeoTIFF: a file, a folder or a pattern such as dtm/*.asc",
+        description="RGE ALTI .asc or GeoTIFF: file, folder or pattern",
     )
     lidar: str = Field("tests/mini/lidar", description="LAS, LAZ or COPC: a file, a folder or a pattern")
 
@@ -88,7 +88,7 @@ class Geoplateforme(Section):
     page_size: int = Field(1000, ge=1, le=5000, description="features per request; the service cuts at 5000")
     dtm_layer: str = Field(
         "ELEVATION.ELEVATIONGRIDCOVERAGE.HIGHRES",
-        description="WMS layer: RGE ALTI; LiDAR HD is IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
+        description="WMS layer; LiDAR HD has IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
     )
     dtm_format: Literal["image/geotiff", "image/x-bil;bits=32"] = Field(
         "image/geotiff", description="both carry heights as float32"

@@ -23,7 +23,7 @@ class Terrain:
     """A north-up raster of heights.
 
     height_m: float32 (rows, columns), NaN where there is no data; row 0 is the north. x_min_m, y_max_m: outer
-    corner of the north-west cell. cell_m: edge of the square cells; a height belongs to the middle of its cell.
+    corner of the north-west cell. cell_m: edge of the square cells; a height is that of its cell's middle.
     """
 
     height_m: np.ndarray
@@ -32,7 +32,7 @@ class Terrain:
     cell_m: float
 
     def cut(self, bounds: Bounds) -> Terrain:
-        """The cells whose middles are in ``bounds`` and one more all around, so that triangles reach its edge."""
+        """The cells whose middles are in ``bounds`` and one more all around: triangles reach its edge."""
         rows, columns = self.height_m.shape
         x_min, y_min, x_max, y_max = bounds
         left = max(0, int(np.floor((x_min - self.x_min_m) / self.cell_m - 0.5)))

@@ -36,7 +36,7 @@ class Source(Protocol):
         ...
 
     def lidar(self, bounds: Bounds, workspace: Path) -> list[Path]:
-        """LAS, LAZ or COPC files that hold the points in ``bounds``; downloads go to the folder ``workspace``."""
+        """LAS, LAZ or COPC files with the points in ``bounds``; downloads go to the folder ``workspace``."""
         ...
 
 

@@ -32,12 +32,12 @@ TEXT = ("building_id", "nature", "usage")
 
 
 def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
-    """``frame`` with the columns of :data:`SPELLINGS` and 2D MultiPolygons, one row per building, sorted by id.
+    """``frame`` with the columns of :data:`SPELLINGS` and 2D MultiPolygons, one row each, sorted by id.
 
-    Attributes that are absent or not set are null (text) or NaN (numbers); a building that occurs twice is kept
-    once. name: the file or service, for messages.
+    Attributes that are absent or not set are null (text) or NaN (numbers); a building that occurs twice is
+    kept once. name: the file or service, for messages.
 
-    Raises :class:`InputError` if a required column is missing or the footprints are in another CRS than ``crs``.
+    Raises :class:`InputError` if a required column is missing or the CRS is another than ``crs``.
     """
     if frame.crs is None:
         raise InputError(f"{name}: has no CRS; set one with ogr2ogr -a_srs {crs}")
@@ -52,7 +52,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
         source = next((found[s.lower()] for s in spellings if s.lower() in found), None)
         if source is None and ours in REQUIRED:
             raise InputError(
-                f"{name}: no column {' or '.join(spellings)}; it has {', '.join(found.values()) or 'no columns'}"
+                f"{name}: no column {' or '.join(spellings)}; it has {', '.join(found.values()) or 'none'}"
             )
         values = frame[source] if source is not None else pd.Series(None, index=frame.index, dtype=object)
         if ours in TEXT:
@@ -70,7 +70,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
 
 
 def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[str, Any]) -> None:
-    """Write a GeoPackage with the layer ``footprints``, ``metadata`` as JSON under its metadata key ``p2wss``."""
+    """Write a GeoPackage, layer ``footprints``, with ``metadata`` as JSON under the layer's key ``p2wss``."""
     with io.atomic(path) as temporary:
         temporary.unlink()  # GDAL would try to open it
         pyogrio.write_dataframe(

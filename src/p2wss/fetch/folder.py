@@ -70,7 +70,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds) -> gpd.GeoData
         layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
         if layer not in layers and len(layers) != 1:
             raise InputError(
-                f"{path}: no layer {layer}; it has {', '.join(layers) or 'none'}; set fetch.folder.footprints_layer"
+                f"{path}: no layer {layer}, but {', '.join(layers)}; set fetch.folder.footprints_layer"
             )
         name = layer if layer in layers else layers[0]
         # IGN's shapefiles are in UTF-8, without the .cpg file that would say so
@@ -84,8 +84,9 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds) -> gpd.GeoData
 
 
 def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
-    """Heights of all rasters that meet ``bounds``, on the grid of the first: copied where the grids agree, bilinear
-    where not. Cells that no file covers are NaN.
+    """Heights of all rasters that meet ``bounds``, on the grid of the first; NaN where no file has any.
+
+    They are copied where the grids agree, and interpolated bilinearly where not.
 
     Raises :class:`InputError` if no file meets ``bounds``, or one that does is unreadable or in another CRS.
     """
@@ -101,15 +102,16 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
                 raster.close()
                 continue
             rasters.append(raster)
-            if raster.crs is not None and not same_crs(pyproj.CRS.from_user_input(raster.crs), wanted):
+            found = pyproj.CRS.from_user_input(raster.crs) if raster.crs else wanted  # .asc files tell none
+            if not same_crs(found, wanted):
                 raise InputError(
-                    f"{path}: is in {pyproj.CRS.from_user_input(raster.crs).name}, but the region in {wanted.name}; "
-                    "reproject it or set region.crs"
+                    f"{path}: is in {found.name}, the region in {wanted.name}; reproject it or set region.crs"
                 )
         if not rasters:
             x_min, y_min, x_max, y_max = bounds
             raise InputError(
-                f"{name}: none of its {len(files)} files covers {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
+                f"{name}: none of its {len(files)} files covers "
+                f"{x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
             )
         return _merged(rasters, bounds)
     finally:
@@ -152,7 +154,7 @@ def _overlaps(path: Path, bounds: Bounds) -> bool:
 
 
 def _files(where: str, suffixes: tuple[str, ...], key: str) -> list[Path]:
-    """The files that a path, a folder (searched to its depths) or a pattern names, in order of their names."""
+    """The files that a path, a folder (with those inside) or a pattern names, in order of their names."""
     path = Path(where)
     if path.is_dir():
         found = [file for file in path.rglob("*") if file.suffix.lower() in suffixes and file.is_file()]

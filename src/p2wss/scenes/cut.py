@@ -1,4 +1,4 @@
-"""One tile: its buildings and those of its margin, each with heights and angles or with the reason why not."""
+"""One tile: its buildings and those of its margin, each with heights and angles or the reason why not."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ TOO_HIGH = "too-high"
 # buildings nearer than this stand wall to wall; the same wall is rarely drawn twice alike
 _PARTY_GAP_M = 0.3
 _PARTY_SHARE = 0.5
-# neighbours are looked for this far beyond the margin, so that a building has the same party walls in each scene
+# neighbours are looked for this far beyond the margin: a building has the same party walls in each scene
 NEIGHBOUR_M = 20.0
 
 
 def count_buildings(frame: gpd.GeoDataFrame, tile_size_m: float, min_area_m2: float) -> dict[str, int]:
-    """Number of footprints (multipolygons split) per tile, tiles in order of their names; see :func:`cut_scene`."""
+    """Number of footprints (multipolygons split) per tile, in order of tile names; see :func:`cut_scene`."""
     parts = split_parts(frame, min_area_m2)
     counts = Counter(_tiles(parts, tile_size_m))
     counts.pop("", None)
@@ -39,9 +39,9 @@ def cut_scene(
 ) -> gpd.GeoDataFrame:
     """The columns of :data:`p2wss.io.SCENE` and a geometry, sorted by building id.
 
-    frame: footprints that meet the tile grown by ``margin_m`` + :data:`NEIGHBOUR_M` or more, with ``building_id``
-    and the height columns of the fetch stage. A building belongs to the tile that holds the middle of its
-    bounding box as it was before cleaning; others whose middle is in the margin have ``in_tile`` False. A
+    frame: footprints that meet the tile grown by ``margin_m`` + :data:`NEIGHBOUR_M` or more, with
+    ``building_id`` and the height columns of the fetch stage. A building belongs to the tile that holds the middle of its
+    bounding box before cleaning; others whose middle is in the margin have ``in_tile`` False. A
     building that cannot be used keeps its row: empty geometry, no angles, NaN heights.
     """
     result = clean_footprints(frame, config)
@@ -62,10 +62,11 @@ def cut_scene(
     usable = status == "ok"
     roof_type = np.full(len(chosen), "none", dtype=object)
     angle_deg = [np.zeros(0, np.float32) for _ in chosen]
+    polygons[~usable] = shapely.Polygon()
     radius_m = shapely.length(shapely.maximum_inscribed_circle(np.where(usable, polygons, None)))
     rings = footprints.to_polygons(polygons)
     for row in np.flatnonzero(usable):
-        outline = Outline.from_rings(rings.rings(row), is_party[chosen[row]], radius_m[row])
+        outline = Outline.from_rings(rings.rings(int(row)), is_party[chosen[row]], radius_m[row])
         roof_type[row], angles = draw_angles(outline, result["building_id"].iloc[row], config)
         angle_deg[row] = angles.astype(np.float32)
 
@@ -82,7 +83,7 @@ def cut_scene(
             "roof_type": roof_type,
             "angle_deg": angle_deg,
         },
-        geometry=np.where(usable, polygons, shapely.Polygon()),
+        geometry=polygons,
         crs=frame.crs,
     )
     return scene.sort_values("building_id", kind="stable").reset_index(drop=True)
@@ -96,13 +97,11 @@ def failed_fraction(scene: gpd.GeoDataFrame) -> float:
 
 
 def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
-    """Per polygon and edge (over all rings), whether at least half of it stands within 0.3 m of another polygon."""
+    """Per polygon and edge (over all rings): is at least half of it within 0.3 m of another polygon?"""
     rings = footprints.to_polygons(polygons)
     offset = rings.vertex_offset
     starts, ends = rings.xy_m, rings.xy_m[_next_vertex(rings.ring_offset)]
-    edges = (
-        shapely.linestrings(np.stack([starts, ends], axis=1)) if len(starts) else np.zeros(0, dtype=object)
-    )
+    edges = np.atleast_1d(shapely.linestrings(np.stack([starts, ends], axis=1)))
     owner = np.repeat(np.arange(len(rings)), np.diff(offset))
     edge, other = shapely.STRtree(polygons).query(edges, predicate="dwithin", distance=_PARTY_GAP_M)
     foreign = owner[edge] != other

@@ -57,7 +57,7 @@ def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.nd
         use = np.isnan(height) & (values >= config.min_eave_height_m) & np.isfinite(values)
         height[use], source[use] = values[use], name
     for row in np.flatnonzero(np.isnan(height)):
-        low, high = _range_m(_text(frame, "nature", row), _text(frame, "usage", row))
+        low, high = _range_m(_text(frame, "nature", int(row)), _text(frame, "usage", int(row)))
         rng = generator(config.seed, "scenes", frame["building_id"].iloc[row], "height")
         height[row] = np.round(rng.uniform(low, high), 1)
     return height, source

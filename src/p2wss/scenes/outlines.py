@@ -1,4 +1,4 @@
-"""Footprints as they come to polygons that the geometry kernel takes; each keeps its row, with a reason if it fails."""
+"""Footprints as they come to polygons for the kernel; each keeps its row, with a reason if it fails."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def read_footprints(
 ) -> gpd.GeoDataFrame:
     """Any vector file with polygons: its columns, and ``building_id`` as text, in the order of the file.
 
-    id_field: column of the ids; without it the first of :data:`ID_COLUMNS` (in any case of letters) whose values
-    are all there and all different, else numbers from 1. bounds: only features that meet this window.
+    id_field: column of the ids; without it the first of :data:`ID_COLUMNS` (in any case of letters) whose
+    values are all there and all different, else numbers from 1. bounds: only features that meet this window.
 
-    Raises :class:`InputError` if the file is missing, broken, without CRS, or ``id_field`` is absent or not unique.
+    Raises :class:`InputError` if the file is missing, broken or without CRS, or ``id_field`` is no id.
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
@@ -76,9 +76,9 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
 
     The middle is that of the bounding box, of the geometry as it came where it gives no polygon.
 
-    Invalid outlines are repaired by shapely's ``make_valid`` (method "structure"). Where a multipolygon or a repair
-    gives several polygons, the largest stays, and the others if they have ``min_area_m2``; their ids end in -1,
-    -2, .. in that order. What gives no polygon keeps its row with an empty one and its reason as ``status``.
+    Invalid outlines are repaired by shapely's ``make_valid`` (method "structure"). Where a multipolygon or a
+    repair gives several polygons, the largest stays, and the others if they have ``min_area_m2``; their ids
+    end in -1, -2, .. as they come. What gives no polygon keeps its row with an empty one and its ``status``.
     """
     shapes = shapely.force_2d(frame.geometry.to_numpy())
     status = np.full(len(frame), "ok", dtype=object)
@@ -131,7 +131,7 @@ def _middles(shapes: np.ndarray) -> np.ndarray:
 
 
 def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFrame:
-    """Polygons ready for the kernel: exterior counter-clockwise, courtyards clockwise, without what makes no roof.
+    """Polygons ready for the kernel: exterior counter-clockwise, courtyards clockwise, no needless vertex.
 
     First :func:`split_parts`, then Douglas-Peucker (``simplify_tolerance_m``), then
     :func:`p2wss.skeleton.clean`. An outline that still touches itself is opened by 2 cm once. Every footprint

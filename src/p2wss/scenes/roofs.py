@@ -1,4 +1,4 @@
-"""Roof angles: one per footprint edge, 0 (flat), 90 (vertical: a gable or a wall) or an integer from 20 to 45 degrees.
+"""Roof angles: per footprint edge 0 (flat), 90 (vertical: a gable or a wall) or an integer 20..45 degrees.
 
 The paper (section 5.1) only says that each edge gets one of these. ``uniform`` is that, word for word.
 ``realistic`` draws a roof type first and then angles that make such a roof.
@@ -28,8 +28,9 @@ _GABLE_WIDTH_PER_RADIUS = 2.6
 class Outline:
     """What the sampler needs to know of a footprint; arrays have one value per edge over all rings.
 
-    xy_m: (n, 2), edge i starts at vertex i. following: index of the next edge in its ring. is_courtyard: the edge
-    is not of the exterior. is_party: another building stands against it. radius_m: of the largest circle inside.
+    xy_m: (n, 2), edge i starts at vertex i. following: index of the next edge in its ring. is_courtyard: the
+    edge is not of the exterior. is_party: another building stands against it. radius_m: of the largest circle
+    inside.
     """
 
     xy_m: np.ndarray
@@ -152,7 +153,7 @@ def _parallel(edges_m: np.ndarray, edge_m: np.ndarray) -> np.ndarray:
 def _slopes(
     edge_m: np.ndarray, length_m: np.ndarray, pitches: np.ndarray, rng: np.random.Generator, two_sided: bool
 ) -> np.ndarray:
-    """An angle per edge, shared by edges of one direction (two_sided: by those that also face the same way)."""
+    """An angle per edge, shared by edges of one direction (two_sided: that also face the same way)."""
     main = float(rng.choice(pitches))
     angle = np.zeros(len(edge_m))
     for edge in np.argsort(-length_m, kind="stable"):
@@ -161,7 +162,7 @@ def _slopes(
         group = (angle == 0) & _parallel(edge_m, edge_m[edge])
         if two_sided:
             group &= edge_m @ edge_m[edge] > 0
-        # the first group holds the longest edges; ends of a hipped roof are as steep, or a little more or less
+        # the first group holds the longest edges; ends of a hipped roof are as steep, or not
         is_first = not angle.any()
         angle[group] = main if is_first or rng.random() < 0.6 else float(rng.choice(pitches))
     return angle
@@ -175,7 +176,7 @@ def _shed(
     max_rise_m: float,
     rng: np.random.Generator,
 ) -> np.ndarray | None:
-    """One slope from an edge that is no party wall, vertical elsewhere; None where no such roof is low enough."""
+    """One slope from an edge that is no party wall, vertical elsewhere; None if none is low enough."""
     if at_reflex.any() or outline.is_courtyard.any():
         return None
     normal = np.column_stack([-edge_m[:, 1], edge_m[:, 0]]) / length_m[:, None]
