@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyproj
 import shapely
 
-from p2wss import footprints, io, skeleton, tiling
+from p2wss import footprints, io, tiling
 from p2wss.clouds import Cloud, read_clouds, same_crs
 from p2wss.config import Crops
 from p2wss.errors import InputError
@@ -167,21 +167,20 @@ def crop_lidar(
     tile_size_m: float,
     settings: Crops,
 ) -> tuple[dict[str, Any], Counter[str]]:
-    """Rows of ``io.CROPS`` without labels for the footprints whose centroid is in ``tile``, and what was
+    """Rows of ``io.CROPS`` without labels for the footprints whose middle is in ``tile``, and what was
     left out.
 
-    ``frame`` has ``building_id`` and polygons in its CRS; ``clouds`` are the tile's and its neighbours'
-    files. Raises :class:`InputError` if a cloud is unreadable or in another CRS.
+    ``frame`` is what ``scenes.clean_footprints`` gives: ``building_id``, ``status``, the middle of each
+    footprint, which decides its tile as in the scenes, and polygons in its CRS. ``clouds`` are the tile's
+    and its neighbours' files. Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
     bounds = tiling.tile_bounds(tile, tile_size_m)
-    near = frame.cx[bounds[0] : bounds[2], bounds[1] : bounds[3]]
-    centroid = shapely.centroid(near.geometry.to_numpy())
-    in_tile = tiling.tiles_of_points(shapely.get_x(centroid), shapely.get_y(centroid), tile_size_m) == tile
-    own = near[in_tile]
-    cleaned = skeleton.clean(footprints.to_polygons(own.geometry.to_numpy()))
-    left_out = Counter(skeleton.Status(code).reason for code in cleaned.status[cleaned.status != 0])
-    rows = np.flatnonzero(cleaned.status == skeleton.Status.OK)
-    polygons = footprints.take(cleaned.polygons, rows)
+    frame = frame[np.isfinite(frame["middle_x_m"])]
+    own = frame[tiling.tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile]
+    usable = own["status"].to_numpy() == "ok"
+    left_out = Counter(own["status"].to_numpy()[~usable])
+    own = own[usable]
+    polygons = footprints.to_polygons(own.geometry.to_numpy())
     cloud = read_clouds(clouds, _bounds_around(polygons, bounds))
     check_crs(cloud.crs, frame.crs, f"{clouds[0]}")
 
@@ -194,7 +193,7 @@ def crop_lidar(
     for field in io.CROPS:
         if field.nullable:
             columns[field.name] = pa.nulls(len(kept), field.type)
-    columns["building_id"] = own["building_id"].to_numpy()[rows[kept]]
+    columns["building_id"] = own["building_id"].to_numpy()[kept]
     columns["tile"] = np.full(len(kept), tile, dtype=object)
     columns["split"] = np.full(len(kept), "none", dtype=object)
     return columns, left_out

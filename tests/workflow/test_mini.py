@@ -1,0 +1,121 @@
+"""The whole pipeline for real, on the reduced miniature (minutes)."""
+
+import csv
+import json
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+from conftest import Project, rules_to_run
+
+REDUCED = ["-c2", "--configfile", "tests/mini/reduced.yaml"]
+NOTHING = "Nothing to be done"
+SCANS_AND_WHAT_FOLLOWS = {
+    "cast_scan",
+    "crop_scene",
+    "crops",
+    "dvae",
+    "model",
+    "predict",
+    "baseline",
+    "measure",
+    "reconstruct_tile",
+    "eval_report",
+}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The reduced miniature after ``snakemake eval_report``."""
+    project = Project(tmp_path_factory.mktemp("mini"))
+    project.snakemake(*REDUCED, "eval_report")
+    return project
+
+
+@pytest.fixture
+def again(done, tmp_path):
+    """A copy of the finished project whose code can be edited; times and Snakemake's records are kept."""
+    copy = object.__new__(Project)
+    copy.folder = tmp_path / "copy"
+    shutil.copytree(done.folder, copy.folder, copy_function=shutil.copy2)
+    return copy
+
+
+def planned(project: Project, *arguments: str) -> dict[str, int]:
+    run = project.snakemake("-n", *REDUCED, *(arguments or ("eval_report",)))
+    jobs = rules_to_run(run)
+    assert jobs or NOTHING in run.stdout + run.stderr
+    return jobs
+
+
+def test_the_report_and_its_tables_are_there(done):
+    folder = done.folder / "results/mini/eval"
+    page = (folder / "report.html").read_text()
+    assert "stand-in LiDAR" in page and "LiDAR HD" not in page
+    assert 'src="http' not in page and 'href="http' not in page, "one self-contained file"
+    for name in ("table1.csv", "table2.csv"):
+        rows = list(csv.reader((folder / name).open()))
+        assert len(rows) > 3 and len({len(row) for row in rows}) == 1
+
+
+def test_every_building_has_a_row_and_every_mesh_is_closed(done):
+    results = done.folder / "results/mini"
+    manifest = json.loads((results / "crops/manifest.json").read_text())
+    wanted = set()
+    for shard in manifest["shards"]:
+        table = pq.read_table(results / "crops" / shard["path"], columns=["building_id", "split"])
+        wanted |= {row["building_id"] for row in table.to_pylist() if row["split"] in ("test", "none")}
+    predictions = pq.read_table(results / "eval/predictions.parquet").to_pylist()
+    assert {row["building_id"] for row in predictions} == wanted
+    with_mesh = [row for row in predictions if row["triangle"]]
+    assert len(with_mesh) >= 0.98 * len(predictions)
+    for row in with_mesh:
+        triangle = [tuple(row["triangle"][i : i + 3]) for i in range(0, len(row["triangle"]), 3)]
+        edges = [(t[i], t[(i + 1) % 3]) for t in triangle for i in range(3)]
+        assert len(set(edges)) == len(edges), row["building_id"]
+        assert {(b, a) for a, b in edges} == set(edges), row["building_id"]
+
+
+def test_a_second_run_has_nothing_to_do(done):
+    assert planned(done) == {}
+
+
+def test_a_docstring_reruns_nothing(again):
+    again.edit("src/p2wss/scans.py", '"""', '"""Another text. ')
+    again.edit("src/p2wss/footprints.py", '"""', '"""Another text. ')
+    assert planned(again) == {}
+
+
+def test_code_reruns_its_stage_and_what_follows(again):
+    with (again.folder / "src/p2wss/scans.py").open("a") as file:
+        file.write("\n_A_NEW_CONSTANT = 1\n")
+    assert set(planned(again)) - {"all"} == SCANS_AND_WHAT_FOLLOWS
+
+
+def test_a_value_of_the_config_reruns_what_reads_it(again):
+    again.edit("tests/mini/reduced.yaml", "num_resamples: 100", "num_resamples: 101")
+    jobs = set(planned(again))
+    assert "eval_report" in jobs and not {"model", "cast_scan"} & jobs
+
+
+def test_one_stage_can_be_redone_by_name(done):
+    jobs = planned(done, "-R", "cast_scan", "--", "eval_report")
+    assert set(jobs) - {"all"} == SCANS_AND_WHAT_FOLLOWS
+    assert set(planned(done, "-f", "results/mini/scans/0653_6862.laz")) == {"cast_scan"}
+
+
+def test_the_scan_is_the_same_with_other_threads(done, tmp_path):
+    results = done.folder / "results/mini"
+    tile = "0653_6862"
+    config = json.dumps({"scans": {"density_per_m2": 5.0}})
+    inputs = [results / f"scans/../{part}" for part in (f"scenes/{tile}.parquet", f"scenes/{tile}.tif")]
+    done.p2wss(
+        "scans", *inputs, results / f"buildings/{tile}.parquet", tmp_path / "s.laz", tmp_path / "s.json",
+        "--threads", 2, "--config", config,
+    )  # fmt: skip
+    import laspy
+    import numpy as np
+
+    first, second = laspy.read(results / f"scans/{tile}.laz"), laspy.read(tmp_path / "s.laz")
+    for dimension in ("X", "Y", "Z", "building_id", "face_id", "gps_time"):
+        assert np.array_equal(first[dimension], second[dimension]), dimension
