@@ -1,8 +1,26 @@
 """The geometry kernel: footprints, angles and heights to closed LoD2 meshes."""
 
-from p2wss.skeleton.batch import build
+from p2wss.skeleton.batch import build, faces, lines
 from p2wss.skeleton.clean import Cleaned, clean
+from p2wss.skeleton.line_kinds import LineKind
+from p2wss.skeleton.queries import RoofPoints, roof_height, roof_points
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import FaceKind, Meshes, Polygons
+from p2wss.skeleton.types import FaceKind, Faces, Lines, Meshes, Polygons
 
-__all__ = ["Cleaned", "FaceKind", "Meshes", "Polygons", "Status", "build", "clean"]
+__all__ = [
+    "Cleaned",
+    "FaceKind",
+    "Faces",
+    "LineKind",
+    "Lines",
+    "Meshes",
+    "Polygons",
+    "RoofPoints",
+    "Status",
+    "build",
+    "clean",
+    "faces",
+    "lines",
+    "roof_height",
+    "roof_points",
+]

@@ -2,54 +2,170 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.line_kinds import solid_lines
 
 from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
 from p2wss.skeleton.records import MAX_EDGES, mesh_work, skeleton_work
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import FloatArray, Meshes, Polygons
+from p2wss.skeleton.types import Faces, FloatArray, Lines, Meshes, Polygons
 
 _OK = int(Status.OK)
 
 
+class _Output(NamedTuple):
+    """Ragged results; offsets have one entry more than there are polygons."""
+
+    status: np.ndarray
+    vertex: np.ndarray
+    vertex_offset: np.ndarray
+    triangle: np.ndarray
+    triangle_kind: np.ndarray
+    triangle_edge: np.ndarray
+    triangle_offset: np.ndarray
+    face_kind: np.ndarray
+    face_edge: np.ndarray
+    face_offset: np.ndarray
+    ring_offset: np.ndarray
+    point_offset: np.ndarray
+    point: np.ndarray
+    line_vertex: np.ndarray
+    line_kind: np.ndarray
+    line_offset: np.ndarray
+
+
+@inner
+def _append_faces(num_edges, counts, num_faces, mesh, output, first_face):
+    """Append the faces of one solid. False: no room."""
+    num_rings = output.ring_offset[first_face]
+    num_points = output.point_offset[num_rings]
+    if first_face + num_faces > len(output.face_kind):
+        return False
+    for f in range(num_faces):
+        of_kind, of_edge = label_kind_and_edge(num_edges, counts, mesh.face[f].label)
+        output.face_kind[first_face + f] = of_kind
+        output.face_edge[first_face + f] = of_edge
+        for r in range(mesh.face[f].first_ring, mesh.face[f].last_ring):
+            ring = mesh.ring_order[r]
+            first, last = mesh.ring_start[ring], mesh.ring_start[ring + 1]
+            if num_rings + 1 >= len(output.point_offset) or num_points + last - first > len(output.point):
+                return False
+            for k in range(first, last):
+                output.point[num_points] = mesh.new_index[mesh.ring_point[k]]
+                num_points += 1
+            num_rings += 1
+            output.point_offset[num_rings] = num_points
+        output.ring_offset[first_face + f + 1] = num_rings
+    return True
+
+
 @entry
-def _build_some(
+def _solids(
     xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m,
-    skeleton, mesh, start, vertex, triangle, kind, edge, vertex_offset, triangle_offset, status,
+    skeleton, mesh, start, want_faces, want_lines, output,
 ):  # fmt: skip
-    """Meshes of the polygons from ``start`` on. Returns the first one for which there was no room."""
-    for p in range(start, len(status)):
-        code, num_edges, _, more_vertices, more_triangles = solid_mesh(
+    """Solids of the polygons from ``start`` on. Returns the first one for which there was no room."""
+    counts = skeleton.counts
+    for p in range(start, len(output.status)):
+        code, num_edges, num_faces, more_vertices, more_triangles = solid_mesh(
             xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave_height_m[p],
             base_height_m[p], max_roof_height_m[p], skeleton, mesh,
         )  # fmt: skip
-        num_vertices, num_triangles = vertex_offset[p], triangle_offset[p]
+        num_vertices, num_triangles = output.vertex_offset[p], output.triangle_offset[p]
         if code != _OK:
-            more_vertices, more_triangles = 0, 0
-        if num_vertices + more_vertices > len(vertex) or num_triangles + more_triangles > len(triangle):
+            more_vertices, more_triangles, num_faces = 0, 0, 0
+        if num_vertices + more_vertices > len(output.vertex):
             return p
-        status[p] = code
-        vertex_offset[p + 1] = num_vertices + more_vertices
-        triangle_offset[p + 1] = num_triangles + more_triangles
+        if num_triangles + more_triangles > len(output.triangle):
+            return p
+        if want_faces:
+            if not _append_faces(num_edges, counts, num_faces, mesh, output, output.face_offset[p]):
+                return p
+            output.face_offset[p + 1] = output.face_offset[p] + num_faces
+        if want_lines:
+            last_line = solid_lines(
+                num_edges, counts, mesh.vertex, mesh.triangle, mesh.triangle_label, more_triangles,
+                mesh.twin, output.line_vertex, output.line_kind, output.line_offset[p],
+            )  # fmt: skip
+            if last_line < 0:
+                return p
+            for row in range(output.line_offset[p], last_line):
+                output.line_vertex[row, 0] += num_vertices
+                output.line_vertex[row, 1] += num_vertices
+            output.line_offset[p + 1] = last_line
+        output.status[p] = code
+        output.vertex_offset[p + 1] = num_vertices + more_vertices
+        output.triangle_offset[p + 1] = num_triangles + more_triangles
+        if code != _OK:
+            continue
         origin = ring_offset[polygon_offset[p]]
         for k in range(more_vertices):
-            vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]
-            vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
-            vertex[num_vertices + k, 2] = mesh.vertex[k, 2]
+            output.vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]
+            output.vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
+            output.vertex[num_vertices + k, 2] = mesh.vertex[k, 2]
         for t in range(more_triangles):
             for m in range(3):
-                triangle[num_triangles + t, m] = mesh.triangle[t, m]
-            of_kind, of_edge = label_kind_and_edge(num_edges, skeleton.counts, mesh.triangle_label[t])
-            kind[num_triangles + t] = of_kind
-            edge[num_triangles + t] = of_edge
-    return len(status)
+                output.triangle[num_triangles + t, m] = mesh.triangle[t, m]
+            of_kind, of_edge = label_kind_and_edge(num_edges, counts, mesh.triangle_label[t])
+            output.triangle_kind[num_triangles + t] = of_kind
+            output.triangle_edge[num_triangles + t] = of_edge
+    return len(output.status)
 
 
-def _grown(array: FloatArray, num_rows: int) -> FloatArray:
-    larger = np.empty((num_rows, *array.shape[1:]), array.dtype)
-    larger[: len(array)] = array
-    return larger
+def _output(num_polygons: int, num_rows: int, want_faces: bool, want_lines: bool) -> _Output:
+    face_rows = num_rows if want_faces else 0
+    line_rows = num_rows if want_lines else 0
+    return _Output(
+        status=np.zeros(num_polygons, np.int32),
+        vertex=np.empty((num_rows, 3)),
+        vertex_offset=np.zeros(num_polygons + 1, np.int64),
+        triangle=np.empty((2 * num_rows, 3), np.int32),
+        triangle_kind=np.empty(2 * num_rows, np.uint8),
+        triangle_edge=np.empty(2 * num_rows, np.int32),
+        triangle_offset=np.zeros(num_polygons + 1, np.int64),
+        face_kind=np.empty(face_rows, np.uint8),
+        face_edge=np.empty(face_rows, np.int32),
+        face_offset=np.zeros(num_polygons + 1, np.int64),
+        ring_offset=np.zeros(face_rows + 1, np.int64),
+        point_offset=np.zeros(face_rows + 1, np.int64),
+        point=np.empty(4 * face_rows, np.int32),
+        line_vertex=np.empty((2 * line_rows, 2), np.int64),
+        line_kind=np.empty(2 * line_rows, np.uint8),
+        line_offset=np.zeros(num_polygons + 1, np.int64),
+    )
+
+
+def _grow(output: _Output) -> _Output:
+    """The same with room for twice as much; what has one entry per polygon stays as it is."""
+    larger = {}
+    for name, array in output._asdict().items():
+        per_polygon = name in ("status", "vertex_offset", "triangle_offset", "face_offset", "line_offset")
+        larger[name] = array if per_polygon else np.concatenate((array, np.zeros_like(array)))
+    return _Output(**larger)
+
+
+def _run(
+    polygons: Polygons,
+    angle_deg: FloatArray,
+    eave_height_m: float | FloatArray,
+    base_height_m: float | FloatArray,
+    max_roof_height_m: float | FloatArray,
+    want_faces: bool = False,
+    want_lines: bool = False,
+) -> _Output:
+    arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    size = work_size(polygons)
+    work = skeleton_work(size), mesh_work(size)
+    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64, want_faces, want_lines)
+    done = 0
+    while True:
+        done = _solids(*arguments, *work, done, want_faces, want_lines, output)
+        if done == len(polygons):
+            return output
+        output = _grow(output)
 
 
 def _per_polygon(value: float | FloatArray, num_polygons: int) -> FloatArray:
@@ -111,31 +227,63 @@ def build(
     Palfrader 2017.
     """
     arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
-    size = work_size(polygons)
-    num_polygons, num_edges = len(polygons), len(polygons.xy_m)
-    vertex = np.empty((4 * num_edges + 64, 3))
-    triangle = np.empty((8 * num_edges + 64, 3), np.int32)
-    kind, edge = np.empty(len(triangle), np.uint8), np.empty(len(triangle), np.int32)
-    vertex_offset, triangle_offset = np.zeros((2, num_polygons + 1), np.int64)
-    status = np.zeros(num_polygons, np.int32)
-    work = skeleton_work(size), mesh_work(size)
-    done = 0
-    while True:
-        done = _build_some(
-            *arguments, *work, done, vertex, triangle, kind, edge, vertex_offset, triangle_offset, status
-        )
-        if done == num_polygons:
-            break
-        room = 2 * len(vertex) + 64 * size
-        vertex, triangle = _grown(vertex, room), _grown(triangle, 2 * room)
-        kind, edge = _grown(kind, 2 * room), _grown(edge, 2 * room)
-    num_vertices, num_triangles = vertex_offset[-1], triangle_offset[-1]
+    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    num_triangles = output.triangle_offset[-1]
     return Meshes(
-        vertex[:num_vertices].copy(),
-        triangle[:num_triangles].copy(),
-        kind[:num_triangles].copy(),
-        edge[:num_triangles].copy(),
-        vertex_offset,
-        triangle_offset,
-        status,
+        output.vertex[: output.vertex_offset[-1]].copy(),
+        output.triangle[:num_triangles].copy(),
+        output.triangle_kind[:num_triangles].copy(),
+        output.triangle_edge[:num_triangles].copy(),
+        output.vertex_offset,
+        output.triangle_offset,
+        output.status,
+    )
+
+
+def faces(
+    polygons: Polygons,
+    angle_deg: FloatArray,
+    eave_height_m: FloatArray,
+    *,
+    base_height_m: float | FloatArray = 0.0,
+    max_roof_height_m: float | FloatArray = np.inf,
+) -> Faces:
+    """Roof, wall, cap and ground faces as polygons with holes; arguments as for :func:`build`.
+
+    The faces of a solid are those that :func:`build` cuts into triangles, with the same vertices. A gable is
+    part of its wall's face, and coplanar neighbours are one face.
+    """
+    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m, want_faces=True)
+    num_faces = output.face_offset[-1]
+    num_rings = output.ring_offset[num_faces]
+    return Faces(
+        output.vertex[: output.vertex_offset[-1]].copy(),
+        output.vertex_offset,
+        output.face_offset,
+        output.face_kind[:num_faces].copy(),
+        output.face_edge[:num_faces].copy(),
+        output.ring_offset[: num_faces + 1].copy(),
+        output.point_offset[: num_rings + 1].copy(),
+        output.point[: output.point_offset[num_rings]].copy(),
+        output.status,
+    )
+
+
+def lines(
+    polygons: Polygons,
+    angle_deg: FloatArray,
+    eave_height_m: FloatArray,
+    *,
+    base_height_m: float | FloatArray = 0.0,
+    max_roof_height_m: float | FloatArray = np.inf,
+) -> Lines:
+    """Eaves, verges, ridges, hips, valleys and abutments of the roofs; arguments as for :func:`build`."""
+    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m, want_lines=True)
+    ends = output.line_vertex[: output.line_offset[-1]]
+    return Lines(
+        output.vertex[ends[:, 0]],
+        output.vertex[ends[:, 1]],
+        output.line_kind[: len(ends)].copy(),
+        output.line_offset,
+        output.status,
     )

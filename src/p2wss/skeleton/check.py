@@ -66,11 +66,11 @@ def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, tw
 
 
 @inner
-def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, new_index):
+def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, num_fans):
     """Give every fan of triangles its own vertex where several fans meet in one point. -1: no room."""
     num_half = 3 * num_triangles
     for k in range(num_points):
-        new_index[k] = 0  # fans seen
+        num_fans[k] = 0
     for h in range(num_half):
         corner[h] = -1
     first_point = num_points
@@ -79,14 +79,14 @@ def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, n
             continue
         old = triangle[h // 3, h % 3]
         vertex = old
-        if new_index[old] > 0:
+        if num_fans[old] > 0:
             if num_points >= len(point):
                 return -1
             vertex = num_points
             for axis in range(3):
                 point[vertex, axis] = point[old, axis]
             num_points += 1
-        new_index[old] += 1
+        num_fans[old] += 1
         k = h
         for _ in range(num_half):
             corner[k] = vertex

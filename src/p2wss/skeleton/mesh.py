@@ -164,7 +164,7 @@ def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, me
     ):
         return _NOT_CLOSED, 0, 0, 0
     num_vertices = separate_pinches(
-        triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, new_index
+        triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, mesh_work.out_head
     )
     if num_vertices < 0:
         return _OVERFLOW, 0, 0, 0

@@ -1,0 +1,282 @@
+"""Which face of the roof lies over a point, and how high: the queries behind fitting and labelling.
+
+With the face of every point held fixed, the height is linear in the eave height and in the tangents of the
+angles: z = eave + tan(angle of the edge) * distance to the edge's line. That is what :func:`assign` returns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from p2wss.skeleton.batch import kernel_arguments, work_size
+from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.kinetic import simulate
+from p2wss.skeleton.mesh import solid_skeleton
+from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, skeleton_work
+from p2wss.skeleton.status import Status
+from p2wss.skeleton.types import FaceKind, FloatArray, IntArray, Polygons
+
+_OK = int(Status.OK)
+_ROOF, _FLAT_KIND, _GROUND = int(FaceKind.ROOF), int(FaceKind.FLAT), int(FaceKind.GROUND)
+
+# Values of `face` below 0
+OUTSIDE = -1  # no roof over the point
+FLAT = -2  # what 0 degree edges have swept: at the eave
+CAP = -3  # a cap where the last slope ended: `distance` is its height above the eave
+CUT = -4  # the cut at the maximum roof height: `distance` is that height
+
+# A piece of a face boundary in plan, from left to right, with the faces above and below it (number of faces
+# for the outside). Vertical pieces are left out: no vertical line through a point is aware of them.
+SEGMENT = np.dtype(
+    [
+        ("left_x", "f8"),
+        ("right_x", "f8"),
+        ("left_y", "f8"),
+        ("slope", "f8"),
+        ("above", "i8"),
+        ("below", "i8"),
+    ],
+    align=True,
+)
+
+
+class QueryWork(NamedTuple):
+    """Work arrays of :func:`assign` for one thread."""
+
+    segment: np.ndarray
+    winding: np.ndarray
+
+
+def query_work(max_edges: int) -> QueryWork:
+    """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
+    size = skeleton_work(max_edges).arc.size + max_edges
+    return QueryWork(np.zeros(size, SEGMENT), np.zeros(size, np.int64))
+
+
+@inner
+def _put_segment(segment, k, a_x, a_y, b_x, b_y, left_face, right_face):
+    """The piece from a to b with the faces on its left and right. Returns the number of segments."""
+    if a_x == b_x:
+        return k
+    if a_x < b_x:
+        segment[k].left_x, segment[k].left_y, segment[k].right_x = a_x, a_y, b_x
+        segment[k].above, segment[k].below = left_face, right_face
+    else:
+        segment[k].left_x, segment[k].left_y, segment[k].right_x = b_x, b_y, a_x
+        segment[k].above, segment[k].below = right_face, left_face
+    segment[k].slope = (b_y - a_y) / (b_x - a_x)
+    return k + 1
+
+
+@inner
+def _fill_segments(edge, num_edges, node, arc, counts, segment):
+    outside = num_edges + counts[NUM_CAPS]
+    k = np.int64(0)
+    for i in range(num_edges):
+        j = edge[i].next
+        k = _put_segment(segment, k, edge[i].x, edge[i].y, edge[j].x, edge[j].y, i, outside)
+    for m in range(counts[NUM_ARCS]):
+        a, b = arc[m].start, arc[m].end
+        k = _put_segment(segment, k, node[a].x, node[a].y, node[b].x, node[b].y, arc[m].left, arc[m].right)
+    return k
+
+
+@inner
+def _face_at(edge, num_edges, num_faces, segment, num_segments, winding, x, y):
+    """The face whose boundary winds round the point: no tie, however many boundaries coincide."""
+    for f in range(num_faces + 1):
+        winding[f] = 0
+    for k in range(num_segments):
+        left_x = segment[k].left_x
+        if (
+            left_x <= x
+            and x < segment[k].right_x
+            and segment[k].left_y + (x - left_x) * segment[k].slope <= y
+        ):
+            winding[segment[k].above] += 1
+            winding[segment[k].below] -= 1
+    vertical = -1
+    for f in range(num_faces):
+        if winding[f] > 0:
+            if f >= num_edges or edge[f].angle_deg != 90.0:
+                return f
+            vertical = f
+    return vertical
+
+
+@inner
+def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face, distance):
+    """The face over every point for the angles set last, for use from compiled code. Returns a ``Status``.
+
+    Before, once per polygon: ``load_footprint(xy_m, ring_offset, first_ring, last_ring, skeleton.edge)``; then,
+    for every set of angles: ``set_angles(skeleton.edge, num_edges, angle_deg)``; both in
+    :mod:`p2wss.skeleton.footprint`, both return a status.
+
+    num_edges, num_rings: int64. max_roof_height_m: float64 above the eave, infinity for none. skeleton: a
+    ``SkeletonWork``. query: a :class:`QueryWork`. x, y: float64 (num_points,), relative to the first vertex of
+    the polygon. face: int64 (num_points,), written: the edge that owns the roof over the point, or OUTSIDE,
+    FLAT, CAP or CUT. distance: float64 (num_points,), written: metres from the line of that edge, so that
+    z = eave + tan(angle) * distance; for CAP and CUT the height above the eave; else 0.
+
+    Nothing is allocated. A point exactly on the boundary of the polygon may count as outside.
+    """
+    edge, counts = skeleton.edge, skeleton.counts
+    status = simulate(
+        edge, num_edges, num_rings, max_roof_height_m, skeleton.node, skeleton.vertex, skeleton.arc,
+        skeleton.cap_height, counts,
+    )  # fmt: skip
+    if status != _OK:
+        return status
+    num_segments = _fill_segments(edge, num_edges, skeleton.node, skeleton.arc, counts, query.segment)
+    num_faces = num_edges + counts[NUM_CAPS]
+    for k in range(len(x)):
+        f = _face_at(edge, num_edges, num_faces, query.segment, num_segments, query.winding, x[k], y[k])
+        if 0 <= f < num_edges and edge[f].angle_deg == 90.0:
+            # a point within rounding of a vertical face: look beside it
+            f = _face_at(
+                edge, num_edges, num_faces, query.segment, num_segments, query.winding,
+                x[k] - 1e-7 * edge[f].dir_y, y[k] + 1e-7 * edge[f].dir_x,
+            )  # fmt: skip
+        distance[k] = 0.0
+        if f < 0:
+            face[k] = OUTSIDE
+        elif f >= num_edges:
+            height = skeleton.cap_height[f - num_edges]
+            face[k] = FLAT if height <= 1e-5 else CUT if height >= max_roof_height_m else CAP
+            if height > 1e-5:
+                distance[k] = height
+        elif edge[f].angle_deg == 0.0:
+            face[k] = FLAT
+        elif edge[f].angle_deg == 90.0:
+            face[k] = OUTSIDE
+        else:
+            face[k] = f
+            distance[k] = (y[k] - edge[f].y) * edge[f].dir_x - (x[k] - edge[f].x) * edge[f].dir_y
+    return _OK
+
+
+@entry
+def _assign_all(
+    xy_m, ring_offset, polygon_offset, angle_deg, eave, base, max_roof_height_m, skeleton, query,
+    x, y, point_offset, face, distance, status,
+):  # fmt: skip
+    """Points grouped by polygon: those of polygon p are ``point_offset[p]:point_offset[p + 1]``."""
+    for p in range(len(polygon_offset) - 1):
+        first, last = point_offset[p], point_offset[p + 1]
+        code, num_edges = solid_skeleton(
+            xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave[p], base[p],
+            max_roof_height_m[p], skeleton,
+        )  # fmt: skip
+        if code == _OK and last > first:
+            origin = ring_offset[polygon_offset[p]]
+            for k in range(first, last):
+                x[k] -= xy_m[origin, 0]
+                y[k] -= xy_m[origin, 1]
+            code = assign(
+                num_edges, polygon_offset[p + 1] - polygon_offset[p], max_roof_height_m[p], skeleton, query,
+                x[first:last], y[first:last], face[first:last], distance[first:last],
+            )  # fmt: skip
+        if code != _OK:
+            for k in range(first, last):
+                face[k] = OUTSIDE
+                distance[k] = 0.0
+        status[p] = code
+
+
+@dataclass(frozen=True)
+class RoofPoints:
+    """The roof over points, one row per point.
+
+    z_m: float64, NaN where there is no roof. kind: uint8, ROOF or FLAT, GROUND where there is no roof.
+    edge: int32, the edge of the polygon (counted over all its rings) that owns the face, or -1.
+    face: int64, the same edge, or OUTSIDE, FLAT, CAP or CUT. distance_m: float64, plan distance to the line of
+    the edge; for CAP and CUT the height above the eave; else 0.
+    With the faces held fixed, dz / d(eave) is 1, dz / d(tan(angle of ``edge``)) is ``distance_m``, and
+    dz_dangle_m_per_deg, float64, is dz / d(angle of ``edge``); both are 0 where edge is -1.
+    status: int32 (num_polygons,), a ``Status``.
+    """
+
+    z_m: FloatArray
+    kind: IntArray
+    edge: IntArray
+    face: IntArray
+    distance_m: FloatArray
+    dz_dangle_m_per_deg: FloatArray
+    status: IntArray
+
+
+def roof_points(
+    polygons: Polygons,
+    angle_deg: FloatArray,
+    eave_height_m: float | FloatArray,
+    xy: FloatArray,
+    polygon_index: IntArray,
+    *,
+    max_roof_height_m: float | FloatArray = np.inf,
+) -> RoofPoints:
+    """Heights, faces and derivatives at points. polygons, angle_deg, eave_height_m: as for ``build``.
+
+    xy: (num_points, 2), the frame of the polygons. polygon_index: int (num_points,), the polygon whose roof is
+    asked for. The result is exact: it comes from the skeleton, not from triangles.
+
+    Raises ValueError when lengths do not fit or an index is out of range.
+    """
+    num_polygons = len(polygons)
+    index = np.ascontiguousarray(polygon_index, np.int64)
+    points = np.ascontiguousarray(xy, np.float64).reshape(-1, 2)
+    if index.shape != (len(points),):
+        raise ValueError(f"polygon_index has shape {index.shape}, but there are {len(points)} points")
+    if len(index) and not (index.min() >= 0 and index.max() < num_polygons):
+        raise ValueError(
+            f"polygon_index runs from {index.min()} to {index.max()} for {num_polygons} polygons"
+        )
+    eave = np.broadcast_to(np.asarray(eave_height_m, np.float64), num_polygons)
+    # the wall's height plays no part here, so a base just below any eave will do
+    arguments = kernel_arguments(polygons, angle_deg, eave, eave - 1.0, max_roof_height_m)
+    size = work_size(polygons)
+    order = np.argsort(index, kind="stable")
+    face, distance = np.full(len(points), OUTSIDE, np.int64), np.zeros(len(points))
+    status = np.zeros(num_polygons, np.int32)
+    _assign_all(
+        *arguments,
+        skeleton_work(size),
+        query_work(size),
+        points[order, 0],
+        points[order, 1],
+        np.searchsorted(index[order], np.arange(num_polygons + 1)).astype(np.int64),
+        face,
+        distance,
+        status,
+    )
+    back = np.empty(len(order), np.int64)
+    back[order] = np.arange(len(order))
+    face, distance = face[back], distance[back]
+    owned = face >= 0
+    edge = np.where(owned, face, -1).astype(np.int32)
+    tangent = np.zeros(len(points))
+    first_edge = arguments[1][arguments[2][:-1]] if num_polygons else np.zeros(0, np.int64)
+    tangent[owned] = np.tan(np.radians(arguments[3][first_edge[index[owned]] + face[owned]]))
+    z = eave[index] + np.where(owned, tangent, 1.0) * distance
+    z[face == OUTSIDE] = np.nan
+    kind = np.where(owned, _ROOF, np.where(face == OUTSIDE, _GROUND, _FLAT_KIND)).astype(np.uint8)
+    slope = np.where(owned, distance * (1.0 + tangent**2) * np.pi / 180.0, 0.0)
+    return RoofPoints(z, kind, edge, face, distance, slope, status)
+
+
+def roof_height(
+    polygons: Polygons,
+    angle_deg: FloatArray,
+    eave_height_m: float | FloatArray,
+    xy: FloatArray,
+    polygon_index: IntArray,
+    *,
+    max_roof_height_m: float | FloatArray = np.inf,
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """(z_m, kind, edge) of the roof at points: the first three columns of :func:`roof_points`."""
+    found = roof_points(
+        polygons, angle_deg, eave_height_m, xy, polygon_index, max_roof_height_m=max_roof_height_m
+    )
+    return found.z_m, found.kind, found.edge
