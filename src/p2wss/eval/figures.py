@@ -12,6 +12,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
@@ -77,8 +78,8 @@ def cumulative(values: dict[str, np.ndarray], x_label: str, title: str) -> Figur
 def building(case: Case, reconstructions: Sequence[tuple[str, Reconstruction]]) -> Figure:
     """One panel per (title, reconstruction): the mesh and the building's points from the south-west.
 
-    Parallel projection. A point's colour is its distance to the mesh, from blue to red at 1 m and more. All
-    panels have the same scale.
+    Parallel projection. A point's colour is its distance to the mesh, from blue to red at 1 m and more;
+    points behind a face are pale. All panels have the same scale.
     """
     panels = max(len(reconstructions), 1)
     figure, row = plt.subplots(1, panels, figsize=(3.2 * panels, 3.0), squeeze=False, layout="constrained")
@@ -128,11 +129,10 @@ def _draw(axes: Any, case: Case, made: Reconstruction) -> tuple[np.ndarray, np.n
                 ends = seen[[i, (i + 1) % 3]].T
                 axes.plot(*ends, color="#222222", linewidth=0.8, zorder=2 + rank, solid_capstyle="round")
     hidden = _hidden(dots, corner_m[made.triangle[front]])
-    for chosen, zorder in ((hidden, 1), (~hidden, 3 + len(order))):
-        axes.scatter(
-            *dots[chosen, :2].T, s=2.2, c=distance[chosen], cmap="turbo", vmin=0, vmax=1, linewidths=0,
-            zorder=zorder,
-        )  # fmt: skip
+    for chosen, alpha in ((hidden, 0.3), (~hidden, 1.0)):
+        x, y = dots[chosen, :2].T
+        color = colormaps["turbo"](distance[chosen])
+        axes.scatter(x, y, s=2.2, color=color, alpha=alpha, linewidths=0, zorder=3 + len(order))
     everything = np.concatenate([dots, corner_m])[:, :2]
     return everything.min(axis=0), everything.max(axis=0)
 

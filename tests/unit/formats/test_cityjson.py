@@ -1,0 +1,138 @@
+"""CityJSON text sequences: written, read back, and as an independent reader sees them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from p2wss import skeleton
+from p2wss.errors import InputError
+from p2wss.formats import cityjson
+from p2wss.formats.cityjson import Solid, Surface
+from p2wss.formats.polygons import planar_surfaces
+from p2wss.skeleton.types import FaceKind, Polygons
+
+DATA = Path(__file__).parents[3].parent / "shared" / "data"
+L_SHAPE = [np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13]], float)]
+COURTYARD = [
+    np.array([[0, 0], [20, 0], [20, 20], [0, 20]], float),
+    np.array([[6, 6], [6, 14], [14, 14], [14, 6]], float),
+]
+CASES = {
+    "gables": (L_SHAPE, [30, 90, 30, 30, 90, 30]),
+    "flat": (L_SHAPE, [0] * 6),
+    "courtyard": (COURTYARD, [35] * 8),
+    "flat courtyard": (COURTYARD, [0] * 8),
+}
+
+
+def solid_of(name: str) -> tuple[Solid, np.ndarray, np.ndarray]:
+    rings, angle = CASES[name]
+    meshes = skeleton.build(Polygons.from_rings([rings]), np.array(angle, float), np.array([5.0]))
+    assert meshes.status[0] == 0
+    vertex, triangle, kind, edge = meshes.mesh(0)
+    there = vertex + [652000.25, 6861000.5, 100]
+    return Solid(name, there, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}), there, triangle
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_written_is_read_back(name: str, tmp_path: Path) -> None:
+    solid, vertex, triangle = solid_of(name)
+    path = tmp_path / "a.city.jsonl"
+    path.write_text("\n".join(cityjson.lines([solid], 2154)))
+    (back,) = cityjson.read(path, "2.0")
+    ours, theirs = trimesh.Trimesh(vertex, triangle), trimesh.Trimesh(back.vertex_m, back.triangle)
+    assert theirs.is_watertight and theirs.is_winding_consistent
+    assert theirs.volume == pytest.approx(ours.volume, rel=1e-4)
+    assert len(back.triangle) == len(triangle)
+    assert back.attributes == {"status": "ok"}
+    # ground and roof cover the same plan
+    normal_z = theirs.face_normals[:, 2] * theirs.area_faces
+    assert normal_z[back.kind == FaceKind.GROUND].sum() == pytest.approx(
+        -normal_z[back.kind == FaceKind.ROOF].sum(), rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_polygons_are_planar_and_use_each_edge_once_each_way(name: str) -> None:
+    solid, _, _ = solid_of(name)
+    seen = set()
+    for surface in solid.surfaces:
+        corner = solid.vertex_m[np.concatenate(surface.rings)]
+        local = corner - corner.mean(axis=0)
+        assert np.linalg.svd(local)[1][2] < 1e-6
+        for ring in surface.rings:
+            for edge in zip(ring.tolist(), np.roll(ring, -1).tolist(), strict=True):
+                assert edge not in seen
+                seen.add(edge)
+    assert {(b, a) for a, b in seen} == seen
+
+
+def test_merging_leaves_as_few_polygons_as_there_are_planes() -> None:
+    flat, _, _ = solid_of("flat")
+    assert sorted(s.kind for s in flat.surfaces) == sorted([FaceKind.GROUND, FaceKind.FLAT] + [FaceKind.WALL] * 6)
+    yard, _, _ = solid_of("flat courtyard")
+    ground = next(s for s in yard.surfaces if s.kind == FaceKind.GROUND)
+    assert [len(ring) for ring in ground.rings] == [4, 4]
+    outer, inner = (solid_area(yard.vertex_m[ring]) for ring in ground.rings)
+    # the ground looks down: its exterior runs clockwise in plan
+    assert (outer, inner) == (pytest.approx(-400), pytest.approx(64))
+
+
+def solid_area(ring: np.ndarray) -> float:
+    x, y = ring[:, 0] - ring[0, 0], ring[:, 1] - ring[0, 1]
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def test_header_and_features_follow_the_specification() -> None:
+    solid, _, _ = solid_of("gables")
+    nothing = Solid("none", np.zeros((0, 3)), [], {"status": "none", "reason": "no point"})
+    header, feature, empty = (json.loads(line) for line in cityjson.lines([solid, nothing], 28992))
+    assert (header["type"], header["version"]) == ("CityJSON", "2.0")
+    assert header["metadata"]["referenceSystem"] == "https://www.opengis.net/def/crs/EPSG/0/28992"
+    assert header["CityObjects"] == {} and header["vertices"] == []
+    assert feature["type"] == "CityJSONFeature" and feature["id"] in feature["CityObjects"]
+    assert all(isinstance(v, int) for vertex in feature["vertices"] for v in vertex)
+    (geometry,) = feature["CityObjects"]["gables"]["geometry"]
+    assert (geometry["type"], geometry["lod"]) == ("Solid", "2.0")
+    types = {surface["type"] for surface in geometry["semantics"]["surfaces"]}
+    assert types == {"GroundSurface", "WallSurface", "RoofSurface"}
+    assert len(geometry["semantics"]["values"][0]) == len(geometry["boundaries"][0])
+    assert "geometry" not in empty["CityObjects"]["none"]
+    assert empty["CityObjects"]["none"]["attributes"]["reason"] == "no point"
+
+
+def test_a_sequence_of_nothing_is_a_header() -> None:
+    assert [json.loads(line)["type"] for line in cityjson.lines([], None)] == ["CityJSON"]
+
+
+def test_vertices_closer_than_the_scale_become_one() -> None:
+    vertex = np.array([[0, 0, 0], [1, 0, 0], [1, 1e-6, 0], [1, 1, 0]], float)
+    line = list(cityjson.lines([Solid("a", vertex, [Surface(0, -1, [np.arange(4)])])], None))[1]
+    feature = json.loads(line)
+    assert len(feature["CityObjects"]["a"]["geometry"][0]["boundaries"][0][0][0]) == 3
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"type": "FeatureCollection"}'])
+def test_what_is_no_cityjson_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match="not CityJSON"):
+        cityjson.read(path, "2.2")
+    with pytest.raises(InputError, match="no such file"):
+        cityjson.read(tmp_path / "missing", "2.2")
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="no shared data")
+def test_roofers_own_output_is_read_whole() -> None:
+    solids = cityjson.read(DATA / "delft_ahn3" / "roofer_lod22.city.jsonl", "2.2")
+    assert len(solids) == 74
+    # counted by the independent judge: 62.5 triangles on average
+    assert np.mean([len(solid.triangle) for solid in solids]) == pytest.approx(62.5, abs=0.1)
+    for solid in solids:
+        mesh = trimesh.Trimesh(solid.vertex_m, solid.triangle)
+        assert mesh.is_watertight and mesh.volume > 0
