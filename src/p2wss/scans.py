@@ -20,9 +20,9 @@ from p2wss.errors import InputError
 from p2wss.lidar.caster import CHUNK_PULSES, cast
 from p2wss.lidar.pulses import Box
 from p2wss.lidar.returns import Points
-from p2wss.lidar.surface import Surface, encode_face, join
+from p2wss.lidar.surface import Surface, encode_face
 from p2wss.lidar.survey import Survey, plan
-from p2wss.lidar.terrain import Terrain, triangulate
+from p2wss.lidar.terrain import Terrain, local_grid
 from p2wss.seeds import derive_seed, generator
 from p2wss.skeleton.types import FaceKind
 from p2wss.tiling import Bounds, tile_bounds
@@ -93,18 +93,17 @@ def simulate(
     origin = np.floor(np.array(middle))
     seed = derive_seed(settings.seed, "scans", tile)
     surface = _surface(buildings, terrain, origin, settings)
-    low, high = surface.vertex_m[:, 2].min() - 0.1, surface.vertex_m[:, 2].max() + 0.1
+    low, high = surface.z_range_m()
     if high + _CLEARANCE_M > settings.altitude_m[0]:
         raise InputError(
             f"tile {tile}: its highest surface is {high:.0f} m above the median ground; "
             f"set scans.altitude_m above {high + _CLEARANCE_M:.0f} m"
         )
-    kept = _kept_bounds(buildings, bounds, settings.keep_margin_m)
-    survey = plan(settings, seed, _box(kept, origin, low, high), _box(bounds, origin, low, high))
-    points, counts = cast(surface, survey.strips, _box(kept, origin, low, high), threads, chunk_pulses)
-    return Scan(
-        origin, points, survey, _facts(points, counts, survey, buildings, terrain, origin, bounds, seed)
-    )
+    box = _box(_kept_bounds(buildings, bounds, settings.keep_margin_m), origin, low, high)
+    survey = plan(settings, seed, box, _box(bounds, origin, low, high))
+    points, counts = cast(surface, survey.strips, box, threads, chunk_pulses)
+    facts = _facts(points, counts, survey, buildings, terrain, origin, bounds, seed)
+    return Scan(origin, points, survey, facts)
 
 
 def _within(terrain: Terrain, bounds: Bounds) -> np.ndarray:
@@ -115,9 +114,10 @@ def _within(terrain: Terrain, bounds: Bounds) -> np.ndarray:
 
 
 def _box(bounds: Bounds, origin: np.ndarray, low: float, high: float) -> Box:
+    """``bounds`` in the local frame, from a little below to a little above every surface."""
     x_min, y_min, x_max, y_max = bounds
     return Box(
-        x_min - origin[0], y_min - origin[1], x_max - origin[0], y_max - origin[1], float(low), float(high)
+        x_min - origin[0], y_min - origin[1], x_max - origin[0], y_max - origin[1], low - 0.1, high + 0.1
     )
 
 
@@ -140,14 +140,16 @@ def _surface(buildings: pa.Table, terrain: Terrain, origin: np.ndarray, settings
     roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
     roof_reflectance, wall_reflectance, roof_loss = _optics(buildings["building_id"].to_pylist(), settings)
     reachable = kind != FaceKind.GROUND
-    return join(
-        triangulate(terrain, origin),
-        vertices,
-        triangles[reachable],
-        owner[reachable],
-        encode_face(kind, edge)[reachable],
-        np.where(roof, roof_reflectance[owner], wall_reflectance[owner])[reachable],
-        np.where(roof, roof_loss[owner], 0)[reachable],
+    return Surface(
+        terrain=local_grid(terrain, origin),
+        vertex_m=np.ascontiguousarray(vertices),
+        triangle=triangles[reachable].astype(np.int32),
+        building=owner[reachable].astype(np.int32),
+        face=encode_face(kind, edge)[reachable],
+        reflectance=np.where(roof, roof_reflectance[owner], wall_reflectance[owner])[reachable].astype(
+            np.float32
+        ),
+        loss=np.where(roof, roof_loss[owner], 0)[reachable].astype(np.float32),
     )
 
 

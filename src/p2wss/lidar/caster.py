@@ -19,16 +19,20 @@ CHUNK_PULSES = 262_144  # arrays of a chunk stay in the cache; 128 k to 512 k ar
 
 
 class Caster:
-    """A surface inside Embree. ``hits`` may be called from several threads at once."""
+    """The buildings of a surface inside Embree. ``hits`` may be called from several threads at once."""
 
     def __init__(self, surface: Surface):
-        self._scene = EmbreeScene()
-        self._mesh = TriangleMesh(self._scene, surface.vertex_m.astype(np.float32), surface.triangle)
-        # the first call builds the tree, and only one thread may do so
-        self.hits(np.zeros((1, 3), np.float32), np.array([[0, 0, -1]], np.float32))
+        self._scene = None
+        if len(surface.triangle):
+            self._scene = EmbreeScene()
+            self._mesh = TriangleMesh(self._scene, surface.vertex_m.astype(np.float32), surface.triangle)
+            # the first call builds the tree, and only one thread may do so
+            self.hits(np.zeros((1, 3), np.float32), np.array([[0, 0, -1]], np.float32))
 
     def hits(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """The triangle that each ray meets first, int32 (n,), -1 for none. Arguments: float32 (n, 3)."""
+        if self._scene is None or not len(origin):
+            return np.full(len(origin), -1, np.int32)
         return self._scene.run(origin, direction, query="INTERSECT")
 
 
@@ -73,7 +77,7 @@ def _cast_chunk(
     origin, direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
     advance_m, pulse = np.empty(room), np.empty(room, np.int64)
     n = generate(strip.path, blocks, box, NORMAL_QUANTILE, origin, direction, advance_m, pulse)
-    hit = caster.hits(origin[:n], direction[:n]) if n else np.zeros(0, np.int32)
+    hit = caster.hits(origin[:n], direction[:n])
     points, outcome = _empty_points(n), np.zeros(len(OUTCOMES), np.int64)
     kept = record(
         origin,

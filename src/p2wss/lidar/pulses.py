@@ -24,12 +24,15 @@ class StripPath(NamedTuple):
     """One flight line and its scanner, in the local frame (x east, y north, z above the scene's median
     ground).
 
-    knots: float64 (k, 6), every ``knot_interval_s``: drift of the platform in x, y, z (m), roll, pitch, yaw
-    (rad). beam_sigma_rad: standard deviation of a sub-beam's direction within the beam, per axis.
+    knots: float64 (k, 12), every ``knot_interval_s``: drift of the platform in x, y, z (m) and the matrix,
+    row by row, that turns the scanner's frame into the local one. beam_sigma_rad: standard deviation of a
+    sub-beam's direction within the beam, per axis.
     """
 
     pattern: int
     half_angle_rad: float
+    sin_half_angle: float
+    cos_half_angle: float
     scan_rate_hz: float
     scan_phase: float  # turns
     crossing_rad: float  # of the scan lines of the two channels of CROSS_FIRE
@@ -63,31 +66,13 @@ class Box(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _platform(path: StripPath, t: float) -> tuple:
-    """Drift (3) and rotation matrix (9) of the platform at time ``t``."""
-    place = min(max(t / path.knot_interval_s, 0.0), len(path.knots) - 1.000001)
-    k = int(place)
-    w = place - k
-    a, b = path.knots[k], path.knots[k + 1]
-    roll = a[3] + w * (b[3] - a[3])
-    pitch = a[4] + w * (b[4] - a[4])
-    yaw = path.heading_rad + a[5] + w * (b[5] - a[5])
-    cr, sr, cp, sp, cy, sy = cos(roll), sin(roll), cos(pitch), sin(pitch), cos(yaw), sin(yaw)
-    # Rz(yaw) Ry(pitch) Rx(roll)
-    return (
-        a[0] + w * (b[0] - a[0]),
-        a[1] + w * (b[1] - a[1]),
-        a[2] + w * (b[2] - a[2]),
-        cy * cp,
-        cy * sp * sr - sy * cr,
-        cy * sp * cr + sy * sr,
-        sy * cp,
-        sy * sp * sr + cy * cr,
-        sy * sp * cr - cy * sr,
-        -sp,
-        cp * sr,
-        cp * cr,
-    )
+def _platform(path: StripPath, t: float, place: np.ndarray) -> None:
+    """Write drift (3) and rotation matrix (9) of the platform at time ``t`` into ``place``."""
+    position = min(max(t / path.knot_interval_s, 0.0), len(path.knots) - 1.000001)
+    k = int(position)
+    w = position - k
+    for i in range(12):
+        place[i] = path.knots[k, i] + w * (path.knots[k + 1, i] - path.knots[k, i])
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -96,9 +81,8 @@ def _beam(path: StripPath, t: float, pulse: int) -> tuple[float, float, float]:
     turns = t * path.scan_rate_hz + path.scan_phase
     turns -= floor(turns)
     if path.pattern == CONICAL:
-        s = sin(path.half_angle_rad)
         phi = 2 * pi * turns
-        return s * cos(phi), s * sin(phi), -cos(path.half_angle_rad)
+        return path.sin_half_angle * cos(phi), path.sin_half_angle * sin(phi), -path.cos_half_angle
     if path.pattern == OSCILLATING:
         angle = path.half_angle_rad * sin(2 * pi * turns)
     else:
@@ -111,7 +95,7 @@ def _beam(path: StripPath, t: float, pulse: int) -> tuple[float, float, float]:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _rotate(p: tuple, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _rotate(p: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         p[3] * x + p[4] * y + p[5] * z,
         p[6] * x + p[7] * y + p[8] * z,
@@ -124,12 +108,13 @@ def time_over(path: StripPath, box: Box, interval_s: float) -> float:
     """Seconds during which the strip's spot on the plane z = 0 is inside ``box``; sampled about every
     ``interval_s``."""
     hits = 0
+    p = np.empty(12)
     num = int(path.duration_s / interval_s)
     vx, vy = cos(path.heading_rad) * path.speed_m_per_s, sin(path.heading_rad) * path.speed_m_per_s
     for i in range(num):
         jitter = i * 0.6180339887498949  # keeps the samples out of step with the mirror
         t = (i + jitter - floor(jitter)) * interval_s
-        p = _platform(path, t)
+        _platform(path, t, p)
         x, y, z = _beam(path, t, i)
         x, y, z = _rotate(p, x, y, z)
         s = -(path.altitude_m + p[2]) / z
@@ -144,6 +129,7 @@ def time_over(path: StripPath, box: Box, interval_s: float) -> float:
 def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
     """Blocks of pulses (int64, ascending) that may pass over ``box``: all that do, and few that do not."""
     kept = np.empty(num_blocks, np.int64)
+    p = np.empty(12)
     n = 0
     half_s = 0.5 * BLOCK_PULSES / path.pulse_rate_hz
     drop_m = path.altitude_m - box.z_min_m + 20.0
@@ -164,7 +150,7 @@ def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
                 kept[n] = block
                 n += 1
                 continue
-        p = _platform(path, t)
+        _platform(path, t, p)
         px, py, pz = path.start_x_m + vx * t + p[0], path.start_y_m + vy * t + p[1], path.altitude_m + p[2]
         overlaps = False
         for channel in range(2 if path.pattern == CROSS_FIRE else 1):
@@ -203,9 +189,10 @@ def generate(
     and direction float32 (n, 3), advance_m float64 (n,), the length already travelled, pulse int64 (n,).
     """
     n = 0
+    p = np.empty(12)
     vx, vy = cos(path.heading_rad) * path.speed_m_per_s, sin(path.heading_rad) * path.speed_m_per_s
     for block in blocks:
-        p = _platform(path, (block + 0.5) * BLOCK_PULSES / path.pulse_rate_hz)
+        _platform(path, (block + 0.5) * BLOCK_PULSES / path.pulse_rate_hz, p)
         pz = path.altitude_m + p[2]
         for i in range(block * BLOCK_PULSES, (block + 1) * BLOCK_PULSES):
             t = i / path.pulse_rate_hz

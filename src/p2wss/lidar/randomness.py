@@ -3,8 +3,8 @@ before.
 
 So a scan has the same points whatever the chunk size, the number of threads or the order of the work. The
 hash is the finaliser of SplitMix64 (Steele, Lea, Flood 2014, "Fast splittable pseudorandom number
-generators"). Normal deviates are looked up in a table of 2^16 quantiles: four per hash, ten times cheaper
-than Box-Muller; their largest value is 4.17 and their standard deviation 0.99997.
+generators"). Normal deviates are looked up in a table of 2^12 quantiles that fits the first-level cache: four
+per hash, ten times cheaper than Box-Muller; they end at 3.67 standard deviations.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 from numba import njit
 from scipy.special import ndtri
 
-# float64 (65536,): entry i is the standard normal quantile of (i + 1/2) / 65536
-NORMAL_QUANTILE = ndtri((np.arange(65536) + 0.5) / 65536)
+# float32 (4096,): entry i is the standard normal quantile of (i + 1/2) / 4096
+NORMAL_QUANTILE = ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32)
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31 = np.uint64(30), np.uint64(27), np.uint64(31)
 _ONE = np.uint64(1)
-_LOW_16 = np.uint64(0xFFFF)
+_LOW_12 = np.uint64(0xFFF)
 _S11 = np.uint64(11)
 
 
@@ -36,12 +36,12 @@ def random_bits(key: np.uint64, counter: np.uint64) -> np.uint64:
 
 @njit(cache=True, nogil=True, inline="always")
 def normal(bits: np.uint64, which: int, quantile: np.ndarray) -> float:
-    """Standard normal deviate from the 16 bits number ``which`` (0 to 3) of ``bits``.
+    """Standard normal deviate number ``which`` (0 to 3) of ``bits``, each from its own 12 bits.
 
     ``quantile`` is :data:`NORMAL_QUANTILE`, an argument because numba would copy a global table into the
     code.
     """
-    return quantile[np.int64((bits >> np.uint64(16 * which)) & _LOW_16)]
+    return np.float64(quantile[np.int64((bits >> np.uint64(16 * which)) & _LOW_12)])
 
 
 @njit(cache=True, nogil=True, inline="always")

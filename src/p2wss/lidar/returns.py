@@ -16,6 +16,7 @@ from numba import njit
 from p2wss.lidar.pulses import Box, StripPath
 from p2wss.lidar.randomness import normal, random_bits, uniform
 from p2wss.lidar.surface import TERRAIN_REFLECTANCE, Surface
+from p2wss.lidar.terrain import first_crossing
 
 # counts of the pulses that were cast, by what became of them
 RECORDED, NO_SURFACE, OUTSIDE, LOST = range(4)
@@ -86,46 +87,33 @@ def record(
 ) -> int:
     """Write the recorded points of one chunk into ``points`` and return how many there are.
 
-    ``hit`` int32 (n,) is the triangle that each ray meets first, or -1. Only points over ``keep`` are
-    written. ``outcome`` int64 (4,) counts what became of the pulses, see :data:`OUTCOMES`.
+    ``hit`` int32 (n,) is the building's triangle that each ray meets first, or -1. Only points over ``keep``
+    are written. ``outcome`` int64 (4,) counts what became of the pulses, see :data:`OUTCOMES`.
     """
     n = 0
     heading_x, heading_y = cos(path.heading_rad), sin(path.heading_rad)
     for k in range(len(hit)):
-        triangle = hit[k]
-        if triangle < 0:
-            outcome[NO_SURFACE] += 1
-            continue
-        i0, i1, i2 = (
-            surface.triangle[triangle, 0],
-            surface.triangle[triangle, 1],
-            surface.triangle[triangle, 2],
-        )
-        ax, ay, az = surface.vertex_m[i0, 0], surface.vertex_m[i0, 1], surface.vertex_m[i0, 2]
-        bx, by, bz = surface.vertex_m[i1, 0], surface.vertex_m[i1, 1], surface.vertex_m[i1, 2]
-        cx, cy, cz = surface.vertex_m[i2, 0], surface.vertex_m[i2, 1], surface.vertex_m[i2, 2]
-        ux, uy, uz = bx - ax, by - ay, bz - az
-        vx, vy, vz = cx - ax, cy - ay, cz - az
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        nn = nx * nx + ny * ny + nz * nz
         ox, oy, oz = np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2])
         dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
-        slope = nx * dx + ny * dy + nz * dz
-        if slope == 0.0:
-            outcome[NO_SURFACE] += 1
-            continue
-        t = (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / slope
-        px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
-        if not (
-            _inside_edge(ax, ay, az, ux, uy, uz, nx, ny, nz, nn, px, py, pz)
-            and _inside_edge(bx, by, bz, cx - bx, cy - by, cz - bz, nx, ny, nz, nn, px, py, pz)
-            and _inside_edge(cx, cy, cz, -vx, -vy, -vz, nx, ny, nz, nn, px, py, pz)
-        ):
+        triangle = hit[k]
+        t, nx, ny, nz, height = _on_triangle(surface, triangle, ox, oy, oz, dx, dy, dz)
+        if t < 0:
+            triangle = -1
+        ground_t, east, north = first_crossing(
+            surface.terrain, ox, oy, oz, dx, dy, dz, t if t >= 0 else np.inf
+        )
+        if ground_t >= 0:
+            triangle, t = -1, ground_t
+            nz = 1 / sqrt(1 + east * east + north * north)
+            nx, ny = -east * nz, -north * nz
+            height = nx * (ox + t * dx) + ny * (oy + t * dy) + nz * (oz + t * dz)
+        if t < 0:
             outcome[NO_SURFACE] += 1
             continue
 
         number = np.uint64(pulse[k])
         reach = advance_m[k] + t
+        incidence = abs(nx * dx + ny * dy + nz * dz)
         if path.beam_sigma_rad > 0:  # the point is recorded on the beam's axis, not on the sub-beam
             bits = random_bits(path.beam_key, number)
             jx = path.beam_sigma_rad * normal(bits, 0, quantile)
@@ -137,19 +125,18 @@ def record(
             dx, dy, dz = dx + sx, dy + sy, dz + sz
             axis_slope = nx * dx + ny * dy + nz * dz
             if axis_slope != 0.0:
-                axis_t = (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / axis_slope
+                axis_t = (height - nx * ox - ny * oy - nz * oz) / axis_slope
                 if abs(axis_t - t) < _SAME_SURFACE_M:
                     t = axis_t
 
         building, face = np.int32(-1), np.int32(-1)
         reflectance, loss = TERRAIN_REFLECTANCE, errors.base_loss
-        if triangle >= surface.num_terrain:
-            own = triangle - surface.num_terrain
-            building, face = surface.building[own], surface.face[own]
-            reflectance = np.float64(surface.reflectance[own])
+        if triangle >= 0:
+            building, face = surface.building[triangle], surface.face[triangle]
+            reflectance = np.float64(surface.reflectance[triangle])
             if errors.min_intensity > 0:
-                loss = 1 - (1 - loss) * (1 - surface.loss[own])
-        strength = reflectance * abs(slope) / sqrt(nn) * (errors.reference_range_m / reach) ** 2
+                loss = 1 - (1 - loss) * (1 - surface.loss[triangle])
+        strength = reflectance * incidence * (errors.reference_range_m / reach) ** 2
         if errors.min_intensity > 0 or loss > 0:
             bits = random_bits(errors.loss_key, number)
             strength *= 1 + errors.speckle * normal(bits, 0, quantile)
@@ -181,14 +168,47 @@ def record(
 
 
 @njit(cache=True, nogil=True, inline="always")
+def _on_triangle(
+    surface: Surface, triangle: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
+) -> tuple[float, float, float, float, float]:
+    """Distance to a building's triangle, its unit normal and its plane's distance from the origin.
+
+    The distance is -1 if there is no triangle, or if the ray passes it by: then Embree was wrong.
+    """
+    if triangle < 0:
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    vertex = surface.vertex_m
+    i0, i1, i2 = surface.triangle[triangle, 0], surface.triangle[triangle, 1], surface.triangle[triangle, 2]
+    ax, ay, az = vertex[i0, 0], vertex[i0, 1], vertex[i0, 2]
+    bx, by, bz = vertex[i1, 0], vertex[i1, 1], vertex[i1, 2]
+    cx, cy, cz = vertex[i2, 0], vertex[i2, 1], vertex[i2, 2]
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = sqrt(nx * nx + ny * ny + nz * nz)
+    slope = nx * dx + ny * dy + nz * dz
+    if slope == 0.0:
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    t = (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / slope
+    px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
+    nx, ny, nz = nx / length, ny / length, nz / length
+    if not (
+        _inside_edge(ax, ay, az, ux, uy, uz, nx, ny, nz, px, py, pz)
+        and _inside_edge(bx, by, bz, cx - bx, cy - by, cz - bz, nx, ny, nz, px, py, pz)
+        and _inside_edge(cx, cy, cz, -vx, -vy, -vz, nx, ny, nz, px, py, pz)
+    ):
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    return t, nx, ny, nz, nx * ax + ny * ay + nz * az
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _inside_edge(
     ax: float, ay: float, az: float,
     ex: float, ey: float, ez: float,
-    nx: float, ny: float, nz: float, nn: float,
+    nx: float, ny: float, nz: float,
     px: float, py: float, pz: float,
 ) -> bool:  # fmt: skip
-    """True if p is on the inner side of the edge from a along e, or less than :data:`_ON_TRIANGLE_M` off
-    it."""
+    """True if p is on the inner side of the edge from a along e, or within :data:`_ON_TRIANGLE_M` of it."""
     qx, qy, qz = px - ax, py - ay, pz - az
     side = nx * (ey * qz - ez * qy) + ny * (ez * qx - ex * qz) + nz * (ex * qy - ey * qx)
-    return side >= 0 or side * side <= _ON_TRIANGLE_M**2 * nn * (ex * ex + ey * ey + ez * ez)
+    return side >= 0 or side * side <= _ON_TRIANGLE_M**2 * (ex * ex + ey * ey + ez * ez)

@@ -1,5 +1,4 @@
-"""What the pulses hit: terrain and buildings as one triangle mesh, with the optical properties of each
-triangle."""
+"""What the pulses hit: terrain, and buildings with the optical properties of each triangle."""
 
 from __future__ import annotations
 
@@ -7,45 +6,31 @@ from typing import NamedTuple
 
 import numpy as np
 
+from p2wss.lidar.terrain import TerrainGrid
+
 TERRAIN_REFLECTANCE = 0.25
 
 
 class Surface(NamedTuple):
-    """Terrain triangles first, then those of the buildings.
+    """Terrain, and the triangles of the buildings (t), all in the local frame.
 
-    vertex_m: float64 (v, 3) in the local frame. triangle: int32 (t, 3). num_terrain: the first triangles are
-    terrain. The other arrays have one entry per building triangle (t - num_terrain,): building and face
-    int32, reflectance float32 (0 to 1), loss float32 (share of pulses that get no echo).
+    vertex_m: float64 (v, 3). triangle: int32 (t, 3). building, face: int32 (t,). reflectance: float32 (t,),
+    0 to 1. loss: float32 (t,), share of pulses that get no echo.
     """
 
+    terrain: TerrainGrid
     vertex_m: np.ndarray
     triangle: np.ndarray
-    num_terrain: int
     building: np.ndarray
     face: np.ndarray
     reflectance: np.ndarray
     loss: np.ndarray
 
-
-def join(
-    terrain: tuple[np.ndarray, np.ndarray],
-    vertex_m: np.ndarray,
-    triangle: np.ndarray,
-    building: np.ndarray,
-    face: np.ndarray,
-    reflectance: np.ndarray,
-    loss: np.ndarray,
-) -> Surface:
-    """One surface of terrain (vertices, triangles) and buildings, all in the local frame."""
-    return Surface(
-        vertex_m=np.concatenate([terrain[0], vertex_m]),
-        triangle=np.concatenate([terrain[1], triangle + len(terrain[0])]).astype(np.int32),
-        num_terrain=len(terrain[1]),
-        building=building.astype(np.int32),
-        face=face.astype(np.int32),
-        reflectance=reflectance.astype(np.float32),
-        loss=loss.astype(np.float32),
-    )
+    def z_range_m(self) -> tuple[float, float]:
+        """Lowest and highest z of all."""
+        z = self.vertex_m[self.triangle, 2]
+        low, high = float(z.min(initial=np.inf)), float(z.max(initial=-np.inf))
+        return min(self.terrain.min_m, low), max(self.terrain.max_m, high)
 
 
 def encode_face(kind: np.ndarray, edge: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
 from p2wss.config import Scans
 from p2wss.lidar.pulses import CONICAL, CROSS_FIRE, OSCILLATING, PARALLEL, Box, StripPath, time_over
@@ -74,6 +75,8 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
         path = StripPath(
             pattern=PATTERNS[drawn["pattern"]],
             half_angle_rad=half_angle,
+            sin_half_angle=sin(half_angle),
+            cos_half_angle=cos(half_angle),
             scan_rate_hz=drawn["scan_rate_hz"],
             scan_phase=rng.uniform(),
             crossing_rad=radians(CROSSING_DEG),
@@ -85,7 +88,7 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
             speed_m_per_s=drawn["speed_m_per_s"],
             duration_s=duration_s,
             knot_interval_s=_KNOT_INTERVAL_S,
-            knots=_knots(rng, duration_s, drawn["drift_m"], radians(drawn["attitude_deg"])),
+            knots=_knots(rng, duration_s, direction, drawn["drift_m"], radians(drawn["attitude_deg"])),
             # the 1/e^2 diameter of a Gaussian beam is four standard deviations
             beam_sigma_rad=drawn["divergence_mrad"] * 1e-3 / 4,
             beam_key=np.uint64(derive_seed(seed, "beam", index)),
@@ -223,9 +226,13 @@ def _lines(
     return lines
 
 
-def _knots(rng: np.random.Generator, duration_s: float, drift_m: float, attitude_rad: float) -> np.ndarray:
-    """Drift (Ornstein-Uhlenbeck, 20 s) and attitude (three sinusoids per axis) along one strip, float64 (k,
-    6)."""
+def _knots(
+    rng: np.random.Generator, duration_s: float, heading_rad: float, drift_m: float, attitude_rad: float
+) -> np.ndarray:
+    """Drift and rotation along one strip as :class:`pulses.StripPath` has them, float64 (k, 12).
+
+    The drift is an Ornstein-Uhlenbeck process of 20 s, the attitude a sum of three sinusoids per axis.
+    """
     time_s = np.arange(int(duration_s / _KNOT_INTERVAL_S) + 2) * _KNOT_INTERVAL_S
     decay = float(np.exp(-_KNOT_INTERVAL_S / 20.0))
     steps = rng.normal(0, drift_m * np.sqrt(1 - decay**2), (len(time_s), 3))
@@ -234,4 +241,7 @@ def _knots(rng: np.random.Generator, duration_s: float, drift_m: float, attitude
     amplitude = rng.dirichlet(np.ones(3), 3) * attitude_rad
     period_s, phase = rng.uniform(3, 15, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
     angle = 2 * np.pi * time_s[:, None, None] / period_s + phase
-    return np.ascontiguousarray(np.concatenate([drift, (amplitude * np.sin(angle)).sum(axis=2)], axis=1))
+    yaw_pitch_roll = (amplitude * np.sin(angle)).sum(axis=2)
+    yaw_pitch_roll[:, 0] += heading_rad
+    matrix = Rotation.from_euler("ZYX", yaw_pitch_roll).as_matrix()
+    return np.ascontiguousarray(np.concatenate([drift, matrix.reshape(-1, 9)], axis=1))
