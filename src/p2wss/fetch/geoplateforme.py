@@ -24,12 +24,13 @@ from rasterio.io import MemoryFile
 
 from p2wss.config import Geoplateforme
 from p2wss.errors import InputError
-from p2wss.fetch.http import Client, refuse_text
+from p2wss.fetch.http import Client, quote
 from p2wss.terrain import Terrain
 from p2wss.tiling import Bounds
 
 log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3
+_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 class GeoplateformeSource:
@@ -124,8 +125,7 @@ class GeoplateformeSource:
                 return page
         except (ValueError, AttributeError):
             pass
-        text = " ".join(body[:400].decode("utf-8", "replace").split())
-        raise InputError(f'{self.config.wfs_url} {type_name}: expected GeoJSON features, got "{text}"')
+        raise InputError(f"{self.config.wfs_url} {type_name}: expected GeoJSON features, got {quote(body)}")
 
     def _heights(self, left: float, top: float, shape: tuple[int, int]) -> np.ndarray:
         """One GetMap request; left, top: of the corner, in cells."""
@@ -145,19 +145,22 @@ class GeoplateformeSource:
         }
         body = self.client.get(config.wms_url, params)
         name = f"{config.wms_url} {config.dtm_layer}"
-        refuse_text(body, name, f"{config.dtm_format} of {columns} x {rows} heights")
+        expected = f"{config.dtm_format} of {columns} x {rows} heights"
         if config.dtm_format == "image/geotiff":
+            if not body.startswith(_TIFF_MAGIC):
+                raise InputError(f"{name}: expected {expected}, got {quote(body)}")
             heights = _from_geotiff(body, name)
         else:
-            # without a header: little-endian float32, north row first
-            heights = np.frombuffer(body[: len(body) // 4 * 4], "<f4")
-            heights = heights.reshape(shape) if len(body) == 4 * rows * columns else heights
+            # little-endian float32, north row first; only its length tells it from text
+            if len(body) != 4 * rows * columns:
+                raise InputError(f"{name}: expected {expected}, got {len(body)} bytes: {quote(body)}")
+            heights = np.frombuffer(body, "<f4").reshape(shape)
         if heights.shape != shape:
             raise InputError(f"{name}: asked for {columns} x {rows} heights, got an array of {heights.shape}")
         return heights
 
     def _lidar_urls(self, bounds: Bounds) -> list[str]:
-        """Addresses of the tiles that share more than an edge with ``bounds``, by the first index with any."""
+        """Addresses of tiles that share more than an edge with ``bounds``, by the first index with some."""
         reasons = []
         for type_name in self.config.lidar_types:
             try:

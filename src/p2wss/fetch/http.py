@@ -66,7 +66,7 @@ class Client:
             with self._answer(url, {}, {"Range": f"bytes={have}-"} if have else {}) as response:
                 resumed = response.status_code == 206 and _range_start(response) == have
                 if response.status_code == 416 or (response.status_code == 206 and not resumed):
-                    part.unlink()
+                    part.unlink(missing_ok=True)
                     raise Transient("the service has no such range")
                 total = _length(response)
                 if resumed and total is not None:
@@ -79,7 +79,7 @@ class Client:
                 head = file.read(_QUOTE_CHARACTERS)
             if not head.startswith(magic):
                 part.unlink()
-                raise InputError(f"{url}: expected a file that begins with {magic!r}, got {_quote(head)}")
+                raise InputError(f"{url}: expected a file that begins with {magic!r}, got {quote(head)}")
             if total is not None and size < total:
                 raise Transient(f"{size} of {total} bytes")
             if total is not None and size > total:
@@ -133,7 +133,7 @@ class Client:
                 if response.status_code >= 400 and response.status_code != 416:
                     raise InputError(
                         f"{response.url}: HTTP {response.status_code} {response.reason}: "
-                        f"{_quote(response.content)}"
+                        f"{quote(response.content)}"
                     )
                 yield response
         except requests.RequestException as error:
@@ -142,10 +142,10 @@ class Client:
             ) from error
 
 
-def refuse_text(body: bytes, url: str, expected: str) -> None:
-    """Raise :class:`InputError` for an OGC exception or a web page that came with HTTP 200."""
-    if body[:200].lstrip()[:1] in (b"<", b"") or body[:1] == b"{":
-        raise InputError(f"{url}: expected {expected}, got {_quote(body)}")
+def quote(body: bytes) -> str:
+    """The beginning of an answer, for a message."""
+    text = " ".join(body[: 10 * _QUOTE_CHARACTERS].decode("utf-8", "replace").split())
+    return f'"{text[:_QUOTE_CHARACTERS]}"' if text else "nothing"
 
 
 def _body(response: requests.Response, deadline: float) -> Iterator[bytes]:
@@ -153,11 +153,6 @@ def _body(response: requests.Response, deadline: float) -> Iterator[bytes]:
         if time.monotonic() > deadline:
             raise Transient("the answer came too slowly (fetch.geoplateforme.max_wait_s)")
         yield chunk
-
-
-def _quote(body: bytes) -> str:
-    text = " ".join(body[: 10 * _QUOTE_CHARACTERS].decode("utf-8", "replace").split())
-    return f'"{text[:_QUOTE_CHARACTERS]}"' if text else "nothing"
 
 
 def _retry_after_s(response: requests.Response) -> float | None:

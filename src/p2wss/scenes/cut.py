@@ -40,8 +40,8 @@ def cut_scene(
     """The columns of :data:`p2wss.io.SCENE` and a geometry, sorted by building id.
 
     frame: footprints that meet the tile grown by ``margin_m`` + :data:`NEIGHBOUR_M` or more, with
-    ``building_id`` and the height columns of the fetch stage. A building belongs to the tile that holds the middle of its
-    bounding box before cleaning; others whose middle is in the margin have ``in_tile`` False. A
+    ``building_id`` and the height columns of the fetch stage. A building belongs to the tile that holds the
+    middle of its bounding box before cleaning; others whose middle is in the margin have ``in_tile`` False. A
     building that cannot be used keeps its row: empty geometry, no angles, NaN heights.
     """
     result = clean_footprints(frame, config)
@@ -101,7 +101,7 @@ def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
     rings = footprints.to_polygons(polygons)
     offset = rings.vertex_offset
     starts, ends = rings.xy_m, rings.xy_m[_next_vertex(rings.ring_offset)]
-    edges = np.atleast_1d(shapely.linestrings(np.stack([starts, ends], axis=1)))
+    edges = np.asarray(shapely.linestrings(np.stack([starts, ends], axis=1)), dtype=object)
     owner = np.repeat(np.arange(len(rings)), np.diff(offset))
     edge, other = shapely.STRtree(polygons).query(edges, predicate="dwithin", distance=_PARTY_GAP_M)
     foreign = owner[edge] != other

@@ -1,0 +1,273 @@
+"""The Geoplateforme, played by a local server that pages, caps and fails as the real one does."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pytest_httpserver import HTTPServer
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
+from werkzeug import Request, Response
+
+from p2wss.config import Geoplateforme
+from p2wss.errors import InputError
+from p2wss.fetch import normalise
+from p2wss.fetch.geoplateforme import GeoplateformeSource
+from p2wss.fetch.http import Client
+
+BOUNDS = (652000.0, 6861000.0, 653000.0, 6862000.0)
+REAL_FEATURE = (
+    Path(__file__).parents[3].parent / "shared" / "data" / "geoplateforme" / "batiment_one_feature.json"
+)
+
+
+def source(server: HTTPServer, **settings: Any) -> GeoplateformeSource:
+    config = Geoplateforme(
+        wfs_url=server.url_for("/wfs/ows"), wms_url=server.url_for("/wms-r"), requests_per_s=1e6, **settings
+    )
+    return GeoplateformeSource(config, "EPSG:2154", Client(config, sleep=lambda seconds: None))
+
+
+def building(number: int) -> dict[str, Any]:
+    x, y = 652000 + 10 * number, 6861500
+    ring = [[x, y, 50.0], [x + 8, y, 50.0], [x + 8, y + 8, 50.0], [x, y + 8, 50.0], [x, y, 50.0]]
+    return {
+        "type": "Feature",
+        "id": f"batiment.{number}",
+        "geometry": {"type": "MultiPolygon", "coordinates": [[ring]]},
+        "properties": {"cleabs": f"BATIMENT{number:04d}", "hauteur": 5.5, "nature": "Silo", "usage_1": None},
+    }
+
+
+def serve_features(features: list[dict[str, Any]], cap: int = 5000, matched: Any = None) -> Any:
+    """A WFS that silently returns at most ``cap`` features."""
+
+    def handler(request: Request) -> Response:
+        start, count = int(request.args["STARTINDEX"]), int(request.args["COUNT"])
+        page = features[start : start + min(count, cap)]
+        total = len(features) if matched is None else matched(start)
+        body = {
+            "type": "FeatureCollection",
+            "features": page,
+            "numberMatched": total,
+            "numberReturned": len(page),
+        }
+        return Response(json.dumps(body), content_type="application/json")
+
+    return handler
+
+
+def test_pages_until_all_have_come(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/wfs/ows").respond_with_handler(
+        serve_features([building(i) for i in range(25)])
+    )
+    found = source(httpserver, page_size=10).footprints(BOUNDS)
+    assert sorted(found["cleabs"]) == [f"BATIMENT{i:04d}" for i in range(25)]
+    assert found.crs == "EPSG:2154"
+    asked = [request.args for request, _ in httpserver.log]
+    assert [args["STARTINDEX"] for args in asked] == ["0", "10", "20"]
+    assert asked[0]["BBOX"] == "652000,6861000,653000,6862000,EPSG:2154"
+    assert asked[0]["SORTBY"] == "cleabs"
+    assert asked[0]["TYPENAMES"] == "BDTOPO_V3:batiment"
+    assert len(normalise(found, "EPSG:2154", "wfs")) == 25
+
+
+def test_pages_that_the_server_cuts_short(httpserver: HTTPServer) -> None:
+    handler = serve_features([building(i) for i in range(25)], cap=7)
+    httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
+    assert len(source(httpserver, page_size=10).footprints(BOUNDS)) == 25
+    assert len(httpserver.log) == 4
+
+
+def test_number_matched_that_grows_between_pages(httpserver: HTTPServer) -> None:
+    features = [building(i) for i in range(12)]
+    handler = serve_features(features, matched=lambda start: 10 if start == 0 else 12)
+    httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
+    assert len(source(httpserver, page_size=8).footprints(BOUNDS)) == 12
+
+
+def test_a_page_that_repeats_features_is_an_error(httpserver: HTTPServer) -> None:
+    features = [building(i) for i in [0, 1, 2, 3, 2, 3]]
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
+    with pytest.raises(InputError, match="6 features, but pages repeat themselves and only 4 differ"):
+        source(httpserver, page_size=4).footprints(BOUNDS)
+
+
+def test_empty_pages_before_the_end_are_an_error(httpserver: HTTPServer) -> None:
+    handler = serve_features([building(i) for i in range(4)], matched=lambda start: 9)
+    httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
+    with pytest.raises(InputError, match="4 of 9 features, then empty pages"):
+        source(httpserver, page_size=4).footprints(BOUNDS)
+    assert len(httpserver.log) == 4
+
+
+def test_an_exception_with_status_200_is_quoted(httpserver: HTTPServer) -> None:
+    text = "<ows:ExceptionReport><ows:ExceptionText>Feature type unknown</ows:ExceptionText>"
+    httpserver.expect_request("/wfs/ows").respond_with_data(text, content_type="application/xml")
+    with pytest.raises(InputError, match=r"expected GeoJSON features, got .*Feature type unknown"):
+        source(httpserver).footprints(BOUNDS)
+    assert len(httpserver.log) == 1
+
+
+def test_no_building_at_all(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features([]))
+    with pytest.raises(InputError, match=r"no building in 652000\.\.653000, 6861000\.\.6862000"):
+        source(httpserver).footprints(BOUNDS)
+
+
+@pytest.mark.skipif(not REAL_FEATURE.exists(), reason="no shared/data/geoplateforme")
+def test_a_feature_as_really_served(httpserver: HTTPServer) -> None:
+    features = json.loads(REAL_FEATURE.read_text())["features"]
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
+    config = Geoplateforme(wfs_url=httpserver.url_for("/wfs/ows"), requests_per_s=1e6)
+    found = GeoplateformeSource(config, "EPSG:4326").footprints((4.8, 45.7, 4.9, 45.8))
+    row = normalise(found, "EPSG:4326", "wfs").iloc[0]
+    assert (row.building_id, row.hauteur_m, row.num_floors) == ("BATIMENT0000000240879442", 25.6, 6)
+    assert (row.altitude_minimale_sol_m, row.altitude_minimale_toit_m) == (213.1, 238.6)
+    assert row.nature == "Indifférenciée"
+    assert not row.geometry.has_z
+
+
+def heights(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return (0.01 * (x - 652000) + 0.002 * (y - 6861000)).astype(np.float32)
+
+
+def geotiff(values: np.ndarray, west: float, north: float, cell: float, dtype: str = "float32") -> bytes:
+    with MemoryFile() as file:
+        with file.open(
+            driver="GTiff",
+            width=values.shape[1],
+            height=values.shape[0],
+            count=1,
+            dtype=dtype,
+            crs="EPSG:2154",
+            transform=from_origin(west, north, cell, cell),
+        ) as raster:
+            raster.write(values.astype(dtype), 1)
+        return file.read()
+
+
+def serve_terrain(request: Request) -> Response:
+    west, south, east, north = (float(part) for part in request.args["BBOX"].split(","))
+    columns, rows = int(request.args["WIDTH"]), int(request.args["HEIGHT"])
+    cell = (east - west) / columns
+    assert cell == pytest.approx((north - south) / rows)
+    x, y = np.meshgrid(west + cell * (np.arange(columns) + 0.5), north - cell * (np.arange(rows) + 0.5))
+    values = heights(x, y)
+    values[(x > 652990) & (y > 6861990)] = -99999
+    if request.args["FORMAT"] == "image/geotiff":
+        return Response(geotiff(values, west, north, cell), content_type="image/geotiff")
+    return Response(values.astype("<f4").tobytes(), content_type="image/x-bil;bits=32")
+
+
+@pytest.mark.parametrize("image_format", ["image/geotiff", "image/x-bil;bits=32"])
+@pytest.mark.parametrize(("cell", "max_pixels"), [(1.0, 4000), (0.5, 4000), (5.0, 64)])
+def test_terrain_is_centred_on_multiples(
+    httpserver: HTTPServer, image_format: Any, cell: float, max_pixels: int
+) -> None:
+    httpserver.expect_request("/wms-r").respond_with_handler(serve_terrain)
+    asked = source(httpserver, dtm_format=image_format, dtm_resolution_m=cell, dtm_max_pixels=max_pixels)
+    terrain = asked.dtm((652000.0, 6861600.0, 653000.0, 6862000.0))
+    rows, columns = terrain.height_m.shape
+    assert (columns, rows) == (1000 / cell + 1, 400 / cell + 1)
+    x = terrain.x_min_m + cell * (np.arange(columns) + 0.5)
+    y = terrain.y_max_m - cell * (np.arange(rows) + 0.5)
+    assert x[0] == 652000 and x[-1] == 653000 and y[0] == 6862000 and y[-1] == 6861600
+    expected = heights(*np.meshgrid(x, y))
+    missing = (x > 652990)[None] & (y > 6861990)[:, None]
+    np.testing.assert_array_equal(np.isnan(terrain.height_m), missing)
+    np.testing.assert_allclose(terrain.height_m[~missing], expected[~missing], atol=1e-4)
+    assert len(httpserver.log) == -(-columns // max_pixels) * -(-rows // max_pixels)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (b"<ServiceException>Layer not defined</ServiceException>", "Layer not defined"),
+        (geotiff(np.zeros((21, 21)), 0, 0, 1, "uint8"), "got uint8: a picture"),
+        (geotiff(np.zeros((20, 21)), 0, 0, 1), "asked for 21 x 21 heights"),
+        (geotiff(np.random.default_rng(0).random((21, 21)), 0, 0, 1)[:900], "truncated"),
+        (b"", "got nothing"),
+    ],
+)
+def test_terrain_that_is_none(httpserver: HTTPServer, body: bytes, message: str) -> None:
+    httpserver.expect_request("/wms-r").respond_with_data(body, content_type="image/geotiff")
+    with pytest.raises(InputError, match=message):
+        source(httpserver).dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
+    assert len(httpserver.log) == 1
+
+
+def test_bil_of_the_wrong_length_is_quoted(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/wms-r").respond_with_data(b"<ServiceException>busy</ServiceException>")
+    with pytest.raises(InputError, match=r"of 21 x 21 heights, got 41 bytes: .*busy"):
+        source(httpserver, dtm_format="image/x-bil;bits=32").dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
+
+
+def tile_feature(x: int, y: int, **properties: Any) -> dict[str, Any]:
+    west, north = 1000 * x, 1000 * y
+    ring = [
+        [west, north - 1000],
+        [west + 1000, north - 1000],
+        [west + 1000, north],
+        [west, north],
+        [west, north - 1000],
+    ]
+    return {
+        "type": "Feature",
+        "id": f"{x}_{y}",
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+        "properties": properties,
+    }
+
+
+def test_lidar_tile_by_the_index(httpserver: HTTPServer, tmp_path: Path) -> None:
+    """The neighbour that only shares an edge is left alone; a dash in the name is mended after a 404."""
+    base = httpserver.url_for("/download/LHD_FXX_")
+    features = [
+        tile_feature(652, 6862, url_npl=f"{base}0652-6862_PTS_LAMB93_IGN69.copc.laz", url_mnt="other"),
+        tile_feature(653, 6862, url_npl=f"{base}0653_6862_PTS_LAMB93_IGN69.copc.laz"),
+    ]
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
+    httpserver.expect_request("/download/LHD_FXX_0652_6862_PTS_LAMB93_IGN69.copc.laz").respond_with_data(
+        b"LASF..."
+    )
+    httpserver.expect_request("/download/LHD_FXX_0652-6862_PTS_LAMB93_IGN69.copc.laz").respond_with_data(
+        status=404
+    )
+    asked = source(httpserver)
+    paths = asked.lidar(BOUNDS, tmp_path)
+    assert [path.read_bytes() for path in paths] == [b"LASF..."]
+    requests = len(httpserver.log)
+    assert requests == 3
+    assert asked.lidar(BOUNDS, tmp_path) == paths
+    assert len(httpserver.log) == requests + 1, "a tile that is there is not downloaded again"
+
+
+def test_the_older_index_is_asked_when_the_current_one_is_gone(
+    httpserver: HTTPServer, tmp_path: Path
+) -> None:
+    def handler(request: Request) -> Response:
+        if request.args["TYPENAMES"].startswith("IGNF_LIDAR-HD_METADONNEE"):
+            return Response("<ExceptionText>unknown type</ExceptionText>", status=400)
+        return serve_features([tile_feature(652, 6862, url=httpserver.url_for("/t.laz"))])(request)
+
+    httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
+    httpserver.expect_request("/t.laz").respond_with_data(b"LASF")
+    assert [path.name for path in source(httpserver).lidar(BOUNDS, tmp_path)] == ["t.laz"]
+
+
+def test_a_place_without_lidar(httpserver: HTTPServer, tmp_path: Path) -> None:
+    httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features([]))
+    with pytest.raises(InputError, match=r"no LiDAR HD in 652000.*METADONNEE:metadata has no tile there"):
+        source(httpserver).lidar(BOUNDS, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_addresses_of_the_service_itself_use_its_scheme() -> None:
+    asked = GeoplateformeSource(Geoplateforme(), "EPSG:2154")
+    assert asked._safe("http://data.geopf.fr/a.laz") == "https://data.geopf.fr/a.laz"
+    assert asked._safe("http://elsewhere.example/a.laz") == "http://elsewhere.example/a.laz"

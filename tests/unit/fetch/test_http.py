@@ -1,0 +1,194 @@
+"""Faults of a service, played by a local server; the number of requests is counted each time."""
+
+from __future__ import annotations
+
+import socketserver
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from pytest_httpserver import HTTPServer
+from werkzeug import Request, Response
+
+from p2wss.config import Geoplateforme
+from p2wss.errors import InputError
+from p2wss.fetch.http import Client
+
+BODY = b"LASF" + bytes(range(256)) * 400
+
+
+def client(pauses: list[float] | None = None, **settings: float) -> Client:
+    config = Geoplateforme(requests_per_s=1e6, timeout_s=settings.pop("timeout_s", 5), **settings)
+    return Client(config, sleep=(pauses if pauses is not None else []).append)
+
+
+def test_retry_after_is_obeyed(httpserver: HTTPServer) -> None:
+    httpserver.expect_ordered_request("/x").respond_with_data("", status=429, headers={"Retry-After": "5"})
+    httpserver.expect_ordered_request("/x").respond_with_data("", status=429, headers={"Retry-After": "3"})
+    httpserver.expect_ordered_request("/x").respond_with_data("fine")
+    pauses: list[float] = []
+    assert client(pauses).get(httpserver.url_for("/x")) == b"fine"
+    assert [pause for pause in pauses if pause > 0.1] == [5.0, 3.0]
+    assert len(httpserver.log) == 3
+
+
+def test_server_errors_are_waited_out_with_growing_pauses(httpserver: HTTPServer) -> None:
+    for _ in range(2):
+        httpserver.expect_ordered_request("/x").respond_with_data("", status=500)
+    httpserver.expect_ordered_request("/x").respond_with_data("fine")
+    pauses: list[float] = []
+    assert client(pauses).get(httpserver.url_for("/x")) == b"fine"
+    first, second = (pause for pause in pauses if pause > 0.1)
+    assert 1 <= first <= 2 <= second <= 4
+
+
+def test_a_service_that_stays_down_is_named(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/x").respond_with_data("", status=503)
+    with pytest.raises(InputError, match=r"/x: HTTP 503, after 4 attempts"):
+        client(max_attempts=4).get(httpserver.url_for("/x"))
+    assert len(httpserver.log) == 4
+
+
+def test_a_refusal_is_quoted_and_not_repeated(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/x").respond_with_data("<html>unknown layer</html>", status=400)
+    with pytest.raises(InputError, match=r'HTTP 400 BAD REQUEST: "<html>unknown layer</html>"'):
+        client().get(httpserver.url_for("/x"))
+    assert len(httpserver.log) == 1
+
+
+def test_no_answer_at_all() -> None:
+    with socketserver.TCPServer(("127.0.0.1", 0), None) as nobody:  # type: ignore[arg-type]
+        port = nobody.server_address[1]
+    with pytest.raises(InputError, match=r"after 2 attempts; try again later, or set fetch\.source: folder"):
+        client(max_attempts=2).get(f"http://127.0.0.1:{port}/x")
+
+
+def test_requests_are_spaced(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/x").respond_with_data("fine")
+    pauses: list[float] = []
+    asked = Client(Geoplateforme(requests_per_s=0.5), sleep=pauses.append)
+    for _ in range(3):
+        asked.get(httpserver.url_for("/x"))
+    assert len(pauses) == 2
+    assert all(1.5 < pause <= 2 for pause in pauses)
+
+
+def test_user_agent_and_redirect(httpserver: HTTPServer) -> None:
+    httpserver.expect_request("/old").respond_with_data(
+        "", status=302, headers={"Location": httpserver.url_for("/new")}
+    )
+    httpserver.expect_request("/new", headers={"User-Agent": "p2wss"}).respond_with_data("fine")
+    assert client().get(httpserver.url_for("/old")) == b"fine"
+
+
+@contextmanager
+def broken_server(answers: list[bytes]) -> Iterator[tuple[str, list[bytes]]]:
+    """Sends each of ``answers`` raw, then closes the connection; yields (url, requests so far)."""
+    requests: list[bytes] = []
+
+    class Handler(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            requests.append(self.request.recv(65536))
+            self.request.sendall(answers[min(len(requests), len(answers)) - 1])
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/tile.laz", requests
+        server.shutdown()
+
+
+def raw(status: str, body: bytes, **headers: object) -> bytes:
+    lines = [f"HTTP/1.1 {status}", *(f"{name.replace('_', '-')}: {value}" for name, value in headers.items())]
+    return "\r\n".join([*lines, "Connection: close", "", ""]).encode() + body
+
+
+def test_connection_lost_in_the_body() -> None:
+    answers = [raw("200 OK", b"only a pie", Content_Length=20), raw("200 OK", b"fine", Content_Length=4)]
+    with broken_server(answers) as (url, requests):
+        assert client().get(url) == b"fine"
+        assert len(requests) == 2
+
+
+def test_download_resumes_where_it_broke_off(httpserver: HTTPServer, tmp_path: Path) -> None:
+    big = b"LASF" + bytes(2_000_000)
+    starts = []
+
+    def handler(request: Request) -> Response:
+        start = int(request.headers.get("Range", "bytes=0-").removeprefix("bytes=").removesuffix("-"))
+        starts.append(start)
+        if start:
+            headers = {"Content-Range": f"bytes {start}-{len(big) - 1}/{len(big)}"}
+            return Response(big[start:], status=206, headers=headers)
+        return Response(iter([big[:1_500_000]]), headers={"Content-Length": str(len(big))})
+
+    httpserver.expect_request("/t").respond_with_handler(handler)
+    client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
+    assert (tmp_path / "t.laz").read_bytes() == big
+    assert len(starts) == 2 and 1_000_000 < starts[1] <= 1_500_000
+    assert [path.name for path in tmp_path.iterdir()] == ["t.laz"]
+
+
+def serve_ranges(request: Request) -> Response:
+    start = int(request.headers.get("Range", "bytes=0-").removeprefix("bytes=").removesuffix("-"))
+    if start >= len(BODY):
+        return Response(status=416)
+    headers = {"Content-Range": f"bytes {start}-{len(BODY) - 1}/{len(BODY)}"}
+    return Response(BODY[start:], status=206 if start else 200, headers=headers if start else {})
+
+
+def test_download_of_an_earlier_run_is_finished(httpserver: HTTPServer, tmp_path: Path) -> None:
+    httpserver.expect_request("/t").respond_with_handler(serve_ranges)
+    (tmp_path / "t.laz.part").write_bytes(BODY[:1000])
+    client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
+    assert (tmp_path / "t.laz").read_bytes() == BODY
+    assert len(httpserver.log) == 1
+
+
+def test_a_part_longer_than_the_file_is_thrown_away(httpserver: HTTPServer, tmp_path: Path) -> None:
+    httpserver.expect_request("/t").respond_with_handler(serve_ranges)
+    (tmp_path / "t.laz.part").write_bytes(BODY + b"more")
+    client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
+    assert (tmp_path / "t.laz").read_bytes() == BODY
+    assert len(httpserver.log) == 2
+
+
+def test_a_range_answered_with_the_whole(httpserver: HTTPServer, tmp_path: Path) -> None:
+    httpserver.expect_request("/t").respond_with_data(BODY)
+    (tmp_path / "t.laz.part").write_bytes(b"LASF of another edition")
+    client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
+    assert (tmp_path / "t.laz").read_bytes() == BODY
+    assert len(httpserver.log) == 1
+
+
+def test_a_web_page_is_no_tile(httpserver: HTTPServer, tmp_path: Path) -> None:
+    httpserver.expect_request("/t").respond_with_data("<html>Moved, see our new site</html>")
+    with pytest.raises(InputError, match="begins with b'LASF', got \"<html>Moved"):
+        client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
+    assert list(tmp_path.iterdir()) == []
+    assert len(httpserver.log) == 1
+
+
+def test_a_slow_drip_is_cut(tmp_path: Path) -> None:
+    """Each piece comes within the timeout, the whole would take for ever."""
+
+    class Drip(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            self.request.recv(65536)
+            self.request.sendall(raw("200 OK", b"", Transfer_Encoding="chunked"))
+            try:
+                for _ in range(100):
+                    self.request.sendall(b"1\r\nx\r\n")
+                    stop.wait(0.05)
+            except OSError:
+                pass
+
+    stop = threading.Event()
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Drip) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        with pytest.raises(InputError, match="too slowly"):
+            client(max_attempts=1, max_wait_s=0.3).get(f"http://127.0.0.1:{server.server_address[1]}/x")
+        stop.set()
+        server.shutdown()
