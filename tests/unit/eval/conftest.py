@@ -31,7 +31,9 @@ def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split
         height = 4.0 + 0.5 * (i % 7)
         ground = 100 + 3 * np.sin(i)
         polygon = Polygons.from_rings([[xy]])
-        vertex, triangle, kind, _ = skeleton.build(polygon, np.array(angle, float), np.array([height])).mesh(0)
+        vertex, triangle, kind, _ = skeleton.build(polygon, np.array(angle, float), np.array([height])).mesh(
+            0
+        )
         on_roof = sample_surface(vertex, triangle[kind >= FaceKind.ROOF], 600, draw)
         on_ground = np.column_stack([draw.uniform(-6, -5, 60), draw.uniform(-5, 5, 60), np.zeros(60)])
         point = np.vstack([on_roof, on_ground]) + draw.normal(0, 0.03, (660, 3)) + [0, 0, ground]
@@ -82,12 +84,14 @@ def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
         json.dumps(
             {
                 "shards": [
-                    {"path": "a.parquet", "dataset": "synthetic", "rows": {"val": 4, "train": 20, "test": 16}},
+                    {
+                        "path": "a.parquet",
+                        "dataset": "synthetic",
+                        "rows": {"val": 4, "train": 20, "test": 16},
+                    },
                     {"path": "b.parquet", "dataset": "lidar", "rows": {"none": 12}},
                 ]
             }
         )
     )
     return manifest
-
-

@@ -36,7 +36,11 @@ def solid_of(name: str) -> tuple[Solid, np.ndarray, np.ndarray]:
     assert meshes.status[0] == 0
     vertex, triangle, kind, edge = meshes.mesh(0)
     there = vertex + [652000.25, 6861000.5, 100]
-    return Solid(name, there, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}), there, triangle
+    return (
+        Solid(name, there, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}),
+        there,
+        triangle,
+    )
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -74,7 +78,9 @@ def test_polygons_are_planar_and_use_each_edge_once_each_way(name: str) -> None:
 
 def test_merging_leaves_as_few_polygons_as_there_are_planes() -> None:
     flat, _, _ = solid_of("flat")
-    assert sorted(s.kind for s in flat.surfaces) == sorted([FaceKind.GROUND, FaceKind.FLAT] + [FaceKind.WALL] * 6)
+    assert sorted(s.kind for s in flat.surfaces) == sorted(
+        [FaceKind.GROUND, FaceKind.FLAT] + [FaceKind.WALL] * 6
+    )
     yard, _, _ = solid_of("flat courtyard")
     ground = next(s for s in yard.surfaces if s.kind == FaceKind.GROUND)
     assert [len(ring) for ring in ground.rings] == [4, 4]

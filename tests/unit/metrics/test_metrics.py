@@ -43,9 +43,7 @@ def test_distance_to_mesh_is_that_of_dense_samples(seed: int) -> None:
     step = np.linspace(0, 1, 150)
     u, v = (g.ravel()[:, None] for g in np.meshgrid(step, step))
     inside = (u + v <= 1).ravel()
-    dense = np.concatenate(
-        [a + u[inside] * (b - a) + v[inside] * (c - a) for a, b, c in vertex[triangle]]
-    )
+    dense = np.concatenate([a + u[inside] * (b - a) + v[inside] * (c - a) for a, b, c in vertex[triangle]])
     oracle = np.array([np.linalg.norm(dense - p, axis=1).min() for p in point])
     exact = distance_to_mesh(point, vertex, triangle)
     assert np.all(exact <= oracle + 1e-9)
