@@ -305,7 +305,7 @@ class Crops(Section):
     )
     min_points: int = Field(20, ge=1, description="buildings with fewer points are left out")
     block_size_m: float = Field(
-        250, gt=0, description="edge of the square blocks that go to train, val or test as a whole"
+        125, gt=0, description="edge of the square blocks that go to train, val or test as a whole"
     )
     guard_m: float = Field(
         10, ge=0, description="val and test buildings nearer than this to another split are set aside"
@@ -431,6 +431,9 @@ class Model(Section):
     )
     edge_embedding: bool = Field(
         True, description="tokens also carry the geometry of their edge where visible"
+    )
+    edge_attention: bool = Field(
+        True, description="attention to patches is biased by where they lie from the edge, where visible"
     )
     ema_decay: float = Field(0.99, ge=0, lt=1, description="of the averaged weights that are kept; 0 = off")
     loss_weights: LossWeights = LossWeights()
