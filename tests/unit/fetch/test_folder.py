@@ -1,0 +1,312 @@
+"""Files as users have them: the miniature's in IGN's formats, and small ones made here to be wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from rasterio.transform import from_origin
+
+from p2wss.config import Folder
+from p2wss.errors import InputError
+from p2wss.fetch import check_terrain, normalise, write_cloud, write_footprints
+from p2wss.fetch.folder import FolderSource, mosaic
+
+ROOT = Path(__file__).parents[3]
+MINI = ROOT / "tests" / "mini"
+OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"
+
+
+def source(crs: str = "EPSG:2154", **paths: Any) -> FolderSource:
+    return FolderSource(Folder(**{name: str(path) for name, path in paths.items()}), crs)
+
+
+# --- footprints ---
+
+
+def buildings(number: int = 3, **columns: Any) -> gpd.GeoDataFrame:
+    squares = [shapely.box(652000 + 20 * i, 6861000, 652010 + 20 * i, 6861010) for i in range(number)]
+    values = {"cleabs": [f"B{i}" for i in range(number)], "hauteur": np.arange(number) + 3.0} | columns
+    return gpd.GeoDataFrame(values, geometry=shapely.force_3d(np.array(squares), 60.0), crs="EPSG:2154")
+
+
+def test_window_of_the_miniature() -> None:
+    found = source(footprints=MINI / "bdtopo").footprints((652900, 6861000, 653000, 6861100))
+    result = normalise(found, "EPSG:2154", "mini")
+    everything = gpd.read_file(MINI / "bdtopo" / "BDTOPO_mini.gpkg")
+    expected = everything[everything.intersects(shapely.box(652900, 6861000, 653000, 6861100))]
+    assert sorted(result["building_id"]) == sorted(expected["cleabs"])
+    assert list(result.columns) == [
+        "building_id",
+        "hauteur_m",
+        "nature",
+        "usage",
+        "num_floors",
+        "altitude_minimale_sol_m",
+        "altitude_minimale_toit_m",
+        "geometry",
+    ]
+    assert set(result.geom_type) == {"MultiPolygon"}
+    assert not result.has_z.any()
+
+
+@pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
+def test_shapefile_delivery_has_the_other_spelling() -> None:
+    found = source(footprints=OLEMPS / "BATIMENT.shp").footprints((664000, 6360000, 665000, 6361000))
+    result = normalise(found, "EPSG:2154", "olemps").set_index("building_id")
+    raw = gpd.read_file(OLEMPS / "BATIMENT.shp").set_index("ID").loc[result.index]
+    np.testing.assert_array_equal(result["hauteur_m"], raw["HAUTEUR"])
+    np.testing.assert_array_equal(result["altitude_minimale_sol_m"], raw["Z_MIN_SOL"])
+    np.testing.assert_array_equal(result["num_floors"], raw["NB_ETAGES"].astype(float))
+    assert "Indifférenciée" in set(result["nature"]), "UTF-8 without a .cpg file"
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".parquet", ".geojson", ".fgb"])
+def test_other_formats_by_window(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"b{suffix}"
+    frame = buildings(5)
+    if suffix == ".parquet":
+        frame.to_parquet(path, write_covering_bbox=True)
+    else:
+        frame.to_file(path)
+    found = normalise(
+        source(footprints=path).footprints((652015, 6861000, 652055, 6861010)), "EPSG:2154", "b"
+    )
+    assert list(found["building_id"]) == ["B1", "B2"]
+
+
+def test_several_files_and_a_building_in_two_of_them(tmp_path: Path) -> None:
+    buildings(3).to_file(tmp_path / "a.gpkg")
+    buildings(5).iloc[2:].to_file(tmp_path / "b.gpkg")
+    found = source(footprints=tmp_path / "*.gpkg").footprints((652000, 6861000, 652100, 6861100))
+    assert list(normalise(found, "EPSG:2154", "ab")["building_id"]) == ["B0", "B1", "B2", "B3", "B4"]
+
+
+def test_missing_column_lists_what_there_is() -> None:
+    frame = buildings().rename(columns={"hauteur": "height"})
+    with pytest.raises(InputError, match="x: no column hauteur or HAUTEUR; it has cleabs, height"):
+        normalise(frame, "EPSG:2154", "x")
+
+
+def test_wrong_crs_names_both() -> None:
+    with pytest.raises(InputError, match=r"x: is in Amersfoort.*, but the region in RGF93 v1 / Lambert-93"):
+        normalise(buildings().to_crs("EPSG:28992"), "EPSG:2154", "x")
+
+
+def test_absent_attributes_are_null() -> None:
+    result = normalise(buildings(hauteur=[None, 0.0, 4.5]), "EPSG:2154", "x")
+    np.testing.assert_array_equal(result["hauteur_m"], [np.nan, 0.0, 4.5])
+    assert result["nature"].isna().all() and result["num_floors"].isna().all()
+
+
+def test_a_building_without_id_is_named() -> None:
+    with pytest.raises(InputError, match="x: building number 2 has no cleabs"):
+        normalise(buildings(cleabs=["a", None, "c"]), "EPSG:2154", "x")
+
+
+def test_several_layers_and_none_of_the_name(tmp_path: Path) -> None:
+    for layer in ("roads", "rivers"):
+        buildings().to_file(tmp_path / "b.gpkg", layer=layer)
+    with pytest.raises(InputError, match="no layer batiment, but roads, rivers"):
+        source(footprints=tmp_path / "b.gpkg").footprints((652000, 6861000, 652100, 6861100))
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"fetch\.folder\.footprints: .*nothing: no such file"):
+        source(footprints=tmp_path / "nothing").footprints((0, 0, 1, 1))
+
+
+def test_no_vector_file(tmp_path: Path) -> None:
+    (tmp_path / "b.gpkg").write_text("<html>")
+    with pytest.raises(InputError, match=r"b\.gpkg: not a readable vector file"):
+        source(footprints=tmp_path).footprints((0, 0, 1, 1))
+
+
+def test_footprints_are_written_whole_and_with_their_origin(tmp_path: Path) -> None:
+    out = tmp_path / "footprints.gpkg"
+    frame = normalise(buildings(), "EPSG:2154", "x")
+    write_footprints(out, frame, {"code": "abc"})
+    assert [path.name for path in tmp_path.iterdir()] == ["footprints.gpkg"]
+    back = gpd.read_file(out)
+    assert back.geometry.geom_equals(frame.geometry).all()
+    import pyogrio
+
+    assert pyogrio.read_info(out)["layer_metadata"]["p2wss"] == '{"code": "abc"}'
+
+
+# --- terrain ---
+
+
+def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 0.05 * (x - 652000) - 0.02 * (y - 6861000) + 100
+
+
+def write_asc(path: Path, x_nw: float, y_nw: float, size: int, cell: float, nodata: int = 0) -> None:
+    x, y = np.meshgrid(x_nw + cell * np.arange(size), y_nw - cell * np.arange(size))
+    z = plane(x, y)
+    z.ravel()[:nodata] = -99999
+    corner = f"xllcorner {x_nw - cell / 2}\nyllcorner {y_nw - cell * (size - 1) - cell / 2}\n"
+    header = f"ncols {size}\nnrows {size}\n{corner}cellsize {cell}\nNODATA_value -99999.00\n"
+    path.write_text(header + "\n".join(" ".join(f"{v:.2f}" for v in row) for row in z) + "\n")
+
+
+def test_miniature_terrain_is_a_copy_of_its_files() -> None:
+    """A window over four tiles, checked against the text of the files."""
+    terrain = source(dtm=MINI / "rgealti").dtm((652900.0, 6860900.0, 653100.0, 6861100.0))
+    assert terrain.cell_m == 5
+    for name, rows, columns in [
+        ("0652_6862", slice(180, 200), slice(180, 200)),
+        ("0653_6861", slice(0, 20), slice(0, 20)),
+    ]:
+        path = MINI / "rgealti" / f"RGEALTI_FXX_{name}_MNT_LAMB93_IGN69.asc"
+        text = np.loadtxt(path, skiprows=6)[rows, columns]
+        x = int(name[:4]) * 1000 + 5 * columns.start
+        y = int(name[5:]) * 1000 - 5 * rows.start
+        column = round((x - terrain.x_min_m) / 5 - 0.5)
+        row = round((terrain.y_max_m - y) / 5 - 0.5)
+        np.testing.assert_allclose(terrain.height_m[row : row + 20, column : column + 20], text, atol=1e-4)
+
+
+def test_beyond_the_files_there_is_no_terrain() -> None:
+    terrain = source(dtm=MINI / "rgealti").dtm((651900.0, 6861500.0, 652100.0, 6861600.0))
+    x = terrain.x_min_m + 5 * (np.arange(terrain.height_m.shape[1]) + 0.5)
+    np.testing.assert_array_equal(
+        np.isnan(terrain.height_m), np.broadcast_to(x < 652000, terrain.height_m.shape)
+    )
+
+
+def test_nodata_becomes_nan(tmp_path: Path) -> None:
+    write_asc(tmp_path / "a.asc", 652000, 6861050, 50, 1, nodata=50)
+    terrain = source(dtm=tmp_path).dtm((652000.0, 6861010.0, 652040.0, 6861060.0))
+    known = np.isfinite(terrain.height_m)
+    y = terrain.y_max_m - (np.arange(len(known)) + 0.5)
+    np.testing.assert_array_equal(known[:, 0], y < 6861050)
+    assert check_terrain(terrain, (652000, 6861010, 652040, 6861040), "x") == 1
+    with pytest.raises(InputError, match="x: no heights in"):
+        check_terrain(terrain, (652000, 6861052, 652040, 6861058), "x")
+
+
+def test_another_cell_size_is_interpolated(tmp_path: Path) -> None:
+    """1 m beside 5 m: the plane comes out on both sides, to the width of a coarse cell."""
+    write_asc(tmp_path / "a.asc", 652000, 6861099, 100, 1)
+    write_asc(tmp_path / "b.asc", 652100, 6861095, 20, 5)
+    files = [tmp_path / "a.asc", tmp_path / "b.asc"]
+    terrain = mosaic(files, (652010.0, 6861010.0, 652180.0, 6861080.0), "EPSG:2154", "x")
+    rows, columns = terrain.height_m.shape
+    x, y = np.meshgrid(
+        terrain.x_min_m + np.arange(columns) + 0.5, terrain.y_max_m - np.arange(rows) - 0.5, indexing="xy"
+    )
+    error = np.abs(terrain.height_m - plane(x, y))
+    assert np.nanmax(error[:, x[0] < 652095]) < 0.006
+    assert np.nanmax(error[:, x[0] > 652105]) < 0.02
+    assert np.isfinite(error).mean() > 0.97
+
+
+def test_terrain_in_another_crs(tmp_path: Path) -> None:
+    with rasterio.open(
+        tmp_path / "a.tif", "w", driver="GTiff", width=10, height=10, count=1, dtype="float32",
+        crs="EPSG:28992", transform=from_origin(0, 10, 1, 1),
+    ) as raster:  # fmt: skip
+        raster.write(np.ones((1, 10, 10), np.float32))
+    with pytest.raises(InputError, match=r"a\.tif: is in Amersfoort.*the region in RGF93"):
+        source(dtm=tmp_path).dtm((0, 0, 10, 10))
+
+
+def test_terrain_elsewhere_and_no_raster(tmp_path: Path) -> None:
+    write_asc(tmp_path / "a.asc", 652000, 6861050, 50, 1)
+    with pytest.raises(InputError, match=r"none of its 1 files covers 700000\.\.700100, 6600000\.\.6600100"):
+        source(dtm=tmp_path).dtm((700000, 6600000, 700100, 6600100))
+    (tmp_path / "b.asc").write_text("<html>")
+    with pytest.raises(InputError, match=r"b\.asc: not a readable raster"):
+        source(dtm=tmp_path).dtm((652000, 6861000, 652050, 6861050))
+
+
+def test_truncated_terrain(tmp_path: Path) -> None:
+    write_asc(tmp_path / "a.asc", 652000, 6861050, 50, 1)
+    text = (tmp_path / "a.asc").read_text()
+    (tmp_path / "a.asc").write_text(text[: len(text) // 2])
+    with pytest.raises(InputError, match=r"a\.asc.*truncated"):
+        source(dtm=tmp_path).dtm((652000, 6861000, 652050, 6861050))
+
+
+# --- LiDAR ---
+
+LIDAR = MINI / "lidar" / "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
+TILE = (653000.0, 6860000.0, 654000.0, 6861000.0)
+
+
+def write_points(path: Path, x: np.ndarray, y: np.ndarray, crs: str | None = "EPSG:2154") -> None:
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, [652000, 6861000, 0]
+    if crs:
+        from pyproj import CRS
+
+        header.add_crs(CRS(crs))
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = x, y, np.full(len(x), 12.345)
+    cloud.classification = np.full(len(x), 6)
+    cloud.gps_time = np.arange(len(x))
+    cloud.write(path)
+
+
+def test_one_laz_is_copied_as_it_is(tmp_path: Path) -> None:
+    paths = source(lidar=MINI / "lidar").lidar(TILE, tmp_path)
+    assert paths == [LIDAR]
+    out = tmp_path / "0653_6861.laz"
+    assert write_cloud(out, paths, TILE, "EPSG:2154") == laspy.open(LIDAR).header.point_count
+    assert out.read_bytes() == LIDAR.read_bytes()
+
+
+def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    x = 652000 + np.round(rng.uniform(-100, 200, 5000), 3)
+    y = 6861000 + np.round(rng.uniform(0, 100, 5000), 3)
+    files = tmp_path / "in"
+    files.mkdir()
+    west = x < 652050
+    write_points(files / "a.las", x[west], y[west])
+    write_points(files / "b.laz", x[~west], y[~west])
+    write_points(files / "far.laz", x + 5000, y)
+    bounds = (652000.0, 6861000.0, 652100.0, 6861100.0)
+    paths = source(lidar=files).lidar(bounds, tmp_path)
+    assert [path.name for path in paths] == ["a.las", "b.laz"]
+    inside = (x >= 652000) & (x < 652100)
+    assert write_cloud(tmp_path / "out.laz", paths, bounds, "EPSG:2154") == inside.sum()
+    cloud = laspy.read(tmp_path / "out.laz")
+    order = np.lexsort([np.round(cloud.y, 3), np.round(cloud.x, 3)])
+    expected = np.lexsort([np.round(y[inside], 3), np.round(x[inside], 3)])
+    np.testing.assert_allclose(np.asarray(cloud.x)[order], x[inside][expected], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(cloud.y)[order], y[inside][expected], rtol=0, atol=1e-6)
+    assert set(cloud.classification) == {6}
+    assert cloud.header.parse_crs().to_epsg() == 2154
+
+
+def test_a_neighbour_that_shares_an_edge_is_left_alone(tmp_path: Path) -> None:
+    write_points(tmp_path / "a.laz", np.array([652900.0, 653000.0]), np.array([6860500.0, 6860600.0]))
+    with pytest.raises(InputError, match="none of its 1 files has points in"):
+        source(lidar=tmp_path).lidar(TILE, tmp_path)
+
+
+@pytest.mark.parametrize("keep", [0.9999, 0.5, 0.001])
+def test_truncated_laz_leaves_nothing(tmp_path: Path, keep: float) -> None:
+    whole = LIDAR.read_bytes()
+    broken = tmp_path / "broken.laz"
+    broken.write_bytes(whole[: int(keep * len(whole))])
+    out = tmp_path / "out.laz"
+    out.write_bytes(b"what was there before")
+    with pytest.raises(InputError, match=r"broken\.laz: .*truncated"):
+        write_cloud(out, [broken], TILE, "EPSG:2154")
+    assert out.read_bytes() == b"what was there before"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_lidar_in_another_crs(tmp_path: Path) -> None:
+    write_points(tmp_path / "a.laz", np.array([653100.0]), np.array([6860500.0]), "EPSG:28992")
+    with pytest.raises(InputError, match=r"a\.laz: is in Amersfoort.*the region in RGF93"):
+        write_cloud(tmp_path / "out.laz", [tmp_path / "a.laz"], TILE, "EPSG:2154")
