@@ -1,0 +1,295 @@
+"""The evaluation on a hamlet whose buildings are known, with predictors that know them or not."""
+
+from __future__ import annotations
+
+import csv
+import io as text_io
+import json
+import re
+import stat
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import trimesh
+
+from p2wss import cli, inference, io
+from p2wss.config import Eval, Reconstruct
+from p2wss.errors import InputError
+from p2wss.eval import baselines, cases, measure, predict, report, roofer, tables
+
+ROOFER = Path(__file__).with_name("toy_roofer.py")
+CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
+
+
+class Answer:
+    def __init__(self, height: np.ndarray, angle: list[np.ndarray]) -> None:
+        self.eave_height_m, self.angle_deg, self.confidence = height, angle, np.full(len(height), 0.5)
+
+
+class Knowing:
+    """Looks the truth up by footprint and heights; ``wrong_m`` and ``wrong_deg`` are added."""
+
+    max_num_vertices = 8
+
+    def __init__(self, known: Sequence[cases.Case], wrong_m: float = 0.0, wrong_deg: float = 0.0) -> None:
+        self.known, self.wrong_m, self.wrong_deg = known, wrong_m, wrong_deg
+
+    def _case(self, points: np.ndarray) -> cases.Case:
+        def same(case: cases.Case) -> bool:
+            own = case.building
+            shifted = points + [0, 0, own.ground_z_m]
+            return len(points) == len(own.point_m) and np.allclose(shifted, own.point_m)
+
+        return next(case for case in self.known if same(case))
+
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Answer:
+        found = [self._case(points) for points in points_m]
+        height = np.array([case.eave_height_m or 5.0 for case in found]) + self.wrong_m
+        angle = [
+            np.full(sum(map(len, r)), 30.0) if c.angle_deg is None else c.angle_deg + self.wrong_deg
+            for c, r in zip(found, rings, strict=True)
+        ]
+        return Answer(height, angle)
+
+    def reconstruct_all_masked(
+        self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
+    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+        answer = self.predict(points_m, [[ring] for ring in footprints_m])
+        off = 0.3 if signs_visible else 0.6
+        return answer.eave_height_m, [ring + [off, 0.0] for ring in footprints_m], list(answer.angle_deg)
+
+
+@pytest.fixture(scope="module")
+def found(hamlet: Path) -> list[cases.Case]:
+    return cases.test_cases(cases.read_manifest(hamlet))
+
+
+def test_cases_are_the_test_split_and_all_lidar_in_metres(found: list[cases.Case]) -> None:
+    assert [c.dataset for c in found] == ["synthetic"] * 16 + ["lidar"] * 12
+    first = found[0]
+    assert first.building.building_id == "b24" and first.eave_height_m == 4.0
+    assert first.building.rings[0].tolist() == [[-5, -5], [7, -5], [7, 3], [-5, 3]]
+    on_ground = first.building.point_m[first.building.classification == 2]
+    assert on_ground[:, 2].mean() == pytest.approx(first.building.ground_z_m, abs=0.03)
+    assert found[-1].angle_deg is None and found[-1].eave_height_m is None
+
+
+def test_medians_are_of_the_train_split_above_the_clouds_ground(hamlet: Path) -> None:
+    medians = cases.train_medians(cases.read_manifest(hamlet))
+    table = io.read_table(hamlet.parent / "a.parquet", io.CROPS).to_pylist()
+    train = [row for row in table if row["split"] == "train"]
+    assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in train]))
+    assert medians.angle_deg == np.median(np.concatenate([row["angle_deg"] for row in train]))
+
+
+def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case]) -> None:
+    medians = cases.train_medians(cases.read_manifest(hamlet))
+    # only upwards and from slopes: 0 and 90 would be clipped
+    predictor = Knowing(found, wrong_m=0.25)
+    rows = predict.predict(found, predictor, RECONSTRUCT)
+    errors = predict.parameter_errors(found, rows, predictor, medians)
+    given, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
+    assert (errors["num_buildings"], errors["num_left_out"]) == (16, 0)
+    assert given["height_m"]["mean"] == pytest.approx(0.25) and given["height_m"]["std"] < 1e-5
+    assert given["height_m"]["count"] == 16 and given["angle_deg"]["mean"] == pytest.approx(0, abs=1e-5)
+    assert masked["coordinate_m"]["mean"] == pytest.approx(0.15)  # 0.3 in x, 0 in y
+    assert masked["vertex_m"]["mean"] == pytest.approx(0.3)
+    assert errors["settings"]["all_masked_signs"]["vertex_m"]["mean"] == pytest.approx(0.6)
+    truth = [case.eave_height_m for case in found[:16]]
+    assert errors["settings"]["constant"]["height_m"]["mean"] == pytest.approx(
+        np.abs(np.array(truth) - medians.eave_height_m).mean()
+    )
+    table = tables.table_1(errors)
+    assert table[1][:4] == ["Height (m)", 0.23, 0.9, pytest.approx(0.25)]
+
+
+def test_the_truth_measures_better_than_a_flat_roof(found: list[cases.Case]) -> None:
+    ours = predict.predict(found[:16], Knowing(found), RECONSTRUCT)
+    flat = predict.by_dataset(found[:16], inference.lod1, RECONSTRUCT)
+    for case, good, bad in zip(found, ours, flat, strict=False):
+        a, b = (measure.measure_building(case, made, CONFIG) for made in (good, bad))
+        assert a["points_to_mesh_m"] < 0.04  # the noise is 0.03 m
+        assert a["roof_chamfer_m"] < 0.4 and a["watertight"] and a["oriented"]
+        assert a["height_error_m"] == pytest.approx(0, abs=1e-4)
+        if case.roof_type != "flat":
+            assert b["points_to_mesh_m"] > a["points_to_mesh_m"] and b["chamfer_m"] > a["chamfer_m"]
+
+
+def test_measures_do_not_depend_on_order_or_on_the_rest(found: list[cases.Case]) -> None:
+    flat = predict.by_dataset(found, inference.lod1, RECONSTRUCT)
+    method = {case.key: made for case, made in zip(found, flat, strict=True)}
+    forth = list(measure.measure(found, [method], CONFIG))
+    back = list(measure.measure(found[::-1][:9], [method], CONFIG))
+    assert back == forth[::-1][:9]
+    few = measure.subset(found[0], found[0].building.point_m, Eval(max_num_points=100))
+    assert len(np.unique(few, axis=0)) == 100
+
+
+def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Path) -> None:
+    made = predict.by_dataset(found, inference.lod1, RECONSTRUCT)
+    made[3] = inference.no_mesh(found[3].building, "lod1", "lost")
+    path = tmp_path / "r.parquet"
+    io.write_table(path, inference.columns(made, [c.dataset for c in found]), io.RECONSTRUCTIONS, {})
+    back = cases.read_reconstructions(path)
+    for case, before in zip(found, made, strict=True):
+        after = back[case.key]
+        assert np.array_equal(before.vertex_m, after.vertex_m)
+        assert np.array_equal(before.triangle, after.triangle) and np.array_equal(before.kind, after.kind)
+        assert (before.status, before.ground_z_m) == (after.status, after.ground_z_m)
+        assert all(map(np.array_equal, before.rings, after.rings))
+    row = measure.measure_building(found[3], back[found[3].key], CONFIG)
+    assert row["status"] == "lost" and row["chamfer_m"] is None and row["watertight"] is None
+
+
+def measures(rows: list[dict[str, object]]) -> pa.Table:
+    base = {field.name: None for field in io.MEASURES}
+    return pa.Table.from_pylist([base | row for row in rows], schema=io.MEASURES)
+
+
+def test_table_2_has_the_papers_rows_and_figures() -> None:
+    rows = [
+        {
+            "dataset": "synthetic",
+            "method": "point2wss",
+            "chamfer_m": cd,
+            "num_triangles": t,
+            "watertight": True,
+        }
+        for cd, t in ((1.0, 10), (2.0, 20), (4.0, 60))
+    ]
+    rows.append({"dataset": "synthetic", "method": "point2wss", "status": "lost"})
+    details = tables.details(measures(rows), CONFIG)
+    runs = [tables.Run("point2wss", "ok"), tables.Run("roofer", "not run: no program roofer was found")]
+    table = tables.table_2(tables.columns_2(details, runs), report.dataset_names(CONFIG))
+    assert (details[0].num_buildings, details[0].num_without_mesh) == (4, 1)
+    assert [row[0] for row in table] == ["Statistic", *tables.ROWS_2]
+    ours = [row[table[0].index("Synthetic / Ours")] for row in table[1:]]
+    expected = [7 / 3, 1.5, 2.0, 3.0, np.std([1, 2, 4]), 30, np.std([10, 20, 60])]
+    assert ours == pytest.approx(expected)
+    paper = [row[table[0].index("HD LiDAR / paper: Ours")] for row in table[1:]]
+    assert paper == [2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2]
+    not_run = next(i for i, name in enumerate(table[0]) if "not run" in name)
+    assert all(row[not_run] is None for row in table[1:])
+    read = list(csv.reader(text_io.StringIO(tables.to_csv(table))))
+    assert len({len(row) for row in read}) == 1 and read[1][not_run] == ""
+
+
+def test_breakdown_groups_text_and_numbers() -> None:
+    rows = [
+        {"dataset": "lidar", "method": "point2wss", "roof_type": r, "num_points": n, "chamfer_m": float(n)}
+        for r, n in (
+            ("hip", 1),
+            ("gable", 2),
+            ("hip", 3),
+            ("gable", 4),
+            ("hip", 5),
+            ("hip", 6),
+            ("hip", 7),
+            ("hip", 8),
+        )
+    ]
+    table = measures(rows)
+    assert [g[:3] for g in tables.breakdown(table, "lidar", "roof_type")] == [
+        ("gable", 2, 3.0),
+        ("hip", 6, 5.5),
+    ]
+    assert [g[:2] for g in tables.breakdown(table, "lidar", "num_points")] == [
+        ("1 to 2", 2), ("3 to 4", 2), ("5 to 6", 2), ("7 to 8", 2)
+    ]  # fmt: skip
+    assert tables.breakdown(table, "synthetic", "roof_type") == []
+
+
+def test_roofer_is_run_and_read_back(found: list[cases.Case], tmp_path: Path) -> None:
+    """A stand-in program: boxes up to the highest point, from the real input files."""
+    program = tmp_path / "roofer"
+    program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    tool = roofer.find(str(program))
+    assert isinstance(tool, roofer.Roofer) and tool.version == "toy 1.0"
+    made = roofer.run(tool, found, {"synthetic": "EPSG:2154", "lidar": "EPSG:2154"}, CONFIG)
+    for case, one in zip(found, made, strict=True):
+        mesh = trimesh.Trimesh(one.vertex_m, one.triangle)
+        top = case.building.point_m[:, 2].max() - case.building.ground_z_m
+        assert one.status == "ok" and mesh.is_watertight and mesh.volume > 0
+        assert mesh.bounds[1, 2] == pytest.approx(top, abs=0.011)
+        # the box of the footprint, in its own frame
+        assert mesh.bounds[0, :2] == pytest.approx(case.building.rings[0].min(axis=0), abs=0.011)
+
+
+def test_roofer_that_fails_or_is_absent_makes_no_figure(
+    hamlet: Path, found: list[cases.Case], tmp_path: Path
+) -> None:
+    program = tmp_path / "roofer"
+    program.write_text("#!/bin/sh\necho no memory >&2\nexit 3\n")
+    program.chmod(0o755)
+    manifest = cases.read_manifest(hamlet)
+    tool = roofer.Roofer([str(program)], "x")
+    made = roofer.run(tool, found[:2], manifest.crs(), CONFIG)
+    assert [m.status for m in made] == ["Roofer failed with exit status 3"] * 2 and not made[0].has_mesh
+    absent = Eval(roofer_command=str(tmp_path / "nothing"))
+    rows, facts = baselines.baseline("roofer", found, manifest, absent, RECONSTRUCT)
+    assert rows == [] and facts["status"].startswith("not run: no program")
+    assert roofer.find("") == "not run: eval.roofer_command is empty"
+    with pytest.raises(InputError, match="choose lod1"):
+        baselines.baseline("lod2", found, manifest, CONFIG, RECONSTRUCT)
+
+
+def test_choose_never_shows_a_building_twice() -> None:
+    for count in range(0, 14):
+        for per_group in range(0, 6):
+            chosen = [i for ranks in report.choose(count, per_group).values() for i in ranks]
+            assert len(chosen) == len(set(chosen)) == min(count, 3 * per_group)
+            assert all(0 <= i < count for i in chosen)
+
+
+def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Path) -> None:
+    """The commands as the rules run them, with a table of the truth in the network's place."""
+    manifest = cases.read_manifest(hamlet)
+    found = cases.test_cases(manifest)
+    predictor = Knowing(found, 0.1)
+    made = predict.predict(found, predictor, RECONSTRUCT)
+    facts = io.provenance(method="point2wss", status="ok", code="0123")
+    columns = inference.columns(made, [case.dataset for case in found])
+    io.write_table(tmp_path / "predictions.parquet", columns, io.RECONSTRUCTIONS, facts)
+    errors = predict.parameter_errors(found, made, predictor, cases.train_medians(manifest))
+    io.write_json(tmp_path / "parameters.json", errors)
+    config = json.dumps({"eval": {"roofer_command": "", "num_pictures": 1, "lidar_name": "stand-in <LiDAR>"}})
+
+    def run(*arguments: object) -> None:
+        assert cli.main(["eval", *map(str, arguments), "--config", config]) == 0
+
+    for name in ("lod1", "constant", "roofer"):
+        run("baseline", name, hamlet, tmp_path / f"{name}.parquet")
+    rows = [tmp_path / f"{name}.parquet" for name in ("predictions", "lod1", "constant", "roofer")]
+    run("measure", hamlet, tmp_path / "measures.parquet", *rows)
+    training = tmp_path / "model" / "metrics.jsonl"
+    training.parent.mkdir()
+    training.write_text("".join(json.dumps({"step": i, "loss": 9 / (i + 1)}) + "\n" for i in range(5)))
+    run(
+        *("report", tmp_path, "--manifest", hamlet, "--measures", tmp_path / "measures.parquet"),
+        *("--parameters", tmp_path / "parameters.json", "--reconstructions", *rows, "--metrics", training),
+    )
+    page = (tmp_path / "report.html").read_text()
+    # nothing is loaded from anywhere: no script, no style sheet, every image inside
+    assert not re.search(r"<script|<link|@import|url\(", page)
+    sources = re.findall(r'src="([^"]{0,30})', page)
+    assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
+    assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
+    assert "not run: eval.roofer_command is empty" in page
+    assert "no real data" in page and "0123" in page
+    assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
+    assert "mu_CD" in (tmp_path / "table2.csv").read_text()
+
+
+def test_manifest_that_names_a_missing_shard_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    path.write_text('{"shards": [{"path": "gone.parquet", "dataset": "synthetic"}]}')
+    with pytest.raises(InputError, match=r"gone\.parquet, which does not exist"):
+        cases.read_manifest(path)
+    path.write_text("[]")
+    with pytest.raises(InputError, match="not a manifest"):
+        cases.read_manifest(path)
