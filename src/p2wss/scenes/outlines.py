@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from pathlib import Path
 
 import geopandas as gpd
@@ -16,8 +17,8 @@ from p2wss.errors import InputError
 from p2wss.tiling import Bounds
 
 ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
-# an outline that touches itself is opened by this much, far below the accuracy of any footprint
-_OPENING_M = 0.02
+# an outline that touches itself is opened by this much: less would be closed again by the clean-up
+_OPENING_M = 0.15
 
 
 def read_footprints(
@@ -134,7 +135,7 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     """Polygons ready for the kernel: exterior counter-clockwise, courtyards clockwise, no needless vertex.
 
     First :func:`split_parts`, then Douglas-Peucker (``simplify_tolerance_m``), then
-    :func:`p2wss.skeleton.clean`. An outline that still touches itself is opened by 2 cm once. Every footprint
+    :func:`p2wss.skeleton.clean`. An outline that still touches itself is opened once. Every footprint
     keeps a row; ``status`` is "ok" or the reason, and a rejected one has an empty polygon.
     """
     result = split_parts(frame, config.min_area_m2)
@@ -166,12 +167,14 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
 
 
 def _opened(shapes: np.ndarray) -> np.ndarray:
-    """The largest piece of each polygon once necks thinner than 4 cm are cut."""
-    thin = shapely.buffer(shapes, -_OPENING_M, join_style="mitre")
-    wide = shapely.buffer(thin, _OPENING_M, join_style="mitre")
+    """The largest piece of each polygon once its rings are cut apart where they touch, and thin necks are cut."""
     largest = np.full(len(shapes), shapely.Polygon(), dtype=object)
-    for index, shape in enumerate(wide):
-        pieces = shapely.get_parts(shape)
+    for index, shape in enumerate(shapes):
+        rings = shapely.get_rings(shape)
+        touching = [first.intersection(second) for first, second in combinations(rings, 2)]
+        apart = shape.difference(shapely.union_all(touching).buffer(2 * _OPENING_M, cap_style="square"))
+        thin = apart.buffer(-_OPENING_M, join_style="mitre")
+        pieces = shapely.get_parts(thin.buffer(_OPENING_M, join_style="mitre"))
         if len(pieces):
             largest[index] = pieces[np.argmax(shapely.area(pieces))]
     return largest

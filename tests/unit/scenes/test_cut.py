@@ -1,0 +1,220 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+from p2wss import io
+from p2wss.cli import main
+from p2wss.config import Scenes
+from p2wss.scenes import NEIGHBOUR_M, count_buildings, cut_scene, failed_fraction
+from p2wss.scenes.cut import party_walls
+from p2wss.terrain import Terrain
+from p2wss.tiling import tile_bounds
+
+MINI = Path(__file__).parents[2] / "mini"
+OLEMPS = Path(__file__).parents[3].parent / "shared" / "data" / "olemps_bdtopo"
+TILE_M = 1000
+CONFIG = Scenes(margin_m=50)
+
+
+def town(seed: int = 0, number: int = 150) -> gpd.GeoDataFrame:
+    """Boxes on a 40 m grid over four tiles, some in rows that touch."""
+    rng = np.random.default_rng(seed)
+    x = 652000 + 40 * rng.permutation(50)[:, None] + np.array([0.0, 8.0, 16.0])
+    y = 6861000 + 40 * rng.permutation(50)[:, None] + np.zeros(3)
+    x, y = x.ravel()[:number], y.ravel()[:number]
+    return gpd.GeoDataFrame(
+        {
+            "building_id": [f"B{i:03d}" for i in range(len(x))],
+            "hauteur_m": np.where(rng.random(len(x)) < 0.2, np.nan, 6.0),
+        },
+        geometry=shapely.box(x, y, x + 8, y + 10),
+        crs="EPSG:2154",
+    )
+
+
+def flat(z: float = 40.0) -> Terrain:
+    return Terrain(np.full((480, 480), z, np.float32), 651800 - 2.5, 6863200 + 2.5, 5.0)
+
+
+def window(frame: gpd.GeoDataFrame, tile: str, config: Scenes = CONFIG) -> gpd.GeoDataFrame:
+    x_min, y_min, x_max, y_max = tile_bounds(tile, TILE_M, config.margin_m + NEIGHBOUR_M)
+    return frame.cx[x_min:x_max, y_min:y_max]
+
+
+TILES = ["0652_6862", "0653_6862", "0652_6863", "0653_6863"]
+
+
+def test_every_building_is_in_one_tile() -> None:
+    frame = town()
+    scenes = [cut_scene(window(frame, tile), flat(), tile, TILE_M, CONFIG) for tile in TILES]
+    own = pd.concat([scene[scene["in_tile"]] for scene in scenes])
+    assert sorted(own["building_id"]) == sorted(frame["building_id"])
+    counts = count_buildings(frame, TILE_M, CONFIG.min_area_m2)
+    assert counts == own["tile"].value_counts().to_dict()
+    middle = frame.set_index("building_id").centroid
+    for scene in scenes:
+        x_min, y_min, x_max, y_max = tile_bounds(scene["tile"].iloc[0], TILE_M, CONFIG.margin_m)
+        near = middle[(middle.x >= x_min) & (middle.x <= x_max) & (middle.y >= y_min) & (middle.y <= y_max)]
+        assert set(scene["building_id"]) == set(near.index)
+
+
+def test_a_building_is_the_same_in_each_scene_and_in_any_order() -> None:
+    frame = town()
+    seen: dict[str, tuple] = {}
+    shuffled = frame.sample(frac=1, random_state=3)
+    for tile in TILES:
+        for source in (frame, shuffled):
+            scene = cut_scene(window(source, tile), flat(), tile, TILE_M, CONFIG)
+            for row in scene.itertuples():
+                values = (
+                    row.roof_type,
+                    tuple(row.angle_deg),
+                    row.eave_height_m,
+                    row.ground_z_m,
+                    row.geometry.wkt,
+                )
+                assert seen.setdefault(row.building_id, values) == values
+    assert len(seen) == len(frame)
+
+
+def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
+    frame = town()
+    frame.loc[3, "geometry"] = shapely.box(0, 0, 1, 1)
+    scene = cut_scene(window(frame, TILES[0]), flat(), TILES[0], TILE_M, CONFIG)
+    io.write_scene(tmp_path / "s.parquet", scene, {"tile": TILES[0]})
+    back, facts = io.read_scene(tmp_path / "s.parquet")
+    assert facts == {"tile": TILES[0]}
+    assert list(back.columns) == [*io.SCENE.names, "geometry"]
+    assert back.crs == frame.crs
+    good = back[back["status"] == "ok"]
+    assert (
+        good["angle_deg"].map(len) == good.geometry.map(lambda shape: len(shape.exterior.coords) - 1)
+    ).all()
+    assert (good["ground_z_m"] == 40).all() and (good["base_z_m"] == 40).all()
+
+
+def test_rejected_buildings_keep_their_row() -> None:
+    frame = town(number=6)
+    frame["geometry"] = [shapely.box(652100 + 30 * i, 6861500, 652110 + 30 * i, 6861510) for i in range(6)]
+    frame.loc[1, "geometry"] = shapely.box(652130, 6861500, 652131, 6861501)
+    frame["hauteur_m"] = [5.0, 5.0, 120.0, 5.0, 5.0, 5.0]
+    terrain = flat()
+    terrain.height_m[:, round((652190 - 651800) / 5) : round((652202 - 651800) / 5)] = np.nan
+    scene = cut_scene(frame, terrain, "0652_6862", TILE_M, CONFIG)
+    assert list(scene["status"]) == ["ok", "too-small", "too-high", "no-terrain", "ok", "ok"]
+    bad = scene[scene["status"] != "ok"]
+    assert bad.geometry.is_empty.all() and bad["eave_height_m"].isna().all()
+    assert (bad["angle_deg"].map(len) == 0).all()
+    assert failed_fraction(scene) == pytest.approx(2 / 5)
+
+
+def test_an_empty_window_gives_an_empty_scene() -> None:
+    scene = cut_scene(town().iloc[:0], flat(), TILES[0], TILE_M, CONFIG)
+    assert len(scene) == 0 and list(scene.columns) == [*io.SCENE.names, "geometry"]
+    assert failed_fraction(scene) == 0
+
+
+def test_party_walls_against_distances() -> None:
+    """A row of three, one set back, one 0.2 m apart, one far; the oracle measures points along each edge."""
+    shapes = [
+        shapely.box(0, 0, 8, 10),
+        shapely.box(8, 2, 16, 12),
+        shapely.box(16.2, 0, 24, 10),
+        shapely.box(26, 0, 34, 10),
+        shapely.box(8, 12, 11, 16),
+    ]
+    polygons = np.array([shapely.orient_polygons(shape) for shape in shapes])
+    for own, flags in enumerate(party_walls(polygons)):
+        others = shapely.union_all(np.delete(polygons, own))
+        ring = np.array(polygons[own].exterior.coords)
+        for start, end, flag in zip(ring[:-1], ring[1:], flags, strict=True):
+            along = shapely.points(start + np.linspace(0, 1, 101)[:, None] * (end - start))
+            assert flag == (np.mean(shapely.distance(along, others) <= 0.3) >= 0.5)
+
+
+def write_inputs(folder: Path) -> tuple[Path, Path]:
+    town().to_file(folder / "f.gpkg")
+    from p2wss.terrain import write_terrain
+
+    write_terrain(folder / "dtm.tif", flat(), "EPSG:2154", {})
+    return folder / "f.gpkg", folder / "dtm.tif"
+
+
+def cut(folder: Path, tile: str, footprints: Path, dtm: Path, config: str = "{}") -> int:
+    outputs = [str(folder / "out.parquet"), str(folder / "out.tif")]
+    return main(["scenes", "cut", tile, str(footprints), str(dtm), *outputs, "--config", config])
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    footprints, dtm = write_inputs(tmp_path)
+    assert main(["scenes", "index", str(footprints), str(tmp_path / "index.tsv")]) == 0
+    lines = (tmp_path / "index.tsv").read_text().splitlines()
+    assert lines[0] == "tile\tnum_buildings" and lines[1].startswith("0652_6862\t")
+    assert cut(tmp_path, "0652_6862", footprints, dtm) == 0
+    scene, facts = io.read_scene(tmp_path / "out.parquet")
+    assert scene["in_tile"].sum() == facts["num_by_status"]["ok"] == int(lines[1].split("\t")[1])
+    assert facts["tile_size_m"] == 1000 and facts["crs"] == "EPSG:2154"
+
+
+@pytest.mark.parametrize(
+    ("tile", "config", "message"),
+    [
+        ("0700_6600", "{}", "no building in tile 0700_6600"),
+        ("nowhere", "{}", "'nowhere' is not a tile name"),
+        (
+            "0652_6862",
+            '{"scenes": {"max_eave_height_m": 3}}',
+            "were left out, more than scenes.max_failed_fraction",
+        ),
+        ("0652_6862", '{"scenes": {"margin": 3}}', "scenes.margin: no such key"),
+    ],
+)
+def test_bad_input_gets_one_line_and_leaves_what_was_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], tile: str, config: str, message: str
+) -> None:
+    footprints, dtm = write_inputs(tmp_path)
+    (tmp_path / "out.parquet").write_text("before")
+    assert cut(tmp_path, tile, footprints, dtm, config) == 2
+    error = capsys.readouterr().err
+    assert error.count("p2wss: error:") == 1 and message in error
+    assert (tmp_path / "out.parquet").read_text() == "before"
+    assert not (tmp_path / "out.tif").exists()
+
+
+@pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
+@pytest.mark.parametrize("sampler", ["realistic", "uniform"])
+def test_real_footprints(tmp_path: Path, sampler: str) -> None:
+    """Two tiles of BD TOPO through fetch, scenes and buildings: at most 2 % left out."""
+    config = tmp_path / "olemps.yaml"
+    config.write_text(
+        f"""
+region: {{name: olemps, vintage: v3, bounds_m: [664000, 6359000, 665000, 6361000]}}
+fetch: {{folder: {{footprints: {OLEMPS}/BATIMENT.shp, dtm: {OLEMPS}/dtm}}}}
+scenes: {{sampler: {sampler}}}
+"""
+    )
+    footprints, rest = tmp_path / "f.gpkg", ["--config", str(config)]
+    assert main(["fetch", "footprints", str(footprints), *rest]) == 0
+    statuses: list[pd.Series] = []
+    for tile in ("0664_6361", "0664_6360"):
+        dtm, scene, buildings = (tmp_path / f"{tile}{end}" for end in (".tif", ".parquet", ".b.parquet"))
+        assert main(["fetch", "dtm", tile, str(dtm), *rest]) == 0
+        assert (
+            main(
+                ["scenes", "cut", tile, str(footprints), str(dtm), str(scene), str(tmp_path / "w.tif"), *rest]
+            )
+            == 0
+        )
+        assert main(["buildings", str(scene), str(buildings), *rest]) == 0
+        table = io.read_table(buildings, io.BUILDINGS, ["status", "in_tile"]).to_pandas()
+        statuses.append(table.loc[table["in_tile"], "status"])
+    counts = pd.concat(statuses).value_counts()
+    print(f"{sampler}:\n{counts.to_string()}")
+    assert counts.sum() == 1341
+    assert counts["ok"] / counts.sum() >= 0.98

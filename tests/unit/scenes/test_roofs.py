@@ -1,0 +1,153 @@
+"""The samplers of roof angles: allowed values, plausible roofs, and what the kernel makes of them."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+import shapely
+import shapely.affinity
+
+from p2wss import footprints, skeleton
+from p2wss.config import RoofShares, Scenes
+from p2wss.scenes.roofs import ANGLES_DEG, Outline, draw_angles
+
+RECTANGLE = shapely.box(0, 0, 14, 8)
+L_SHAPE = shapely.Polygon([(0, 0), (16, 0), (16, 8), (7, 8), (7, 18), (0, 18)])
+T_SHAPE = shapely.Polygon([(0, 0), (20, 0), (20, 8), (14, 8), (14, 16), (7, 16), (7, 8), (0, 8)])
+U_SHAPE = shapely.Polygon([(0, 0), (24, 0), (24, 18), (17, 18), (17, 8), (7, 8), (7, 18), (0, 18)])
+COURTYARD = shapely.box(0, 0, 40, 36).difference(shapely.box(9, 9, 31, 27))
+SHAPES = {"rectangle": RECTANGLE, "L": L_SHAPE, "T": T_SHAPE, "U": U_SHAPE, "courtyard": COURTYARD}
+
+
+def only(roof_type: str) -> RoofShares:
+    zero = dict.fromkeys(RoofShares.model_fields, 0.0)
+    return RoofShares(**{**zero, roof_type: 1.0})
+
+
+def outline(shape: shapely.Polygon, party: list[int] | None = None) -> Outline:
+    polygons = footprints.to_polygons([shapely.orient_polygons(shape)])
+    is_party = np.isin(np.arange(len(polygons.xy_m)), party or [])
+    radius = shapely.maximum_inscribed_circle(shape).length
+    return Outline.from_rings(polygons.rings(0), is_party, radius)
+
+
+def draws(shape: shapely.Polygon, config: Scenes, number: int = 200, party: list[int] | None = None):
+    found = [draw_angles(outline(shape, party), f"B{i}", config) for i in range(number)]
+    return [name for name, _ in found], np.array([angle for _, angle in found])
+
+
+def test_uniform_is_uniform() -> None:
+    """Each of the 28 values alike, edges independent: a chi-square of 27 degrees of freedom."""
+    names, angles = draws(L_SHAPE, Scenes(sampler="uniform"), 2000)
+    assert set(names) == {"uniform"}
+    counts = Counter(angles.ravel().astype(int).tolist())
+    assert set(counts) == set(ANGLES_DEG.tolist())
+    expected = angles.size / 28
+    assert sum((count - expected) ** 2 / expected for count in counts.values()) < 55
+    assert abs(np.corrcoef(angles[:, 0], angles[:, 1])[0, 1]) < 0.1
+
+
+def test_draws_depend_on_seed_and_building_alone() -> None:
+    first = draw_angles(outline(L_SHAPE), "B7", Scenes())
+    again = draw_angles(outline(L_SHAPE), "B7", Scenes())
+    assert first[0] == again[0] and np.array_equal(first[1], again[1])
+    different = [draw_angles(outline(L_SHAPE), "B7", Scenes(seed=s))[1].tolist() for s in range(20)]
+    assert len(set(map(tuple, different))) > 10
+
+
+def test_types_come_in_their_shares() -> None:
+    names, _ = draws(RECTANGLE, Scenes(), 3000)
+    shares = RoofShares()
+    counts = Counter(names)
+    for name, share in shares.model_dump().items():
+        assert counts[name.replace("_", "-")] / 3000 == pytest.approx(share, abs=0.03)
+
+
+def test_gable_on_a_rectangle_stands_on_the_short_sides() -> None:
+    _, angles = draws(RECTANGLE, Scenes(roof_shares=only("gable")))
+    lengths = np.hypot(*np.diff(np.vstack([outline(RECTANGLE).xy_m, outline(RECTANGLE).xy_m[:1]]), axis=0).T)
+    assert (angles[:, lengths < 10] == 90).all()
+    assert ((angles[:, lengths > 10] >= 20) & (angles[:, lengths > 10] <= 45)).all()
+    same = angles[:, lengths > 10][:, 0] == angles[:, lengths > 10][:, 1]
+    assert 0.8 < same.mean() < 0.99
+
+
+def test_gables_of_wings() -> None:
+    """An L and a T have a gable at each end of a wing, a U at its two; none is beside a reflex corner."""
+    for shape, number in [(L_SHAPE, 2), (T_SHAPE, 3), (U_SHAPE, 2)]:
+        names, angles = draws(shape, Scenes(roof_shares=only("gable")), 30)
+        assert set(names) == {"gable"}
+        assert ((angles == 90).sum(axis=1) == number).all()
+
+
+def test_hip_half_hip_flat_shed() -> None:
+    for roof_type, vertical, flat in [("hip", 0, 0), ("half_hip", 1, 0), ("flat", 0, 4), ("shed", 3, 0)]:
+        names, angles = draws(RECTANGLE, Scenes(roof_shares=only(roof_type)), 50)
+        assert set(names) == {roof_type.replace("_", "-")}
+        assert ((angles == 90).sum(axis=1) == vertical).all()
+        assert ((angles == 0).sum(axis=1) == flat).all()
+
+
+def test_party_walls_are_vertical_and_ridges_follow_the_street() -> None:
+    """A house in a row, deeper than wide: without its neighbours it would get its gables on the street."""
+    house = shapely.box(0, 0, 6, 10)
+    xy = outline(house).xy_m
+    walls = [i for i in range(4) if xy[i, 0] == xy[(i + 1) % 4, 0]]
+    for roof_type in ("gable", "hip", "half_hip"):
+        names, angles = draws(house, Scenes(roof_shares=only(roof_type)), 20, party=walls)
+        assert set(names) == {"gable"}
+        assert (angles[:, walls] == 90).all()
+        assert (np.delete(angles, walls, axis=1) < 46).all()
+    names, angles = draws(house, Scenes(roof_shares=only("hip")), 20, party=walls[:1])
+    assert set(names) == {"half-hip"}, "the free end of a row"
+    assert (angles[:, walls[0]] == 90).all() and (angles[:, walls[1]] < 46).all()
+    names, angles = draws(house, Scenes(roof_shares=only("gable")), 20, party=walls[:1])
+    assert (angles[:, walls] == 90).all()
+
+
+def test_courtyards_have_eaves() -> None:
+    names, angles = draws(COURTYARD, Scenes(roof_shares=only("gable")), 40)
+    assert set(names) == {"hip"}
+    assert ((angles >= 20) & (angles <= 45)).all()
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES.keys())
+def test_never_vertical_beside_a_reflex_corner(shape: shapely.Polygon) -> None:
+    """Neither by type nor as a party wall."""
+    ring = outline(shape)
+    edge = ring.xy_m[ring.following] - ring.xy_m
+    before = np.argsort(ring.following)
+    reflex = edge[before][:, 0] * edge[:, 1] - edge[before][:, 1] * edge[:, 0] < 0
+    beside = reflex | reflex[ring.following]
+    _, angles = draws(shape, Scenes(), 200, party=list(range(len(edge))))
+    assert (angles[:, beside] != 90).all()
+
+
+def test_wide_buildings_get_flat_or_gentle_roofs() -> None:
+    hall = shapely.box(0, 0, 60, 30)
+    names, angles = draws(hall, Scenes(max_rise_m=7, roof_shares=only("gable")), 50)
+    sloped = angles[(angles > 0) & (angles < 90)]
+    assert set(names) == {"gable"} and sloped.max() <= np.degrees(np.arctan(7 / 15))
+    names, _ = draws(shapely.box(0, 0, 90, 80), Scenes(max_rise_m=7, roof_shares=only("gable")), 5)
+    assert set(names) == {"flat"}
+
+
+@pytest.mark.parametrize("sampler", ["realistic", "uniform"])
+def test_every_draw_makes_a_building(sampler: str) -> None:
+    shapes, angles = [], []
+    for turn in (0.0, 23.0):
+        for shape in SHAPES.values():
+            turned = shapely.orient_polygons(shapely.affinity.rotate(shape, turn))
+            for i in range(25):
+                shapes.append(turned)
+                angles.append(draw_angles(outline(turned), f"B{i}", Scenes(sampler=sampler))[1])  # type: ignore[arg-type]
+    meshes = skeleton.build(
+        footprints.to_polygons(shapes),
+        np.concatenate(angles),
+        np.full(len(shapes), 5.0),
+        base_height_m=np.zeros(len(shapes)),
+        max_roof_height_m=12,
+    )
+    assert (meshes.status == skeleton.Status.OK).all()
