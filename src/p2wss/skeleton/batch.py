@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import entry, inner, spliced
 from p2wss.skeleton.line_kinds import solid_lines
 
 from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
@@ -37,7 +37,7 @@ class _Output(NamedTuple):
     line_offset: np.ndarray
 
 
-@inner
+@spliced
 def _append_faces(num_edges, counts, num_faces, mesh, output, first_face):
     """Append the faces of one solid. False: no room."""
     num_rings = output.ring_offset[first_face]

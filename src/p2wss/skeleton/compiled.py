@@ -8,3 +8,6 @@ from numba import njit
 entry = njit(cache=True, nogil=True, error_model="numpy")
 # called from compiled code only: without the wrappers for Python it compiles much faster
 inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+# called from one place: becomes part of its caller, because every compiled function optimises all that it calls
+# over again
+spliced = njit(nogil=True, error_model="numpy", inline="always")

@@ -22,7 +22,7 @@ multiplicative weights and their application to the algorithmic generation of ro
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner
+from p2wss.skeleton.compiled import inner, spliced
 
 from p2wss.skeleton.records import (
     NUM_ALIVE,
@@ -515,7 +515,7 @@ def _next_event(vertex, counts):
     return height, v_best, is_split
 
 
-@inner
+@spliced
 def _start_phase(edge, num_edges, vertex, counts, phase):
     limit = counts[NUM_VERTICES]
     for e in range(num_edges):
@@ -533,7 +533,7 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
             _start_moving(edge, vertex, v, 0.0)
 
 
-@inner
+@spliced
 def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height):
     _start_phase(edge, num_edges, vertex, counts, phase)
     t = 0.0
@@ -624,8 +624,7 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
     counts[NUM_VERTICES] = num_edges
     counts[NUM_ALIVE] = num_edges
     counts[NUM_HOLES] = num_rings - 1
-    any_flat = False
-    phase = np.int64(0)  # a literal would compile everything below once for each value
+    first_phase = 1
     for i in range(num_edges):
         node[i].x = edge[i].x
         node[i].y = edge[i].y
@@ -638,12 +637,11 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
         vertex[i].loop = 0
         vertex[i].alive = 1
         if edge[i].angle_deg == 0.0:
-            any_flat = True
-    if any_flat:
-        status = _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height)
-        if status != _OK:
-            return status
-        if counts[NUM_ALIVE] == 0:
-            return _OK
-    phase += 1
-    return _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height)
+            first_phase = 0
+    status = _OK
+    for phase in range(first_phase, 2):
+        if status == _OK and counts[NUM_ALIVE] > 0:
+            status = _run_phase(
+                edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height
+            )
+    return status

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner
+from p2wss.skeleton.compiled import inner, spliced
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
 from p2wss.skeleton.faces import (
@@ -46,7 +46,7 @@ def label_kind_and_edge(num_edges, counts, label):
     return _WALL, label - first_wall
 
 
-@inner
+@spliced
 def solid_skeleton(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, work
 ):  # fmt: skip
@@ -71,7 +71,7 @@ def solid_skeleton(
     return status, num_edges
 
 
-@inner
+@spliced
 def _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough):
     """Faces of one solid, in ``mesh_work``. Returns (status, number of faces)."""
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
@@ -91,7 +91,7 @@ def _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough):
     return trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
 
 
-@inner
+@spliced
 def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
     """Number of triangles, or -1."""
     uv, flat_point, first = mesh_work.flat_uv, mesh_work.flat_point, mesh_work.flat_first
@@ -130,7 +130,7 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
     return num_triangles
 
 
-@inner
+@spliced
 def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
     """Faces, triangles and checks. Returns (status, number of faces, vertices, triangles)."""
     status, num_faces = _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough)
@@ -176,7 +176,7 @@ def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, me
     return status, num_faces, num_vertices, num_triangles
 
 
-@inner
+@spliced
 def solid_mesh(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
 ):  # fmt: skip
