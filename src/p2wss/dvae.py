@@ -23,8 +23,8 @@ log = logging.getLogger("p2wss")
 
 # metres to network units: 10 m = 1 (never the unit sphere, which would erase heights)
 SCALE = 0.1
-# with fewer codes in use the tokens say nothing
-MIN_CODES_IN_USE = 4
+# with a smaller share of its codes in use a tokenizer says nothing
+MIN_CODE_USAGE = 0.05
 
 
 def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> DiscreteVae:
@@ -48,7 +48,7 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
     }
     training.train(task, plan, checkpoints, identity)
     used = config.num_tokens - task.num_dead_codes
-    if used < MIN_CODES_IN_USE:
+    if used < max(MIN_CODE_USAGE * config.num_tokens, 2):
         raise InputError(
             f"dvae: the codebook collapsed: {used} of {config.num_tokens} codes in use; "
             "raise dvae.kl_weight or lower dvae.optimiser.learning_rate"
@@ -145,7 +145,8 @@ def save(module: DiscreteVae, path: Path, config: DvaeConfig, code: str, metrics
 def load(path: Path) -> tuple[DiscreteVae, DvaeConfig]:
     """The trained tokenizer, frozen, and its config. Raises :class:`InputError` for any other file."""
     state, facts = training.read_weights(path, "dvae")
-    config = DvaeConfig.model_validate(facts["config"])
-    module = DiscreteVae(sizes(config))
-    module.load_state_dict(state)
+    with training.of_this_version(path, facts):
+        config = DvaeConfig.model_validate(facts["config"])
+        module = DiscreteVae(sizes(config))
+        module.load_state_dict(state)
     return module.eval().requires_grad_(False), config

@@ -87,13 +87,15 @@ def save(
 def load(path: Path) -> Predictor:
     """A trained model, ready to use. Raises :class:`InputError` for a file that is none."""
     state, facts = training.read_weights(path, "model")
-    config = ModelConfig.model_validate(facts["config"])
-    dvae_config = DvaeConfig.model_validate(facts["dvae_config"])
-    tokenizer = make_tokenizer(config)
-    module = make_module(config, dvae_config, tokenizer)
-    module.load_state_dict(state, strict=False)
-    missing = set(inference_weights(module.state_dict())) - set(state)
-    assert not missing, missing
+    with training.of_this_version(path, facts):
+        config = ModelConfig.model_validate(facts["config"])
+        dvae_config = DvaeConfig.model_validate(facts["dvae_config"])
+        tokenizer = make_tokenizer(config)
+        module = make_module(config, dvae_config, tokenizer)
+        module.load_state_dict(state, strict=False)
+        missing = set(inference_weights(module.state_dict())) - set(state)
+        if missing:
+            raise ValueError(f"no weights {min(missing)}")
     return Predictor(module, config.decoding, dvae_config, config.max_vertices)
 
 
@@ -117,6 +119,7 @@ def make_module(config: ModelConfig, dvae_config: DvaeConfig, tokenizer: Tokeniz
         ground_relative=config.ground_relative,
         numerical_encoding=config.numerical_encoding,
         edge_embedding=config.edge_embedding,
+        edge_attention=config.edge_attention,
     )
     return Point2Wss(sizes, tokenizer, dvae.SCALE)
 
@@ -369,8 +372,7 @@ class Predictor:
                 tokenizer.quantise(turned.height, turned.xy, turned.angle, turned.num_vertices)
             )
             tokens, _ = tokenizer.masked(parameters)
-            cloud, valid = self.module.cloud_features(seen, batch.ground_z * dvae.SCALE)
-            logits = self.module.restore(tokens, batch.num_vertices, cloud, valid)
+            logits = self._logits(tokens, turned, seen)
             heights = heights + self._height_distribution(logits)
             back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
             angle = self._angle_distribution(logits)
@@ -400,8 +402,7 @@ class Predictor:
         hidden = (kind == words.KIND_COORDINATE) | ((kind == words.KIND_SIGN) & (not signs_visible))
         tokens = tokens.masked_fill(hidden, words.MASK)
         patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        cloud, valid = self.module.cloud_features(patches, batch.ground_z * dvae.SCALE)
-        logits = self.module.restore(tokens, batch.num_vertices, cloud, valid)
+        logits = self._logits(tokens, batch, patches)
         height = decoding.decode(self._height_distribution(logits), mode)
         angle = self._angle_distribution(logits)
         angle = decoding.constrain(angle, decoding.angle_support(self.decode.angle_support))
@@ -422,6 +423,11 @@ class Predictor:
             (xy * 10.0**-tokenizer.coord_decimals).numpy(),
             decoding.decode(angle, mode).gather(1, back).double().numpy(),
         )
+
+    def _logits(self, tokens: Tensor, batch: Batch, patches: Patches) -> Tensor:
+        ground_z = batch.ground_z * dvae.SCALE
+        cloud, valid = self.module.cloud_features(patches, ground_z)
+        return self.module.restore(tokens, batch.num_vertices, patches, ground_z, cloud, valid)
 
     def _height_distribution(self, logits: Tensor) -> Tensor:
         digits = logits[:, 2 : self.tokenizer.header_length]

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from p2wss import io
+from p2wss import __version__, io
 from p2wss.errors import InputError
 from p2wss.seeds import derive_seed
 
@@ -336,3 +336,16 @@ def _termination() -> Iterator[Callable[[], bool]]:
         yield lambda: bool(received)
     finally:
         signal.signal(signal.SIGTERM, old)
+
+
+@contextmanager
+def of_this_version(path: Path, facts: dict[str, Any]) -> Iterator[None]:
+    """Turn what goes wrong while weights are put to use into an :class:`InputError`: another version made them."""
+    try:
+        yield
+    # pydantic's errors are ValueErrors; load_state_dict raises RuntimeError
+    except (KeyError, ValueError, RuntimeError) as error:
+        raise InputError(
+            f"{path}: made by p2wss {facts.get('version')} with other settings or networks than this"
+            f" one ({__version__}) knows; train it again"
+        ) from error

@@ -41,7 +41,7 @@ class Knowing:
     def _case(self, points: np.ndarray) -> cases.Case:
         def same(case: cases.Case) -> bool:
             own = case.building
-            shifted = points + [0, 0, own.ground_z_m]
+            shifted = points + np.array([0, 0, own.ground_z_m])
             return len(points) == len(own.point_m) and np.allclose(shifted, own.point_m)
 
         return next(case for case in self.known if same(case))
@@ -60,7 +60,11 @@ class Knowing:
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         answer = self.predict(points_m, [[ring] for ring in footprints_m])
         off = 0.3 if signs_visible else 0.6
-        return answer.eave_height_m, [ring + [off, 0.0] for ring in footprints_m], list(answer.angle_deg)
+        return (
+            answer.eave_height_m,
+            [ring + np.array([off, 0.0]) for ring in footprints_m],
+            list(answer.angle_deg),
+        )
 
 
 @pytest.fixture(scope="module")
@@ -239,8 +243,8 @@ def test_roofer_that_fails_or_is_absent_makes_no_figure(
 
 
 def test_choose_never_shows_a_building_twice() -> None:
-    for count in range(0, 14):
-        for per_group in range(0, 6):
+    for count in range(14):
+        for per_group in range(6):
             chosen = [i for ranks in report.choose(count, per_group).values() for i in ranks]
             assert len(chosen) == len(set(chosen)) == min(count, 3 * per_group)
             assert all(0 <= i < count for i in chosen)

@@ -1,4 +1,4 @@
-"""Stands in for Roofer in tests: a box per footprint, from the ground to its highest point, as CityJSONSeq."""
+"""Stands in for Roofer in tests: a box per footprint, from the ground to its highest point."""
 
 import json
 import sys

@@ -35,7 +35,7 @@ def solid_of(name: str) -> tuple[Solid, np.ndarray, np.ndarray]:
     meshes = skeleton.build(Polygons.from_rings([rings]), np.array(angle, float), np.array([5.0]))
     assert meshes.status[0] == 0
     vertex, triangle, kind, edge = meshes.mesh(0)
-    there = vertex + [652000.25, 6861000.5, 100]
+    there = vertex + np.array([652000.25, 6861000.5, 100])
     return (
         Solid(name, there, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}),
         there,
