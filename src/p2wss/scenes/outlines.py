@@ -167,7 +167,7 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
 
 
 def _opened(shapes: np.ndarray) -> np.ndarray:
-    """The largest piece of each polygon once its rings are cut apart where they touch, and thin necks are cut."""
+    """The largest piece of each polygon, its rings cut apart where they touch, and thin necks cut."""
     largest = np.full(len(shapes), shapely.Polygon(), dtype=object)
     for index, shape in enumerate(shapes):
         rings = shapely.get_rings(shape)
