@@ -349,13 +349,14 @@ def scans(arguments: argparse.Namespace) -> None:
     import pyproj
 
     from p2wss import scans
+    from p2wss.terrain import read_terrain
 
     config = _config(arguments)
     facts = io.read_metadata(arguments.scene)
     table = io.read_table(arguments.buildings, io.BUILDINGS)
     if io.read_metadata(arguments.buildings)["tile"] != facts["tile"]:
         raise InputError(f"{arguments.buildings}: is not of tile {facts['tile']}, as {arguments.scene} is")
-    terrain, dtm_crs = scans.read_dtm(arguments.dtm)
+    terrain, dtm_crs = read_terrain(arguments.dtm)
     crs = pyproj.CRS.from_user_input(facts["crs"])
     scans.check_dtm_crs(dtm_crs, crs, arguments.dtm)
     scan = scans.simulate(

@@ -91,7 +91,14 @@ def _pieces(
     with laspy.CopcReader.open(path) as reader:
         x_min, y_min, x_max, y_max = bounds
         window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))
-        yield reader.header, reader.query(bounds=window)
+        points = reader.query(bounds=window)
+        # laspy takes what lies beyond the end of a truncated file for nothing, without a word
+        info, size = reader.copc_info, Path(path).stat().st_size
+        ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
+        end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
+        if end > size:
+            raise EOFError(f"{size} of {end} bytes")
+        yield reader.header, points
 
 
 def _kept(

@@ -108,8 +108,11 @@ def ground_height(cloud: Cloud, polygons: Polygons) -> np.ndarray:
 def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     """A simulated scan: its points, and the building id and face id of each, int32 (see
     ``scans.write_scan``)."""
+    needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
+    needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
     try:
-        las = laspy.read(path)
+        with laspy.open(path, decompression_selection=needed) as reader:
+            las = reader.read()
         building, face = np.asarray(las["building_id"]), np.asarray(las["face_id"])
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error

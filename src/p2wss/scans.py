@@ -11,7 +11,6 @@ import laspy
 import numpy as np
 import pyarrow as pa
 import pyproj
-import rasterio
 
 from p2wss import io
 from p2wss.clouds import same_crs
@@ -22,9 +21,10 @@ from p2wss.lidar.pulses import Box
 from p2wss.lidar.returns import Points
 from p2wss.lidar.surface import Surface, encode_face
 from p2wss.lidar.survey import Survey, plan
-from p2wss.lidar.terrain import Terrain, local_grid
+from p2wss.lidar.terrain import local_grid
 from p2wss.seeds import derive_seed, generator
 from p2wss.skeleton.types import FaceKind
+from p2wss.terrain import Terrain
 from p2wss.tiling import Bounds, tile_bounds
 
 GROUND_CLASS, BUILDING_CLASS = 2, 6
@@ -43,24 +43,6 @@ class Scan:
     points: Points
     survey: Survey
     facts: dict[str, Any]
-
-
-def read_dtm(path: str | Path) -> tuple[Terrain, pyproj.CRS]:
-    """A single-band raster of heights; its nodata value becomes NaN.
-
-    Raises :class:`InputError` if it is unreadable, rotated, without CRS or its cells are not square.
-    """
-    try:
-        with rasterio.open(path) as raster:
-            heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
-            transform, crs = raster.transform, raster.crs
-    except rasterio.errors.RasterioIOError as error:
-        raise InputError(f"{path}: not a readable raster: {error}") from error
-    if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
-        raise InputError(f"{path}: expected a north-up raster with square cells")
-    if crs is None:
-        raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
-    return Terrain(heights, transform.c, transform.f, transform.a), pyproj.CRS.from_user_input(crs)
 
 
 def check_dtm_crs(dtm: pyproj.CRS, wanted: pyproj.CRS, name: str | Path) -> None:
@@ -86,7 +68,7 @@ def simulate(
     tile or rises to the flight.
     """
     bounds = tile_bounds(tile, tile_size_m)
-    inside = _within(terrain, bounds)
+    inside = terrain.cut(bounds).height_m
     if not np.isfinite(inside).any():
         raise InputError(f"tile {tile}: the terrain has no data there; is it the DTM of another tile?")
     middle = [(bounds[0] + bounds[2]) / 2, (bounds[1] + bounds[3]) / 2, float(np.nanmedian(inside))]
@@ -104,13 +86,6 @@ def simulate(
     points, counts = cast(surface, survey.strips, box, threads, chunk_pulses)
     facts = _facts(points, counts, survey, buildings, terrain, origin, bounds, seed)
     return Scan(origin, points, survey, facts)
-
-
-def _within(terrain: Terrain, bounds: Bounds) -> np.ndarray:
-    rows, columns = terrain.height_m.shape
-    column = np.clip((np.array(bounds[0::2]) - terrain.x_min_m) // terrain.cell_m, 0, columns).astype(int)
-    row = np.clip((terrain.y_max_m - np.array(bounds[3::-2])) // terrain.cell_m, 0, rows).astype(int)
-    return terrain.height_m[row[0] : row[1], column[0] : column[1]]
 
 
 def _box(bounds: Bounds, origin: np.ndarray, low: float, high: float) -> Box:
@@ -141,7 +116,7 @@ def _surface(buildings: pa.Table, terrain: Terrain, origin: np.ndarray, settings
     roof_reflectance, wall_reflectance, roof_loss = _optics(buildings["building_id"].to_pylist(), settings)
     reachable = kind != FaceKind.GROUND
     return Surface(
-        terrain=local_grid(terrain, origin),
+        terrain=local_grid(terrain.height_m, terrain.x_min_m, terrain.y_max_m, terrain.cell_m, origin),
         vertex_m=np.ascontiguousarray(vertices),
         triangle=triangles[reachable].astype(np.int32),
         building=owner[reachable].astype(np.int32),
@@ -203,7 +178,9 @@ def _facts(
     area_m2 = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
     kind = points.face & 3
     vertex_x, vertex_y, row = _footprint_vertices(buildings)
-    bare = np.unique(row[np.isnan(terrain.at(vertex_x, vertex_y)) & buildings["in_tile"].to_numpy()[row]])
+    bare = np.unique(
+        row[np.isnan(terrain.interpolated(vertex_x, vertex_y)) & buildings["in_tile"].to_numpy()[row]]
+    )
     return {
         "seed": seed,
         "survey": survey.parameters,

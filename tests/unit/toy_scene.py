@@ -1,15 +1,13 @@
-"""Small scenes for tests: gabled houses, in columns of the pipeline's files, on terrain given by a formula."""
+"""Small scenes for tests: gabled houses in columns of the pipeline's files, on terrain given by a formula."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from rasterio.transform import from_origin
 
 from p2wss import io
-from p2wss.lidar.terrain import Terrain
+from p2wss.terrain import Terrain, write_terrain
 from p2wss.tiling import tile_bounds
 
 TILE, TILE_SIZE_M, MARGIN_M = "0652500_6862000", 100.0, 40.0
@@ -27,16 +25,6 @@ def terrain(tile=TILE, size_m=TILE_SIZE_M, margin_m=MARGIN_M, cell_m=1.0) -> Ter
     steps = (np.arange(count) + 0.5) * cell_m
     height = ground_m((x_min + steps)[None, :], (y_max - steps)[:, None])
     return Terrain(height.astype(np.float32), x_min, y_max, cell_m)
-
-
-def write_dtm(path: Path, dtm: Terrain, crs="EPSG:2154") -> None:
-    rows, columns = dtm.height_m.shape
-    transform = from_origin(dtm.x_min_m, dtm.y_max_m, dtm.cell_m, dtm.cell_m)
-    with rasterio.open(
-        path, "w", driver="GTiff", width=columns, height=rows, count=1, dtype="float32", crs=crs,
-        transform=transform, nodata=np.nan,
-    ) as raster:  # fmt: skip
-        raster.write(dtm.height_m, 1)
 
 
 def house(x0, y0, width, length, eave_m, angle_deg, name, tile=TILE, size_m=TILE_SIZE_M):
@@ -101,7 +89,8 @@ def write_scene(folder: Path, rows=None, dtm=None, tile=TILE, size_m=TILE_SIZE_M
     io.write_table(folder / "buildings.parquet", columns, io.BUILDINGS, facts)
     columns["eave_height_source"] = ["hauteur"] * len(rows)
     io.write_table(folder / "scene.parquet", {n: columns[n] for n in io.SCENE.names}, io.SCENE, facts)
-    write_dtm(folder / "dtm.tif", terrain(tile, size_m) if dtm is None else dtm)
+    dtm = terrain(tile, size_m) if dtm is None else dtm
+    write_terrain(folder / "dtm.tif", dtm, "EPSG:2154", facts)
     return folder / "scene.parquet", folder / "dtm.tif", folder / "buildings.parquet"
 
 

@@ -2,35 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import floor
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-
-
-@dataclass(frozen=True)
-class Terrain:
-    """A north-up raster of heights.
-
-    height_m: float32 (rows, columns), NaN where there is no data; row 0 is the north.
-    x_min_m, y_max_m: outer corner of the north-west cell. cell_m: edge of the square cells.
-    """
-
-    height_m: np.ndarray
-    x_min_m: float
-    y_max_m: float
-    cell_m: float
-
-    def at(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Height of the cell that holds each point, NaN outside the raster or where it has no data."""
-        rows, columns = self.height_m.shape
-        column = np.floor((np.asarray(x_m) - self.x_min_m) / self.cell_m).astype(np.int64)
-        row = np.floor((self.y_max_m - np.asarray(y_m)) / self.cell_m).astype(np.int64)
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-        heights = self.height_m[np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)]
-        return np.where(inside, heights, np.nan)
 
 
 class TerrainGrid(NamedTuple):
@@ -56,17 +32,22 @@ class TerrainGrid(NamedTuple):
 BLOCK_SQUARES = 8
 
 
-def local_grid(terrain: Terrain, origin_m: np.ndarray) -> TerrainGrid:
-    """``terrain`` relative to ``origin_m`` (3,)."""
-    height = (terrain.height_m.astype(np.float64) - origin_m[2]).astype(np.float32)
+def local_grid(
+    height_m: np.ndarray, x_min_m: float, y_max_m: float, cell_m: float, origin_m: np.ndarray
+) -> TerrainGrid:
+    """A north-up raster of heights relative to ``origin_m`` (3,).
+
+    height_m: float (rows, columns), NaN where there is no data. x_min_m, y_max_m: outer north-west corner.
+    """
+    height = (height_m.astype(np.float64) - origin_m[2]).astype(np.float32)
     return TerrainGrid(
         height,
         _block_max(height),
         float(np.nanmin(height, initial=np.inf)),
         float(np.nanmax(height, initial=-np.inf)),
-        float(terrain.x_min_m + terrain.cell_m / 2 - origin_m[0]),
-        float(terrain.y_max_m - terrain.cell_m / 2 - origin_m[1]),
-        float(terrain.cell_m),
+        float(x_min_m + cell_m / 2 - origin_m[0]),
+        float(y_max_m - cell_m / 2 - origin_m[1]),
+        float(cell_m),
     )
 
 

@@ -11,7 +11,7 @@ from p2wss.lidar.caster import Caster, cast
 from p2wss.lidar.pulses import Box
 from p2wss.lidar.surface import Surface, encode_face
 from p2wss.lidar.survey import PATTERNS, plan
-from p2wss.lidar.terrain import Terrain, local_grid
+from p2wss.lidar.terrain import local_grid
 
 HALF_M = 40
 BOX = Box(-30.0, -30.0, 30.0, 30.0, -2.0, 40.0)
@@ -41,7 +41,7 @@ def surface(blocks, loss=0.0):
     kinds = np.concatenate(kind) if kind else np.zeros(0, int)
     flat = np.zeros((2 * HALF_M, 2 * HALF_M), np.float32)
     return Surface(
-        local_grid(Terrain(flat, -HALF_M, HALF_M, 1.0), np.zeros(3)),
+        local_grid(flat, -HALF_M, HALF_M, 1.0, np.zeros(3)),
         np.concatenate(vertex),
         np.concatenate(triangle).astype(np.int32),
         np.concatenate(owner) if owner else np.zeros(0, np.int32),

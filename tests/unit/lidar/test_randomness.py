@@ -45,4 +45,4 @@ def test_deviates_follow_their_laws():
     assert abs(np.corrcoef(normals.T) - np.eye(4)).max() < 0.01
     assert stats.kstest(normals[:, 0], "norm").statistic < 0.005
     assert stats.kstest(uniforms, "uniform").statistic < 0.005
-    assert 0 <= uniforms.min() and uniforms.max() < 1
+    assert uniforms.min() >= 0 and uniforms.max() < 1

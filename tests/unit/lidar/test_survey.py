@@ -10,7 +10,7 @@ from p2wss.lidar.caster import cast
 from p2wss.lidar.pulses import Box
 from p2wss.lidar.surface import Surface
 from p2wss.lidar.survey import PATTERNS, plan
-from p2wss.lidar.terrain import Terrain, local_grid
+from p2wss.lidar.terrain import local_grid
 
 AREA = Box(-100.0, -100.0, 100.0, 100.0, -1.0, 1.0)
 
@@ -19,9 +19,14 @@ def flat_surface(half_m=130, height_m=0.0):
     height = np.full((2 * half_m, 2 * half_m), height_m, np.float32)
     none = np.zeros(0, np.int32)
     return Surface(
-        local_grid(Terrain(height, -half_m, half_m, 1.0), np.zeros(3)),
-        np.zeros((0, 3)), np.zeros((0, 3), np.int32), none, none, none.astype(np.float32), none.astype(np.float32),
-    )  # fmt: skip
+        local_grid(height, -half_m, half_m, 1.0, np.zeros(3)),
+        np.zeros((0, 3)),
+        np.zeros((0, 3), np.int32),
+        none,
+        none,
+        none.astype(np.float32),
+        none.astype(np.float32),
+    )
 
 
 def only(pattern):
