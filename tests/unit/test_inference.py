@@ -29,7 +29,7 @@ class Answer:
 
 
 class Oracle:
-    """Answers with the median height of the points and a slope at every edge; NaN for clouds lifted too far."""
+    """Answers with the median height of the points and a slope at every edge; NaN above 50 m."""
 
     def __init__(self, slope_deg: float = 35.0, max_num_vertices: int = 8) -> None:
         self.slope_deg = slope_deg
