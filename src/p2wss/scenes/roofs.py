@@ -22,6 +22,8 @@ _CORNER_DEG = (45.0, 135.0)
 # a gable is no wider than its wing, which is about twice the radius of the largest circle inside; U-shapes
 # would otherwise get a gable on the outside of the wing that joins the other two
 _GABLE_WIDTH_PER_RADIUS = 2.6
+# a wing shorter than this share of its width is a step in the wall
+_SHORTEST_WING = 0.5
 
 
 @dataclass(frozen=True)
@@ -126,20 +128,27 @@ def _gable_ends(
     party: np.ndarray,
     edge_m: np.ndarray,
 ) -> np.ndarray:
-    """Edges that become gables if the type wants gables: party walls, and ends of wings, shortest first."""
+    """Edges that become gables if the type wants gables: party walls, and ends of wings, shortest first.
+
+    An end with a neighbour much shorter than itself is often a piece of a side with a small step in it; it
+    becomes a gable only opposite to another one.
+    """
     chosen = party.copy()
     if outline.is_courtyard.any():
         return chosen
     low, high = _CORNER_DEG
     square = (turn_deg >= low) & (turn_deg <= high) & (turn_after_deg >= low) & (turn_after_deg <= high)
     narrow = length_m <= _GABLE_WIDTH_PER_RADIUS * outline.radius_m
-    before = np.empty_like(outline.following)
-    before[outline.following] = np.arange(len(before))
-    for edge in np.argsort(length_m, kind="stable"):
-        if not square[edge] or chosen[edge] or chosen[before[edge]] or chosen[outline.following[edge]]:
+    following = outline.following
+    before = np.empty_like(following)
+    before[following] = np.arange(len(before))
+    stepped = np.minimum(length_m[before], length_m[following]) < _SHORTEST_WING * length_m
+    for edge in np.lexsort([length_m, stepped]):
+        if not square[edge] or chosen[edge] or chosen[before[edge]] or chosen[following[edge]]:
             continue
         # the free end of a row is as wide as its party walls
-        if narrow[edge] or (party.any() and np.any(_parallel(edge_m[party], edge_m[edge]))):
+        fits = narrow[edge] or np.any(_parallel(edge_m[party], edge_m[edge]))
+        if fits and (not stepped[edge] or np.any(_parallel(edge_m[chosen], edge_m[edge]))):
             chosen[edge] = True
     return chosen
 

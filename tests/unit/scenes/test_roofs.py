@@ -82,6 +82,15 @@ def test_gables_of_wings() -> None:
         assert ((angles == 90).sum(axis=1) == number).all()
 
 
+def test_a_step_in_a_wall_is_no_wing() -> None:
+    """A rectangle with a small step near a corner: the gables still stand on its short sides."""
+    stepped = shapely.Polygon([(0, 0), (12, 0), (12, 9), (5, 9), (5, 10), (0, 10)])
+    xy = outline(stepped).xy_m
+    short = [i for i in range(6) if xy[i, 0] == xy[(i + 1) % 6, 0] and abs(xy[i, 1] - xy[(i + 1) % 6, 1]) > 5]
+    _, angles = draws(stepped, Scenes(roof_shares=only("gable")), 20)
+    assert (angles[:, short] == 90).all() and ((angles == 90).sum(axis=1) == 2).all()
+
+
 def test_hip_half_hip_flat_shed() -> None:
     for roof_type, vertical, flat in [("hip", 0, 0), ("half_hip", 1, 0), ("flat", 0, 4), ("shed", 3, 0)]:
         names, angles = draws(RECTANGLE, Scenes(roof_shares=only(roof_type)), 50)
