@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +10,9 @@ from p2wss.skeleton.compiled import entry, inner, spliced
 from p2wss.skeleton.line_kinds import solid_lines
 
 from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
-from p2wss.skeleton.records import MAX_EDGES, mesh_work, skeleton_work
+from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, mesh_work, skeleton_work
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import Faces, FloatArray, Lines, Meshes, Polygons
+from p2wss.skeleton.types import Faces, FloatArray, IntArray, Lines, Meshes, Polygons
 
 _OK = int(Status.OK)
 
@@ -35,6 +36,8 @@ class _Output(NamedTuple):
     line_vertex: np.ndarray
     line_kind: np.ndarray
     line_offset: np.ndarray
+    num_caps: np.ndarray
+    num_ambiguous: np.ndarray
 
 
 @spliced
@@ -97,6 +100,8 @@ def _solids(
                 output.line_vertex[row, 1] += num_vertices
             output.line_offset[p + 1] = last_line
         output.status[p] = code
+        output.num_caps[p] = counts[NUM_CAPS] if code == _OK else 0
+        output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == _OK else 0
         output.vertex_offset[p + 1] = num_vertices + more_vertices
         output.triangle_offset[p + 1] = num_triangles + more_triangles
         if code != _OK:
@@ -113,6 +118,17 @@ def _solids(
             output.triangle_kind[num_triangles + t] = of_kind
             output.triangle_edge[num_triangles + t] = of_edge
     return len(output.status)
+
+
+_PER_POLYGON = {
+    "status",
+    "vertex_offset",
+    "triangle_offset",
+    "face_offset",
+    "line_offset",
+    "num_caps",
+    "num_ambiguous",
+}
 
 
 def _output(num_polygons: int, num_rows: int, want_faces: bool, want_lines: bool) -> _Output:
@@ -135,6 +151,8 @@ def _output(num_polygons: int, num_rows: int, want_faces: bool, want_lines: bool
         line_vertex=np.empty((2 * line_rows, 2), np.int64),
         line_kind=np.empty(2 * line_rows, np.uint8),
         line_offset=np.zeros(num_polygons + 1, np.int64),
+        num_caps=np.zeros(num_polygons, np.int32),
+        num_ambiguous=np.zeros(num_polygons, np.int32),
     )
 
 
@@ -142,8 +160,7 @@ def _grow(output: _Output) -> _Output:
     """The same with room for twice as much; what has one entry per polygon stays as it is."""
     larger = {}
     for name, array in output._asdict().items():
-        per_polygon = name in ("status", "vertex_offset", "triangle_offset", "face_offset", "line_offset")
-        larger[name] = array if per_polygon else np.concatenate((array, np.zeros_like(array)))
+        larger[name] = array if name in _PER_POLYGON else np.concatenate((array, np.zeros_like(array)))
     return _Output(**larger)
 
 
@@ -287,3 +304,27 @@ def lines(
         output.line_offset,
         output.status,
     )
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Per polygon, int32: a ``Status``, the number of horizontal caps, and how often the wavefront ran into the
+    case that the definition leaves open, two collinear neighbours of different speeds, where a millimetre in
+    the footprint may change the roof."""
+
+    status: IntArray
+    num_caps: IntArray
+    num_ambiguous: IntArray
+
+
+def diagnose(
+    polygons: Polygons,
+    angle_deg: FloatArray,
+    eave_height_m: FloatArray,
+    *,
+    base_height_m: float | FloatArray = 0.0,
+    max_roof_height_m: float | FloatArray = np.inf,
+) -> Diagnosis:
+    """What the wavefront met; arguments as for :func:`build`."""
+    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    return Diagnosis(output.status, output.num_caps, output.num_ambiguous)

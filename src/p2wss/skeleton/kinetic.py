@@ -26,6 +26,7 @@ from p2wss.skeleton.compiled import inner, spliced
 
 from p2wss.skeleton.records import (
     NUM_ALIVE,
+    NUM_AMBIGUOUS,
     NUM_ARCS,
     NUM_CAPS,
     NUM_HOLES,
@@ -471,6 +472,7 @@ def _close_degenerate(edge, node, vertex, arc, counts, v, t):
         to_next = (b_x - x) ** 2 + (b_y - y) ** 2 <= (a_x - x) ** 2 + (a_y - y) ** 2
     else:
         to_next = edge[vertex[v].right].speed < edge[vertex[v].left].speed
+        counts[NUM_AMBIGUOUS] += 1
     if to_next:
         return _merge(edge, node, vertex, arc, counts, v, b, b_x, b_y, t)
     return _merge(edge, node, vertex, arc, counts, a, v, a_x, a_y, t)

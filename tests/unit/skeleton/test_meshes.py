@@ -1,0 +1,114 @@
+"""What every mesh must be, judged by other programs; queries and faces against the meshes."""
+
+import numpy as np
+import pytest
+from samples import REGIMES, sample_angles, sample_footprints
+from solids import judged_sound, volumes
+
+from p2wss.skeleton import FaceKind, LineKind, build, clean, faces, lines, roof_height, roof_points
+
+
+def judge(num, regime, court_share, seed):
+    polygons = clean(sample_footprints(num, seed, court_share)).polygons
+    meshes = build(polygons, sample_angles(polygons, regime, seed), np.full(num, 5.0))
+    assert (meshes.status == 0).mean() >= 0.999
+    num_courtyards = np.diff(polygons.polygon_offset) - 1
+    wrong = []
+    for k in np.flatnonzero(meshes.status == 0):
+        vertex, triangle, _, _ = meshes.mesh(k)
+        assert len(triangle) == 2 * len(vertex) - 4 + 4 * num_courtyards[k]
+        verdict = judged_sound(vertex, triangle, num_courtyards[k])
+        if verdict:
+            wrong.append((k, verdict))
+    assert not wrong
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_independent_judges(regime):
+    judge(60, regime, 0.3, 11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("regime", REGIMES)
+def test_independent_judges_on_many(regime):
+    judge(4000, regime, 0.25, 12)
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_heights_on_the_roof_equal_the_mesh(regime):
+    polygons = clean(sample_footprints(200, 5, 0.3)).polygons
+    angle, eave = sample_angles(polygons, regime, 6), np.linspace(3, 9, 200)
+    meshes = build(polygons, angle, eave, max_roof_height_m=4.0)
+    rng = np.random.default_rng(0)
+    points, index, kinds = [], [], []
+    for k in range(200):
+        vertex, triangle, kind, _ = meshes.mesh(k)
+        top = rng.choice(np.flatnonzero(np.isin(kind, [FaceKind.ROOF, FaceKind.FLAT])), 5)
+        points.append(np.einsum("ij,ijk->ik", rng.dirichlet([1, 1, 1], 5), vertex[triangle[top]]))
+        index += [k] * 5
+        kinds.append(kind[top])
+    points, index = np.concatenate(points), np.array(index)
+    shuffle = rng.permutation(len(points))
+    z, kind, edge = roof_height(
+        polygons, angle, eave, points[shuffle, :2], index[shuffle], max_roof_height_m=4.0
+    )
+    np.testing.assert_allclose(z, points[shuffle, 2], atol=1e-6)
+    assert (kind == np.concatenate(kinds)[shuffle]).all()
+    assert ((edge >= 0) == (kind == FaceKind.ROOF)).all()
+
+
+def test_derivatives_match_finite_differences():
+    polygons = clean(sample_footprints(150, 8, 0.3)).polygons
+    angle = sample_angles(polygons, "one", 9) + np.random.default_rng(1).uniform(-4, 4, len(polygons.xy_m))
+    rng = np.random.default_rng(2)
+    index = rng.integers(0, 150, 600)
+    centre = np.array([polygons.rings(k)[0].mean(0) for k in range(150)])
+    xy = centre[index] + rng.uniform(-4, 4, (600, 2))
+    here = roof_points(polygons, angle, 5.0, xy, index)
+    step = 1e-5
+    owner = polygons.vertex_offset[index] + here.edge
+    checked = 0
+    for k in np.flatnonzero(here.edge >= 0)[:100]:
+        more = angle.copy()
+        more[owner[k]] += step
+        there = roof_points(polygons, more, 5.0, xy[k : k + 1], index[k : k + 1])
+        if there.edge[0] == here.edge[k]:
+            assert (there.z_m[0] - here.z_m[k]) / step == pytest.approx(here.dz_dangle_m_per_deg[k], abs=1e-4)
+            checked += 1
+    assert checked > 80
+    raised = roof_points(polygons, angle, 5.5, xy, index)
+    np.testing.assert_allclose(raised.z_m, here.z_m + 0.5)
+    assert np.isnan(here.z_m[here.face == -1]).all() and (here.face == -1).any()
+
+
+def test_faces_enclose_the_mesh_volume():
+    polygons = clean(sample_footprints(100, 3, 0.4)).polygons
+    angle, eave = sample_angles(polygons, "iid", 3), np.full(100, 5.0)
+    meshes = build(polygons, angle, eave)
+    found = faces(polygons, angle, eave)
+    expected = volumes(meshes)
+    for k in range(100):
+        vertex, parts = found.solid(k)
+        np.testing.assert_array_equal(vertex, meshes.mesh(k)[0])
+        local, volume, seen = vertex - vertex[0], 0.0, set()
+        for _, _, rings in parts:
+            for ring in rings:
+                a, b, c = local[ring[0]], local[ring[1:-1]], local[ring[2:]]
+                volume += float(np.sum(np.cross(b, c) @ a) / 6)
+                for edge in zip(ring.tolist(), np.roll(ring, -1).tolist(), strict=True):
+                    assert edge not in seen
+                    seen.add(edge)
+        assert volume == pytest.approx(expected[k], rel=1e-9)
+        assert {(b, a) for a, b in seen} == seen
+
+
+def test_lines_of_a_gable_roof():
+    from p2wss.skeleton import Polygons
+
+    rectangle = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
+    found = lines(Polygons.from_rings([[rectangle]]), np.array([45, 90, 45, 90.0]), np.array([5.0]))
+    assert np.bincount(found.kind, minlength=6).tolist() == [2, 4, 1, 0, 0, 0]
+    ridge = found.kind == LineKind.RIDGE
+    ends = np.sort([found.start_m[ridge][0, 0], found.end_m[ridge][0, 0]])
+    np.testing.assert_allclose(ends, [0, 10])
+    np.testing.assert_allclose(found.start_m[ridge][0, 1:], [3, 8])
