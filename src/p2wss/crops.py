@@ -39,6 +39,7 @@ __all__ = [
 
 GROUND_CLASS, BUILDING_CLASS = 2, 6
 SYNTHETIC, LIDAR = "synthetic", "lidar"
+_READ_AT_ONCE = 1_000_000
 _REACH_M = 320.0  # int16 centimetres end at 327 m
 _NOT_INT16 = -32768
 # distance from the footprint within which the ground is looked for, wider where it is not found
@@ -112,20 +113,25 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
     try:
         with laspy.open(path, decompression_selection=needed) as reader:
-            las = reader.read()
-        building, face = np.asarray(las["building_id"]), np.asarray(las["face_id"])
+            count, crs = reader.header.point_count, reader.header.parse_crs()
+            xyz = [np.empty(count) for _ in range(3)]
+            classification = np.empty(count, np.uint8)
+            building, face = np.empty(count, np.int32), np.empty(count, np.int32)
+            first = 0
+            for points in reader.chunk_iterator(_READ_AT_ONCE):
+                part = slice(first, first + len(points))
+                for column, name in zip(xyz, "xyz", strict=True):
+                    column[part] = points[name]
+                classification[part] = points.classification
+                building[part], face[part] = points["building_id"], points["face_id"]
+                first = part.stop
+            if first != count:
+                raise EOFError(f"{first} of {count} points")
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except Exception as error:  # laspy and lazrs raise many kinds for a broken file
         raise InputError(f"{path}: not a readable scan of p2wss, or truncated: {error}") from error
-    cloud = Cloud(
-        np.asarray(las.x),
-        np.asarray(las.y),
-        np.asarray(las.z),
-        np.asarray(las.classification).astype(np.uint8),
-        las.header.parse_crs(),
-    )
-    return cloud, building, face
+    return Cloud(xyz[0], xyz[1], xyz[2], classification, crs), building, face
 
 
 def crop_scene(

@@ -29,6 +29,7 @@ from p2wss.tiling import Bounds, tile_bounds
 
 GROUND_CLASS, BUILDING_CLASS = 2, 6
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
+_WRITTEN_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -173,8 +174,8 @@ def _facts(
     bounds: Bounds,
     seed: int,
 ) -> dict[str, Any]:
-    x, y = points.xyz_mm[:, 0] / 1000 + origin[0], points.xyz_mm[:, 1] / 1000 + origin[1]
-    in_tile = (x >= bounds[0]) & (x < bounds[2]) & (y >= bounds[1]) & (y < bounds[3])
+    low, high = (1000 * (np.array(corner) - origin[:2]) for corner in (bounds[:2], bounds[2:]))
+    in_tile = ((points.xyz_mm[:, :2] >= low) & (points.xyz_mm[:, :2] < high)).all(axis=1)
     area_m2 = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
     kind = points.face & 3
     vertex_x, vertex_y, row = _footprint_vertices(buildings)
@@ -213,6 +214,17 @@ def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) 
             laspy.ExtraBytesParams("face_id", "int32", "4 (edge + 1) + kind, -1 none"),
         ]
     )
+    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
+    with (
+        io.atomic(path) as temporary,
+        laspy.open(temporary, mode="w", header=header, laz_backend=backend, do_compress=True) as writer,
+    ):
+        for first in range(0, len(points.pulse), _WRITTEN_AT_ONCE):
+            part = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in points))
+            writer.write_points(_las_points(part, survey, header))
+
+
+def _las_points(points: Points, survey: Survey, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
     record = laspy.ScaleAwarePointRecord.zeros(len(points.pulse), header=header)
     record.X, record.Y, record.Z = points.xyz_mm.T
     record.intensity, record.scan_angle = points.intensity, points.scan_angle
@@ -223,9 +235,4 @@ def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) 
     start_s = np.array([strip.start_s for strip in survey.strips])
     record.gps_time = start_s[points.strip] + points.pulse / survey.parameters["pulse_rate_hz"]
     record.building_id, record.face_id = points.building, points.face
-    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
-    with (
-        io.atomic(path) as temporary,
-        laspy.open(temporary, mode="w", header=header, laz_backend=backend, do_compress=True) as writer,
-    ):
-        writer.write_points(record)
+    return record

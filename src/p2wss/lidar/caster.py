@@ -110,6 +110,12 @@ def _empty_points(n: int) -> Points:
 
 
 def _concatenate(chunks: list[Points]) -> Points:
+    """One :class:`Points` of all; a column's parts are let go before the next one is joined."""
     if not chunks:
         return _empty_points(0)
-    return Points(*(np.concatenate(column) for column in zip(*chunks, strict=True)))
+    parts = [list(column) for column in zip(*chunks, strict=True)]
+    chunks.clear()
+    columns = []
+    while parts:
+        columns.append(np.concatenate(parts.pop(0)))
+    return Points(*columns)
