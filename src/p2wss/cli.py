@@ -30,6 +30,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run one sub-command. Returns the exit status: 0, or 2 for input that the user can mend."""
     parsed = _parser().parse_args(arguments)
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
+    # what laspy logs of a broken file it raises too, which becomes the one line below
+    logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("pyogrio").setLevel(logging.WARNING)  # it reports every file that it writes
     try:
         parsed.run(parsed)
@@ -215,7 +217,7 @@ def fetch_dtm(arguments: argparse.Namespace) -> None:
     config = _config(arguments)
     source = open_source(config.region, config.fetch)
     terrain = source.dtm(_tile_bounds(arguments.tile, config, config.fetch.margin_m))
-    share = check_terrain(terrain, _tile_bounds(arguments.tile, config), source.name)
+    share = check_terrain(terrain, _tile_bounds(arguments.tile, config), f"terrain of tile {arguments.tile}")
     log.info(
         f"{arguments.out.name}: {terrain.height_m.shape} heights, {terrain.cell_m} m apart, {share:.1%} known"
     )
@@ -467,7 +469,7 @@ def model(arguments: argparse.Namespace) -> None:
 
 def eval_predict(arguments: argparse.Namespace) -> None:
     _use_threads(arguments.threads)
-    from p2wss import inference, model
+    from p2wss import inference, model, training
     from p2wss.eval import cases, predict
 
     config = _config(arguments)
@@ -476,7 +478,9 @@ def eval_predict(arguments: argparse.Namespace) -> None:
     found = cases.test_cases(manifest)
     rows = predict.predict(found, predictor, config.reconstruct)
     errors = predict.parameter_errors(found, rows, predictor, cases.train_medians(manifest))
-    facts = _eval_facts(config, method=rows[0].method if rows else "point2wss", status="ok")
+    made_by = training.read_weights(arguments.model, "model")[1]
+    weights = {name: made_by[name] for name in ("version", "code", "config", "dvae_config")}
+    facts = _eval_facts(config, method="point2wss", status="ok", model=weights)
     columns = inference.columns(rows, [case.dataset for case in found])
     io.write_table(arguments.out, columns, io.RECONSTRUCTIONS, facts)
     io.write_json(arguments.out_parameters, errors | {"p2wss": facts})

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyproj
 import rasterio
+from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 from scipy.ndimage import map_coordinates
 
@@ -87,6 +88,10 @@ def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[s
         "compress": "deflate",
         "predictor": 3,
     }
-    with io.atomic(path) as temporary, rasterio.open(temporary, "w", **profile) as raster:
-        raster.write(terrain.height_m.astype(np.float32), 1)
-        raster.update_tags(p2wss=json.dumps(metadata))
+    # GDAL does not notice a full disk; writing the bytes ourselves does
+    with MemoryFile() as file:
+        with file.open(**profile) as raster:
+            raster.write(terrain.height_m.astype(np.float32), 1)
+            raster.update_tags(p2wss=json.dumps(metadata))
+        with io.atomic(path) as temporary:
+            temporary.write_bytes(file.getbuffer())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -71,12 +72,10 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
 
 def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[str, Any]) -> None:
     """Write a GeoPackage, layer ``footprints``, with ``metadata`` as JSON under the layer's key ``p2wss``."""
+    # in memory first: SQLite reports a full disk by whatever statement happens to come next
+    file = BytesIO()
+    pyogrio.write_dataframe(
+        frame, file, layer="footprints", driver="GPKG", layer_metadata={"p2wss": json.dumps(metadata)}
+    )
     with io.atomic(path) as temporary:
-        temporary.unlink()  # GDAL would try to open it
-        pyogrio.write_dataframe(
-            frame,
-            temporary,
-            layer="footprints",
-            driver="GPKG",
-            layer_metadata={"p2wss": json.dumps(metadata)},
-        )
+        temporary.write_bytes(file.getbuffer())
