@@ -318,7 +318,7 @@ class Crops(Section):
 class DvaeOptimiser(Section):
     """AdamW, cosine warm-up, then cosine decay, per step."""
 
-    num_steps: int = Field(400, ge=1, description="batches to train on")
+    num_steps: int = Field(200, ge=1, description="batches to train on")
     batch_size: int = Field(64, ge=2, description="clouds per step")
     learning_rate: float = Field(2e-3, gt=0, description="highest")
     learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
@@ -338,7 +338,7 @@ class Dvae(Section):
     min_points: int = Field(64, ge=1, description="smaller clouds are left out of training")
     num_patches: int = Field(32, ge=4, description="patches per cloud (farthest point sampling)")
     patch_size: int = Field(16, ge=4, multiple_of=4, description="points per patch (nearest neighbours)")
-    patch_dim: int = Field(64, ge=8, multiple_of=8, description="width of a patch embedding")
+    patch_dim: int = Field(32, ge=8, multiple_of=8, description="width of a patch embedding")
     token_dim: int = Field(32, ge=8, multiple_of=8, description="width of a code and of the DGCNN")
     num_tokens: int = Field(128, ge=8, multiple_of=4, description="size of the codebook")
     temperature_end: float = Field(
@@ -357,8 +357,8 @@ class Dvae(Section):
 class Masking(Section):
     """What the model must restore while it trains. The paper: 0, 0 and [0.3, 0.3]."""
 
-    inference_share: Share = Field(0.5, description="samples that hide all digits of height and angles")
-    table1_share: Share = Field(0.2, description="samples that hide all digits; the rest hide random tokens")
+    inference_share: Share = Field(0.8, description="samples that hide all digits of height and angles")
+    table1_share: Share = Field(0.1, description="samples that hide all digits; the rest hide random tokens")
     random_ratio: tuple[Share, Share] = Field((0.15, 1.0), description="share of tokens hidden at random")
     patch_ratio: tuple[Share, Share] = Field((0.25, 0.45), description="share of patches hidden, in a block")
 
@@ -397,8 +397,8 @@ class Decoding(Section):
 class ModelOptimiser(Section):
     """AdamW, cosine warm-up, then cosine decay, per step."""
 
-    num_steps: int = Field(1200, ge=1, description="batches to train on")
-    batch_size: int = Field(64, ge=2, description="buildings per step")
+    num_steps: int = Field(800, ge=1, description="batches to train on")
+    batch_size: int = Field(32, ge=2, description="buildings per step")
     learning_rate: float = Field(2e-3, gt=0, description="highest")
     learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
     warmup_share: Share = Field(0.05, description="of the steps, with the rate rising")
@@ -433,7 +433,7 @@ class Model(Section):
         True, description="tokens also carry the geometry of their edge where visible"
     )
     edge_attention: bool = Field(
-        True, description="attention to patches is biased by where they lie from the edge, where visible"
+        True, description="tokens also gather from the patches what lies where, seen from their edge"
     )
     ema_decay: float = Field(0.99, ge=0, lt=1, description="of the averaged weights that are kept; 0 = off")
     loss_weights: LossWeights = LossWeights()

@@ -44,9 +44,9 @@ class Buildings:
     """Many buildings, ragged.
 
     points_cm: int16 (num_points, 3), local. point_offset: int64 (n + 1,). ground_z_m: float32 (n,), local;
-    where the crop has none, :func:`ground_from_points`. xy_m: float32 (num_vertices, 2), local exterior rings,
-    counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i leaves vertex i.
-    height_m: float32 (n,), gutter above ``ground_z_m``. num_left_out: per reason.
+    where the crop has none, :func:`ground_from_points`. xy_m: float32 (num_vertices, 2), local exterior
+    rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i
+    leaves vertex i. height_m: float32 (n,), gutter above ``ground_z_m``. num_left_out: per reason.
 
     Without labels (``labelled=False``) the rings are empty and the heights NaN.
     """

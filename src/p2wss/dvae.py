@@ -1,4 +1,4 @@
-"""Stage dvae: train the discrete VAE that turns patches of points into tokens (paper, sections 4.2 and 5.2)."""
+"""Stage dvae: train the discrete VAE that turns patches of points into tokens (paper, section 4.2)."""
 
 from __future__ import annotations
 

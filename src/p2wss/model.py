@@ -299,7 +299,7 @@ class Predictor:
         return height, xy, angle
 
     def errors(self, buildings: Buildings, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed errors of labelled buildings, footprint given: heights (n,) in m, angles (edges,) in degrees."""
+        """Signed errors, footprint given, of labelled buildings: heights (n,) m, angles (edges,) degrees."""
         heights, angles = [], []
         for first in range(0, len(index), INFERENCE_BATCH):
             rows = index[first : first + INFERENCE_BATCH]

@@ -228,8 +228,8 @@ class _State:
             return
         # short memory at first: the initial weights must not linger
         decay = min(self.ema_decay, (1 + step) / (10 + step))
-        for ours, new in zip(self.average_module.parameters(), self.module.parameters(), strict=True):
-            ours.lerp_(new, 1 - decay)
+        for mean, weight in zip(self.average_module.parameters(), self.module.parameters(), strict=True):
+            mean.lerp_(weight, 1 - decay)
         for ours, new in zip(self.average_module.buffers(), self.module.buffers(), strict=True):
             ours.copy_(new)
 
@@ -340,7 +340,7 @@ def _termination() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def of_this_version(path: Path, facts: dict[str, Any]) -> Iterator[None]:
-    """Turn what goes wrong while weights are put to use into an :class:`InputError`: another version made them."""
+    """Turn what goes wrong while weights are put to use into an :class:`InputError`."""
     try:
         yield
     # pydantic's errors are ValueErrors; load_state_dict raises RuntimeError

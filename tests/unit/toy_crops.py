@@ -1,4 +1,4 @@
-"""Simple labelled crops for the tests and benchmarks of training: convex quads whose roof is z = h + min tan(a) d."""
+"""Simple labelled crops for tests and benchmarks of training: convex quads, z = h + min tan(a) d."""
 
 from __future__ import annotations
 

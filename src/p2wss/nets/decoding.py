@@ -52,7 +52,7 @@ def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
 
 
 def decode(distribution: Tensor, mode: Mode) -> Tensor:
-    """int64 (...): most probable value, or the smallest value with at least half of the mass below or at it."""
+    """int64 (...): most probable value, or smallest value with half of the mass below or at it."""
     if mode == "argmax":
         return distribution.argmax(-1)
     # double: the sum over 10^4 values must not stop short of one half

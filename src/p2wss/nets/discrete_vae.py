@@ -5,6 +5,7 @@ mini-PointNet -> DGCNN over patch centres -> Gumbel softmax over the codebook ->
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -81,9 +82,7 @@ class Dgcnn(nn.Module):
         super().__init__()
         self.first = nn.Linear(dim_in, dim // 2)
         widths = [dim // 2, dim, 2 * dim, 2 * dim, 4 * dim]
-        self.convolutions = nn.ModuleList(
-            EdgeConvolution(a, b) for a, b in zip(widths[:-1], widths[1:], strict=True)
-        )
+        self.convolutions = nn.ModuleList(EdgeConvolution(a, b) for a, b in itertools.pairwise(widths))
         self.last = nn.Linear(sum(widths[1:]), dim_out, bias=False)
         self.norm = nn.GroupNorm(NORM_GROUPS, dim_out)
 
@@ -216,6 +215,6 @@ def temperature(progress: float, end: float) -> float:
 
 
 def kl_weight(progress: float, end: float) -> float:
-    """Weight of the divergence: 0 for the first 5 %, then cosine up to ``end`` at 55 % (Point-BERT, as shares)."""
+    """Weight of the divergence: 0 for the first 5 %, then cosine to ``end`` at 55 % (Point-BERT)."""
     share = min(max((progress - 0.05) / 0.5, 0.0), 1.0)
     return end * (1 - math.cos(math.pi * share)) / 2

@@ -10,7 +10,7 @@ from p2wss.nets.patches import Patches, squared_distance
 
 
 def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
-    """bool (b, g): a random valid patch and its nearest neighbours, a share drawn from ``ratio`` (Point-BERT)."""
+    """bool (b, g): a random valid patch and its neighbours, a share drawn from ``ratio`` (Point-BERT)."""
     valid = patches.valid
     batch = len(valid)
     device = valid.device

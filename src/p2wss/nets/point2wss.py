@@ -1,4 +1,4 @@
-"""Point2WSS: two masked transformer branches that read each other (paper, sections 4.1 to 4.5, figures 3 and 4)."""
+"""Point2WSS: two masked transformer branches that read each other (paper, sections 4.1 to 4.5)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ POSITION_WIDTH = 128
 INITIAL_LOGIT_SCALE = math.log(1 / 0.07)
 MAX_LOGIT_SCALE = math.log(100)
 # what inference needs: the rest of the weights serves training only
-INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.")
+INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.")
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class ModelSizes:
     ground_relative: bool
     numerical_encoding: bool
     edge_embedding: bool
+    edge_attention: bool
 
 
 class CloudEncoder(nn.Module):
@@ -101,8 +102,8 @@ class SequenceEncoder(nn.Module):
         if sizes.edge_embedding:
             self.edge = nn.Sequential(nn.Linear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim))
 
-    def embed(self, tokens: Tensor, num_vertices: Tensor, scale: float) -> Tensor:
-        """(b, l, dim). ``scale`` is what lengths are multiplied by, as in the cloud."""
+    def embed(self, tokens: Tensor, num_vertices: Tensor, edges: Tensor) -> Tensor:
+        """(b, l, dim). ``edges`` (b, n, 9) are the :func:`edge_features` of ``tokens``."""
         tok = self.tokenizer
         position = torch.arange(tokens.shape[1], device=tokens.device) - tok.header_length
         slot = torch.where(position < 0, position, position % tok.block_length) + tok.header_length
@@ -114,14 +115,15 @@ class SequenceEncoder(nn.Module):
         if self.numerical is not None:
             x = x + self.numerical[tokens]
         if self.edge is not None:
-            edge = self.edge(edge_features(tok, tokens, num_vertices, self.get_buffer("word_value"), scale))
-            edge = edge[:, :, None].expand(-1, -1, tok.block_length, -1).flatten(1, 2)
+            # tokens of vertices only: the last one must not depend on how long its batch is
+            inside = torch.arange(edges.shape[1], device=tokens.device) < num_vertices[:, None]
+            edge = (self.edge(edges) * inside[..., None]).repeat_interleave(tok.block_length, 1)
             x = x + F.pad(edge, (0, 0, tok.header_length, 1))
         return x
 
 
 def numerical_encoding(value: Tensor, dim: int) -> Tensor:
-    """Fixed encodings of the Regression Transformer: NE[2i] = v / (2i + 1), NE[2i + 1] = -NE[2i], (words, dim).
+    """(words, dim): the Regression Transformer's NE[2i] = v / (2i + 1), NE[2i + 1] = -NE[2i].
 
     v is the word's value scaled to at most 10.
     """
@@ -159,8 +161,47 @@ def edge_features(
     return features * visible[..., None]
 
 
+class EdgeAttention(nn.Module):
+    """Each visible edge gathers what the patches around it say, seen from the edge.
+
+    A pair of edge and patch is described by the patch's features and its place in the frame of the edge:
+    distance inwards from the edge's line, how far beyond its ends, position along it, height above the
+    ground. The network would find these relations by itself, from far more buildings.
+    """
+
+    def __init__(self, dim: int, num_heads: int) -> None:
+        super().__init__()
+        self.num_heads = num_heads
+        self.from_patch = nn.Linear(dim, dim)
+        self.from_pair = nn.Linear(7, dim, bias=False)
+        self.logits = nn.Linear(dim, num_heads)
+        # each head starts with its own reach around the edge, 10 m / decay
+        self.decay = nn.Parameter(torch.logspace(0.5, 1.5, num_heads))
+        self.value = nn.Linear(dim, dim)
+        self.out = nn.Linear(dim, dim)
+
+    def forward(self, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor) -> Tensor:
+        """``edges`` (b, n, 9) of :func:`edge_features`, ``cloud`` (b, g, dim) -> (b, n, dim); 0: hidden."""
+        visible, start, end, length, normal, _ = edges.split([1, 2, 2, 1, 2, 1], -1)
+        along = (end - start) / length.clamp_min(1e-6)
+        offset = patches.centre[:, None, :, :2] - start[:, :, None]
+        inwards = -(offset * normal[:, :, None]).sum(-1)
+        position = (offset * along[:, :, None]).sum(-1)
+        beyond = torch.relu(-position) + torch.relu(position - length)
+        height = (patches.centre[..., 2] - ground_z[:, None])[:, None].expand_as(inwards)
+        turned = normal[:, :, None].expand(*offset.shape)
+        pair = torch.stack([inwards, inwards.abs(), beyond, position - length / 2, height], -1)
+        h = F.gelu(self.from_pair(torch.cat([pair, turned], -1)) + self.from_patch(cloud)[:, None])
+        distance = inwards.abs() + beyond
+        logits = self.logits(h) - distance[..., None] * self.decay
+        logits = logits.masked_fill(~patches.valid[:, None, :, None], -torch.inf)
+        share = logits.softmax(2)
+        value = self.value(h).unflatten(-1, (self.num_heads, -1))
+        return self.out((share[..., None] * value).sum(2).flatten(2)) * visible
+
+
 class Point2Wss(nn.Module):
-    """Both branches, their token classifiers and the alignment heads. ``sequence`` is the parameter branch."""
+    """Both branches, token classifiers and alignment heads. ``sequence`` is the parameter branch."""
 
     def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer, scale: float) -> None:
         super().__init__()
@@ -178,6 +219,9 @@ class Point2Wss(nn.Module):
         self.sequence = SequenceEncoder(sizes, tokenizer)
         self.cloud_cross = cross()
         self.sequence_cross = cross()
+        self.look: EdgeAttention | None = None
+        if sizes.edge_attention:
+            self.look = EdgeAttention(dim, sizes.num_heads)
         self.cloud_head = nn.Linear(dim, sizes.num_tokens)
         self.sequence_head = nn.Linear(dim, tokenizer.num_words)
         self.align_cloud = nn.Linear(dim, sizes.align_dim)
@@ -212,12 +256,19 @@ class Point2Wss(nn.Module):
         cloud_masked, cloud = both.chunk(2)
         hidden = tokens.masked_fill(token_masked, MASK)
         present = tokens != PAD
+        edges = self._edges(hidden, num_vertices)
         both = self.sequence.encoder(
-            self.sequence.embed(torch.cat([hidden, tokens]), num_vertices.repeat(2), self.scale),
+            torch.cat(
+                [
+                    self.sequence.embed(hidden, num_vertices, edges),
+                    self.sequence.embed(tokens, num_vertices, self._edges(tokens, num_vertices)),
+                ]
+            ),
             present.repeat(2, 1),
         )
         sequence_masked, sequence = both.chunk(2)
         from_cloud = self.cloud_cross(cloud_masked, valid, position, sequence, present)
+        sequence_masked = self._look(sequence_masked, edges, cloud, patches, ground_z)
         from_sequence = self.sequence_cross(sequence_masked, present, None, cloud, valid)
 
         cloud_logits = self.cloud_head(from_cloud[:, 1:][patch_masked])
@@ -257,11 +308,33 @@ class Point2Wss(nn.Module):
         x, position, valid = self.cloud.embed_patches(patches, ground_z)
         return self.cloud.encoder(x, valid, position), valid
 
-    def restore(self, tokens: Tensor, num_vertices: Tensor, cloud: Tensor, valid: Tensor) -> Tensor:
-        """Logits (b, l, words) of partly masked sequences, given the features of their clouds."""
+    def restore(
+        self,
+        tokens: Tensor,
+        num_vertices: Tensor,
+        patches: Patches,
+        ground_z: Tensor,
+        cloud: Tensor,
+        valid: Tensor,
+    ) -> Tensor:
+        """Logits (b, l, words) of partly masked sequences, given the ``cloud_features`` of their patches."""
         present = tokens != PAD
-        x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, self.scale), present)
+        edges = self._edges(tokens, num_vertices)
+        x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, edges), present)
+        x = self._look(x, edges, cloud, patches, ground_z)
         return self.sequence_head(self.sequence_cross(x, present, None, cloud, valid))
+
+    def _edges(self, tokens: Tensor, num_vertices: Tensor) -> Tensor:
+        value = self.sequence.get_buffer("word_value")
+        return edge_features(self.tokenizer, tokens, num_vertices, value, self.scale)
+
+    def _look(self, x: Tensor, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor) -> Tensor:
+        """Add to the tokens of each vertex what its edge gathers from the patches."""
+        if self.look is None:
+            return x
+        tok = self.tokenizer
+        seen = self.look(edges, cloud[:, 1:], patches, ground_z).repeat_interleave(tok.block_length, 1)
+        return x + F.pad(seen, (0, 0, tok.header_length, 1))
 
 
 def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:

@@ -4,9 +4,9 @@ A building with n vertices is ::
 
     [start] [height] d d d d  ( [point] [x] ± d d d d [y] ± d d d d [angle] d d ) * n  [end]
 
-where ``d`` at place j is the word d * 10^j, as in the Regression Transformer (Born and Manica, 2022): with four
-digits per length and two per angle, 7 + 16 n tokens of 51 words. The sequence starts at the uppermost-left
-vertex (largest y, then smallest x, on the quantised integers: axis-aligned buildings tie exactly) and goes
+where ``d`` at place j is the word d * 10^j, as in the Regression Transformer (Born and Manica, 2022): with
+four digits per length and two per angle, 7 + 16 n tokens of 51 words. The sequence starts at the
+uppermost-left vertex (largest y, then smallest x, on the quantised integers: axis-aligned buildings tie exactly) and goes
 round counter-clockwise; the angle after a vertex is that of the edge which leaves it.
 
 All functions work on batches of padded tensors; ``num_vertices`` tells how much of a row is meant.
@@ -56,8 +56,8 @@ class Parameters:
 class Tokenizer:
     """The bijection between canonical, quantised parameter sets and token sequences.
 
-    ``coord_decimals`` 2 is the paper's reading (centimetres), 1 saves two tokens per vertex. ``hundreds`` adds
-    the place 10^2 to heights and coordinates: without it both stay below 100 m.
+    ``coord_decimals`` 2 is the paper's reading (centimetres), 1 saves two tokens per vertex. ``hundreds``
+    adds the place 10^2 to heights and coordinates: without it both stay below 100 m.
     """
 
     def __init__(self, coord_decimals: int = 2, hundreds: bool = False) -> None:

@@ -17,12 +17,12 @@ class Attention(nn.Module):
         self.key_value = nn.Linear(dim, 2 * dim, bias=False)
         self.out = nn.Linear(dim, dim)
 
-    def forward(self, x: Tensor, source: Tensor, source_valid: Tensor) -> Tensor:
-        """``x`` (b, l, dim), ``source`` (b, s, dim), ``source_valid`` bool (b, s) -> (b, l, dim)."""
+    def forward(self, x: Tensor, source: Tensor, allowed: Tensor) -> Tensor:
+        """``x`` (b, l, dim), ``source`` (b, s, dim), ``allowed`` bool to (b, heads, l, s) -> (b, l, dim)."""
         query = self.query(x).unflatten(-1, (self.num_heads, -1)).transpose(1, 2)
         key, value = self.key_value(source).unflatten(-1, (2, self.num_heads, -1)).unbind(2)
         mixed = F.scaled_dot_product_attention(
-            query, key.transpose(1, 2), value.transpose(1, 2), attn_mask=source_valid[:, None, None]
+            query, key.transpose(1, 2), value.transpose(1, 2), attn_mask=allowed
         )
         return self.out(mixed.transpose(1, 2).flatten(2))
 
@@ -61,12 +61,12 @@ class Block(nn.Module):
         self.drop_path = DropPath(drop_path)
 
     def forward(
-        self, x: Tensor, valid: Tensor, source: Tensor | None = None, source_valid: Tensor | None = None
+        self, x: Tensor, allowed: Tensor, source: Tensor | None = None, source_allowed: Tensor | None = None
     ) -> Tensor:
         h = self.self_norm(x)
-        x = x + self.drop_path(self.self_attention(h, h, valid))
-        if source is not None and source_valid is not None:
-            x = x + self.drop_path(self.cross_attention(self.cross_norm(x), source, source_valid))
+        x = x + self.drop_path(self.self_attention(h, h, allowed))
+        if source is not None and source_allowed is not None:
+            x = x + self.drop_path(self.cross_attention(self.cross_norm(x), source, source_allowed))
         return x + self.drop_path(self.mlp(self.mlp_norm(x)))
 
 
@@ -95,7 +95,12 @@ class Encoder(nn.Module):
         source: Tensor | None = None,
         source_valid: Tensor | None = None,
     ) -> Tensor:
-        """``position`` (b, l, dim) is added before every block (Point-BERT's habit for clouds)."""
+        """(b, l, dim). ``valid`` bool (b, l); ``source`` (b, s, dim) with ``source_valid`` bool (b, s).
+
+        ``position`` (b, l, dim) is added before every block (Point-BERT's habit for clouds).
+        """
+        allowed = valid[:, None, None]
+        source_allowed = None if source_valid is None else source_valid[:, None, None]
         for block in self.blocks:
-            x = block(x if position is None else x + position, valid, source, source_valid)
+            x = block(x if position is None else x + position, allowed, source, source_allowed)
         return self.norm(x)

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from p2wss.nets import tokenizer as words
 from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.nets.point2wss import ModelSizes, Point2Wss, edge_features, inference_weights
+from p2wss.nets.point2wss import EdgeAttention, ModelSizes, Point2Wss, edge_features, inference_weights
 from p2wss.nets.tokenizer import Tokenizer
 
 from .test_tokenizer import buildings
@@ -32,6 +32,7 @@ SIZES = ModelSizes(
     ground_relative=True,
     numerical_encoding=True,
     edge_embedding=True,
+    edge_attention=True,
 )
 
 
@@ -55,10 +56,11 @@ def test_padding_of_the_sequence_changes_nothing() -> None:
     patches, tokens, num = sample()
     shortest = int(num.argmin())
     cloud, valid = model.cloud_features(patches, torch.zeros(4))
-    together = model.restore(tokens, num, cloud, valid)
+    together = model.restore(tokens, num, patches, torch.zeros(4), cloud, valid)
     length = Tokenizer().length(int(num[shortest]))
     one = slice(shortest, shortest + 1)
-    alone = model.restore(tokens[one, :length], num[one], cloud[one], valid[one])
+    few = Patches(patches.centre[one], patches.points[one], patches.valid[one])
+    alone = model.restore(tokens[one, :length], num[one], few, torch.zeros(1), cloud[one], valid[one])
     assert length < tokens.shape[1]
     assert torch.allclose(together[shortest, :length], alone[0], atol=1e-5)
 
@@ -67,14 +69,14 @@ def test_repeated_patches_change_nothing() -> None:
     model = network().eval()
     patches, tokens, num = sample()
     cloud, valid = model.cloud_features(patches, torch.zeros(4))
-    expected = model.restore(tokens, num, cloud, valid)
+    expected = model.restore(tokens, num, patches, torch.zeros(4), cloud, valid)
     more = Patches(
         torch.cat([patches.centre, torch.full((4, 3, 3), 9.0)], 1),
         torch.cat([patches.points, torch.full((4, 3, 8, 3), 9.0)], 1),
         torch.cat([patches.valid, torch.zeros(4, 3, dtype=torch.bool)], 1),
     )
     cloud, valid = model.cloud_features(more, torch.zeros(4))
-    assert torch.allclose(model.restore(tokens, num, cloud, valid), expected, atol=1e-5)
+    assert torch.allclose(model.restore(tokens, num, more, torch.zeros(4), cloud, valid), expected, atol=1e-5)
 
 
 def test_masked_digits_cannot_leak() -> None:
@@ -118,6 +120,35 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     assert torch.allclose(found[2:], torch.tensor(expected)[2:], atol=1e-6)
 
 
+def test_edges_look_at_patches_in_their_own_frame() -> None:
+    """A patch that moves along with its edge says the same; hidden edges, repeated patches say nothing."""
+    torch.manual_seed(0)
+    look = EdgeAttention(16, 2)
+    tok = Tokenizer()
+    square = torch.tensor([[[-3.0, 2.5], [-3.0, -2.5], [3.0, -2.5], [3.0, 2.5]]])
+    num = torch.tensor([4])
+    patches, _, _ = sample(1)
+    cloud, ground = torch.randn(1, 12, 16), torch.zeros(1)
+
+    def seen(shift: float, some: Patches, hidden: int | None = None) -> torch.Tensor:
+        parameters = tok.quantise(torch.tensor([5.0]), square + shift, torch.zeros(1, 4), num)
+        tokens, _ = tok.masked(parameters)
+        if hidden is not None:
+            tokens[0, tok.header_length + tok.block_length * hidden + tok.x_slot + 1] = words.MASK
+        return look(edge_features(tok, tokens, num, tok.word_value, 0.1), cloud, some, ground)[0]
+
+    moved = Patches(patches.centre + torch.tensor([0.2, 0.2, 0]), patches.points, patches.valid)
+    assert torch.allclose(seen(0, patches), seen(2, moved), atol=1e-5)
+    assert not torch.allclose(seen(0, patches), seen(0, moved), atol=1e-3)
+    assert torch.equal(seen(0, patches, hidden=2).abs().sum(1) == 0, torch.tensor([False, True, True, False]))
+    valid = patches.valid.clone()
+    valid[:, 3] = False
+    centre = patches.centre.clone()
+    centre[:, 3] += 5
+    some, other = (Patches(c, patches.points, valid) for c in (patches.centre, centre))
+    assert torch.equal(seen(0, some), seen(0, other))
+
+
 @pytest.mark.parametrize("balanced", [False, True])
 def test_match_loss_is_that_of_all_fused_pairs(balanced: bool) -> None:
     model = network()
@@ -155,7 +186,7 @@ def test_inference_needs_only_the_parts_that_are_kept() -> None:
     answers = []
     for net in (model, other):
         cloud, valid = net.cloud_features(patches, torch.ones(4))
-        answers.append(net.restore(tokens, num, cloud, valid))
+        answers.append(net.restore(tokens, num, patches, torch.zeros(4), cloud, valid))
     assert torch.equal(*answers)
 
 

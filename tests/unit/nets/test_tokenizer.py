@@ -131,9 +131,11 @@ def test_heights_that_do_not_fit_are_refused(value: float) -> None:
     _, xy, angle, num = buildings(0, 1)
     with pytest.raises(ValueError, match="number format"):
         tok.encode(tok.quantise(torch.tensor([value]), xy, angle, num))
-    assert Tokenizer(2, True).representable(
-        Tokenizer(2, True).quantise(torch.tensor([100.0]), xy, angle, num)
-    ).all()
+    assert (
+        Tokenizer(2, True)
+        .representable(Tokenizer(2, True).quantise(torch.tensor([100.0]), xy, angle, num))
+        .all()
+    )
 
 
 def test_sequences_that_encode_cannot_make_are_refused() -> None:

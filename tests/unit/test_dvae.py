@@ -1,0 +1,69 @@
+"""Stage dvae on simple crops."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+import toy_crops
+
+from p2wss import cli, dvae, training
+from p2wss.config import load
+from p2wss.errors import InputError
+
+SMALL = {
+    "num_points": 128,
+    "num_patches": 8,
+    "patch_size": 8,
+    "patch_dim": 16,
+    "token_dim": 16,
+    "num_tokens": 16,
+    "checkpoint_every_steps": 10,
+    "optimiser": {"num_steps": 30, "batch_size": 8},
+}
+
+
+@pytest.fixture(scope="module")
+def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_crops.make(tmp_path_factory.mktemp("crops"), {"train": 24, "val": 8}, lidar=8)
+
+
+def test_the_command_trains_and_the_weights_load(manifest: Path, tmp_path: Path) -> None:
+    out, metrics, checkpoints = tmp_path / "d.safetensors", tmp_path / "m.jsonl", tmp_path / "checkpoints"
+    arguments = ["dvae", str(manifest), str(out), str(metrics), "--checkpoints", str(checkpoints)]
+    assert cli.main([*arguments, "--config", json.dumps({"dvae": SMALL})]) == 0
+    assert not checkpoints.exists()
+    records = [json.loads(line) for line in metrics.read_text().splitlines()]
+    measured = [r["val_chamfer_m"] for r in records if "val_chamfer_m" in r]
+    assert len(measured) == 3 and measured[-1] < 0.9 * measured[0]
+    assert next(r for r in records if "loss" in r)["fine"] > 0
+    assert {"temperature", "kl_weight", "perplexity"} <= set().union(*records)
+    module, config = dvae.load(out)
+    assert config == load({"dvae": SMALL}).dvae
+    assert not any(p.requires_grad for p in module.parameters())
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(manifest: Path, tmp_path: Path) -> None:
+    few = SMALL | {"optimiser": {"num_steps": 3, "batch_size": 8}}
+    states = [
+        dvae.train(manifest, load({"dvae": few | {"seed": seed}}).dvae, tmp_path / str(i), "x").state_dict()
+        for i, seed in enumerate((0, 0, 1))
+    ]
+    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    assert not torch.equal(states[0]["codebook"], states[2]["codebook"])
+
+
+def test_a_collapsed_codebook_is_refused(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dvae, "MIN_CODE_USAGE", 1.1)
+    with pytest.raises(InputError, match=r"codebook collapsed: .* of 16 codes in use"):
+        dvae.train(manifest, load({"dvae": SMALL}).dvae, tmp_path, "x")
+
+
+def test_weights_of_the_other_stage_are_refused(tmp_path: Path) -> None:
+    training.write_weights(tmp_path / "m.safetensors", {}, {"kind": "model"})
+    with pytest.raises(InputError, match="not a dvae of p2wss"):
+        dvae.load(tmp_path / "m.safetensors")
