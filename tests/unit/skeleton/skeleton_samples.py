@@ -20,13 +20,31 @@ def _outline(rng: np.random.Generator) -> np.ndarray:
         ring = [[0, 0], [w, 0], [w, h * a], [w * b, h * a], [w * b, h], [0, h]]
     elif kind == 3:
         left = 0.2 * b * w
-        ring = [[0, 0], [w, 0], [w, h * a], [0.7 * w, h * a], [0.7 * w, h], [left, h], [left, h * a], [0, h * a]]
+        ring = [
+            [0, 0],
+            [w, 0],
+            [w, h * a],
+            [0.7 * w, h * a],
+            [0.7 * w, h],
+            [left, h],
+            [left, h * a],
+            [0, h * a],
+        ]
     elif kind == 4:
         ring = [[0, 0], [2 * w, 0], [2 * w, h], [(2 - a) * w, h]]
         ring += [[(2 - a) * w, h * b], [w * a, h * b], [w * a, h], [0, h]]
     elif kind == 5:
         low, high = 0.5 * w, 1.5 * w
-        ring = [[0, 0], [w, 0], [w, h * a], [high, h * a], [high, h], [low, h], [low, h * a * 1.2], [0, h * a * 1.2]]
+        ring = [
+            [0, 0],
+            [w, 0],
+            [w, h * a],
+            [high, h * a],
+            [high, h],
+            [low, h],
+            [low, h * a * 1.2],
+            [0, h * a * 1.2],
+        ]
     elif kind == 6:
         n = int(rng.integers(5, 13))
         t = np.linspace(0, 2 * np.pi, n, endpoint=False) + rng.uniform(-0.2, 0.2, n)
@@ -98,8 +116,12 @@ def sample_angles(polygons: Polygons, regime: str, seed: int) -> np.ndarray:
         return np.where(kind == 0, 0, np.where(kind == 1, 90, slope))
     kind = rng.random(num)[owner]
     length = edge_lengths(polygons)
-    middle = np.array([np.median(part) if len(part) else 0 for part in np.split(length, polygons.vertex_offset[1:-1])])
+    middle = np.array(
+        [np.median(part) if len(part) else 0 for part in np.split(length, polygons.vertex_offset[1:-1])]
+    )
     gable = np.where((length <= 1.001 * middle[owner]) & (rng.random(n) < 0.7), 90, base)
     irregular = np.where(rng.random(n) < 0.25, 90, slope)
     irregular = np.where((kind >= 0.9) & (rng.random(n) < 0.1), 0, irregular)
-    return np.select([kind < 0.15, kind < 0.45, kind < 0.8], [np.zeros(n), base, gable], irregular).astype(float)
+    return np.select([kind < 0.15, kind < 0.45, kind < 0.8], [np.zeros(n), base, gable], irregular).astype(
+        float
+    )

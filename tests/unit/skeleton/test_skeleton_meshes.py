@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from samples import REGIMES, sample_angles, sample_footprints
-from solids import judged_sound, volumes
+from skeleton_samples import REGIMES, sample_angles, sample_footprints
+from skeleton_solids import judged_sound, volumes
 
 from p2wss.skeleton import FaceKind, LineKind, build, clean, faces, lines, roof_height, roof_points
 

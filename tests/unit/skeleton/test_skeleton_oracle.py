@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from samples import REGIMES, sample_angles, sample_footprints
+from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from sfcgal import sfcgal_volumes
-from solids import volumes
+from skeleton_solids import volumes
 
 from p2wss.skeleton import build, clean, diagnose
 
