@@ -22,7 +22,7 @@ from p2wss.seeds import generator
 _CLOUD_COLUMNS = ["split", "num_points", "origin_z_m", "x_cm", "y_cm", "z_cm", "ground_z_m"]
 _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_ground_z_m", "angle_deg"]
 # share of a cloud's points that lie below the ground where the cloud has no ground of its own
-_GROUND_QUANTILE = 0.01
+_GROUND_QUANTILE = 0.02
 # batches are sorted by length within a window of so many, so that little of them is padding
 _BUCKET_WINDOW = 8
 

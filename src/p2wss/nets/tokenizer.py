@@ -4,10 +4,10 @@ A building with n vertices is ::
 
     [start] [height] d d d d  ( [point] [x] ± d d d d [y] ± d d d d [angle] d d ) * n  [end]
 
-where ``d`` at place j is the word d * 10^j, as in the Regression Transformer (Born and Manica, 2022): with
-four digits per length and two per angle, 7 + 16 n tokens of 51 words. The sequence starts at the
-uppermost-left vertex (largest y, then smallest x, on the quantised integers: axis-aligned buildings tie exactly) and goes
-round counter-clockwise; the angle after a vertex is that of the edge which leaves it.
+where ``d`` at place j is the word d * 10^j, as in the Regression Transformer (Born and Manica, 2022). With
+four digits per length and two per angle that is 7 + 16 n tokens of 51 words. The sequence starts at the
+uppermost-left vertex (largest y, then smallest x, on the quantised integers: axis-aligned buildings tie
+exactly) and goes round counter-clockwise; the angle after a vertex is that of the edge which leaves it.
 
 All functions work on batches of padded tensors; ``num_vertices`` tells how much of a row is meant.
 """
