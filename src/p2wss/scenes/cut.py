@@ -65,14 +65,15 @@ def cut_scene(
     polygons[~usable] = shapely.Polygon()
     radius_m = shapely.length(shapely.maximum_inscribed_circle(np.where(usable, polygons, None)))
     rings = footprints.to_polygons(polygons)
+    ids = result["building_id"].astype(str).to_numpy(dtype=object)
     for row in np.flatnonzero(usable):
         outline = Outline.from_rings(rings.rings(int(row)), is_party[chosen[row]], radius_m[row])
-        roof_type[row], angles = draw_angles(outline, result["building_id"].iloc[row], config)
+        roof_type[row], angles = draw_angles(outline, ids[row], config)
         angle_deg[row] = angles.astype(np.float32)
 
     scene = gpd.GeoDataFrame(
         {
-            "building_id": result["building_id"].astype(str).to_numpy(dtype=object),
+            "building_id": ids,
             "tile": tile,
             "in_tile": _tiles(result, tile_size_m) == tile,
             "status": status,
