@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -140,11 +141,12 @@ def last_measures(metrics: str) -> dict[str, float]:
 
 def write_weights(path: Path, state: dict[str, Tensor], facts: dict[str, Any]) -> None:
     """Weights as safetensors with ``facts`` as JSON in the header, under the key ``p2wss``."""
-    from safetensors.torch import save_file
+    from safetensors.torch import save
 
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
+    content = save(tensors, metadata={"p2wss": json.dumps(facts, sort_keys=True)})
     with io.atomic(path) as temporary:
-        save_file(tensors, temporary, metadata={"p2wss": json.dumps(facts, sort_keys=True)})
+        temporary.write_bytes(content)
 
 
 def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -241,8 +243,11 @@ class _State:
             "average": None if self.average_module is None else self.average_module.state_dict(),
             "optimiser": self.optimiser.state_dict(),
         }
+        # through memory: torch reports a full disk as some RuntimeError
+        buffer = BytesIO()
+        torch.save(state, buffer)
         with io.atomic(folder / f"step-{step:08d}.pt") as temporary:
-            torch.save(state, temporary)
+            temporary.write_bytes(buffer.getbuffer())
         for old in sorted(_steps(folder))[:-NUM_CHECKPOINTS_KEPT]:
             _steps(folder)[old].unlink()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -111,6 +112,22 @@ def test_checkpoints_of_another_config_are_not_used(tmp_path: Path, caplog: pyte
 def test_a_loss_that_is_not_finite_stops_with_one_clear_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"loss is nan at step \d+: lower the learning rate"):
         run(tmp_path, Line(poison=15))
+
+
+def test_a_full_disk_is_one_clear_line_and_leaves_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        if "step-00000040" in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match=r"step-00000040\.pt: not written: No space left"):
+        run(tmp_path, Line())
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["metrics.jsonl", "step-00000020.pt"]
 
 
 def test_the_averaged_weights_are_what_is_measured_and_kept(tmp_path: Path) -> None:
