@@ -203,11 +203,14 @@ def atomic(path: str | Path) -> Iterator[Path]:
     inside the block becomes an :class:`InputError` that names ``path``.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     suffix = "".join(path.suffixes)
-    handle, name = tempfile.mkstemp(
-        prefix=f".{path.name.removesuffix(suffix)}-", suffix=suffix, dir=path.parent
-    )
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name.removesuffix(suffix)}-", suffix=suffix, dir=path.parent
+        )
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
     os.close(handle)
     temporary = Path(name)
     try:

@@ -68,8 +68,9 @@ def common_crs(
             raise InputError(f"{names[0]} is in {cloud.name}, but --crs says {told.name}; leave --crs out")
         cloud = cloud or told
     if cloud is not None and frame is not None and not same_crs(cloud, frame):
+        told_by = names[0] if stated is None else f"{names[0]}, says --crs,"
         raise InputError(
-            f"{names[0]} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
+            f"{told_by} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
         )
     crs = cloud or frame
     if crs is None:

@@ -21,7 +21,7 @@ rule predict:
         mem_mb=8000,
         gpu=1,
     params:
-        config=section("buildings", "eval"),
+        config=section("eval", "reconstruct"),
         code=fingerprint("eval"),
     shell:
         "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters}"
@@ -44,7 +44,7 @@ rule baseline:
     resources:
         mem_mb=4000,
     params:
-        config=section("buildings", "eval"),
+        config=section("eval", "reconstruct"),
         code=fingerprint("eval"),
     shell:
         "p2wss eval baseline {wildcards.baseline} {input.manifest} {output.reconstructions}"

@@ -71,6 +71,8 @@ def read(
         tables_of[method] = read_reconstructions(path)
         made_by[path.name] = facts
     found = test_cases(read_manifest(manifest))
+    listed = io.read_json(manifest)
+    made_by[manifest.name] = {name: value for name, value in listed.items() if name != "shards"}
     made_by[measures.name] = io.read_metadata(measures)
     return Inputs(
         region,
