@@ -120,7 +120,7 @@ def dirty_polygons(draw: st.DrawFn) -> shapely.Polygon:
     )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(dirty_polygons(), min_size=1, max_size=4))
 def test_whatever_is_ok_goes_through_the_kernel(shapes: list[shapely.Polygon]) -> None:
     result = cleaned(*shapes)
