@@ -175,7 +175,8 @@ def _facts(
     seed: int,
 ) -> dict[str, Any]:
     low, high = (1000 * (np.array(corner) - origin[:2]) for corner in (bounds[:2], bounds[2:]))
-    in_tile = ((points.xyz_mm[:, :2] >= low) & (points.xyz_mm[:, :2] < high)).all(axis=1)
+    x_mm, y_mm = points.xyz_mm[:, 0], points.xyz_mm[:, 1]
+    in_tile = (x_mm >= low[0]) & (x_mm < high[0]) & (y_mm >= low[1]) & (y_mm < high[1])
     area_m2 = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
     kind = points.face & 3
     vertex_x, vertex_y, row = _footprint_vertices(buildings)

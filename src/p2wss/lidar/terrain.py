@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from math import floor
 from typing import NamedTuple
 
 import numpy as np
@@ -80,63 +79,58 @@ def first_crossing(
     float64: a ray at 20 degrees meets two or three squares, and no tree has to be built.
     """
     rows, columns = grid.height_m.shape
-    end = min((grid.min_m - oz) / dz + 1e-6, limit)
+    per_dz = 1 / dz
+    end = min((grid.min_m - oz) * per_dz + 1e-6, limit)
     # in units of cells: u to the east, v to the south, squares between whole numbers
-    u, v = (ox - grid.x_min_m) / grid.cell_m, (grid.y_max_m - oy) / grid.cell_m
-    du, dv = dx / grid.cell_m, -dy / grid.cell_m
-    t, end = _clip(u, du, 0.0, columns - 1.0, max((grid.max_m - oz) / dz, 0.0), end)
-    t, end = _clip(v, dv, 0.0, rows - 1.0, t, end)
+    per_cell = 1 / grid.cell_m
+    u, v = (ox - grid.x_min_m) * per_cell, (grid.y_max_m - oy) * per_cell
+    du, dv = dx * per_cell, -dy * per_cell
+    # lengths of ray per cell; a ray that stays in its column or row never leaves it
+    per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300
+    t, end = _clip(u, per_u, columns - 1.0, max((grid.max_m - oz) * per_dz, 0.0), end)
+    t, end = _clip(v, per_v, rows - 1.0, t, end)
     size = BLOCK_SQUARES
     while t < end:
         block_column = _place(u + du * t, du, size, grid.block_max_m.shape[1])
         block_row = _place(v + dv * t, dv, size, grid.block_max_m.shape[0])
-        leave = min(_exit(u, du, block_column, size, t), _exit(v, dv, block_row, size, t), end)
+        leave = min(_exit(u, per_u, block_column, size, t), _exit(v, per_v, block_row, size, t), end)
         highest = grid.block_max_m[block_row, block_column]
         if oz + dz * leave <= highest:
-            s = max(t, (highest - oz) / dz)
+            s = max(t, (highest - oz) * per_dz)
             while s < leave:
                 column = _place(u + du * s, du, 1, columns - 1)
                 row = _place(v + dv * s, dv, 1, rows - 1)
-                out = min(_exit(u, du, column, 1, s), _exit(v, dv, row, 1, s), leave)
+                out = min(_exit(u, per_u, column, 1, s), _exit(v, per_v, row, 1, s), leave)
                 hit, east, south = _cross_square(
                     grid.height_m, row, column, u - column, v - row, oz, du, dv, dz, s, out
                 )
                 if hit >= 0:
-                    return hit, east / grid.cell_m, -south / grid.cell_m
+                    return hit, east * per_cell, -south * per_cell
                 s = out
         t = leave
     return -1.0, 0.0, 0.0
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _clip(u: float, du: float, low: float, high: float, start: float, end: float) -> tuple[float, float]:
-    """The part of the ray from ``start`` to ``end`` where low <= u + du t <= high; empty if start >= end."""
-    if du == 0:
-        return (start, end) if low <= u <= high else (start, start)
-    a, b = (low - u) / du, (high - u) / du
+def _clip(u: float, per_u: float, high: float, start: float, end: float) -> tuple[float, float]:
+    """The part of the ray from ``start`` to ``end`` on the grid, 0 to ``high``; empty if start >= end."""
+    a, b = -u * per_u, (high - u) * per_u
     return max(start, min(a, b)), min(end, max(a, b))
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _place(u: float, du: float, size: int, count: int) -> int:
     """Number of the interval of ``size`` that a ray at ``u`` enters; at a border, the one it goes into."""
-    place = floor(u / size)
     # rounding may leave u just short of the border that the ray is about to cross
-    if du > 0 and (place + 1) * size - u < 1e-9:
-        place += 1
-    elif du < 0 and u - place * size < 1e-9:
-        place -= 1
-    return min(max(place, 0), count - 1)
+    ahead = u + 1e-9 if du > 0 else u - 1e-9
+    return min(max(int(ahead * (1.0 / size)), 0), count - 1)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _exit(u: float, du: float, place: int, size: int, t: float) -> float:
+def _exit(u: float, per_u: float, place: int, size: int, t: float) -> float:
     """Where the ray leaves the interval number ``place``, always a little after ``t``."""
-    if du > 0:
-        return max(((place + 1) * size - u) / du, t + 1e-9)
-    if du < 0:
-        return max((place * size - u) / du, t + 1e-9)
-    return np.inf
+    border = (place + 1) * size if per_u > 0 else place * size
+    return max((border - u) * per_u, t + 1e-9)
 
 
 @njit(cache=True, nogil=True, inline="always")
