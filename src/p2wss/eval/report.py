@@ -129,7 +129,7 @@ def render(inputs: Inputs) -> str:
         training=_training(inputs.training),
         pictures=_pictures(inputs),
         attribution=inputs.config.attribution,
-        provenance={name: json.dumps(facts, sort_keys=True) for name, facts in inputs.provenance.items()},
+        provenance=inputs.provenance,
     )
 
 

@@ -1,0 +1,99 @@
+"""``p2wss reconstruct`` as a user runs it: files in, three files out, or one line and nothing lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyproj
+import pytest
+import shapely
+from test_inference import Oracle
+
+from p2wss import cli, model
+
+BOX = shapely.box(652000, 6861000, 652010, 6861008)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with cloud.laz (one building, Lambert-93), footprints.gpkg, and a network that answers."""
+    draw = np.random.default_rng(0)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.01), np.array([652000, 6861000, 0])
+    header.add_crs(pyproj.CRS.from_epsg(2154))
+    las = laspy.LasData(header)
+    las.x = np.r_[draw.uniform(652000, 652010, 400), draw.uniform(651999.2, 651999.8, 50)]
+    las.y = draw.uniform(6861000, 6861008, 450)
+    las.z = np.r_[np.full(400, 107.0), np.full(50, 101.0)]
+    las.classification = np.r_[np.full(400, 6), np.full(50, 2)].astype(np.uint8)
+    las.write(tmp_path / "cloud.laz")
+    gpd.GeoDataFrame({"cleabs": ["A"]}, geometry=[BOX], crs=2154).to_file(tmp_path / "footprints.gpkg")
+    monkeypatch.setattr(model, "load", lambda path: Oracle())
+    return tmp_path
+
+
+def run(place: Path, *more: str, cloud: str = "cloud.laz", footprints: str = "footprints.gpkg") -> int:
+    files = [str(place / name) for name in (cloud, footprints, "out")]
+    return cli.main(["reconstruct", *files, "--model", str(place / "m.safetensors"), *more])
+
+
+def test_three_files_named_after_the_cloud(place: Path) -> None:
+    assert run(place) == 0
+    assert sorted(p.name for p in (place / "out").iterdir()) == [
+        "cloud.city.jsonl",
+        "cloud.glb",
+        "cloud.gpkg",
+    ]
+    (row,) = gpd.read_file(place / "out" / "cloud.gpkg").to_dict("records")
+    assert (row["building_id"], row["status"], row["method"]) == ("A", "ok", "point2wss")
+    assert row["eave_height_m"] == pytest.approx(6.0) and row["ground_z_m"] == pytest.approx(101.0)
+
+
+def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:
+    assert run(place, "--tile", "0652_6862") == 0
+    assert run(place, "--tile", "0700_6862") == 0
+    assert len(gpd.read_file(place / "out" / "0652_6862.gpkg")) == 1
+    assert len(gpd.read_file(place / "out" / "0700_6862.gpkg")) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("cloud", "truncated"),
+        ("gone", "no such file"),
+        ("crs", "Amersfoort / RD New; reproject one of them"),
+        ("lines", "no polygons"),
+        ("elsewhere", "no point near any"),
+    ],
+)
+def test_bad_input_is_one_line_and_loses_nothing(
+    change: str, told: str, place: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(place) == 0
+    before = {path.name: path.read_bytes() for path in (place / "out").iterdir()}
+    capfd.readouterr()
+    cloud, other = place / "cloud.laz", place / "other.gpkg"
+    good = gpd.read_file(place / "footprints.gpkg")
+    if change == "cloud":
+        cloud.write_bytes(cloud.read_bytes()[:-600])
+    if change == "gone":
+        cloud.unlink()
+    if change == "crs":
+        good.set_crs(28992, allow_override=True).to_file(other)
+    if change == "lines":
+        good.set_geometry(good.boundary).to_file(other)
+    if change == "elsewhere":
+        good.set_geometry(good.translate(5000, 0)).to_file(other)
+    assert run(place, footprints=other.name if other.exists() else "footprints.gpkg") == 2
+    (line,) = [said for said in capfd.readouterr().err.splitlines() if said]
+    assert line.startswith("p2wss: error: ") and told in line
+    assert {path.name: path.read_bytes() for path in (place / "out").iterdir()} == before
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (place / "out").write_text("a file")
+    assert run(place) == 2
+    assert "not written" in capfd.readouterr().err.splitlines()[-1]
