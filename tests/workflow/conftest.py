@@ -50,9 +50,20 @@ class Project:
         return run
 
 
+REDUCED = ["-c2", "--configfile", "tests/mini/reduced.yaml"]
+
+
 @pytest.fixture
 def project(tmp_path):
     return Project(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def done(tmp_path_factory):
+    """The reduced miniature after ``snakemake eval_report``; not to be changed."""
+    project = Project(tmp_path_factory.mktemp("mini"))
+    project.snakemake("eval_report", *REDUCED)
+    return project
 
 
 def rules_to_run(dry_run: subprocess.CompletedProcess[str]) -> dict[str, int]:

@@ -6,9 +6,8 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
-from conftest import Project, rules_to_run
+from conftest import REDUCED, Project, rules_to_run
 
-REDUCED = ["-c2", "--configfile", "tests/mini/reduced.yaml"]
 NOTHING = "Nothing to be done"
 SCANS_AND_WHAT_FOLLOWS = {
     "cast_scan",
@@ -24,14 +23,6 @@ SCANS_AND_WHAT_FOLLOWS = {
 }
 
 
-@pytest.fixture(scope="module")
-def done(tmp_path_factory):
-    """The reduced miniature after ``snakemake eval_report``."""
-    project = Project(tmp_path_factory.mktemp("mini"))
-    project.snakemake(*REDUCED, "eval_report")
-    return project
-
-
 @pytest.fixture
 def again(done, tmp_path):
     """A copy of the finished project whose code can be edited; times and Snakemake's records are kept."""
@@ -42,7 +33,7 @@ def again(done, tmp_path):
 
 
 def planned(project: Project, *arguments: str) -> dict[str, int]:
-    run = project.snakemake("-n", *REDUCED, *(arguments or ("eval_report",)))
+    run = project.snakemake("-n", *(arguments or ("eval_report",)), *REDUCED)
     jobs = rules_to_run(run)
     assert jobs or NOTHING in run.stdout + run.stderr
     return jobs
@@ -99,7 +90,7 @@ def test_a_value_of_the_config_reruns_what_reads_it(again):
 
 
 def test_one_stage_can_be_redone_by_name(done):
-    jobs = planned(done, "-R", "cast_scan", "--", "eval_report")
+    jobs = planned(done, "eval_report", "-R", "cast_scan")
     assert set(jobs) - {"all"} == SCANS_AND_WHAT_FOLLOWS
     assert set(planned(done, "-f", "results/mini/scans/0653_6862.laz")) == {"cast_scan"}
 

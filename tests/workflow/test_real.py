@@ -1,0 +1,101 @@
+"""Real footprints and real LiDAR, where they are at hand: ../shared/data beside the checkout."""
+
+import json
+import re
+
+import geopandas as gpd
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from conftest import ROOT
+
+DATA = ROOT.parent / "shared" / "data"
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")
+
+# reasons that blame a footprint's courtyards, which the bar of rejected buildings leaves aside
+COURTYARD_REASONS = {"courtyard-outside", "courtyards-cross"}
+
+
+def test_real_footprints_from_fetch_to_crops(project):
+    """Two tiles of BD TOPO: at most 2 % of the buildings are rejected, outside courtyards."""
+    tiles = ["0664_6361", "0664_6360"]
+    config = {
+        "region": {
+            "name": "olemps",
+            "vintage": "olemps",
+            "bounds_m": [664000, 6359000, 665000, 6361000],
+            "tiles": tiles,
+            "lidar_tiles": [],
+        },
+        "fetch": {
+            "folder": {
+                "footprints": str(DATA / "olemps_bdtopo/BATIMENT.shp"),
+                "footprints_layer": "",
+                "dtm": str(DATA / "olemps_bdtopo/dtm"),
+            }
+        },
+    }
+    (project.folder / "olemps.yaml").write_text(yaml.safe_dump(config))
+    project.snakemake("-c2", "--configfile", "olemps.yaml", "crops")
+
+    counts: dict[str, int] = {}
+    for tile in tiles:
+        table = pq.read_table(project.folder / f"results/olemps/buildings/{tile}.parquet")
+        for row in table.select(["in_tile", "status"]).to_pylist():
+            if row["in_tile"]:
+                counts[row["status"]] = counts.get(row["status"], 0) + 1
+    print(f"\nOlemps, {sum(counts.values())} buildings:", json.dumps(counts))
+    assert sum(counts.values()) >= 1341
+    rejected = sum(n for reason, n in counts.items() if reason != "ok" and reason not in COURTYARD_REASONS)
+    assert rejected <= 0.02 * sum(counts.values())
+    logs = "".join(path.read_text() for path in (project.folder / "logs/olemps/buildings").glob("*.log"))
+    assert len(re.findall(r"\d+ buildings kept, \d+ rejected", logs)) == len(tiles)
+    manifest = json.loads((project.folder / "results/olemps/crops/manifest.json").read_text())
+    assert manifest["num_rows"] >= 0.9 * counts["ok"]
+
+
+def test_real_lidar_becomes_closed_buildings(done, tmp_path):
+    """All 74 buildings of Delft, each a closed solid, with the miniature's (reduced) model."""
+    delft = DATA / "delft_ahn3"
+    run = done.p2wss(
+        "reconstruct",
+        delft / "ahn3.laz",
+        delft / "footprints.gpkg",
+        tmp_path,
+        "--model",
+        done.folder / "results/mini/model/model.safetensors",
+    )
+    print("\n" + run.stderr)
+    table = gpd.read_file(tmp_path / "ahn3.gpkg")
+    assert len(table) == 74 and (table["status"] == "ok").all() and table.crs.to_epsg() == 28992
+    header, *features = map(json.loads, (tmp_path / "ahn3.city.jsonl").open())
+    assert header["version"] == "2.0" and len(features) == 74
+    assert {name for f in features for name in f["CityObjects"]} >= set(table["building_id"].astype(str))
+    for feature in features:
+        for city_object in feature["CityObjects"].values():
+            for solid in city_object.get("geometry", []):
+                assert solid["type"] == "Solid" and _is_closed(solid["boundaries"][0])
+
+
+def test_another_crs_is_one_clear_line(done, tmp_path):
+    moved = gpd.read_file(DATA / "delft_ahn3/footprints.gpkg").to_crs(2154)
+    moved.to_file(tmp_path / "moved.gpkg")
+    run = done.p2wss(
+        "reconstruct",
+        DATA / "bresse_ign/lidar.laz",
+        DATA / "delft_ahn3/footprints.gpkg",
+        tmp_path / "out",
+        "--model",
+        done.folder / "results/mini/model/model.safetensors",
+        check=False,
+    )
+    assert run.returncode == 2 and not (tmp_path / "out").exists()
+    (line,) = [text for text in run.stderr.splitlines() if text.startswith("p2wss: error:")]
+    assert "footprints.gpkg" in line and "lidar.laz" in line and "Amersfoort" in line
+
+
+def _is_closed(shell: list[list[list[int]]]) -> bool:
+    """Every directed edge of a shell's rings has its opposite exactly once."""
+    edges = [(a, b) for face in shell for ring in face for a, b in zip(ring, np.roll(ring, -1), strict=True)]
+    return len(set(edges)) == len(edges) and {(b, a) for a, b in edges} == set(edges)
