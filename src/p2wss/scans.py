@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import laspy
+import lazrs
 import numpy as np
 import pyarrow as pa
 import pyproj
@@ -216,13 +217,14 @@ def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) 
         ]
     )
     backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
-    with (
-        io.atomic(path) as temporary,
-        laspy.open(temporary, mode="w", header=header, laz_backend=backend, do_compress=True) as writer,
-    ):
-        for first in range(0, len(points.pulse), _WRITTEN_AT_ONCE):
-            part = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in points))
-            writer.write_points(_las_points(part, survey, header))
+    with io.atomic(path) as temporary:
+        try:
+            with laspy.open(temporary, "w", header=header, laz_backend=backend, do_compress=True) as writer:
+                for first in range(0, len(points.pulse), _WRITTEN_AT_ONCE):
+                    part = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in points))
+                    writer.write_points(_las_points(part, survey, header))
+        except lazrs.LazrsError as error:  # a full disk, which io.atomic tells of
+            raise OSError(str(error)) from error
 
 
 def _las_points(points: Points, survey: Survey, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:

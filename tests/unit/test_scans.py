@@ -1,6 +1,8 @@
 """Stage scans: from a scene's files to a LAZ file whose points carry what they hit."""
 
 import json
+import resource
+import signal
 
 import laspy
 import numpy as np
@@ -155,3 +157,19 @@ def test_files_of_different_tiles(tmp_path, capsys):
     out = [str(tmp_path / "c.laz"), str(tmp_path / "c.json")]
     assert main(["scans", str(scene), str(dtm), str(other), *out]) == 2
     assert str(other) in capsys.readouterr().err and not (tmp_path / "c.laz").exists()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_full_disk_leaves_what_was_there(scan, tmp_path, threads):
+    path = tmp_path / "scan.laz"
+    path.write_text("what was there")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, before[0][1]))
+    try:
+        with pytest.raises(InputError, match=r"scan\.laz: not written"):
+            scans.write_scan(path, scan, pyproj.CRS(2154), threads)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before[0])
+        signal.signal(signal.SIGXFSZ, before[1])
+    assert path.read_text() == "what was there"
+    assert [p.name for p in tmp_path.iterdir()] == ["scan.laz"]
