@@ -22,7 +22,7 @@ rule dvae:
     params:
         config=section("dvae"),
         code=fingerprint("dvae"),
-        checkpoints="<results>/dvae/checkpoints",
+        folder=subpath(output.weights, parent=True),
     shell:
-        "p2wss dvae {input.manifest} {output.weights} {output.metrics} --checkpoints {params.checkpoints}"
+        "p2wss dvae {input.manifest} {output.weights} {output.metrics} --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

@@ -100,7 +100,7 @@ rule eval_report:
     params:
         config=section("region", "fetch", "eval"),
         code=fingerprint("eval"),
-        folder="<results>/eval",
+        folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report {params.folder} --manifest {input.manifest} --measures {input.measures}"
         " --parameters {input.parameters} --reconstructions {input.reconstructions} --metrics {input.metrics}"

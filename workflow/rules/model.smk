@@ -23,7 +23,7 @@ rule model:
     params:
         config=section("model"),
         code=fingerprint("model"),
-        checkpoints="<results>/model/checkpoints",
+        folder=subpath(output.weights, parent=True),
     shell:
-        "p2wss model {input.manifest} {input.dvae} {output.weights} {output.metrics} --checkpoints {params.checkpoints}"
+        "p2wss model {input.manifest} {input.dvae} {output.weights} {output.metrics} --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

@@ -22,7 +22,7 @@ rule reconstruct_tile:
     params:
         config=section("region", "scenes", "crops", "reconstruct"),
         code=fingerprint("reconstruct"),
-        folder="<results>/reconstruct",
+        folder=subpath(output.cityjson, parent=True),
     shell:
         "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model}"
         " --tile {wildcards.tile} --threads {threads} --config {params.config:q} 2> {log}"
