@@ -257,9 +257,7 @@ def _pictures(inputs: Inputs) -> list[dict[str, Any]]:
     return groups
 
 
-def _picture(
-    inputs: Inputs, measured: Mapping[tuple[str, ...], dict[str, Any]], row: dict[str, Any]
-) -> dict[str, Any]:
+def _picture(inputs: Inputs, measured: Mapping[Any, dict[str, Any]], row: dict[str, Any]) -> dict[str, Any]:
     key = (row["dataset"], row["tile"], row["building_id"])
     panels = []
     for method, found in inputs.reconstructions.items():
