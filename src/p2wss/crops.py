@@ -195,9 +195,10 @@ def crop_lidar(
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)
     classification = cloud.classification[cropped.point]
-    has_buildings = bool((cloud.classification == BUILDING_CLASS).any())
-    roof = classification == BUILDING_CLASS if has_buildings else classification != GROUND_CLASS
-    on_roof = roof & cropped.inside
+    on_roof = (classification == BUILDING_CLASS) & cropped.inside
+    # a classifier may miss a building altogether: then all that is above it counts
+    missed = np.repeat(_counts(on_roof, cropped.offset) == 0, np.diff(cropped.offset))
+    on_roof |= missed & cropped.inside & (classification != GROUND_CLASS)
     kept, columns = _rows(cloud, cropped, polygons, footprints.origins(polygons), on_roof, settings, left_out)
     for field in io.CROPS:
         if field.nullable:

@@ -133,7 +133,11 @@ CROPS = pa.schema(
         _field("label_ground_z_m", pa.float64(), "label: z of height 0; null for real LiDAR", True),
         _field("angle_deg", pa.list_(pa.float32()), "label: one per edge; null for real LiDAR", True),
         _field("roof_type", pa.string(), "label; null for real LiDAR", True),
-        _field("num_roof_points", pa.int32(), "points on this building's roof (real LiDAR: class 6 inside)"),
+        _field(
+            "num_roof_points",
+            pa.int32(),
+            "points on this building's roof (real LiDAR: class 6 inside, else all inside but ground)",
+        ),
         _field("num_wall_points", pa.int32(), "points on this building's walls; null for real LiDAR", True),
         _field("visible_roof_share", pa.float32(), "share of the roof's 1 m cells that have a point"),
     ]

@@ -290,6 +290,19 @@ def test_real_lidar_of_delft():
 
 
 @needs_data
+def test_real_lidar_of_bresse_where_the_classifier_missed_a_building():
+    folder = DATA / "bresse_ign"
+    columns, left_out = lidar_columns(folder / "footprints.gpkg", [folder / "lidar.laz"], "0870_6618", 1000)
+    assert left_out["too-few-points"] == 34
+    missed = columns["building_id"].tolist().index("BRESSE0008")
+    assert columns["num_points"][missed] == 2567
+    # none of its points has class 6
+    assert columns["num_roof_points"][missed] > 1000
+    assert (columns["visible_roof_share"] > 0.8).all()
+    assert np.abs(columns["ground_z_m"] - 182).max() < 6
+
+
+@needs_data
 def test_copc_by_window_is_the_same_as_the_whole_file():
     copc = DATA / "lidarhd_crops" / "77050_627755_LA93_IGN69.copc.laz"
     plain = DATA / "lidarhd_crops" / "77050_627755_LA93_IGN69.laz"
