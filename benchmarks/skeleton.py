@@ -2,7 +2,8 @@
 
     python benchmarks/skeleton.py [--num 5000] [--real FOLDER]
 
-All speeds are CPU time of one core. FOLDER holds real footprints (default: ../shared/data, skipped if absent).
+All speeds are CPU time of one core. FOLDER holds real footprints (default: ../shared/data, skipped if
+absent).
 """
 
 from __future__ import annotations
@@ -115,9 +116,8 @@ def triangles_by_edges(num: int) -> None:
     for n in np.unique(edges):
         own = triangles[(edges == n) & (meshes.status == 0)]
         if len(own) >= 20:
-            print(
-                f"{n:>6}{len(own):>11}{own.mean():>17.1f}{np.quantile(own, 0.05):>6.0f}{np.quantile(own, 0.95):>6.0f}"
-            )
+            low, high = np.quantile(own, [0.05, 0.95])
+            print(f"{n:>6}{len(own):>11}{own.mean():>17.1f}{low:>6.0f}{high:>6.0f}")
 
 
 def scaling() -> float:

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from p2wss.skeleton.compiled import entry, inner, spliced
-from p2wss.skeleton.line_kinds import solid_lines
 
+from p2wss.skeleton.compiled import entry, spliced
+from p2wss.skeleton.line_kinds import solid_lines
 from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
 from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, mesh_work, skeleton_work
 from p2wss.skeleton.status import Status
@@ -214,7 +214,8 @@ def kernel_arguments(
 
 
 def work_size(polygons: Polygons) -> int:
-    """Number of edges that the work arrays have to hold for the largest polygon that is not refused anyway."""
+    """Number of edges that the work arrays have to hold for the largest polygon that is not refused
+    anyway."""
     num_edges = np.diff(polygons.vertex_offset)
     return int(min(max(num_edges.max(initial=3), 16), MAX_EDGES))
 
@@ -229,21 +230,21 @@ def build(
 ) -> Meshes:
     """Closed LoD2 meshes from clean polygons.
 
-    polygons: as returned by :func:`p2wss.skeleton.clean`, any planar frame in metres (coordinates of 7e6 m too:
-    the work is done relative to the first vertex). angle_deg: (num_vertices,), per edge 0, 90 or 5..85.
-    eave_height_m: (num_polygons,), measured from z = 0. base_height_m: height of the ground face, below the
-    eave; negative to reach down a slope. max_roof_height_m: a roof that would rise higher above its eave is cut
-    flat there. Both per polygon or one for all.
+    polygons: as returned by :func:`p2wss.skeleton.clean`, any planar frame in metres (coordinates of 7e6 m
+    too: the work is done relative to the first vertex). angle_deg: (num_vertices,), per edge 0, 90 or
+    5..85. eave_height_m: (num_polygons,), measured from z = 0. base_height_m: height of the ground face,
+    below the eave; negative to reach down a slope. max_roof_height_m: a roof that would rise higher above
+    its eave is cut flat there. Both per polygon or one for all.
 
-    Every mesh has T = 2 V - 4 + 4 c triangles for V vertices and c courtyards: coplanar neighbours share a face.
-    Nothing is raised for any geometry: what cannot be built has a ``Status`` other than OK and no triangles.
+    Every mesh has T = 2 V - 4 + 4 c triangles for V vertices and c courtyards: coplanar neighbours share a
+    face. Nothing is raised for any geometry: what cannot be built has a ``Status`` other than OK and no
+    triangles.
 
     Raises ValueError when the lengths of the arrays do not fit each other.
 
     Model: the parametric building of the Point2WSS paper, section 3; weighted straight skeletons: Held and
     Palfrader 2017.
     """
-    arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
     output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
     num_triangles = output.triangle_offset[-1]
     return Meshes(
@@ -308,9 +309,9 @@ def lines(
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Per polygon, int32: a ``Status``, the number of horizontal caps, and how often the wavefront ran into the
-    case that the definition leaves open, two collinear neighbours of different speeds, where a millimetre in
-    the footprint may change the roof."""
+    """Per polygon, int32: a ``Status``, the number of horizontal caps, and how often the wavefront ran into
+    the case that the definition leaves open, two collinear neighbours of different speeds, where a
+    millimetre in the footprint may change the roof."""
 
     status: IntArray
     num_caps: IntArray

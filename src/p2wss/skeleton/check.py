@@ -7,8 +7,8 @@ their areas in plan add up to the area of the footprint, whose boundary is their
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner
 
+from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.faces import flat_label, ground_label
 from p2wss.skeleton.records import NUM_CAPS
 from p2wss.skeleton.status import Status

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from p2wss.skeleton.compiled import entry, inner
 
+from p2wss.skeleton.compiled import ZERO, entry, inner
 from p2wss.skeleton.footprint import check_rings, load_footprint
 from p2wss.skeleton.records import EDGE, MAX_EDGES
 from p2wss.skeleton.status import Status
@@ -26,9 +26,9 @@ _MAX_RAW_VERTICES = 65536
 class Cleaned:
     """Clean polygons, and where their edges come from.
 
-    polygons: as many as went in; a rejected one has no rings. edge_source: int64 (num_vertices,), for every edge
-    the index into the ``xy_m`` that went in of the edge whose angle it inherits, the longest of those that were
-    merged into it. status: int32 (num_polygons,), a ``Status``.
+    polygons: as many as went in; a rejected one has no rings. edge_source: int64 (num_vertices,), for every
+    edge the index into the ``xy_m`` that went in of the edge whose angle it inherits, the longest of those
+    that were merged into it. status: int32 (num_polygons,), a ``Status``.
     """
 
     polygons: Polygons
@@ -56,7 +56,8 @@ def _offence(x, y, before, here, after, min_edge, max_cos, min_offset):
 
 @inner
 def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge, max_cos, min_offset):
-    """Take out vertices, least offset first, until all that are left may stay. Returns (how many, one of them)."""
+    """Take out vertices, least offset first, until all that are left may stay. Returns (how many, one of
+    them)."""
     for k in range(n):
         offence[k] = _offence(x, y, before, k, after, min_edge, max_cos, min_offset)
     head = 0
@@ -66,7 +67,7 @@ def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge,
         k = head
         for _ in range(left):
             # of equals the last goes, so that of a closed ring's two ends the first vertex stays
-            if 0.0 <= offence[k] and (offence[k] < least or (offence[k] == least and k > worst)):
+            if offence[k] >= 0.0 and (offence[k] < least or (offence[k] == least and k > worst)):
                 worst, least = k, offence[k]
             k = after[k]
         if worst < 0 or left == 3:
@@ -98,7 +99,7 @@ def _clean_all(
     source, length = np.empty(longest_ring, np.int64), np.empty(longest_ring)
     before, after = np.empty(longest_ring, np.int64), np.empty(longest_ring, np.int64)
     offence = np.empty(longest_ring)
-    num_vertices, num_rings = np.int64(0), np.int64(0)
+    num_vertices, num_rings = ZERO, ZERO
     for p in range(num_polygons):
         first_vertex, first_ring = num_vertices, num_rings
         code = _EMPTY if polygon_offset[p + 1] <= polygon_offset[p] else _OK
@@ -188,11 +189,12 @@ def clean(
 ) -> Cleaned:
     """Clean polygons in any state; see :class:`Cleaned`.
 
-    A vertex goes if one of its edges is shorter than ``min_edge_m`` (a repeated vertex is such a case), if it
-    turns by less than ``min_turn_deg`` or back by as much (a spike), or if it is within ``min_offset_m`` of the
-    line between its neighbours; the one nearest to that line goes first. Exteriors become counter-clockwise,
-    courtyards clockwise. A courtyard smaller than ``min_area_m2`` is dropped. A polygon that is then not simple,
-    smaller than ``min_area_m2``, or has a courtyard out of place is rejected: it keeps its place with no rings.
+    A vertex goes if one of its edges is shorter than ``min_edge_m`` (a repeated vertex is such a case), if
+    it turns by less than ``min_turn_deg`` or back by as much (a spike), or if it is within ``min_offset_m``
+    of the line between its neighbours; the one nearest to that line goes first. Exteriors become
+    counter-clockwise, courtyards clockwise. A courtyard smaller than ``min_area_m2`` is dropped. A polygon
+    that is then not simple, smaller than ``min_area_m2``, or has a courtyard out of place is rejected: it
+    keeps its place with no rings.
 
     Never raises for any coordinates.
     """

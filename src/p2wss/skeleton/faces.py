@@ -1,15 +1,15 @@
 """From the arcs of the skeleton to the faces of a closed solid: roofs, walls, caps and ground as polygons.
 
 Every face is a bag of directed edges under one label. Edges that occur in both directions under one label
-cancel, which is how coplanar neighbours merge: a gable triangle with the wall below it, the flat pieces that 0
-degree edges have swept, roof pieces that share a plane. What is left is walked into rings.
+cancel, which is how coplanar neighbours merge: a gable triangle with the wall below it, the flat pieces
+that 0 degree edges have swept, roof pieces that share a plane. What is left is walked into rings.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner
 
+from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, NUM_NODES
 from p2wss.skeleton.status import Status
 
@@ -191,8 +191,9 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
     Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is the foot of corner i on the ground.
-    What 0 degree edges sweep may touch at the eave: edges there are cut where nodes lie on them. Elsewhere that
-    takes a coincidence (two unrelated events in one place at one height), so it is done only if ``thorough``.
+    What 0 degree edges sweep may touch at the eave: edges there are cut where nodes lie on them. Elsewhere
+    that takes a coincidence (two unrelated events in one place at one height), so it is done only if
+    ``thorough``.
     """
     parent, label_parent, label_head = mesh_work.parent, mesh_work.label_parent, mesh_work.label_head
     half = mesh_work.half
@@ -213,12 +214,12 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
     _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent)
     for label in range(labels):
         label_head[label] = -1
-    num_cut = np.int64(0)
+    num_cut = ZERO
     for k in range(num_nodes):
         if parent[k] == k and node[k].z <= cut_up_to:
             mesh_work.cut_node[num_cut] = k
             num_cut += 1
-    num_half = np.int64(0)
+    num_half = ZERO
     ground = ground_label(num_edges, counts)
     for k in range(counts[NUM_ARCS] + num_edges):
         if k < counts[NUM_ARCS]:
@@ -309,7 +310,8 @@ def plane_point(edge, num_edges, counts, point, label, k):
 
 @inner
 def _next_half(half, out_head, edge, num_edges, counts, point, label, start, here):
-    """The unused half-edge that goes on from ``here``; at a pinch, the one that keeps the face on the left."""
+    """The unused half-edge that goes on from ``here``; at a pinch, the one that keeps the face on the
+    left."""
     best, best_turn = -1, 0.0
     several = False
     h = out_head[here]

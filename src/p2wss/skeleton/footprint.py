@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner
 
+from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.records import MAX_EDGES
 from p2wss.skeleton.status import Status
 
@@ -63,7 +63,8 @@ def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
 
 @inner
 def set_angles(edge, num_edges, angle_deg):
-    """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, num_edges or more long."""
+    """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, num_edges or more
+    long."""
     for i in range(num_edges):
         angle = angle_deg[i]
         edge[i].angle_deg = angle
@@ -117,7 +118,7 @@ def _inside_ring(edge, first, last, x, y):
     inside = False
     for i in range(first, last):
         j = edge[i].next
-        if (edge[i].y > y) != (edge[j].y > y):
+        if (edge[i].y > y) != (edge[j].y > y):  # noqa: SIM102
             if x < edge[i].x + (y - edge[i].y) / (edge[j].y - edge[i].y) * (edge[j].x - edge[i].x):
                 inside = not inside
     return inside
@@ -136,7 +137,8 @@ def ring_area(edge, first, last):
 
 @inner
 def check_rings(edge, ring_offset, first_ring, last_ring):
-    """A ``Status``: exterior counter-clockwise, courtyards clockwise and inside it, nothing crosses or touches."""
+    """A ``Status``: exterior counter-clockwise, courtyards clockwise and inside it, nothing crosses or
+    touches."""
     base = ring_offset[first_ring]
     n = ring_offset[last_ring] - base
     for ring in range(first_ring, last_ring):

@@ -1,14 +1,15 @@
 """The weighted straight skeleton by kinetic simulation: every edge moves inwards, the wavefront's events are
 played in order of height, and the paths of the wavefront's vertices are the arcs of the skeleton.
 
-Height plays the part of time. The edge with angle ``a`` moves at ``cot(a)`` metres of plan per metre of height,
-so 90 degrees stands still, exactly. An edge of 0 degrees is infinitely fast: before anything else, in phase 0,
-such edges sweep alone at height 0, all others standing still, until nothing they can reach is left; phase 1 then
-runs with the real speeds on what remains.
+Height plays the part of time. The edge with angle ``a`` moves at ``cot(a)`` metres of plan per metre of
+height, so 90 degrees stands still, exactly. An edge of 0 degrees is infinitely fast: before anything else,
+in phase 0, such edges sweep alone at height 0, all others standing still, until nothing they can reach is
+left; phase 1 then runs with the real speeds on what remains.
 
 Rules for the cases that the definition leaves open:
 
-* A wavefront on which every edge stands still is capped flat at once; one that reaches the maximum height too.
+* A wavefront on which every edge stands still is capped flat at once; one that reaches the maximum height
+  too.
 * Two pieces that become collinear neighbours at different speeds: the faster swallows the slower.
 * Neighbours that face each other (antiparallel) close up towards the nearer end at once.
 
@@ -22,8 +23,8 @@ multiplicative weights and their application to the algorithmic generation of ro
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner, spliced
 
+from p2wss.skeleton.compiled import ZERO, inner, spliced
 from p2wss.skeleton.records import (
     NUM_ALIVE,
     NUM_AMBIGUOUS,
@@ -202,7 +203,8 @@ def _try_split(edge, node, vertex, v, a, t):
 
 @inner
 def _find_split(edge, node, vertex, counts, v, t):
-    """The first split of v, from nothing. Without courtyards left, only its own wavefront can be in its way."""
+    """The first split of v, from nothing. Without courtyards left, only its own wavefront can be in its
+    way."""
     vertex[v].split_time = _NEVER
     vertex[v].split_from = _NOTHING
     if counts[NUM_HOLES] == 0:
@@ -239,7 +241,7 @@ def _refresh_pieces(edge, node, vertex, counts, first, second, t):
             _find_split(edge, node, vertex, counts, v, t)
             continue
         for u in (first, second):
-            if u >= 0 and vertex[u].alive == 1:
+            if u >= 0 and vertex[u].alive == 1:  # noqa: SIM102
                 if counts[NUM_HOLES] > 0 or vertex[u].loop == vertex[v].loop:
                     _try_split(edge, node, vertex, v, vertex[u].prev, t)
                     _try_split(edge, node, vertex, v, u, t)
@@ -327,7 +329,7 @@ def _is_first_of_loop(vertex, v, limit):
 def _cap_loop(node, vertex, arc, counts, v, t, cap):
     """End the loop of v at height t along the boundary of the horizontal face number ``cap``."""
     limit = counts[NUM_VERTICES]
-    first, last = np.int64(-1), np.int64(-1)
+    first, last = ZERO - 1, ZERO - 1
     w = v
     for _ in range(limit):
         x, y = _position(node, vertex, w, t)
@@ -404,7 +406,8 @@ def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v,
 
 @inner
 def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
-    """End the loop of v if two vertices are left or nothing in its region moves. False: the links are broken."""
+    """End the loop of v if two vertices are left or nothing in its region moves. False: the links are
+    broken."""
     if vertex[v].alive == 0:
         return True
     size, moves = _loop_moves(edge, vertex, v, counts[NUM_VERTICES])
@@ -506,7 +509,7 @@ def _split(edge, node, vertex, arc, counts, v, t):
 @inner
 def _next_event(vertex, counts):
     """(height, vertex, whether it is a split); vertex -1 when there is none."""
-    height, v_best = _NEVER, np.int64(-1)
+    height, v_best = _NEVER, ZERO - 1
     for v in range(counts[NUM_VERTICES]):
         if vertex[v].alive == 1 and vertex[v].collapse_time < height:
             height, v_best = vertex[v].collapse_time, v
@@ -541,7 +544,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
     t = 0.0
     num_start = counts[NUM_VERTICES]
     for v in range(num_start):
-        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):
+        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):  # noqa: SIM102
             if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
                 return _BROKEN_WAVEFRONT
     num_degenerate = 0
@@ -564,7 +567,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
             return _OVERFLOW
         if counts[NUM_ARCS] + 2 * room > len(arc) or counts[NUM_CAPS] + 2 > len(cap_height):
             return _OVERFLOW
-        degenerate = np.int64(-1)
+        degenerate = ZERO - 1
         if num_degenerate > 0:
             num_degenerate = 0
             for v in range(first_degenerate, counts[NUM_VERTICES]):
@@ -573,7 +576,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
                         degenerate = v
                         first_degenerate = v
                     num_degenerate += 1
-        second = np.int64(-1)
+        second = ZERO - 1
         if degenerate >= 0:
             first = _close_degenerate(edge, node, vertex, arc, counts, degenerate, t)
         else:
@@ -598,7 +601,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
             num_degenerate += 1
         if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, first, phase, t):
             return _BROKEN_WAVEFRONT
-        if second >= 0:
+        if second >= 0:  # noqa: SIM102
             if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, second, phase, t):
                 return _BROKEN_WAVEFRONT
         _refresh_pieces(edge, node, vertex, counts, first, second, t)

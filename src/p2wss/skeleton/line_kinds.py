@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.faces import flat_label, ground_label
 from p2wss.skeleton.records import NUM_CAPS
@@ -44,7 +43,7 @@ def solid_lines(
     for h in range(3 * num_triangles):
         other = twin[h]
         one, two = label[h // 3], label[other // 3]
-        if other < h or one == two or one == ground or two == ground:
+        if other < h or one in (two, ground) or two == ground:
             continue
         wall_one = first_wall <= one < flat
         wall_two = first_wall <= two < flat

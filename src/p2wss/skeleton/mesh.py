@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner, spliced
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
+from p2wss.skeleton.compiled import ZERO, inner, spliced
 from p2wss.skeleton.faces import (
     collect_half_edges,
     drop_straight_points,
@@ -95,7 +95,7 @@ def _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough):
 def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
     """Number of triangles, or -1."""
     uv, flat_point, first = mesh_work.flat_uv, mesh_work.flat_point, mesh_work.flat_first
-    num_triangles = np.int64(0)
+    num_triangles = ZERO
     for f in range(num_faces):
         label = mesh_work.face[f].label
         num_rings = mesh_work.face[f].last_ring - mesh_work.face[f].first_ring
@@ -149,7 +149,7 @@ def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, me
     for t in range(num_triangles):
         for m in range(3):
             new_index[triangle[t, m]] = 0
-    num_vertices = np.int64(0)
+    num_vertices = ZERO
     for k in range(num_points):
         if new_index[k] == 0:
             new_index[k] = num_vertices

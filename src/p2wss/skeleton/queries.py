@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.skeleton.batch import kernel_arguments, work_size
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import ZERO, entry, inner
 from p2wss.skeleton.kinetic import simulate
 from p2wss.skeleton.mesh import solid_skeleton
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, skeleton_work
@@ -74,7 +74,7 @@ def _put_segment(segment, k, a_x, a_y, b_x, b_y, left_face, right_face):
 @inner
 def _fill_segments(edge, num_edges, node, arc, counts, segment):
     outside = num_edges + counts[NUM_CAPS]
-    k = np.int64(0)
+    k = ZERO
     for i in range(num_edges):
         j = edge[i].next
         k = _put_segment(segment, k, edge[i].x, edge[i].y, edge[j].x, edge[j].y, i, outside)
@@ -111,15 +111,15 @@ def _face_at(edge, num_edges, num_faces, segment, num_segments, winding, x, y):
 def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face, distance):
     """The face over every point for the angles set last, for use from compiled code. Returns a ``Status``.
 
-    Before, once per polygon: ``load_footprint(xy_m, ring_offset, first_ring, last_ring, skeleton.edge)``; then,
-    for every set of angles: ``set_angles(skeleton.edge, num_edges, angle_deg)``; both in
+    Before, once per polygon: ``load_footprint(xy_m, ring_offset, first_ring, last_ring, skeleton.edge)``;
+    then, for every set of angles: ``set_angles(skeleton.edge, num_edges, angle_deg)``; both in
     :mod:`p2wss.skeleton.footprint`, both return a status.
 
     num_edges, num_rings: int64. max_roof_height_m: float64 above the eave, infinity for none. skeleton: a
-    ``SkeletonWork``. query: a :class:`QueryWork`. x, y: float64 (num_points,), relative to the first vertex of
-    the polygon. face: int64 (num_points,), written: the edge that owns the roof over the point, or OUTSIDE,
-    FLAT, CAP or CUT. distance: float64 (num_points,), written: metres from the line of that edge, so that
-    z = eave + tan(angle) * distance; for CAP and CUT the height above the eave; else 0.
+    ``SkeletonWork``. query: a :class:`QueryWork`. x, y: float64 (num_points,), relative to the first vertex
+    of the polygon. face: int64 (num_points,), written: the edge that owns the roof over the point, or
+    OUTSIDE, FLAT, CAP or CUT. distance: float64 (num_points,), written: metres from the line of that edge,
+    so that z = eave + tan(angle) * distance; for CAP and CUT the height above the eave; else 0.
 
     Nothing is allocated. A point exactly on the boundary of the polygon may count as outside.
     """
@@ -191,12 +191,11 @@ class RoofPoints:
     """The roof over points, one row per point.
 
     z_m: float64, NaN where there is no roof. kind: uint8, ROOF or FLAT, GROUND where there is no roof.
-    edge: int32, the edge of the polygon (counted over all its rings) that owns the face, or -1.
-    face: int64, the same edge, or OUTSIDE, FLAT, CAP or CUT. distance_m: float64, plan distance to the line of
-    the edge; for CAP and CUT the height above the eave; else 0.
-    With the faces held fixed, dz / d(eave) is 1, dz / d(tan(angle of ``edge``)) is ``distance_m``, and
-    dz_dangle_m_per_deg, float64, is dz / d(angle of ``edge``); both are 0 where edge is -1.
-    status: int32 (num_polygons,), a ``Status``.
+    edge: int32, the edge of the polygon (counted over all its rings) that owns the face, or -1. face:
+    int64, the same edge, or OUTSIDE, FLAT, CAP or CUT. distance_m: float64, plan distance to the line of
+    the edge; for CAP and CUT the height above the eave; else 0. With the faces held fixed, dz / d(eave) is
+    1, dz / d(tan(angle of ``edge``)) is ``distance_m``, and dz_dangle_m_per_deg, float64, is dz / d(angle
+    of ``edge``); both are 0 where edge is -1. status: int32 (num_polygons,), a ``Status``.
     """
 
     z_m: FloatArray
@@ -219,8 +218,8 @@ def roof_points(
 ) -> RoofPoints:
     """Heights, faces and derivatives at points. polygons, angle_deg, eave_height_m: as for ``build``.
 
-    xy: (num_points, 2), the frame of the polygons. polygon_index: int (num_points,), the polygon whose roof is
-    asked for. The result is exact: it comes from the skeleton, not from triangles.
+    xy: (num_points, 2), the frame of the polygons. polygon_index: int (num_points,), the polygon whose roof
+    is asked for. The result is exact: it comes from the skeleton, not from triangles.
 
     Raises ValueError when lengths do not fit or an index is out of range.
     """

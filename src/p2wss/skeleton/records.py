@@ -65,7 +65,8 @@ NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NU
 
 
 class SkeletonWork(NamedTuple):
-    """Arrays that :func:`p2wss.skeleton.kinetic.simulate` reads and fills, for polygons of up to ``max_edges``."""
+    """Arrays that :func:`p2wss.skeleton.kinetic.simulate` reads and fills, for polygons of up to
+    ``max_edges``."""
 
     edge: np.ndarray
     node: np.ndarray

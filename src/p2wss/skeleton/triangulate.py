@@ -1,9 +1,11 @@
-"""Ear clipping of a face with holes that keeps every vertex, collinear ones too, so that neighbours still fit."""
+"""Ear clipping of a face with holes that keeps every vertex, collinear ones too, so that neighbours still
+fit."""
 
 from __future__ import annotations
 
 import numpy as np
-from p2wss.skeleton.compiled import inner
+
+from p2wss.skeleton.compiled import ZERO, inner
 
 _SMALLEST_QUALITY = 1e-9
 
@@ -60,7 +62,7 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
     total = ring_first[num_rings]
     if total + 2 * (num_rings - 1) > len(loop_u):
         return -1
-    zero = np.int64(0)
+    zero = ZERO
     joined = np.zeros(num_rings, np.bool_)
     joined[0] = True
     for _ in range(num_rings - 1):
@@ -126,13 +128,17 @@ def _ear_quality(u, v, point, before, after, i):
     near = -1e-10 * longest2
     q = after[c]
     while q != a:
-        if point[q] != point[a] and point[q] != point[i] and point[q] != point[c]:
-            if (
+        if (
+            point[q] != point[a]
+            and point[q] != point[i]
+            and point[q] != point[c]
+            and (
                 ab_u * (v[q] - v[a]) - ab_v * (u[q] - u[a]) >= near
                 and bc_u * (v[q] - v[i]) - bc_v * (u[q] - u[i]) >= near
                 and ca_u * (v[q] - v[c]) - ca_v * (u[q] - u[c]) >= near
-            ):
-                return 0.0
+            )
+        ):
+            return 0.0
         q = after[q]
     return area / longest2
 
@@ -152,7 +158,7 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
     if size > 4:
         for i in range(size):
             quality[i] = _ear_quality(u, v, point, before, after, i)
-    here = np.int64(0)
+    here = ZERO
     while size > 3:
         best = 0.0
         ear = -1

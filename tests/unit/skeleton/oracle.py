@@ -1,7 +1,7 @@
 """Run as a program: volume and mean roof height of buildings by SFCGAL, whose crashes stay in this process.
 
-Reads a pickled list of (rings, angles per ring) from standard input, writes one line of JSON per building: its
-number and volume below the roof, or null. GPL software, for tests only.
+Reads a pickled list of (rings, angles per ring) from standard input, writes one line of JSON per building:
+its number and volume below the roof, or null. GPL software, for tests only.
 """
 
 from __future__ import annotations

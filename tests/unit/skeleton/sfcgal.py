@@ -6,6 +6,7 @@ import json
 import pickle
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ def sfcgal_volumes(polygons: Polygons, angle_deg: np.ndarray, seconds: float = 1
     cases = []
     for p in range(len(polygons)):
         offset = polygons.ring_offset[polygons.polygon_offset[p] : polygons.polygon_offset[p + 1] + 1]
-        cases.append((polygons.rings(p), [angle_deg[a:b] for a, b in zip(offset, offset[1:], strict=False)]))
+        cases.append((polygons.rings(p), [angle_deg[a:b] for a, b in pairwise(offset)]))
     volume, cpu = np.full(len(cases), np.nan), np.zeros(len(cases))
     first = 0
     while first < len(cases):

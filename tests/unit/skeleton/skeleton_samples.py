@@ -77,7 +77,8 @@ def _court(rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def sample_footprints(num: int, seed: int, court_share: float = 0.0) -> Polygons:
-    """Footprints with a mean of about 7 edges, turned at random, a third each with 0, 1 and 10 cm of jitter."""
+    """Footprints with a mean of about 7 edges, turned at random, a third each with 0, 1 and 10 cm of
+    jitter."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(num):

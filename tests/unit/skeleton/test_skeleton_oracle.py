@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from sfcgal import sfcgal_volumes
+from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from skeleton_solids import volumes
 
 from p2wss.skeleton import build, clean, diagnose
