@@ -1,8 +1,7 @@
 """Which code made a result: a fingerprint of a stage's module and of all it imports from this package.
 
 Snakemake reruns a rule when its ``params`` change. A fingerprint among them makes an edit of the code a
-change, and leaves out what cannot change a result: comments, docstrings and layout. A package counts with
-all its modules and with the other files in its folder, such as templates.
+change, and leaves out what cannot change a result: comments, docstrings and layout.
 """
 
 from __future__ import annotations
@@ -20,11 +19,14 @@ NOT_TRACKED = {f"{PACKAGE}.config", f"{PACKAGE}.provenance", f"{PACKAGE}.cli"}
 
 @cache
 def fingerprint(*stages: str) -> str:
-    """Hash of the import closure of the stage modules ``p2wss.<stage>``: 16 hexadecimal digits.
+    """Hash of the import closure of the modules ``p2wss.<stage>``: 16 hexadecimal digits.
 
-    Raises ``ModuleNotFoundError`` for a stage that is no module of the package.
+    A package named here counts with all its modules, one that is imported with what its ``__init__`` imports.
+    A folder of other files, such as "eval.templates", counts with their contents.
+
+    Raises ``ModuleNotFoundError`` for a stage that is nothing of the package.
     """
-    pending = [f"{PACKAGE}.{stage}" for stage in stages]
+    pending = [part for stage in stages for part in _parts(f"{PACKAGE}.{stage}")]
     seen: dict[str, str] = {}
     while pending:
         module = pending.pop()
@@ -32,22 +34,26 @@ def fingerprint(*stages: str) -> str:
             continue
         path = _source(module)
         if path is None:
-            raise ModuleNotFoundError(f"no module {module}")
+            folder = _root().joinpath(*module.split(".")[1:])
+            if not folder.is_dir():
+                raise ModuleNotFoundError(f"no module {module}")
+            seen |= {str(file.relative_to(_root())): _digest(file) for file in sorted(folder.iterdir())}
+            continue
         tree = ast.parse(path.read_bytes())
-        is_package = path.name == "__init__.py"
-        pending += _imports(tree, module, is_package)
+        pending += _imports(tree, module, is_package=path.name == "__init__.py")
         seen[module] = ast.dump(_without_docstrings(tree))
-        if is_package and module != PACKAGE:
-            for inside in sorted(path.parent.iterdir()):
-                if inside.suffix == ".py" or (inside / "__init__.py").exists():
-                    pending.append(module if inside.stem == "__init__" else f"{module}.{inside.stem}")
-                elif inside.is_dir() and inside.name != "__pycache__":
-                    files = [file for file in sorted(inside.rglob("*")) if file.is_file() and file.suffix != ".pyc"]
-                    seen |= {str(file.relative_to(_root())): _digest(file) for file in files}
     digest = blake2b(digest_size=8)
     for module in sorted(seen):
         digest.update(f"{module}\n{seen[module]}\n".encode())
     return digest.hexdigest()
+
+
+def _parts(module: str) -> list[str]:
+    """The module, and if it is a package its modules."""
+    path = _source(module)
+    inside = sorted(path.parent.rglob("*.py")) if path is not None and path.name == "__init__.py" else []
+    names = [".".join((PACKAGE, *file.relative_to(_root()).with_suffix("").parts)) for file in inside]
+    return [module, *(name.removesuffix(".__init__") for name in names)]
 
 
 def _digest(file: Path) -> str:

@@ -22,7 +22,7 @@ rule predict:
         gpu=1,
     params:
         config=section("eval", "reconstruct"),
-        code=fingerprint("eval"),
+        code=fingerprint("eval.predict", "model"),
     shell:
         "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters}"
         " --threads {threads} --config {params.config:q} 2> {log}"
@@ -45,7 +45,7 @@ rule baseline:
         mem_mb=4000,
     params:
         config=section("eval", "reconstruct"),
-        code=fingerprint("eval"),
+        code=fingerprint("eval.baselines"),
     shell:
         "p2wss eval baseline {wildcards.baseline} {input.manifest} {output.reconstructions}"
         " --config {params.config:q} 2> {log}"
@@ -71,7 +71,7 @@ rule measure:
         mem_mb=4000,
     params:
         config=section("eval"),
-        code=fingerprint("eval"),
+        code=fingerprint("eval.measure"),
     shell:
         "p2wss eval measure {input.manifest} {output.measures} {input.reconstructions}"
         " --config {params.config:q} 2> {log}"
@@ -99,7 +99,7 @@ rule eval_report:
         mem_mb=2000,
     params:
         config=section("region", "fetch", "eval"),
-        code=fingerprint("eval"),
+        code=fingerprint("eval.report", "eval.templates"),
         folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report {params.folder} --manifest {input.manifest} --measures {input.measures}"

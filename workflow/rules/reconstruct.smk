@@ -21,7 +21,7 @@ rule reconstruct_tile:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct"),
-        code=fingerprint("reconstruct"),
+        code=fingerprint("reconstruct", "model"),
         folder=subpath(output.cityjson, parent=True),
     shell:
         "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model}"
