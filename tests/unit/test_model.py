@@ -191,7 +191,7 @@ def test_the_papers_preset_is_a_valid_override() -> None:
     paper = load(Path(__file__).parents[2] / "config" / "paper.yaml").model
     assert paper.dim == 384 and paper.masking.random_ratio == (0.3, 0.3)
     assert model.make_tokenizer(paper).num_words == 51
-    assert Model().masking.inference_share == 0.5
+    assert Model().masking.inference_share == 0.8
 
 
 @pytest.mark.slow
