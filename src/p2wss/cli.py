@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import logging
 import os
-import shutil
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -48,15 +47,22 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"p2wss {__version__}")
     stages = parser.add_subparsers(title="stages, in order", required=True, metavar="STAGE")
 
-    fetch = _group(stages, "fetch", "get footprints, terrain and LiDAR of the region")
+    fetch = _fetch_group(stages)
     command = _command(fetch, "footprints", fetch_footprints, "footprints of the region")
     command.add_argument("out", type=Path, help="footprints.gpkg")
+    _downloads(command)
     command = _command(fetch, "dtm", fetch_dtm, "terrain of one tile and its margin")
     command.add_argument("tile", help="name of the tile, such as 0652_6862")
     command.add_argument("out", type=Path, help="GeoTIFF, float32, NaN where there is no data")
-    command = _command(fetch, "lidar", fetch_lidar, "LiDAR of one tile")
+    _downloads(command)
+    command = _command(fetch, "lidar", fetch_lidar, "LiDAR of one tile, as delivered")
     command.add_argument("tile", help="name of the tile, such as 0652_6862")
     command.add_argument("out", type=Path, help="LAZ or COPC")
+    _downloads(command)
+    command = _command(fetch, "prepare", fetch_prepare, "LiDAR of one tile, cropped and with ground points")
+    command.add_argument("tile", help="name of the tile, such as 0652_6862")
+    command.add_argument("out", type=Path, help="LAZ; where PDAL was run its pipeline stands beside it")
+    command.add_argument("clouds", type=Path, nargs="+", help="TILE.laz of the tile and of its neighbours")
 
     scenes = _group(stages, "scenes", "cut tiles, clean footprints, draw roofs")
     command = _command(scenes, "index", scenes_index, "count buildings per tile")
@@ -156,6 +162,36 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _fetch_group(stages: argparse._SubParsersAction) -> argparse._SubParsersAction:
+    """``p2wss fetch PART ..`` for the workflow, ``p2wss fetch --bbox ..`` for people."""
+    about = "get footprints, terrain and LiDAR of the region"
+    parser = stages.add_parser("fetch", help=about, description=about)
+    parser.add_argument(
+        "--bbox",
+        type=float,
+        nargs=4,
+        metavar=("X_MIN", "Y_MIN", "X_MAX", "Y_MAX"),
+        help="a new region: metres in --crs, rounded outwards to whole tiles",
+    )
+    parser.add_argument("--region", metavar="NAME", help="its name; of a region there is without --bbox")
+    parser.add_argument("--vintage", default="", help="names resources/ign/VINTAGE; default: this year")
+    parser.add_argument("--crs", default="EPSG:2154", help="of the region; default: Lambert-93")
+    parser.add_argument("--lidar", nargs="*", default=[], metavar="TILE", help="tiles whose LiDAR is wanted")
+    parser.add_argument(
+        "--dry-run", action="store_true", help="only show what would be downloaded; no request, no file"
+    )
+    parser.set_defaults(run=fetch_region)
+    return parser.add_subparsers(metavar="PART")
+
+
+def _downloads(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--downloads",
+        type=Path,
+        help="folder of what was downloaded; default: resources/ign/VINTAGE/downloads",
+    )
+
+
 def _group(stages: argparse._SubParsersAction, name: str, about: str) -> argparse._SubParsersAction:
     parser = stages.add_parser(name, help=about, description=about)
     return parser.add_subparsers(required=True, metavar="PART")
@@ -195,14 +231,44 @@ def _config(arguments: argparse.Namespace) -> Config:
 # --- fetch ---
 
 
+def fetch_region(arguments: argparse.Namespace) -> None:
+    import yaml
+
+    from p2wss.fetch import plan
+
+    if arguments.region is None:
+        raise InputError("fetch: give --region NAME, and --bbox for a new one; p2wss fetch --help")
+    path = Path("config/regions", f"{arguments.region}.yaml")
+    if arguments.bbox is not None:
+        text = plan.region_yaml(
+            arguments.region, arguments.bbox, arguments.vintage, arguments.crs, arguments.lidar
+        )
+        config = load(yaml.safe_load(text))
+    else:
+        text, config = "", load(path)
+    downloads = _downloads_of(config, None)
+    needs = plan.needs(config, downloads)
+    print(plan.table(config, needs))
+    if arguments.dry_run:
+        return
+    if text:
+        if path.exists():
+            raise InputError(
+                f"{path}: is there; take another name, or `p2wss fetch --region NAME` without --bbox"
+            )
+        io.write_text(path, text)
+        print(f"{path} written")
+    plan.download(config, downloads, log)
+    print(f"everything is in {downloads}; now: snakemake -c2 eval_report --configfile {path}")
+
+
 def fetch_footprints(arguments: argparse.Namespace) -> None:
     from p2wss.fetch import normalise, open_source, write_footprints
+    from p2wss.tiling import grown
 
     config = _config(arguments)
-    margin_m = config.fetch.margin_m
-    x_min, y_min, x_max, y_max = config.region.bounds_m
-    source = open_source(config.region, config.fetch)
-    found = source.footprints((x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m))
+    source = open_source(config.region, config.fetch, _downloads_of(config, arguments.downloads))
+    found = source.footprints(grown(config.region.bounds_m, config.fetch.margin_m))
     frame = normalise(found, config.region.crs, source.name)
     if not len(frame):
         raise InputError(f"{source.name}: no building in region.bounds_m {config.region.bounds_m}")
@@ -215,7 +281,7 @@ def fetch_dtm(arguments: argparse.Namespace) -> None:
     from p2wss.terrain import write_terrain
 
     config = _config(arguments)
-    source = open_source(config.region, config.fetch)
+    source = open_source(config.region, config.fetch, _downloads_of(config, arguments.downloads))
     terrain = source.dtm(_tile_bounds(arguments.tile, config, config.fetch.margin_m))
     share = check_terrain(terrain, _tile_bounds(arguments.tile, config), f"terrain of tile {arguments.tile}")
     log.info(
@@ -225,15 +291,36 @@ def fetch_dtm(arguments: argparse.Namespace) -> None:
 
 
 def fetch_lidar(arguments: argparse.Namespace) -> None:
-    from p2wss.fetch import open_source, write_cloud
+    from p2wss.fetch import delivered, open_source, write_cloud
 
     config = _config(arguments)
-    bounds = _tile_bounds(arguments.tile, config)
-    downloads = arguments.out.with_suffix(".parts")  # stays after a failure, so that the next attempt resumes
-    paths = open_source(config.region, config.fetch).lidar(bounds, downloads)
-    num_points = write_cloud(arguments.out, paths, bounds, config.region.crs)
-    shutil.rmtree(downloads, ignore_errors=True)
+    source = open_source(config.region, config.fetch, _downloads_of(config, arguments.downloads))
+    paths = source.lidar(_tile_bounds(arguments.tile, config))
+    around = _tile_bounds(arguments.tile, config, config.fetch.margin_m)
+    crs, bounds = delivered(config.region, config.fetch, around)
+    # files of the user's own are copied: they may be changed one day
+    num_points = write_cloud(arguments.out, paths, bounds, crs, link=config.fetch.source != "folder")
     log.info(f"{arguments.out.name}: {num_points} points from {', '.join(path.name for path in paths)}")
+
+
+def fetch_prepare(arguments: argparse.Namespace) -> None:
+    from p2wss.fetch import delivered
+    from p2wss.fetch.prepare import prepare
+
+    config = _config(arguments)
+    holes = [_tile_bounds(path.stem, config) for path in arguments.clouds[1:]]
+    bounds = _tile_bounds(arguments.tile, config, config.fetch.margin_m)
+    crs, _ = delivered(config.region, config.fetch, bounds)
+    facts = prepare(
+        arguments.out, arguments.clouds, bounds, holes, config.region.crs, crs, config.fetch.prepare
+    )
+    log.info(
+        f"{arguments.out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}"
+    )
+
+
+def _downloads_of(config: Config, folder: Path | None) -> Path:
+    return folder or Path("resources/ign", config.region.vintage, "downloads")
 
 
 def _tile_bounds(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:
@@ -372,7 +459,8 @@ def scans(arguments: argparse.Namespace) -> None:
     survey = scan.facts["survey"]
     log.info(
         f"{arguments.out.name}: {survey['pattern']} scan, {len(survey['strips'])} strips, "
-        f"{scan.facts['num_points']} points, {scan.facts['points_per_m2']:.1f} per m2 of {survey['density_per_m2']:.1f} pulses requested"
+        f"{scan.facts['num_points']} points, {scan.facts['points_per_m2']:.1f} per m2 "
+        f"of {survey['density_per_m2']:.1f} pulses requested"
     )
     scans.write_scan(arguments.out, scan, crs, threads=arguments.threads)
     made_by = io.provenance(
@@ -541,12 +629,13 @@ def _eval_facts(config: Config, **facts: Any) -> dict[str, Any]:
 
 def reconstruct(arguments: argparse.Namespace) -> None:
     _use_threads(arguments.threads)
-    from p2wss import clouds, model, reconstruct
+    from p2wss import clouds, model, reconstruct, scenes
     from p2wss.formats import gpkg
 
     config = _config(arguments)
     predictor = model.load(arguments.model)
-    frame = reconstruct.read_footprints(arguments.footprints, arguments.id_field)
+    read = scenes.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
+    frame = scenes.clean_footprints(read, config.scenes)
     if arguments.tile is not None:
         frame = reconstruct.of_tile(frame, arguments.tile, config.region.tile_size_m)
     cloud = clouds.read_clouds(arguments.clouds, reconstruct.window(frame))
@@ -558,11 +647,11 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct)
     if arguments.tile is None:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
-    made_by = section_json(config, "reconstruct")
+    made_by = section_json(config, "scenes", "reconstruct")
     facts = io.provenance(config=made_by, code=fingerprint("reconstruct"), crs=crs.to_string())
     io.write_text(arguments.out / f"{stem}.city.jsonl", reconstruct.city_json(results, crs))
     io.write_bytes(arguments.out / f"{stem}.glb", reconstruct.gltf(results, crs, facts))
-    gpkg.write(arguments.out / f"{stem}.gpkg", reconstruct.table(frame, results, crs), facts)
+    gpkg.write(arguments.out / f"{stem}.gpkg", reconstruct.table(results, crs), facts)
     log.info("%s", reconstruct.summary(results))
 
 

@@ -71,9 +71,13 @@ class Folder(Section):
     footprints_layer: str = Field("batiment", description="layer, where a file has several")
     dtm: str = Field(
         "tests/mini/rgealti",
-        description="RGE ALTI .asc or GeoTIFF: file, folder or pattern",
+        description="RGE ALTI .asc, as delivered in .7z, .7z.001, .., or GeoTIFF: file, folder or pattern",
     )
     lidar: str = Field("tests/mini/lidar", description="LAS, LAZ or COPC: a file, a folder or a pattern")
+    lidar_crs: str = Field(
+        "",
+        description="CRS of those clouds where it is not region.crs: PDAL reprojects them; '' = region.crs",
+    )
 
 
 class Geoplateforme(Section):
@@ -86,6 +90,9 @@ class Geoplateforme(Section):
         "cleabs", description="attribute that pages are sorted by and repeats are found by"
     )
     page_size: int = Field(1000, ge=1, le=5000, description="features per request; the service cuts at 5000")
+    footprints_window_m: float = Field(
+        0, ge=0, description="footprints are asked for by squares of this edge; 0 = the whole region at once"
+    )
     dtm_layer: str = Field(
         "ELEVATION.ELEVATIONGRIDCOVERAGE.HIGHRES",
         description="WMS layer; LiDAR HD has IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
@@ -109,11 +116,31 @@ class Geoplateforme(Section):
     lidar_url_fields: list[str] = Field(
         ["url_npl", "url"], description="attributes that may hold the address of the point cloud"
     )
+    lidar_window_share: Share = Field(
+        0.3,
+        description="where less than this share of a COPC tile is needed, only that window is read; 0 = never",
+    )
     requests_per_s: float = Field(1.0, gt=0, description="at most; the services allow more, but not always")
     timeout_s: float = Field(60, gt=0, description="without an answer, per request")
     max_attempts: int = Field(6, ge=1, description="of one request, while the service is busy or fails")
     max_wait_s: float = Field(600, gt=0, description="for one request with all its attempts")
     user_agent: str = Field("p2wss", description="how requests introduce themselves")
+
+
+class Prepare(Section):
+    """Real clouds before use: the tile and its margin, ground where none is classified, by PDAL."""
+
+    mode: Literal["never", "auto", "pdal"] = Field(
+        "auto", description="use of PDAL: never, for clouds without ground points (class 2), or for all"
+    )
+    pdal_command: str = Field(
+        "pdal", description="PDAL and its options ({folder} = where it finds its files, for containers)"
+    )
+    pdal_stages: str = Field(
+        "config/pdal/prepare.json",
+        description="PDAL's filters, in order; tags if_no_ground_.. run only where class 2 is absent",
+    )
+    pdal_timeout_s: float = Field(7200, gt=0, description="for one tile")
 
 
 class Fetch(Section):
@@ -122,11 +149,20 @@ class Fetch(Section):
     source: Literal["folder", "geoplateforme"] = Field(
         "folder", description="files on disk, or IGN's services"
     )
+    offline: bool = Field(
+        False,
+        description="send no request: use what is in resources/ign/<vintage>/downloads, name what is not",
+    )
+    sources: str = Field(
+        "config/sources.csv",
+        description="table of products, licences and attributions, for the report's footer",
+    )
     margin_m: float = Field(
         100,
         ge=0,
-        description="footprints beyond the region and terrain beyond a tile; scenes.margin_m + 30 or more",
+        description="footprints beyond the region, terrain and LiDAR beyond a tile; scenes.margin_m + 30 or more",
     )
+    prepare: Prepare = Prepare()
     folder: Folder = Folder()
     geoplateforme: Geoplateforme = Geoplateforme()
 
@@ -166,7 +202,7 @@ class Scenes(Section):
     )
     min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter edges are taken out")
     min_area_m2: float = Field(2, gt=0, description="smaller footprints and courtyards are left out")
-    max_edges: int = Field(128, ge=3, le=1000, description="footprints with more edges are left out")
+    max_edges: int = Field(1000, ge=3, le=5000, description="footprints with more edges are left out")
     min_eave_height_m: float = Field(1.5, gt=0, description="a lower height counts as unknown")
     max_eave_height_m: float = Field(99, gt=0, description="higher buildings are left out")
     storey_height_m: float = Field(
@@ -288,6 +324,10 @@ class Scans(Section):
         description="weakest echo: reflectance x cosine of incidence, at the planned altitude",
     )
     speckle: float = Field(0.3, ge=0, le=1, description="relative standard deviation of an echo's strength")
+    max_returns: int = Field(1, ge=1, le=7, description="hd: echoes that a pulse may have")
+    return_separation_m: float = Field(
+        0.8, gt=0, le=10, description="of two echoes of a pulse, along the ray"
+    )
     keep_margin_m: float = Field(
         5, ge=0, le=100, description="points are kept this far around the tile and its buildings"
     )
@@ -315,15 +355,17 @@ class Crops(Section):
 # --- dvae -------------------------------------------------------------------------------------------------
 
 
-class DvaeOptimiser(Section):
+class Optimiser(Section):
     """AdamW, cosine warm-up, then cosine decay, per step."""
 
     num_steps: int = Field(200, ge=1, description="batches to train on")
-    batch_size: int = Field(64, ge=2, description="clouds per step")
+    batch_size: int = Field(64, ge=2, description="buildings per step")
     learning_rate: float = Field(2e-3, gt=0, description="highest")
     learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
     warmup_share: Share = Field(0.05, description="of the steps, with the rate rising")
-    weight_decay: float = Field(5e-4, ge=0, description="not on biases, norms, codebooks and tokens")
+    weight_decay: float = Field(
+        5e-4, ge=0, description="not on biases, norms, embeddings, codebooks and tokens"
+    )
     beta2: float = Field(0.98, gt=0, lt=1, description="of AdamW")
     gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
 
@@ -346,7 +388,7 @@ class Dvae(Section):
     )
     kl_weight: float = Field(0.1, ge=0, description="of the divergence from uniform codes, reached at 55 %")
     use_lidar: bool = Field(True, description="train on real LiDAR too: this stage needs no labels")
-    optimiser: DvaeOptimiser = DvaeOptimiser()
+    optimiser: Optimiser = Optimiser()
     checkpoint_every_steps: int = Field(100, ge=1, description="also: how often validation runs")
     num_validation: int = Field(128, ge=1, description="clouds of the val split to measure while training")
 
@@ -394,17 +436,11 @@ class Decoding(Section):
     num_rotations: int = Field(4, ge=1, le=64, description="views whose probabilities are averaged")
 
 
-class ModelOptimiser(Section):
+class ModelOptimiser(Optimiser):
     """AdamW, cosine warm-up, then cosine decay, per step."""
 
     num_steps: int = Field(800, ge=1, description="batches to train on")
     batch_size: int = Field(32, ge=2, description="buildings per step")
-    learning_rate: float = Field(2e-3, gt=0, description="highest")
-    learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
-    warmup_share: Share = Field(0.05, description="of the steps, with the rate rising")
-    weight_decay: float = Field(5e-4, ge=0, description="not on biases, norms, embeddings and tokens")
-    beta2: float = Field(0.98, gt=0, lt=1, description="of AdamW")
-    gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
 
 
 class Model(Section):

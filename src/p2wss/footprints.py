@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import pyarrow as pa
@@ -38,7 +39,8 @@ def to_geometries(polygons: Polygons) -> np.ndarray:
     """Shapely polygons, an object array (num_polygons,); a polygon without rings becomes an empty one."""
     shapes = [polygons.rings(p) for p in range(len(polygons))]
     return np.array(
-        [shapely.Polygon(rings[0], rings[1:]) if rings else shapely.Polygon() for rings in shapes], dtype=object
+        [shapely.Polygon(rings[0], rings[1:]) if rings else shapely.Polygon() for rings in shapes],
+        dtype=object,
     )
 
 
@@ -92,7 +94,7 @@ def from_columns(table: pa.Table) -> Polygons:
     xy, vertex_offset = io.list_column(table, "footprint_xy_m")
     ring, row_offset = io.list_column(table, "ring_offset")
     num_rings = np.maximum(np.diff(row_offset) - 1, 0)
-    lengths = [np.diff(ring[a:b]) for a, b in zip(row_offset[:-1], row_offset[1:], strict=True)]
+    lengths = [np.diff(ring[a:b]) for a, b in pairwise(row_offset)]
     sizes = np.concatenate(lengths) if lengths else np.zeros(0, np.int64)
     polygons = Polygons(
         xy_m=xy.reshape(-1, 2),

@@ -14,7 +14,7 @@ import pandas as pd
 import pyproj
 import shapely
 
-from p2wss import footprints, inference, skeleton
+from p2wss import footprints, inference
 from p2wss.clouds import Cloud, horizontal, same_crs
 from p2wss.config import Reconstruct
 from p2wss.crops import crop_cloud
@@ -27,8 +27,6 @@ from p2wss.metrics.surface import distance_to_mesh
 from p2wss.tiling import Bounds, tiles_of_points
 
 METHOD = "point2wss"
-# the usual names of a building's id: BD TOPO, BAG and 3DBAG, cadastral and generic files
-ID_FIELDS = ("building_id", "cleabs", "ID", "id", "identificatie", "gml_id", "fid", "osm_id")
 # ground is looked for this far away where there is none nearer
 MARGIN_M = 64.0
 # points that a residual is taken over
@@ -87,48 +85,6 @@ def common_crs(
     return crs, note
 
 
-def read_footprints(path: Path, id_field: str | None) -> gpd.GeoDataFrame:
-    """Columns ``building_id`` (text, unique) and ``geometry`` (2D polygons) of any vector file, in its CRS.
-
-    Parts of a multipolygon become rows whose ids end in -1, -2, ..; of what is no polygon after a repair only
-    the polygons are kept. Raises :class:`InputError` for a file without polygons or without ``id_field``.
-    """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        frame = gpd.read_file(path)
-    except Exception as error:  # GDAL's drivers raise many kinds for a broken file
-        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
-    if not isinstance(frame, gpd.GeoDataFrame) or frame.geometry.name not in frame:
-        raise InputError(f"{path}: a table without geometry; footprints must be polygons")
-    if id_field is not None and id_field not in frame.columns:
-        known = ", ".join(map(str, frame.columns.drop(frame.geometry.name))) or "none"
-        raise InputError(f"{path}: no column {id_field} for --id-field; columns: {known}")
-    found = id_field or next((name for name in ID_FIELDS if name in frame.columns), None)
-    names = frame[found].astype(str) if found else pd.Series(np.arange(len(frame)).astype(str), frame.index)
-    if names.duplicated().any():
-        raise InputError(
-            f"{path}: {names[names.duplicated()].iloc[0]} occurs twice in column {found}; choose another with"
-            " --id-field"
-        )
-    shapes = shapely.make_valid(shapely.force_2d(frame.geometry.to_numpy()))
-    parts, of = shapely.get_parts(shapes, return_index=True)
-    # make_valid may leave collections: polygons and multipolygons among lines
-    parts, inner = shapely.get_parts(parts, return_index=True)
-    of = of[inner]
-    is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & (shapely.area(parts) > 0)
-    parts, of = parts[is_polygon], of[is_polygon]
-    if not len(parts):
-        raise InputError(f"{path}: no polygons; footprints must be polygons")
-    count = Counter(of.tolist())
-    seen: Counter[int] = Counter()
-    ids = []
-    for row in of.tolist():
-        seen[row] += 1
-        ids.append(names.iloc[row] if count[row] == 1 else f"{names.iloc[row]}-{seen[row]}")
-    return gpd.GeoDataFrame({"building_id": ids}, geometry=parts, crs=frame.crs)
-
-
 def window(frame: gpd.GeoDataFrame) -> Bounds:
     """What a cloud must cover: the footprints and the ground around them."""
     if not len(frame):
@@ -140,15 +96,14 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
 def run(
     frame: gpd.GeoDataFrame, cloud: Cloud, predictor: Predictor, tile: str, config: Reconstruct
 ) -> list[Result]:
-    """A result per row of ``frame`` (:func:`read_footprints`), in its order."""
-    cleaned = skeleton.clean(footprints.to_polygons(frame.geometry.to_numpy()))
-    cropped = crop_cloud(cloud, cleaned.polygons, config.buffer_m)
-    origin_xy_m = footprints.origins(cleaned.polygons)
+    """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order."""
+    polygons = footprints.to_polygons(frame.geometry.to_numpy())
+    cropped = crop_cloud(cloud, polygons, config.buffer_m)
+    origin_xy_m = footprints.origins(polygons)
     xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
     buildings, usable = [], []
-    for i, name in enumerate(frame["building_id"]):
-        rejected = cleaned.status[i] != skeleton.Status.OK
-        rings = [ring - origin_xy_m[i] for ring in cleaned.polygons.rings(i)]
+    for i, (name, status) in enumerate(zip(frame["building_id"], frame["status"], strict=True)):
+        rings = [ring - origin_xy_m[i] for ring in polygons.rings(i)]
         own = cropped.of(i)
         buildings.append(
             Building(
@@ -161,7 +116,7 @@ def run(
                 float(cropped.ground_z_m[i]),
             )
         )
-        if not rejected:
+        if status == "ok":
             usable.append(i)
     chosen = [buildings[i] for i in usable]
     made = inference.reconstruct(chosen, predictor, config, METHOD)
@@ -172,7 +127,7 @@ def run(
         if i in found:
             results.append(_result(building, found[i]))
         else:
-            reason = skeleton.Status(int(cleaned.status[i])).reason
+            reason = frame["status"].iloc[i]
             lost = inference.no_mesh(building, METHOD, reason)
             results.append(Result(lost, "none", reason, len(building.point_m), float("nan")))
     return results
@@ -188,9 +143,9 @@ def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) 
 
 
 def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
-    """The footprints whose centroid is in the tile."""
-    middle = shapely.centroid(frame.geometry.to_numpy())
-    chosen = tiles_of_points(shapely.get_x(middle), shapely.get_y(middle), tile_size_m) == tile
+    """The footprints whose middle is in the tile."""
+    frame = frame[np.isfinite(frame["middle_x_m"])]
+    chosen = tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile
     return frame[chosen].reset_index(drop=True)
 
 
@@ -237,20 +192,18 @@ def summary(results: Sequence[Result]) -> str:
     return f"{len(results)} buildings: " + ", ".join(parts)
 
 
-def table(frame: gpd.GeoDataFrame, results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
-    """A row per footprint: geometry as the mesh has it (as read, without a mesh) and what was found.
+def table(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
+    """A row per footprint: geometry as cleaned (none, if it was rejected) and what was found.
 
     ``angle_deg`` is text, one number per edge, edge i from vertex i of the geometry, rings in order.
     """
-    rows, shapes = [], []
-    for result, read in zip(results, frame.geometry, strict=True):
+    rows: list[dict[str, Any]] = []
+    shapes: list[shapely.Polygon | None] = []
+    for result in results:
         made = result.reconstruction
         rows.append({"building_id": made.building_id, **attributes(result)})
-        if made.has_mesh:
-            rings = [ring + made.origin_xy_m for ring in made.rings]
-            shapes.append(shapely.Polygon(rings[0], rings[1:]))
-        else:
-            shapes.append(read)
+        rings = [ring + made.origin_xy_m for ring in made.rings]
+        shapes.append(shapely.Polygon(rings[0], rings[1:]) if rings else None)
     return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
 
 

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor, nn
 
 from p2wss import __version__, io
+from p2wss.config import Optimiser
 from p2wss.errors import InputError
 from p2wss.seeds import derive_seed
 
@@ -31,19 +32,6 @@ log = logging.getLogger("p2wss")
 NUM_CHECKPOINTS_KEPT = 2
 PROGRESS_EVERY_S = 10.0
 METRICS_EVERY_STEPS = 20
-
-
-class Optimiser(Protocol):
-    """What the config says about optimisation."""
-
-    num_steps: int
-    batch_size: int
-    learning_rate: float
-    learning_rate_end: float
-    warmup_share: float
-    weight_decay: float
-    beta2: float
-    gradient_clip: float
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,9 @@ def test_mistakes_get_one_line(document, message):
 def test_reading_the_config_imports_nothing_heavy():
     """The Snakefile imports these at each start, and every cluster job parses it again."""
     code = "import sys, p2wss.config, p2wss.provenance, p2wss.tiling; print(*sys.modules)"
-    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    modules = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
     assert not {"torch", "pandas", "geopandas", "pyarrow", "numba", "shapely"} & set(modules)
 
 

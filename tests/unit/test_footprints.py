@@ -17,7 +17,10 @@ def test_ragged_arrays_keep_rings_and_empty_polygons():
     assert polygons.polygon_offset.tolist() == [0, 2, 3, 3, 5, 5, 6]
     assert polygons.ring_offset.tolist() == [0, 4, 8, 11, 15, 19, 22]
     back = footprints.to_geometries(polygons)
-    assert all(a.equals_exact(b if b is not None else shapely.Polygon(), 0) for a, b in zip(back, SHAPES, strict=True))
+    assert all(
+        a.equals_exact(b if b is not None else shapely.Polygon(), 0)
+        for a, b in zip(back, SHAPES, strict=True)
+    )
 
 
 def test_columns_are_local_and_come_back():

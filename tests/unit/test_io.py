@@ -13,7 +13,9 @@ import shapely
 from p2wss import io
 from p2wss.errors import InputError
 
-SCHEMA = pa.schema([io._field("a", pa.int32(), "a number"), io._field("b", pa.list_(pa.float64()), "numbers", True)])
+SCHEMA = pa.schema(
+    [io._field("a", pa.int32(), "a number"), io._field("b", pa.list_(pa.float64()), "numbers", True)]
+)
 COLUMNS = {"a": [1, 2, 3], "b": [[1.0, 2.0], [], None]}
 
 
@@ -98,4 +100,8 @@ def test_scene_keeps_its_metadata_beside_geoparquet(tmp_path):
     io.write_scene(path, scene, {"tile": "0652_6862"})
     back, metadata = io.read_scene(path)
     assert metadata == {"tile": "0652_6862"} and back.crs == "EPSG:2154"
-    assert back.geometry.iloc[0].equals(scene.geometry.iloc[0]) and list(back["angle_deg"].iloc[0]) == [0, 90, 30]
+    assert back.geometry.iloc[0].equals(scene.geometry.iloc[0]) and list(back["angle_deg"].iloc[0]) == [
+        0,
+        90,
+        30,
+    ]

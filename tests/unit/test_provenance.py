@@ -21,7 +21,9 @@ def copy(tmp_path):
 
     def of(stage: str) -> str:
         code = f"from p2wss.provenance import fingerprint; print(fingerprint({stage!r}))"
-        run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+        run = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+        )
         return run.stdout.strip()
 
     return root, of

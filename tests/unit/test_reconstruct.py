@@ -15,9 +15,9 @@ import shapely
 import trimesh
 from test_inference import Oracle
 
-from p2wss import reconstruct
+from p2wss import reconstruct, scenes
 from p2wss.clouds import Cloud, read_clouds
-from p2wss.config import Reconstruct
+from p2wss.config import Reconstruct, Scenes
 from p2wss.errors import InputError
 from p2wss.formats import gpkg
 
@@ -70,42 +70,13 @@ def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str |
     assert told in str(error.value) and "\n" not in str(error.value)
 
 
-def write(path: Path, shapes: list[shapely.Geometry], **columns: list[object]) -> Path:
-    gpd.GeoDataFrame(columns, geometry=shapes, crs="EPSG:2154").to_file(path)
-    return path
-
-
-def test_footprints_are_split_repaired_flattened_and_named(tmp_path: Path) -> None:
-    two = shapely.MultiPolygon([SQUARE, shapely.box(20, 0, 30, 10)])
-    bow_tie = shapely.Polygon([(0, 40), (10, 50), (10, 40), (0, 50)])
-    raised = shapely.force_3d(shapely.box(60, 0, 70, 10), 5.0)
-    path = write(tmp_path / "f.gpkg", [two, bow_tie, raised], cleabs=["A", "B", "C"])
-    frame = reconstruct.read_footprints(path, None)
-    assert frame["building_id"].tolist() == ["A-1", "A-2", "B-1", "B-2", "C"]
-    assert frame.area.tolist() == pytest.approx([100, 100, 25, 25, 100])
-    assert not shapely.has_z(frame.geometry.to_numpy()).any()
-
-
-def test_footprints_that_cannot_be_used_are_one_clear_line(tmp_path: Path) -> None:
-    lines = write(tmp_path / "l.gpkg", [shapely.LineString([(0, 0), (1, 1)])], n=[1])
-    twice = write(tmp_path / "t.gpkg", [SQUARE, SQUARE], n=["x", "x"])
-    broken = tmp_path / "b.gpkg"
-    broken.write_bytes(b"SQLite format 3\0" + bytes(200))
-    for path, field, told in (
-        (lines, None, "no polygons"),
-        (twice, "n", "x occurs twice in column n"),
-        (twice, "m", "no column m"),
-        (broken, None, "not a readable vector file"),
-        (tmp_path / "missing.gpkg", None, "no such file"),
-    ):
-        with pytest.raises(InputError) as error:
-            reconstruct.read_footprints(path, field)
-        assert told in str(error.value) and str(path) in str(error.value) and "\n" not in str(error.value)
+def cleaned(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    return scenes.clean_footprints(frame, Scenes())
 
 
 def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
     far, sliver = shapely.box(500, 0, 510, 10), shapely.box(30, 0, 30.02, 0.02)
-    sparse = shapely.box(100, 0, 101, 1)
+    sparse = shapely.box(100, 0, 102, 2)
     frame = gpd.GeoDataFrame(
         {"building_id": ["near", "far", "sliver", "sparse"]},
         geometry=[SQUARE, far, sliver, sparse],
@@ -119,7 +90,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
         np.append(cloud.classification, 6).astype(np.uint8),
         LAMBERT,
     )
-    results = reconstruct.run(frame, lone, Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", Reconstruct())
     assert [r.status for r in results] == ["ok", "none", "none", "flat"]
     assert results[1].reason == "no point" and results[3].reason == "fewer than 10 points"
     assert "4 buildings: 1 ok, 1 flat (fewer than 10 points: 1)" in reconstruct.summary(results)
@@ -127,7 +98,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
     assert results[0].reconstruction.eave_height_m == pytest.approx(6.0)
 
     path = tmp_path / "out.gpkg"
-    gpkg.write(path, reconstruct.table(frame, results, LAMBERT), {"code": "x"})
+    gpkg.write(path, reconstruct.table(results, LAMBERT), {"code": "x"})
     back = gpd.read_file(path)
     assert back.crs == LAMBERT and back["building_id"].tolist() == frame["building_id"].tolist()
     assert back["status"].tolist() == ["ok", "none", "none", "flat"]
@@ -144,7 +115,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
 def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
     place = shapely.box(652000, 6861000, 652010, 6861010)
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
-    results = reconstruct.run(frame, cloud_over(place), Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", Reconstruct())
     path = tmp_path / "a.glb"
     path.write_bytes(reconstruct.gltf(results, LAMBERT, {"code": "x"}))
     scene = trimesh.load_scene(path)
@@ -160,16 +131,16 @@ def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
 def test_nothing_at_all_can_be_written() -> None:
     frame = gpd.GeoDataFrame({"building_id": []}, geometry=[], crs=LAMBERT)
     empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
-    results = reconstruct.run(frame, empty, Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", Reconstruct())
     assert results == []
     assert len(reconstruct.city_json(results, LAMBERT).splitlines()) == 1
     assert reconstruct.gltf(results, LAMBERT, {})[:4] == b"glTF"
-    assert len(reconstruct.table(frame, results, LAMBERT)) == 0
+    assert len(reconstruct.table(results, LAMBERT)) == 0
 
 
 def test_no_overlap_is_one_clear_line() -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[shapely.box(900, 0, 910, 10)], crs=LAMBERT)
-    results = reconstruct.run(frame, cloud_over(SQUARE), Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", Reconstruct())
     with pytest.raises(InputError, match=r"no point near any of the 1 footprints of b\.gpkg"):
         reconstruct.check_overlap(results, Path("a.laz"), Path("b.gpkg"))
 
@@ -183,10 +154,10 @@ def test_real_clouds_give_watertight_buildings(
     place: str, cloud: str, num_buildings: int, num_meshes: int, tmp_path: Path
 ) -> None:
     folder = SHARED / "data" / place
-    frame = reconstruct.read_footprints(folder / "footprints.gpkg", None)
+    frame = scenes.read_footprints(folder / "footprints.gpkg")
     points = read_clouds([folder / cloud], reconstruct.window(frame))
     crs, _ = reconstruct.common_crs(points.crs, frame.crs, None, NAMES)
-    results = reconstruct.run(frame, points, Oracle(), place, Reconstruct())
+    results = reconstruct.run(cleaned(frame), points, Oracle(), place, Reconstruct())
     assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
     path = tmp_path / "out.city.jsonl"
     path.write_text(reconstruct.city_json(results, crs))

@@ -37,7 +37,7 @@ def test_real_footprints_from_fetch_to_crops(project):
         },
     }
     (project.folder / "olemps.yaml").write_text(yaml.safe_dump(config))
-    project.snakemake("-c2", "--configfile", "olemps.yaml", "crops")
+    project.snakemake("crops", "-c2", "--configfile", "olemps.yaml")
 
     counts: dict[str, int] = {}
     for tile in tiles:

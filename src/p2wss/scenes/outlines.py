@@ -17,12 +17,20 @@ from p2wss.errors import InputError
 from p2wss.tiling import Bounds
 
 ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
+_HOLD_POLYGONS = [
+    shapely.GeometryType.POLYGON,
+    shapely.GeometryType.MULTIPOLYGON,
+    shapely.GeometryType.GEOMETRYCOLLECTION,
+]
 # an outline that touches itself is opened by this much: less would be closed again by the clean-up
 _OPENING_M = 0.15
 
 
 def read_footprints(
-    path: str | Path, id_field: str | None = None, bounds: Bounds | None = None
+    path: str | Path,
+    id_field: str | None = None,
+    bounds: Bounds | None = None,
+    needs_crs: bool = True,
 ) -> gpd.GeoDataFrame:
     """Any vector file with polygons: its columns, and ``building_id`` as text, in the order of the file.
 
@@ -42,9 +50,12 @@ def read_footprints(
         raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
     if not isinstance(frame, gpd.GeoDataFrame):
         raise InputError(f"{path}: has no geometry")
-    if frame.crs is None:
+    shapes = shapely.get_type_id(frame.geometry.to_numpy())
+    if len(frame) and not np.isin(shapes, _HOLD_POLYGONS).any():
+        raise InputError(f"{path}: no polygons; footprints must be polygons")
+    if frame.crs is None and needs_crs:
         raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")
-    if frame.crs.is_geographic:
+    if frame.crs is not None and frame.crs.is_geographic:
         raise InputError(
             f"{path}: is in {frame.crs.name}, in degrees; reproject it to a projected CRS in metres"
         )

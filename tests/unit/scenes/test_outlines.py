@@ -172,6 +172,10 @@ def test_bad_files_get_one_clear_line(tmp_path: Path) -> None:
     gpd.GeoDataFrame(geometry=[shapely.box(4, 45, 4.1, 45.1)], crs="EPSG:4326").to_file(tmp_path / "d.gpkg")
     with pytest.raises(InputError, match=r"d\.gpkg: is in WGS 84, in degrees"):
         read_footprints(tmp_path / "d.gpkg")
+    line = shapely.LineString([(0, 0), (1, 1)])
+    gpd.GeoDataFrame(geometry=[line], crs="EPSG:2154").to_file(tmp_path / "l.gpkg")
+    with pytest.raises(InputError, match=r"l\.gpkg: no polygons"):
+        read_footprints(tmp_path / "l.gpkg")
 
 
 @pytest.mark.skipif(not DELFT.exists(), reason="no shared/data/delft_ahn3")
