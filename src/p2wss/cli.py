@@ -190,6 +190,9 @@ def _downloads(command: argparse.ArgumentParser) -> None:
         type=Path,
         help="folder of what was downloaded; default: resources/ign/VINTAGE/downloads",
     )
+    command.add_argument(
+        "--offline", type=int, choices=(0, 1), help="1: send no request; default: fetch.offline of the config"
+    )
 
 
 def _group(stages: argparse._SubParsersAction, name: str, about: str) -> argparse._SubParsersAction:
@@ -263,11 +266,11 @@ def fetch_region(arguments: argparse.Namespace) -> None:
 
 
 def fetch_footprints(arguments: argparse.Namespace) -> None:
-    from p2wss.fetch import normalise, open_source, write_footprints
+    from p2wss.fetch import normalise, write_footprints
     from p2wss.tiling import grown
 
     config = _config(arguments)
-    source = open_source(config.region, config.fetch, _downloads_of(config, arguments.downloads))
+    source = _source(config, arguments)
     found = source.footprints(grown(config.region.bounds_m, config.fetch.margin_m))
     frame = normalise(found, config.region.crs, source.name)
     if not len(frame):
@@ -277,11 +280,11 @@ def fetch_footprints(arguments: argparse.Namespace) -> None:
 
 
 def fetch_dtm(arguments: argparse.Namespace) -> None:
-    from p2wss.fetch import check_terrain, open_source
+    from p2wss.fetch import check_terrain
     from p2wss.terrain import write_terrain
 
     config = _config(arguments)
-    source = open_source(config.region, config.fetch, _downloads_of(config, arguments.downloads))
+    source = _source(config, arguments)
     terrain = source.dtm(_tile_bounds(arguments.tile, config, config.fetch.margin_m))
     share = check_terrain(terrain, _tile_bounds(arguments.tile, config), f"terrain of tile {arguments.tile}")
     log.info(
@@ -291,10 +294,10 @@ def fetch_dtm(arguments: argparse.Namespace) -> None:
 
 
 def fetch_lidar(arguments: argparse.Namespace) -> None:
-    from p2wss.fetch import delivered, open_source, write_cloud
+    from p2wss.fetch import delivered, write_cloud
 
     config = _config(arguments)
-    source = open_source(config.region, config.fetch, _downloads_of(config, arguments.downloads))
+    source = _source(config, arguments)
     paths = source.lidar(_tile_bounds(arguments.tile, config))
     around = _tile_bounds(arguments.tile, config, config.fetch.margin_m)
     crs, bounds = delivered(config.region, config.fetch, around)
@@ -317,6 +320,14 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
     log.info(
         f"{arguments.out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}"
     )
+
+
+def _source(config: Config, arguments: argparse.Namespace) -> Any:
+    from p2wss.fetch import open_source
+
+    offline = config.fetch.offline if arguments.offline is None else bool(arguments.offline)
+    fetch = config.fetch.model_copy(update={"offline": offline})
+    return open_source(config.region, fetch, _downloads_of(config, arguments.downloads))
 
 
 def _downloads_of(config: Config, folder: Path | None) -> Path:
@@ -602,9 +613,12 @@ def eval_measure(arguments: argparse.Namespace) -> None:
 
 
 def eval_report(arguments: argparse.Namespace) -> None:
+    from p2wss import sources
     from p2wss.eval import report
 
     config = _config(arguments)
+    named = sources.attribution(config, sources.read(config.fetch.sources))
+    footer = {"attribution": [*named, *config.eval.attribution]}
     inputs = report.read(
         config.region.name,
         arguments.manifest,
@@ -612,7 +626,7 @@ def eval_report(arguments: argparse.Namespace) -> None:
         arguments.parameters,
         arguments.reconstructions,
         arguments.metrics,
-        config.eval,
+        config.eval.model_copy(update=footer),
     )
     for name, text in report.documents(inputs).items():
         io.write_text(arguments.out / name, text)

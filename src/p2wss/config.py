@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -276,6 +277,24 @@ HalfAngleRange = Annotated[
 ]
 
 
+class Clutter(Section):
+    """What stands on, at or over buildings and is in no label; hd only."""
+
+    dormer_share: Share = Field(0.1, description="buildings with dormers, one to three, if they fit")
+    chimney_share: Share = Field(0.4, description="buildings with a chimney")
+    raised_part_share: Share = Field(0.03, description="buildings with a part that rises above the roof")
+    parapet_share: Share = Field(0.5, description="flat-roofed buildings with a parapet")
+    skylight_share: Share = Field(0.15, description="buildings with a pane that mirrors pulses away")
+    skylight_loss: Annotated[tuple[Share, Share], AfterValidator(_in_order)] = Field(
+        (0.5, 1), description="share of pulses that such a pane loses"
+    )
+    annex_share: Share = Field(
+        0.15, description="buildings with a garage or shed that their footprint leaves out"
+    )
+    trees_per_building: float = Field(0.4, ge=0, le=3, description="beside walls and over roofs, on average")
+    shade_share: Share = Field(0.03, description="buildings that lack the data of a wedge")
+
+
 class Scans(Section):
     """Simulated LiDAR survey; a pair of values bounds what is drawn per scene."""
 
@@ -324,6 +343,7 @@ class Scans(Section):
         description="weakest echo: reflectance x cosine of incidence, at the planned altitude",
     )
     speckle: float = Field(0.3, ge=0, le=1, description="relative standard deviation of an echo's strength")
+    clutter: Clutter = Clutter()
     max_returns: int = Field(1, ge=1, le=7, description="hd: echoes that a pulse may have")
     return_separation_m: float = Field(
         0.8, gt=0, le=10, description="of two echoes of a pulse, along the ray"
@@ -501,8 +521,7 @@ class Eval(Section):
         "stand-in LiDAR", min_length=1, description="what the report calls the clouds of region.lidar_tiles"
     )
     attribution: list[str] = Field(
-        ["Miniature: footprints, terrain and LiDAR drawn by tests/mini/make.py; no real data"],
-        description="sources and licences of the data, for the report's footer",
+        [], description="lines of the report's footer beside those of fetch.sources"
     )
     num_samples: int = Field(2048, gt=0, description="points sampled on each mesh for the Chamfer distance")
     max_num_points: int = Field(2048, gt=0, description="points of a cloud used for it: a subset by the seed")
@@ -580,9 +599,10 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
         raise InputError(f"config: {key}: {reason}{_suggestion(first)}") from error
 
 
-def section_json(config: Config, *names: str) -> str:
-    """The named sections as one line of JSON, which :func:`load` reads back."""
-    return json.dumps({name: getattr(config, name).model_dump(mode="json") for name in names}, sort_keys=True)
+def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
+    """The named sections as one line of JSON, which :func:`load` reads back; without some of their keys."""
+    sections = {name: getattr(config, name).model_dump(mode="json", exclude=set(without)) for name in names}
+    return json.dumps(sections, sort_keys=True)
 
 
 def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:

@@ -49,6 +49,16 @@ def tile_bounds(name: str, tile_size_m: float, margin_m: float = 0.0) -> Bounds:
     )
 
 
+def grown(bounds: Bounds, margin_m: float) -> Bounds:
+    """``bounds`` with ``margin_m`` more on every side.
+
+    >>> grown((10, 20, 30, 40), 5)
+    (5, 15, 35, 45)
+    """
+    x_min, y_min, x_max, y_max = bounds
+    return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
+
+
 def tiles_of_points(x_m: np.ndarray, y_m: np.ndarray, tile_size_m: float) -> np.ndarray:
     """Tile name of each point; a tile owns its west and its north edge.
 

@@ -18,9 +18,9 @@ wildcard_constraints:
     baseline="lod1|constant|roofer",
 
 
-def section(*names):
+def section(*names, without=()):
     """Sections of the config as one string: tracked by Snakemake, readable in the printed command."""
-    return section_json(settings, *names)
+    return section_json(settings, *names, without=without)
 
 
 def tiles(wildcards):
@@ -36,9 +36,16 @@ def every_tile(path):
     return lambda wildcards: expand(path, tile=tiles(wildcards))
 
 
-def lidar_around(wildcards):
-    """The clouds of a LiDAR tile and of its neighbours, as far as the config has them."""
-    wanted = [wildcards.tile, *neighbours(wildcards.tile, settings.region.tile_size_m)]
-    return expand(
-        "<resources>/lidar/{tile}.laz", tile=[t for t in wanted if t in settings.region.lidar_tiles]
-    )
+def around(path):
+    """An input function: ``path`` of a LiDAR tile and of its neighbours, as far as the config has them."""
+
+    def paths(wildcards):
+        wanted = [wildcards.tile, *neighbours(wildcards.tile, settings.region.tile_size_m)]
+        return expand(path, tile=[t for t in wanted if t in settings.region.lidar_tiles])
+
+    return paths
+
+
+lidar_around = around("<results>/fetch/lidar/{tile}.laz")
+delivered_around = around("<resources>/lidar/{tile}.laz")
+downloads = f"resources/ign/{settings.region.vintage}/downloads"

@@ -85,6 +85,7 @@ rule eval_report:
         reconstructions=rules.measure.input.reconstructions,
         metrics=["<results>/dvae/metrics.jsonl", "<results>/model/metrics.jsonl"],
         tables=expand("<results>/reconstruct/{tile}.gpkg", tile=settings.region.lidar_tiles),
+        sources=settings.fetch.sources,
     output:
         report=report("<results>/eval/report.html", caption="../report/report.rst", category="Evaluation"),
         table1=report("<results>/eval/table1.csv", caption="../report/table1.rst", category="Evaluation"),

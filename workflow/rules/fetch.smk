@@ -1,4 +1,8 @@
-"""Fetch. In: nothing (a service or folders, by the config). Out: footprints, terrain, LiDAR in our own form."""
+"""Fetch. In: nothing (a service or folders, by the config). Out: footprints, terrain, LiDAR in our own form.
+
+What a service sends is kept in <resources>/downloads, with a record of each request: a rerun of these rules asks
+for nothing that is there and whole.
+"""
 
 
 # a service is asked from the machine that runs Snakemake: cluster nodes often have no network
@@ -18,14 +22,18 @@ rule fetch_footprints:
     retries: 2
     conda:
         "../../envs/p2wss.yaml"
+    # offline is a resource, for those are not tracked: to go offline changes no result and reruns nothing
     resources:
         ign_requests=1,
+        offline=int(settings.fetch.offline),
         mem_mb=2000,
     params:
-        config=section("region", "fetch"),
+        config=section("region", "fetch", without=("prepare", "sources", "offline")),
         code=fingerprint("fetch"),
+        downloads=downloads,
     shell:
-        "p2wss fetch footprints {output.footprints} --config {params.config:q} 2> {log}"
+        "p2wss fetch footprints {output.footprints} --downloads {params.downloads} --offline {resources.offline}"
+        " --config {params.config:q} 2> {log}"
 
 
 rule fetch_dtm:
@@ -40,12 +48,15 @@ rule fetch_dtm:
         "../../envs/p2wss.yaml"
     resources:
         ign_requests=1,
+        offline=int(settings.fetch.offline),
         mem_mb=1000,
     params:
-        config=section("region", "fetch"),
+        config=section("region", "fetch", without=("prepare", "sources", "offline")),
         code=fingerprint("fetch"),
+        downloads=downloads,
     shell:
-        "p2wss fetch dtm {wildcards.tile} {output.dtm} --config {params.config:q} 2> {log}"
+        "p2wss fetch dtm {wildcards.tile} {output.dtm} --downloads {params.downloads} --offline {resources.offline}"
+        " --config {params.config:q} 2> {log}"
 
 
 rule fetch_lidar:
@@ -60,16 +71,40 @@ rule fetch_lidar:
         "../../envs/p2wss.yaml"
     resources:
         ign_requests=1,
+        offline=int(settings.fetch.offline),
         mem_mb=1000,
     params:
-        config=section("region", "fetch"),
+        config=section("region", "fetch", without=("prepare", "sources", "offline")),
+        code=fingerprint("fetch"),
+        downloads=downloads,
+    shell:
+        "p2wss fetch lidar {wildcards.tile} {output.lidar} --downloads {params.downloads} --offline {resources.offline}"
+        " --config {params.config:q} 2> {log}"
+
+
+rule prepare_lidar:
+    input:
+        clouds=delivered_around,
+        stages=settings.fetch.prepare.pdal_stages,
+    output:
+        lidar=ensure("<results>/fetch/lidar/{tile}.laz", non_empty=True),
+    log:
+        "<logs>/fetch/prepare_{tile}.log",
+    benchmark:
+        "<benchmarks>/fetch/prepare_{tile}.tsv"
+    conda:
+        "../../envs/pdal.yaml"
+    resources:
+        mem_mb=lambda wildcards, attempt: 8000 * attempt,
+    params:
+        config=section("region", "fetch", without=("geoplateforme", "sources", "offline")),
         code=fingerprint("fetch"),
     shell:
-        "p2wss fetch lidar {wildcards.tile} {output.lidar} --config {params.config:q} 2> {log}"
+        "p2wss fetch prepare {wildcards.tile} {output.lidar} {input.clouds} --config {params.config:q} 2> {log}"
 
 
 rule fetch:
     input:
         rules.fetch_footprints.output,
         every_tile("<resources>/dtm/{tile}.tif"),
-        expand("<resources>/lidar/{tile}.laz", tile=settings.region.lidar_tiles),
+        expand("<results>/fetch/lidar/{tile}.laz", tile=settings.region.lidar_tiles),

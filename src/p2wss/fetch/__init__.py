@@ -19,7 +19,15 @@ from p2wss.fetch.cloud import write_cloud
 from p2wss.terrain import Terrain
 from p2wss.tiling import Bounds
 
-__all__ = ["Source", "check_terrain", "normalise", "open_source", "write_cloud", "write_footprints"]
+__all__ = [
+    "Source",
+    "check_terrain",
+    "delivered",
+    "normalise",
+    "open_source",
+    "write_cloud",
+    "write_footprints",
+]
 
 
 class Source(Protocol):
@@ -35,20 +43,30 @@ class Source(Protocol):
         """Heights over ``bounds``, NaN where there are none."""
         ...
 
-    def lidar(self, bounds: Bounds, workspace: Path) -> list[Path]:
-        """LAS, LAZ or COPC files with the points in ``bounds``; downloads go to the folder ``workspace``."""
+    def lidar(self, bounds: Bounds) -> list[Path]:
+        """LAS, LAZ or COPC files with the points in ``bounds``."""
         ...
 
 
-def open_source(region: Region, config: Fetch) -> Source:
-    """The source that the config names."""
+def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
+    """The source that the config names; downloads: folder for what it gets or unpacks, kept for later runs."""
     if config.source == "folder":
         from p2wss.fetch.folder import FolderSource
 
-        return FolderSource(config.folder, region.crs)
+        return FolderSource(config.folder, region.crs, downloads / "unpacked")
     from p2wss.fetch.geoplateforme import GeoplateformeSource
 
-    return GeoplateformeSource(config.geoplateforme, region.crs)
+    return GeoplateformeSource(config.geoplateforme, region.crs, downloads, config.offline)
+
+
+def delivered(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:
+    """The CRS in which the clouds come, and the window of it that holds ``bounds``."""
+    crs = (config.folder.lidar_crs if config.source == "folder" else "") or region.crs
+    if crs == region.crs:
+        return crs, bounds
+    from p2wss.fetch.folder import in_crs
+
+    return crs, in_crs(bounds, region.crs, crs)
 
 
 def check_terrain(terrain: Terrain, bounds: Bounds, name: str) -> float:

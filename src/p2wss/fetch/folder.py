@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -12,43 +14,53 @@ import pyogrio
 import pyproj
 import rasterio
 import rasterio.merge
+import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
 from p2wss.clouds import same_crs
 from p2wss.config import Folder
 from p2wss.errors import InputError
+from p2wss.fetch import parquet
+from p2wss.fetch.archives import is_archive, unpack
 from p2wss.fetch.cloud import read_header
 from p2wss.terrain import Terrain
-from p2wss.tiling import Bounds
+from p2wss.tiling import Bounds, tile_bounds, tiles_of_bounds
 
+log = logging.getLogger(__name__)
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
-RASTER = (".asc", ".tif", ".tiff", ".vrt")
+RASTER = (".asc", ".tif", ".tiff", ".vrt", ".7z", ".7z.001")
 CLOUD = (".laz", ".las")
 
 
 class FolderSource:
     """See :class:`p2wss.fetch.Source`."""
 
-    def __init__(self, config: Folder, crs: str) -> None:
+    def __init__(self, config: Folder, crs: str, unpacked: Path) -> None:
         self.config = config
         self.crs = crs
         self.name = config.footprints
+        self.unpacked = unpacked  # where grids out of archives are kept
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
         files = _files(self.config.footprints, VECTOR, "fetch.folder.footprints")
         return pd.concat(
-            [read_footprint_window(path, self.config.footprints_layer, bounds) for path in files],
+            [read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files],
             ignore_index=True,
         )
 
     def dtm(self, bounds: Bounds) -> Terrain:
-        files = _files(self.config.dtm, RASTER, "fetch.folder.dtm")
+        files = []
+        for path in _files(self.config.dtm, RASTER, "fetch.folder.dtm"):
+            if is_archive(path):
+                files += unpack(path, bounds, self.unpacked / path.name.split(".7z")[0])
+            else:
+                files.append(path)
         return mosaic(files, bounds, self.crs, self.config.dtm)
 
-    def lidar(self, bounds: Bounds, workspace: Path) -> list[Path]:
+    def lidar(self, bounds: Bounds) -> list[Path]:
         files = _files(self.config.lidar, CLOUD, "fetch.folder.lidar")
-        found = [path for path in files if _overlaps(path, bounds)]
+        found = [path for path in files if _overlaps(path, self._clouds_bounds(bounds))]
         if not found:
             x_min, y_min, x_max, y_max = bounds
             raise InputError(
@@ -57,30 +69,57 @@ class FolderSource:
             )
         return found
 
+    def _clouds_bounds(self, bounds: Bounds) -> Bounds:
+        return in_crs(bounds, self.crs, self.config.lidar_crs or self.crs)
 
-def read_footprint_window(path: Path, layer: str, bounds: Bounds) -> gpd.GeoDataFrame:
+
+def in_crs(bounds: Bounds, crs: str, other: Any) -> Bounds:
+    """The window of ``other`` that holds ``bounds`` of ``crs``; x comes first in both."""
+    target = pyproj.CRS.from_user_input(other)
+    if same_crs(pyproj.CRS.from_user_input(crs), target):
+        return bounds
+    transformer = pyproj.Transformer.from_crs(crs, target, always_xy=True)
+    west, south, east, north = transformer.transform_bounds(*bounds, densify_pts=21)
+    return west, south, east, north
+
+
+def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
     """The features of a vector file that meet ``bounds``; the file's index is used, so it may be large.
 
-    layer: used if the file has a layer of that name, else its only layer. Raises :class:`InputError` for a
-    file that is broken or has several layers of other names.
+    layer: used if the file has a layer of that name, else its only layer. A file in degrees, such as IGN's
+    national GeoParquet, is brought into ``crs``; one in another projection comes as it is.
+
+    Raises :class:`InputError` for a file that is broken or has several layers of other names.
     """
     try:
         if path.suffix == ".parquet":
-            return gpd.read_parquet(path, bbox=bounds)
-        layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
-        if layer not in layers and len(layers) != 1:
-            raise InputError(
-                f"{path}: no layer {layer}, but {', '.join(layers)}; set fetch.folder.footprints_layer"
-            )
-        name = layer if layer in layers else layers[0]
-        # IGN's shapefiles are in UTF-8, without the .cpg file that would say so
-        encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
-        try:
-            return pyogrio.read_dataframe(path, layer=name, bbox=bounds, encoding=encoding)
-        except UnicodeDecodeError:
-            return pyogrio.read_dataframe(path, layer=name, bbox=bounds)
+            frame = parquet.read_window(path, lambda found: _window(bounds, crs, found))
+        else:
+            layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
+            if layer not in layers and len(layers) != 1:
+                raise InputError(
+                    f"{path}: no layer {layer}, but {', '.join(layers)}; set fetch.folder.footprints_layer"
+                )
+            name = layer if layer in layers else layers[0]
+            window = _window(bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
+            # IGN's shapefiles are in UTF-8, without the .cpg file that would say so
+            encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
+            try:
+                frame = pyogrio.read_dataframe(path, layer=name, bbox=window, encoding=encoding)
+            except UnicodeDecodeError:
+                frame = pyogrio.read_dataframe(path, layer=name, bbox=window)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+    if frame.crs is None or not frame.crs.is_geographic:
+        return frame
+    frame = frame.to_crs(crs)
+    return frame[frame.intersects(shapely.box(*bounds))]
+
+
+def _window(bounds: Bounds, crs: str, found: Any) -> Bounds:
+    if found is None or not pyproj.CRS.from_user_input(found).is_geographic:
+        return bounds
+    return in_crs(bounds, crs, found)
 
 
 def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
@@ -113,6 +152,7 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
                 f"{name}: none of its {len(files)} files covers "
                 f"{x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
             )
+        _warn_of_gaps([raster.bounds for raster in rasters], bounds, name)
         return _merged(rasters, bounds)
     finally:
         for raster in rasters:
@@ -142,6 +182,17 @@ def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
     return Terrain(heights[0], transform.c, transform.f, cell)
 
 
+def _warn_of_gaps(covered: list[Bounds], bounds: Bounds, name: str) -> None:
+    """Name the square kilometres of ``bounds`` that no file meets, as IGN names its tiles."""
+    missing = [
+        tile
+        for tile in tiles_of_bounds(bounds, 1000)
+        if all(rasterio.coords.disjoint_bounds(other, tile_bounds(tile, 1000, -1)) for other in covered)
+    ]
+    if missing:
+        log.warning(f"{name}: no file for {', '.join(missing)}; no terrain there")
+
+
 def _overlaps(path: Path, bounds: Bounds) -> bool:
     """Whether a cloud and ``bounds`` share more than an edge."""
     header = read_header(path)
@@ -157,7 +208,7 @@ def _files(where: str, suffixes: tuple[str, ...], key: str) -> list[Path]:
     """The files that a path, a folder (with those inside) or a pattern names, in order of their names."""
     path = Path(where)
     if path.is_dir():
-        found = [file for file in path.rglob("*") if file.suffix.lower() in suffixes and file.is_file()]
+        found = [file for file in path.rglob("*") if file.name.lower().endswith(suffixes) and file.is_file()]
     else:
         found = [Path(name) for name in glob(where, recursive=True) if Path(name).is_file()]
     if not found:

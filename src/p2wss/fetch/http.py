@@ -19,6 +19,7 @@ from p2wss.errors import InputError
 
 log = logging.getLogger(__name__)
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
+_GONE = {404, 410}
 _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
 _QUOTE_CHARACTERS = 200
@@ -31,6 +32,14 @@ class Transient(Exception):
     def __init__(self, reason: str, retry_after_s: float | None = None) -> None:
         super().__init__(reason)
         self.retry_after_s = retry_after_s
+
+
+class Gone(InputError):
+    """The service answered that there is nothing at this address: HTTP 404 or 410."""
+
+
+class NoRanges(InputError):
+    """The service sends whole files only."""
 
 
 class Client:
@@ -49,6 +58,24 @@ class Client:
         def attempt(deadline: float) -> bytes:
             with self._answer(url, params or {}, {}) as response:
                 return b"".join(_body(response, deadline))
+
+        return self._patiently(url, attempt)
+
+    def range(self, url: str, start: int, end: int) -> tuple[bytes, int]:
+        """Bytes ``start`` to ``end`` (exclusive, or where the file ends), and the size of the whole file.
+
+        Raises :class:`NoRanges` if the service does not send parts of files.
+        """
+
+        def attempt(deadline: float) -> tuple[bytes, int]:
+            with self._answer(url, {}, {"Range": f"bytes={start}-{end - 1}"}) as response:
+                if response.status_code != 206 or _range_start(response) != start:
+                    raise NoRanges(f"{url}: does not send parts of files (HTTP {response.status_code})")
+                body = b"".join(_body(response, deadline))
+                size = int(response.headers["Content-Range"].rpartition("/")[2])
+            if len(body) != min(end, size) - start:
+                raise Transient(f"{len(body)} bytes instead of {min(end, size) - start}")
+            return body, size
 
         return self._patiently(url, attempt)
 
@@ -131,7 +158,8 @@ class Client:
                 if response.status_code in _BUSY:
                     raise Transient(f"HTTP {response.status_code}", _retry_after_s(response))
                 if response.status_code >= 400 and response.status_code != 416:
-                    raise InputError(
+                    kind = Gone if response.status_code in _GONE else InputError
+                    raise kind(
                         f"{response.url}: HTTP {response.status_code} {response.reason}: "
                         f"{quote(response.content)}"
                     )

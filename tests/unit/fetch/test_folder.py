@@ -24,7 +24,7 @@ OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"
 
 
 def source(crs: str = "EPSG:2154", **paths: Any) -> FolderSource:
-    return FolderSource(Folder(**{name: str(path) for name, path in paths.items()}), crs)
+    return FolderSource(Folder(**{name: str(path) for name, path in paths.items()}), crs, Path("unpacked"))
 
 
 # --- footprints ---
@@ -256,7 +256,7 @@ def write_points(path: Path, x: np.ndarray, y: np.ndarray, crs: str | None = "EP
 
 
 def test_one_laz_is_copied_as_it_is(tmp_path: Path) -> None:
-    paths = source(lidar=MINI / "lidar").lidar(TILE, tmp_path)
+    paths = source(lidar=MINI / "lidar").lidar(TILE)
     assert paths == [LIDAR]
     out = tmp_path / "0653_6861.laz"
     assert write_cloud(out, paths, TILE, "EPSG:2154") == laspy.open(LIDAR).header.point_count
@@ -274,7 +274,7 @@ def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     write_points(files / "b.laz", x[~west], y[~west])
     write_points(files / "far.laz", x + 5000, y)
     bounds = (652000.0, 6861000.0, 652100.0, 6861100.0)
-    paths = source(lidar=files).lidar(bounds, tmp_path)
+    paths = source(lidar=files).lidar(bounds)
     assert [path.name for path in paths] == ["a.las", "b.laz"]
     inside = (x >= 652000) & (x < 652100)
     assert write_cloud(tmp_path / "out.laz", paths, bounds, "EPSG:2154") == inside.sum()
@@ -290,7 +290,7 @@ def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
 def test_a_neighbour_that_shares_an_edge_is_left_alone(tmp_path: Path) -> None:
     write_points(tmp_path / "a.laz", np.array([652900.0, 653000.0]), np.array([6860500.0, 6860600.0]))
     with pytest.raises(InputError, match="none of its 1 files has points in"):
-        source(lidar=tmp_path).lidar(TILE, tmp_path)
+        source(lidar=tmp_path).lidar(TILE)
 
 
 @pytest.mark.parametrize("keep", [0.9999, 0.5, 0.001])

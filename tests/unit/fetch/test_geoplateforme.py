@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
+import laspy
 import numpy as np
 import pytest
 from pytest_httpserver import HTTPServer
@@ -25,11 +27,21 @@ REAL_FEATURE = (
 )
 
 
-def source(server: HTTPServer, **settings: Any) -> GeoplateformeSource:
-    config = Geoplateforme(
-        wfs_url=server.url_for("/wfs/ows"), wms_url=server.url_for("/wms-r"), requests_per_s=1e6, **settings
-    )
-    return GeoplateformeSource(config, "EPSG:2154", Client(config, sleep=lambda seconds: None))
+@pytest.fixture
+def source(httpserver: HTTPServer, tmp_path: Path) -> Any:
+    """Makes sources that ask the local server and keep their downloads in one folder."""
+
+    def make(offline: bool = False, crs: str = "EPSG:2154", **settings: Any) -> GeoplateformeSource:
+        config = Geoplateforme(
+            wfs_url=httpserver.url_for("/wfs/ows"),
+            wms_url=httpserver.url_for("/wms-r"),
+            requests_per_s=1e6,
+            **settings,
+        )
+        client = Client(config, sleep=lambda seconds: None)
+        return GeoplateformeSource(config, crs, tmp_path / "downloads", offline, client)
+
+    return make
 
 
 def building(number: int) -> dict[str, Any]:
@@ -61,11 +73,11 @@ def serve_features(features: list[dict[str, Any]], cap: int = 5000, matched: Any
     return handler
 
 
-def test_pages_until_all_have_come(httpserver: HTTPServer) -> None:
+def test_pages_until_all_have_come(source: Any, httpserver: HTTPServer) -> None:
     httpserver.expect_request("/wfs/ows").respond_with_handler(
         serve_features([building(i) for i in range(25)])
     )
-    found = source(httpserver, page_size=10).footprints(BOUNDS)
+    found = source(page_size=10).footprints(BOUNDS)
     assert sorted(found["cleabs"]) == [f"BATIMENT{i:04d}" for i in range(25)]
     assert found.crs == "EPSG:2154"
     asked = [request.args for request, _ in httpserver.log]
@@ -76,55 +88,54 @@ def test_pages_until_all_have_come(httpserver: HTTPServer) -> None:
     assert len(normalise(found, "EPSG:2154", "wfs")) == 25
 
 
-def test_pages_that_the_server_cuts_short(httpserver: HTTPServer) -> None:
+def test_pages_that_the_server_cuts_short(source: Any, httpserver: HTTPServer) -> None:
     handler = serve_features([building(i) for i in range(25)], cap=7)
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
-    assert len(source(httpserver, page_size=10).footprints(BOUNDS)) == 25
+    assert len(source(page_size=10).footprints(BOUNDS)) == 25
     assert len(httpserver.log) == 4
 
 
-def test_number_matched_that_grows_between_pages(httpserver: HTTPServer) -> None:
+def test_number_matched_that_grows_between_pages(source: Any, httpserver: HTTPServer) -> None:
     features = [building(i) for i in range(12)]
     handler = serve_features(features, matched=lambda start: 10 if start == 0 else 12)
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
-    assert len(source(httpserver, page_size=8).footprints(BOUNDS)) == 12
+    assert len(source(page_size=8).footprints(BOUNDS)) == 12
 
 
-def test_a_page_that_repeats_features_is_an_error(httpserver: HTTPServer) -> None:
+def test_a_page_that_repeats_features_is_an_error(source: Any, httpserver: HTTPServer) -> None:
     features = [building(i) for i in [0, 1, 2, 3, 2, 3]]
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
     with pytest.raises(InputError, match="6 features, but pages repeat themselves and only 4 differ"):
-        source(httpserver, page_size=4).footprints(BOUNDS)
+        source(page_size=4).footprints(BOUNDS)
 
 
-def test_empty_pages_before_the_end_are_an_error(httpserver: HTTPServer) -> None:
+def test_empty_pages_before_the_end_are_an_error(source: Any, httpserver: HTTPServer) -> None:
     handler = serve_features([building(i) for i in range(4)], matched=lambda start: 9)
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
     with pytest.raises(InputError, match="4 of 9 features, then empty pages"):
-        source(httpserver, page_size=4).footprints(BOUNDS)
+        source(page_size=4).footprints(BOUNDS)
     assert len(httpserver.log) == 4
 
 
-def test_an_exception_with_status_200_is_quoted(httpserver: HTTPServer) -> None:
+def test_an_exception_with_status_200_is_quoted(source: Any, httpserver: HTTPServer) -> None:
     text = "<ows:ExceptionReport><ows:ExceptionText>Feature type unknown</ows:ExceptionText>"
     httpserver.expect_request("/wfs/ows").respond_with_data(text, content_type="application/xml")
     with pytest.raises(InputError, match=r"expected GeoJSON features, got .*Feature type unknown"):
-        source(httpserver).footprints(BOUNDS)
+        source().footprints(BOUNDS)
     assert len(httpserver.log) == 1
 
 
-def test_no_building_at_all(httpserver: HTTPServer) -> None:
+def test_no_building_at_all(source: Any, httpserver: HTTPServer) -> None:
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features([]))
     with pytest.raises(InputError, match=r"no building in 652000\.\.653000, 6861000\.\.6862000"):
-        source(httpserver).footprints(BOUNDS)
+        source().footprints(BOUNDS)
 
 
 @pytest.mark.skipif(not REAL_FEATURE.exists(), reason="no shared/data/geoplateforme")
-def test_a_feature_as_really_served(httpserver: HTTPServer) -> None:
+def test_a_feature_as_really_served(source: Any, httpserver: HTTPServer) -> None:
     features = json.loads(REAL_FEATURE.read_text())["features"]
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
-    config = Geoplateforme(wfs_url=httpserver.url_for("/wfs/ows"), requests_per_s=1e6)
-    found = GeoplateformeSource(config, "EPSG:4326").footprints((4.8, 45.7, 4.9, 45.8))
+    found = source(crs="EPSG:4326").footprints((4.8, 45.7, 4.9, 45.8))
     row = normalise(found, "EPSG:4326", "wfs").iloc[0]
     assert (row.building_id, row.hauteur_m, row.num_floors) == ("BATIMENT0000000240879442", 25.6, 6)
     assert (row.altitude_minimale_sol_m, row.altitude_minimale_toit_m) == (213.1, 238.6)
@@ -167,10 +178,10 @@ def serve_terrain(request: Request) -> Response:
 @pytest.mark.parametrize("image_format", ["image/geotiff", "image/x-bil;bits=32"])
 @pytest.mark.parametrize(("cell", "max_pixels"), [(1.0, 4000), (0.5, 4000), (5.0, 64)])
 def test_terrain_is_centred_on_multiples(
-    httpserver: HTTPServer, image_format: Any, cell: float, max_pixels: int
+    source: Any, httpserver: HTTPServer, image_format: Any, cell: float, max_pixels: int
 ) -> None:
     httpserver.expect_request("/wms-r").respond_with_handler(serve_terrain)
-    asked = source(httpserver, dtm_format=image_format, dtm_resolution_m=cell, dtm_max_pixels=max_pixels)
+    asked = source(dtm_format=image_format, dtm_resolution_m=cell, dtm_max_pixels=max_pixels)
     terrain = asked.dtm((652000.0, 6861600.0, 653000.0, 6862000.0))
     rows, columns = terrain.height_m.shape
     assert (columns, rows) == (1000 / cell + 1, 400 / cell + 1)
@@ -194,17 +205,17 @@ def test_terrain_is_centred_on_multiples(
         (b"", "got nothing"),
     ],
 )
-def test_terrain_that_is_none(httpserver: HTTPServer, body: bytes, message: str) -> None:
+def test_terrain_that_is_none(source: Any, httpserver: HTTPServer, body: bytes, message: str) -> None:
     httpserver.expect_request("/wms-r").respond_with_data(body, content_type="image/geotiff")
     with pytest.raises(InputError, match=message):
-        source(httpserver).dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
+        source().dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
     assert len(httpserver.log) == 1
 
 
-def test_bil_of_the_wrong_length_is_quoted(httpserver: HTTPServer) -> None:
+def test_bil_of_the_wrong_length_is_quoted(source: Any, httpserver: HTTPServer) -> None:
     httpserver.expect_request("/wms-r").respond_with_data(b"<ServiceException>busy</ServiceException>")
     with pytest.raises(InputError, match=r"of 21 x 21 heights, got 41 bytes: .*busy"):
-        source(httpserver, dtm_format="image/x-bil;bits=32").dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
+        source(dtm_format="image/x-bil;bits=32").dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
 
 
 def tile_feature(x: int, y: int, **properties: Any) -> dict[str, Any]:
@@ -224,7 +235,19 @@ def tile_feature(x: int, y: int, **properties: Any) -> dict[str, Any]:
     }
 
 
-def test_lidar_tile_by_the_index(httpserver: HTTPServer, tmp_path: Path) -> None:
+def laz(tmp_path: Path, num_points: int = 5) -> bytes:
+    """A small whole cloud within ``BOUNDS``."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = [0.001] * 3, [652000, 6861000, 0]
+    cloud = laspy.LasData(header)
+    cloud.x = 652000 + np.arange(num_points)
+    cloud.y = 6861000 + np.arange(num_points)
+    cloud.z = np.zeros(num_points)
+    cloud.write(tmp_path / "made.laz")
+    return (tmp_path / "made.laz").read_bytes()
+
+
+def test_lidar_tile_by_the_index(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
     """The neighbour that only shares an edge is left alone; a dash in the name is mended after a 404."""
     base = httpserver.url_for("/download/LHD_FXX_")
     features = [
@@ -232,23 +255,25 @@ def test_lidar_tile_by_the_index(httpserver: HTTPServer, tmp_path: Path) -> None
         tile_feature(653, 6862, url_npl=f"{base}0653_6862_PTS_LAMB93_IGN69.copc.laz"),
     ]
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
-    httpserver.expect_request("/download/LHD_FXX_0652_6862_PTS_LAMB93_IGN69.copc.laz").respond_with_data(
-        b"LASF..."
-    )
+    body = laz(tmp_path)
+    httpserver.expect_request("/download/LHD_FXX_0652_6862_PTS_LAMB93_IGN69.copc.laz").respond_with_data(body)
     httpserver.expect_request("/download/LHD_FXX_0652-6862_PTS_LAMB93_IGN69.copc.laz").respond_with_data(
         status=404
     )
-    asked = source(httpserver)
-    paths = asked.lidar(BOUNDS, tmp_path)
-    assert [path.read_bytes() for path in paths] == [b"LASF..."]
+    asked = source()
+    paths = asked.lidar(BOUNDS)
+    assert [path.read_bytes() for path in paths] == [body]
     requests = len(httpserver.log)
     assert requests == 3
-    assert asked.lidar(BOUNDS, tmp_path) == paths
-    assert len(httpserver.log) == requests + 1, "a tile that is there is not downloaded again"
+    assert source().lidar(BOUNDS) == paths
+    assert len(httpserver.log) == requests, "a tile that is there is not downloaded again, nor its index"
+    record = json.loads(Path(f"{paths[0]}.json").read_text())
+    assert record["request"] == {"url": f"{base}0652-6862_PTS_LAMB93_IGN69.copc.laz"}
+    assert record["num_bytes"] == len(body) and record["sha256"] == hashlib.sha256(body).hexdigest()
 
 
 def test_the_older_index_is_asked_when_the_current_one_is_gone(
-    httpserver: HTTPServer, tmp_path: Path
+    source: Any, httpserver: HTTPServer, tmp_path: Path
 ) -> None:
     def handler(request: Request) -> Response:
         if request.args["TYPENAMES"].startswith("IGNF_LIDAR-HD_METADONNEE"):
@@ -256,18 +281,18 @@ def test_the_older_index_is_asked_when_the_current_one_is_gone(
         return serve_features([tile_feature(652, 6862, url=httpserver.url_for("/t.laz"))])(request)
 
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
-    httpserver.expect_request("/t.laz").respond_with_data(b"LASF")
-    assert [path.name for path in source(httpserver).lidar(BOUNDS, tmp_path)] == ["t.laz"]
+    httpserver.expect_request("/t.laz").respond_with_data(laz(tmp_path))
+    assert [path.name for path in source().lidar(BOUNDS)] == ["t.laz"]
 
 
-def test_a_place_without_lidar(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_place_without_lidar(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features([]))
     with pytest.raises(InputError, match=r"no LiDAR HD in 652000.*METADONNEE:metadata has no tile there"):
-        source(httpserver).lidar(BOUNDS, tmp_path)
-    assert list(tmp_path.iterdir()) == []
+        source().lidar(BOUNDS)
+    assert list(tmp_path.rglob("*.laz")) == []
 
 
-def test_addresses_of_the_service_itself_use_its_scheme() -> None:
-    asked = GeoplateformeSource(Geoplateforme(), "EPSG:2154")
+def test_addresses_of_the_service_itself_use_its_scheme(tmp_path: Path) -> None:
+    asked = GeoplateformeSource(Geoplateforme(), "EPSG:2154", tmp_path)
     assert asked._safe("http://data.geopf.fr/a.laz") == "https://data.geopf.fr/a.laz"
     assert asked._safe("http://elsewhere.example/a.laz") == "http://elsewhere.example/a.laz"

@@ -1,0 +1,51 @@
+"""Windows of GeoParquet files, however large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import pandas as pd
+import pyarrow.parquet as pq
+import shapely
+
+from p2wss.tiling import Bounds
+
+_BATCH_ROWS = 65_536
+
+
+def read_window(path: Path, window_in: Callable[[Any], Bounds]) -> gpd.GeoDataFrame:
+    """The features whose boxes meet a window. window_in: maps the file's CRS to the window in it.
+
+    With the boxes as a covering column, as IGN writes, only the row groups that meet it are read; without,
+    the file is read piece by piece.
+    """
+    empty = _empty(path)
+    x_min, y_min, x_max, y_max = window_in(empty.crs)
+    try:
+        return gpd.read_parquet(path, bbox=(x_min, y_min, x_max, y_max))
+    except ValueError as error:
+        if "bbox" not in str(error):
+            raise
+    name = empty.geometry.name
+    parts = [empty]
+    for batch in pq.ParquetFile(path).iter_batches(_BATCH_ROWS):
+        geometry = shapely.from_wkb(batch.column(name).to_numpy(zero_copy_only=False))
+        boxes = shapely.bounds(geometry)
+        meets = (boxes[:, :2] <= (x_max, y_max)).all(axis=1) & (boxes[:, 2:] >= (x_min, y_min)).all(axis=1)
+        if meets.any():
+            rows = batch.filter(meets).to_pandas().drop(columns=name)
+            parts.append(
+                gpd.GeoDataFrame(rows, geometry=geometry[meets], crs=empty.crs).rename_geometry(name)
+            )
+    return pd.concat(parts, ignore_index=True) if len(parts) > 1 else empty
+
+
+def _empty(path: Path) -> gpd.GeoDataFrame:
+    """The columns and the CRS of a file, without rows."""
+    buffer = BytesIO()
+    pq.write_table(pq.read_schema(path).empty_table(), buffer)
+    return gpd.read_parquet(buffer)
