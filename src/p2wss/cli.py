@@ -7,6 +7,7 @@ glue: what decides a result belongs in the stage's module.
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 import sys
@@ -159,6 +160,12 @@ def _parser() -> argparse.ArgumentParser:
         "--tile", default=None, help="only the buildings of this tile, whose name the outputs get"
     )
     command.add_argument("--threads", type=int, default=1)
+
+    about = "what a file holds: ours, and those of IGN"
+    command = stages.add_parser("inspect", help=about, description=about)
+    command.add_argument("files", type=Path, nargs="+", metavar="FILE")
+    command.add_argument("--json", action="store_true", help="one line of JSON per file")
+    command.set_defaults(run=inspect)
     return parser
 
 
@@ -667,6 +674,17 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     io.write_bytes(arguments.out / f"{stem}.glb", reconstruct.gltf(results, crs, facts))
     gpkg.write(arguments.out / f"{stem}.gpkg", reconstruct.table(results, crs), facts)
     log.info("%s", reconstruct.summary(results))
+
+
+# --- inspect ---
+
+
+def inspect(arguments: argparse.Namespace) -> None:
+    from p2wss import inspection
+
+    for path in arguments.files:
+        facts = inspection.describe(path)
+        print(json.dumps(facts) if arguments.json else inspection.text(facts))
 
 
 if __name__ == "__main__":

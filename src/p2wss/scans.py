@@ -13,22 +13,23 @@ import numpy as np
 import pyarrow as pa
 import pyproj
 
-from p2wss import io
+from p2wss import footprints, io
 from p2wss.clouds import same_crs
 from p2wss.config import Scans
 from p2wss.errors import InputError
 from p2wss.lidar.caster import CHUNK_PULSES, cast
+from p2wss.lidar.clutter import Houses, clutter
 from p2wss.lidar.pulses import Box
 from p2wss.lidar.returns import Points
-from p2wss.lidar.surface import Surface, encode_face
+from p2wss.lidar.surface import THING_KIND, Surface, encode_face, is_tree
 from p2wss.lidar.survey import Survey, plan
 from p2wss.lidar.terrain import local_grid
 from p2wss.seeds import derive_seed, generator
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.terrain import Terrain
 from p2wss.tiling import Bounds, tile_bounds
 
-GROUND_CLASS, BUILDING_CLASS = 2, 6
+GROUND_CLASS, VEGETATION_CLASS, BUILDING_CLASS = 2, 5, 6
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
 _WRITTEN_AT_ONCE = 1_000_000
 
@@ -77,6 +78,9 @@ def simulate(
     origin = np.floor(np.array(middle))
     seed = derive_seed(settings.seed, "scans", tile)
     surface = _surface(buildings, terrain, origin, settings)
+    things: dict[str, int] = {}
+    if settings.preset == "hd":
+        surface, things = clutter(surface, _houses(buildings, origin, settings.seed), settings.clutter)
     low, high = surface.z_range_m()
     if high + _CLEARANCE_M > settings.altitude_m[0]:
         raise InputError(
@@ -86,7 +90,7 @@ def simulate(
     box = _box(_kept_bounds(buildings, bounds, settings.keep_margin_m), origin, low, high)
     survey = plan(settings, seed, box, _box(bounds, origin, low, high))
     points, counts = cast(surface, survey.strips, box, threads, chunk_pulses)
-    facts = _facts(points, counts, survey, buildings, terrain, origin, bounds, seed)
+    facts = _facts(points, counts, survey, buildings, terrain, origin, bounds, seed) | {"clutter": things}
     return Scan(origin, points, survey, facts)
 
 
@@ -127,6 +131,34 @@ def _surface(buildings: pa.Table, terrain: Terrain, origin: np.ndarray, settings
             np.float32
         ),
         loss=np.where(roof, roof_loss[owner], 0)[reachable].astype(np.float32),
+        porous=np.zeros(int(reachable.sum()), bool),
+    )
+
+
+def _houses(buildings: pa.Table, origin: np.ndarray, seed: int) -> Houses:
+    """What the clutter needs to know of the buildings, in the local frame."""
+    local = footprints.from_columns(buildings)
+    xy = np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
+    shift = np.repeat(xy - origin[:2], np.diff(local.vertex_offset), axis=0)
+    absolute = Polygons(local.xy_m + shift, local.ring_offset, local.polygon_offset)
+    usable = np.array(buildings["status"].to_pylist(), dtype=object) == "ok"
+    counts = np.diff(absolute.polygon_offset) * usable
+    ring_kept = np.repeat(usable, np.diff(absolute.polygon_offset))
+    vertex_kept = np.repeat(ring_kept, np.diff(absolute.ring_offset))
+    ring_offset = np.concatenate([[0], np.cumsum(np.diff(absolute.ring_offset)[ring_kept])])
+    polygons = Polygons(
+        absolute.xy_m[vertex_kept],
+        ring_offset.astype(np.int64),
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+    )
+    ground_z_m = buildings["ground_z_m"].to_numpy() - origin[2]
+    keys = [derive_seed(seed, "scans", "clutter", name) for name in buildings["building_id"].to_pylist()]
+    return Houses(
+        polygons=polygons,
+        eave_z_m=ground_z_m + buildings["eave_height_m"].to_numpy().astype(float),
+        ground_z_m=ground_z_m,
+        base_z_m=buildings["base_z_m"].to_numpy() - origin[2],
+        key=np.array(keys, np.uint64),
     )
 
 
@@ -138,7 +170,7 @@ def _optics(building_ids: list[str], settings: Scans) -> tuple[np.ndarray, np.nd
         rng = generator(settings.seed, "scans", "optics", name)
         dark = rng.uniform() < settings.dark_roof_share
         loss = rng.uniform(*settings.dark_roof_loss)
-        drawn[:, i] = rng.beta(4, 9), rng.beta(4, 9), loss if dark else 0
+        drawn[:, i] = rng.beta(4, 9), rng.beta(4, 9), loss if dark and settings.preset == "hd" else 0
     return drawn[0], drawn[1], drawn[2]
 
 
@@ -189,19 +221,28 @@ def _facts(
         "survey": survey.parameters,
         "pulses": counts,
         "num_points": len(points.pulse),
-        "num_ground_points": int((points.building < 0).sum()),
+        "num_ground_points": int((points.face < 0).sum()),
         "num_wall_points": int(((points.building >= 0) & (kind == FaceKind.WALL)).sum()),
         "num_roof_points": int(((points.building >= 0) & (kind >= FaceKind.ROOF)).sum()),
+        "num_tree_points": int(is_tree(points.face).sum()),
+        "num_other_points": int(((points.building >= 0) & (kind == THING_KIND)).sum()),
         "points_per_m2": float(in_tile.sum() / area_m2),
+        "pulses_per_m2": float((in_tile & (points.return_number == 1)).sum() / area_m2),
         "buildings_on_nodata": [buildings["building_id"][int(i)].as_py() for i in bare],
     }
+
+
+def classes(points: Points) -> np.ndarray:
+    """LAS class per point, uint8: 2 ground, 5 vegetation, 6 building and what stands on it."""
+    above = np.where(is_tree(points.face), VEGETATION_CLASS, BUILDING_CLASS)
+    return np.where(points.face < 0, GROUND_CLASS, above).astype(np.uint8)
 
 
 def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) -> None:
     """Write LAS 1.4 points of format 6, compressed; whole or not at all.
 
-    Classes: 2 ground, 6 building. Extra dimensions: ``building_id`` int32, the row in the buildings file or
-    -1; ``face_id`` int32, see :func:`lidar.surface.encode_face`.
+    Classes: 2 ground, 5 vegetation, 6 building. Extra dimensions: ``building_id`` int32, the row in the
+    buildings file or -1; ``face_id`` int32, see :func:`lidar.surface.encode_face` and ``encode_thing``.
     """
     points, survey = scan.points, scan.survey
     header = laspy.LasHeader(version="1.4", point_format=6)
@@ -231,9 +272,8 @@ def _las_points(points: Points, survey: Survey, header: laspy.LasHeader) -> lasp
     record = laspy.ScaleAwarePointRecord.zeros(len(points.pulse), header=header)
     record.X, record.Y, record.Z = points.xyz_mm.T
     record.intensity, record.scan_angle = points.intensity, points.scan_angle
-    record.classification = np.where(points.building < 0, GROUND_CLASS, BUILDING_CLASS).astype(np.uint8)
-    record.return_number = np.ones(len(points.pulse), np.uint8)
-    record.number_of_returns = np.ones(len(points.pulse), np.uint8)
+    record.classification = classes(points)
+    record.return_number, record.number_of_returns = points.return_number, points.num_returns
     record.point_source_id = points.strip
     start_s = np.array([strip.start_s for strip in survey.strips])
     record.gps_time = start_s[points.strip] + points.pulse / survey.parameters["pulse_rate_hz"]

@@ -38,7 +38,7 @@ rule crop_lidar:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
         config=section("region", "scenes", "crops"),
-        code=fingerprint("crops"),
+        code=fingerprint("crops", "scenes"),
     shell:
         "p2wss crops lidar {wildcards.tile} {input.footprints} {output.shard} {input.clouds}"
         " --config {params.config:q} 2> {log}"

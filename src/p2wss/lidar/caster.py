@@ -11,11 +11,11 @@ from embreex.rtcore_scene import EmbreeScene
 
 from p2wss.lidar.pulses import BLOCK_PULSES, Box, blocks_over, generate
 from p2wss.lidar.randomness import NORMAL_QUANTILE
-from p2wss.lidar.returns import OUTCOMES, Points, record
+from p2wss.lidar.returns import OUTCOMES, SUB_BEAMS, Hits, Points, locate, near_edges, record, split
 from p2wss.lidar.surface import Surface
 from p2wss.lidar.survey import Strip
 
-CHUNK_PULSES = 262_144  # arrays of a chunk stay in the cache; 128 k to 512 k are equally fast
+CHUNK_PULSES = 131_072  # arrays of a chunk stay in the cache; 128 k to 512 k are equally fast
 
 
 class Caster:
@@ -77,14 +77,39 @@ def _cast_chunk(
     origin, direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
     advance_m, pulse = np.empty(room), np.empty(room, np.int64)
     n = generate(strip.path, blocks, box, NORMAL_QUANTILE, origin, direction, advance_m, pulse)
-    hit = caster.hits(origin[:n], direction[:n])
-    points, outcome = _empty_points(n), np.zeros(len(OUTCOMES), np.int64)
+    origin, direction, advance_m, pulse = origin[:n], direction[:n], advance_m[:n], pulse[:n]
+    found = _hits(caster, surface, origin, direction)
+    chosen = np.zeros(0, np.int64)
+    if strip.errors.max_returns > 1 and strip.path.beam_sigma_rad > 0:
+        chosen = near_edges(origin, direction, pulse, found, surface, strip.errors.separation_m)
+    room = len(chosen) * (SUB_BEAMS - 1)
+    sub_origin, sub_direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
+    sub_advance_m = np.empty(room)
+    split(
+        origin,
+        direction,
+        advance_m,
+        pulse,
+        chosen,
+        strip.path,
+        strip.errors.split_key,
+        NORMAL_QUANTILE,
+        sub_origin,
+        sub_direction,
+        sub_advance_m,
+    )
+    sub_found = _hits(caster, surface, sub_origin, sub_direction)
+    points, outcome = _empty_points(n + room), np.zeros(len(OUTCOMES), np.int64)
     kept = record(
         origin,
         direction,
         advance_m,
         pulse,
-        hit,
+        found,
+        chosen,
+        sub_direction,
+        sub_advance_m,
+        sub_found,
         surface,
         strip.path,
         strip.errors,
@@ -97,15 +122,24 @@ def _cast_chunk(
     return Points(*(column[:kept].copy() for column in points)), outcome
 
 
+def _hits(caster: Caster, surface: Surface, origin: np.ndarray, direction: np.ndarray) -> Hits:
+    n = len(origin)
+    found = Hits(np.empty(n, np.int32), np.empty(n), np.empty((n, 3)), np.empty(n))
+    locate(origin, direction, caster.hits(origin, direction), surface, found)
+    return found
+
+
 def _empty_points(n: int) -> Points:
     return Points(
-        np.empty((n, 3), np.int32),
-        np.empty(n, np.uint16),
-        np.empty(n, np.int16),
-        np.empty(n, np.int64),
-        np.empty(n, np.uint16),
-        np.empty(n, np.int32),
-        np.empty(n, np.int32),
+        xyz_mm=np.empty((n, 3), np.int32),
+        intensity=np.empty(n, np.uint16),
+        scan_angle=np.empty(n, np.int16),
+        pulse=np.empty(n, np.int64),
+        strip=np.empty(n, np.uint16),
+        return_number=np.empty(n, np.uint8),
+        num_returns=np.empty(n, np.uint8),
+        building=np.empty(n, np.int32),
+        face=np.empty(n, np.int32),
     )
 
 

@@ -8,7 +8,7 @@ less than 4e-6 rad in that time, 5 mm on the ground).
 
 from __future__ import annotations
 
-from math import cos, floor, pi, sin, sqrt, tan
+from math import cos, floor, pi, sin, tan
 from typing import NamedTuple
 
 import numpy as np
@@ -76,22 +76,33 @@ def _platform(path: StripPath, t: float, place: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _beam(path: StripPath, t: float, pulse: int) -> tuple[float, float, float]:
-    """Unit direction in the scanner's frame: x forward, y left, z up."""
-    turns = t * path.scan_rate_hz + path.scan_phase
-    turns -= floor(turns)
+def _mirror_rad(path: StripPath, turns: float) -> float:
+    """Angle of the beam around the cone's axis (CONICAL), else off nadir; ``turns`` is a fraction of one
+    turn."""
     if path.pattern == CONICAL:
-        phi = 2 * pi * turns
-        return path.sin_half_angle * cos(phi), path.sin_half_angle * sin(phi), -path.cos_half_angle
+        return 2 * pi * turns
     if path.pattern == OSCILLATING:
-        angle = path.half_angle_rad * sin(2 * pi * turns)
-    else:
-        angle = path.half_angle_rad * (2 * turns - 1)
-    across, down = sin(angle), -cos(angle)
+        return path.half_angle_rad * sin(2 * pi * turns)
+    return path.half_angle_rad * (2 * turns - 1)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _direction(path: StripPath, cosine: float, sine: float, pulse: int) -> tuple[float, float, float]:
+    """Unit direction in the scanner's frame, x forward, y left, z up, of a mirror angle."""
+    if path.pattern == CONICAL:
+        return path.sin_half_angle * cosine, path.sin_half_angle * sine, -path.cos_half_angle
     if path.pattern == CROSS_FIRE:
         turn = path.crossing_rad if pulse & 1 else -path.crossing_rad
-        return -across * sin(turn), across * cos(turn), down
-    return 0.0, across, down
+        return -sine * sin(turn), sine * cos(turn), -cosine
+    return 0.0, sine, -cosine
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _beam(path: StripPath, t: float, pulse: int) -> tuple[float, float, float]:
+    """Unit direction in the scanner's frame at time ``t``."""
+    turns = t * path.scan_rate_hz + path.scan_phase
+    angle = _mirror_rad(path, turns - floor(turns))
+    return _direction(path, cos(angle), sin(angle), pulse)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -191,22 +202,37 @@ def generate(
     n = 0
     p = np.empty(12)
     vx, vy = cos(path.heading_rad) * path.speed_m_per_s, sin(path.heading_rad) * path.speed_m_per_s
+    period_s = 1 / path.pulse_rate_hz
+    turn = period_s * path.scan_rate_hz
+    # within a block the mirror's sine and cosine follow from those of the pulse before
+    step_rad = 2 * pi * turn if path.pattern == CONICAL else 2 * path.half_angle_rad * turn
+    step_cos, step_sin = cos(step_rad), sin(step_rad)
     for block in blocks:
         _platform(path, (block + 0.5) * BLOCK_PULSES / path.pulse_rate_hz, p)
         pz = path.altitude_m + p[2]
+        turns, cosine, sine = 2.0, 0.0, 0.0  # none yet
         for i in range(block * BLOCK_PULSES, (block + 1) * BLOCK_PULSES):
-            t = i / path.pulse_rate_hz
-            x, y, z = _beam(path, t, i)
+            t = i * period_s
+            turns += turn
+            if turns >= 1 or path.pattern == OSCILLATING:
+                turns = t * path.scan_rate_hz + path.scan_phase
+                turns -= floor(turns)
+                angle = _mirror_rad(path, turns)
+                cosine, sine = cos(angle), sin(angle)
+            else:
+                cosine, sine = cosine * step_cos - sine * step_sin, sine * step_cos + cosine * step_sin
+            x, y, z = _direction(path, cosine, sine, i)
             x, y, z = _rotate(p, x, y, z)
             if path.beam_sigma_rad > 0:
                 bits = random_bits(path.beam_key, np.uint64(i))
                 x += path.beam_sigma_rad * normal(bits, 0, quantile)
                 y += path.beam_sigma_rad * normal(bits, 1, quantile)
                 z += path.beam_sigma_rad * normal(bits, 2, quantile)
-                length = 1 / sqrt(x * x + y * y + z * z)
+                length = 1.5 - 0.5 * (x * x + y * y + z * z)  # 1 / sqrt to 1e-6, for beams below 4 mrad
                 x, y, z = x * length, y * length, z * length
             px, py = path.start_x_m + vx * t + p[0], path.start_y_m + vy * t + p[1]
-            top, bottom = (box.z_max_m - pz) / z, (box.z_min_m - pz) / z
+            per_z = 1 / z
+            top, bottom = (box.z_max_m - pz) * per_z, (box.z_min_m - pz) * per_z
             x0, x1 = px + top * x, px + bottom * x
             y0, y1 = py + top * y, py + bottom * y
             if (

@@ -48,3 +48,13 @@ def normal(bits: np.uint64, which: int, quantile: np.ndarray) -> float:
 def uniform(bits: np.uint64) -> float:
     """Uniform deviate in [0, 1) from the upper 53 of ``bits``."""
     return np.float64(bits >> _S11) * 1.1102230246251565e-16
+
+
+@njit(cache=True, nogil=True)
+def uniforms(key: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Draws ``first`` to ``first + count`` of each stream, float64 (len(key), count). key: uint64 (n,)."""
+    result = np.empty((len(key), count))
+    for i in range(len(key)):
+        for j in range(count):
+            result[i, j] = uniform(random_bits(key[i], np.uint64(first + j)))
+    return result

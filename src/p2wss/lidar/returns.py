@@ -1,4 +1,4 @@
-"""From a hit triangle to a recorded point: exact position, detection, noise, tags.
+"""From a hit triangle to recorded points: exact position, echoes, detection, noise, tags.
 
 Embree answers in float32 and, rarely, wrongly (near-parallel rays on thin triangles); so it is only asked
 which triangle a ray meets first. The point is computed here in float64 and must lie on that triangle, which
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from p2wss.lidar.pulses import Box, StripPath
+from p2wss.lidar.pulses import BLOCK_PULSES, Box, StripPath
 from p2wss.lidar.randomness import normal, random_bits, uniform
 from p2wss.lidar.surface import TERRAIN_REFLECTANCE, Surface
 from p2wss.lidar.terrain import first_crossing
@@ -22,6 +22,7 @@ from p2wss.lidar.terrain import first_crossing
 RECORDED, NO_SURFACE, OUTSIDE, LOST = range(4)
 OUTCOMES = ("recorded", "no_surface", "outside", "lost")
 
+SUB_BEAMS = 5  # of a pulse near an edge, where several echoes are wanted
 _ON_TRIANGLE_M = 0.005
 # where the surfaces under the beam's axis and under the sub-beam that was cast are further apart than this,
 # the echo keeps the sub-beam's range: a mixed point at an edge; elsewhere the footprint averages out
@@ -34,8 +35,8 @@ class Errors(NamedTuple):
 
     Standard deviations: noise_xy_m and noise_z_m in world axes, noise_range_m along the ray. offset_*_m:
     shift of the whole strip. base_loss: share of pulses lost anywhere. min_intensity: echoes below it
-    (reflectance * cosine of incidence * (reference_range_m / range)^2 * log-normal speckle) are lost. key:
-    of the random draws.
+    (reflectance * cosine of incidence * (reference_range_m / range)^2 * normal speckle around 1) are lost.
+    max_returns: echoes that a pulse may have; separation_m: of two of them. key: of the random draws.
     """
 
     noise_xy_m: float
@@ -48,16 +49,33 @@ class Errors(NamedTuple):
     min_intensity: float
     speckle: float
     reference_range_m: float
+    max_returns: int
+    separation_m: float
     key: np.uint64
     loss_key: np.uint64
+    split_key: np.uint64
+
+
+class Hits(NamedTuple):
+    """What n rays meet first.
+
+    triangle int32 (n,), -1 for the terrain. distance_m float64 (n,) from the ray's origin, -1 if the ray
+    meets nothing. normal float64 (n, 3), unit. height_m float64 (n,): distance of the surface's plane from
+    the frame's origin along the normal.
+    """
+
+    triangle: np.ndarray
+    distance_m: np.ndarray
+    normal: np.ndarray
+    height_m: np.ndarray
 
 
 class Points(NamedTuple):
     """Recorded points of one or more chunks, one row each.
 
     xyz_mm int32 (n, 3) in the local frame; intensity uint16; scan_angle int16, units of 0.006 degrees,
-    positive to the right of the flight; pulse int64; strip uint16; building int32, -1 for terrain; face
-    int32, see :func:`surface.encode_face`, -1 for terrain.
+    positive to the right of the flight; pulse int64; strip uint16; return_number, num_returns uint8, from 1;
+    building int32, -1 for terrain and trees; face int32, see :func:`surface.encode_face`, -1 for terrain.
     """
 
     xyz_mm: np.ndarray
@@ -65,33 +83,16 @@ class Points(NamedTuple):
     scan_angle: np.ndarray
     pulse: np.ndarray
     strip: np.ndarray
+    return_number: np.ndarray
+    num_returns: np.ndarray
     building: np.ndarray
     face: np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def record(
-    origin: np.ndarray,
-    direction: np.ndarray,
-    advance_m: np.ndarray,
-    pulse: np.ndarray,
-    hit: np.ndarray,
-    surface: Surface,
-    path: StripPath,
-    errors: Errors,
-    strip: int,
-    keep: Box,
-    quantile: np.ndarray,
-    points: Points,
-    outcome: np.ndarray,
-) -> int:
-    """Write the recorded points of one chunk into ``points`` and return how many there are.
-
-    ``hit`` int32 (n,) is the building's triangle that each ray meets first, or -1. Only points over ``keep``
-    are written. ``outcome`` int64 (4,) counts what became of the pulses, see :data:`OUTCOMES`.
-    """
-    n = 0
-    heading_x, heading_y = cos(path.heading_rad), sin(path.heading_rad)
+def locate(origin: np.ndarray, direction: np.ndarray, hit: np.ndarray, surface: Surface, found: Hits) -> None:
+    """Fill in ``found``: the exact first hit of each ray on the triangle ``hit`` (int32 (n,), -1 none) or the
+    terrain."""
     for k in range(len(hit)):
         ox, oy, oz = np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2])
         dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
@@ -107,64 +108,288 @@ def record(
             nz = 1 / sqrt(1 + east * east + north * north)
             nx, ny = -east * nz, -north * nz
             height = nx * (ox + t * dx) + ny * (oy + t * dy) + nz * (oz + t * dz)
+        found.triangle[k], found.distance_m[k], found.height_m[k] = triangle, t, height
+        found.normal[k, 0], found.normal[k, 1], found.normal[k, 2] = nx, ny, nz
+
+
+@njit(cache=True, nogil=True)
+def near_edges(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    pulse: np.ndarray,
+    found: Hits,
+    surface: Surface,
+    separation_m: float,
+) -> np.ndarray:
+    """Pulses that may have several echoes, int64 ascending.
+
+    Those on a surface of :attr:`Surface.porous`, and those from whose plane the point of the next or the
+    previous pulse is further than half of ``separation_m``. Only pulses of one block are compared: blocks
+    are never cut, so the choice does not depend on the chunk.
+    """
+    chosen = np.empty(len(pulse), np.int64)
+    n = 0
+    for k in range(len(pulse)):
+        if found.distance_m[k] < 0:
+            continue
+        triangle = found.triangle[k]
+        wanted = triangle >= 0 and surface.porous[triangle]
+        for other in (k - 1, k + 1):
+            if (
+                not wanted
+                and 0 <= other < len(pulse)
+                and pulse[other] // BLOCK_PULSES == pulse[k] // BLOCK_PULSES
+                and found.distance_m[other] >= 0
+            ):
+                away_m = -found.height_m[k]
+                for axis in range(3):
+                    at = origin[other, axis] + found.distance_m[other] * direction[other, axis]
+                    away_m += found.normal[k, axis] * at
+                wanted = abs(away_m) > 0.5 * separation_m
+        if wanted:
+            chosen[n] = k
+            n += 1
+    return chosen[:n].copy()
+
+
+@njit(cache=True, nogil=True)
+def split(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    advance_m: np.ndarray,
+    pulse: np.ndarray,
+    chosen: np.ndarray,
+    path: StripPath,
+    key: np.uint64,
+    quantile: np.ndarray,
+    sub_origin: np.ndarray,
+    sub_direction: np.ndarray,
+    sub_advance_m: np.ndarray,
+) -> None:
+    """More sub-beams of the ``chosen`` rays: rays c * (SUB_BEAMS - 1) and following are those of ray
+    ``chosen[c]``."""
+    row = 0
+    for k in chosen:
+        top = np.float64(origin[k, 2])
+        dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
+        sx, sy, sz = _to_axis(path, pulse[k], dx, dy, dz, quantile)
+        px = np.float64(origin[k, 0]) - advance_m[k] * dx
+        py = np.float64(origin[k, 1]) - advance_m[k] * dy
+        pz = top - advance_m[k] * dz
+        for sub in range(SUB_BEAMS - 1):
+            bits = random_bits(key, np.uint64(pulse[k] * SUB_BEAMS + sub))
+            x = dx + sx + path.beam_sigma_rad * normal(bits, 0, quantile)
+            y = dy + sy + path.beam_sigma_rad * normal(bits, 1, quantile)
+            z = dz + sz + path.beam_sigma_rad * normal(bits, 2, quantile)
+            length = 1 / sqrt(x * x + y * y + z * z)
+            x, y, z = x * length, y * length, z * length
+            advance = (top - pz) / z
+            sub_origin[row, 0], sub_origin[row, 1], sub_origin[row, 2] = (
+                px + advance * x,
+                py + advance * y,
+                top,
+            )
+            sub_direction[row, 0], sub_direction[row, 1], sub_direction[row, 2] = x, y, z
+            sub_advance_m[row] = advance
+            row += 1
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _to_axis(
+    path: StripPath, pulse: int, dx: float, dy: float, dz: float, quantile: np.ndarray
+) -> tuple[float, float, float]:
+    """What, added to the direction of a pulse's first sub-beam, gives the axis of its beam."""
+    bits = random_bits(path.beam_key, np.uint64(pulse))
+    jx = path.beam_sigma_rad * normal(bits, 0, quantile)
+    jy = path.beam_sigma_rad * normal(bits, 1, quantile)
+    jz = path.beam_sigma_rad * normal(bits, 2, quantile)
+    along = jx * dx + jy * dy + jz * dz
+    return along * dx - jx, along * dy - jy, along * dz - jz
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _strength(
+    found: Hits, k: int, reach: float, dx: float, dy: float, dz: float, surface: Surface, errors: Errors
+) -> float:
+    """Of the echo of a whole beam: reflectance * cosine of incidence * (reference range / range)^2."""
+    triangle = found.triangle[k]
+    reflectance = np.float64(surface.reflectance[triangle]) if triangle >= 0 else TERRAIN_REFLECTANCE
+    incidence = abs(found.normal[k, 0] * dx + found.normal[k, 1] * dy + found.normal[k, 2] * dz)
+    scale = errors.reference_range_m / reach
+    return reflectance * incidence * scale * scale
+
+
+@njit(cache=True, nogil=True)
+def record(
+    origin: np.ndarray,
+    direction: np.ndarray,
+    advance_m: np.ndarray,
+    pulse: np.ndarray,
+    found: Hits,
+    chosen: np.ndarray,
+    sub_direction: np.ndarray,
+    sub_advance_m: np.ndarray,
+    sub_found: Hits,
+    surface: Surface,
+    path: StripPath,
+    errors: Errors,
+    strip: int,
+    keep: Box,
+    quantile: np.ndarray,
+    points: Points,
+    outcome: np.ndarray,
+) -> int:
+    """Write the recorded points of one chunk into ``points`` and return how many there are.
+
+    ``found`` are the hits of the rays, ``sub_found`` those of the sub-beams of the ``chosen`` ones, see
+    :func:`split`. Only points over ``keep`` are written. ``outcome`` int64 (4,) counts what became of the
+    pulses, see :data:`OUTCOMES`.
+    """
+    n = 0
+    heading_x, heading_y = cos(path.heading_rad), sin(path.heading_rad)
+    num_chosen, next_chosen = len(chosen), 0
+    # echoes of one pulse: distance on the beam's axis, strength, and the hit that gives the tags
+    echo_m, echo_strength = np.empty(SUB_BEAMS), np.empty(SUB_BEAMS)
+    echo_triangle = np.empty(SUB_BEAMS, np.int32)
+    # sub-beams of one pulse in the order of their ranges
+    sub_m, sub_strength, sub_row = np.empty(SUB_BEAMS), np.empty(SUB_BEAMS), np.empty(SUB_BEAMS, np.int64)
+    for k in range(len(pulse)):
+        is_split = next_chosen < num_chosen and chosen[next_chosen] == k
+        t = found.distance_m[k]
         if t < 0:
             outcome[NO_SURFACE] += 1
             continue
-
+        ox, oy, oz = np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2])
+        dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
         number = np.uint64(pulse[k])
-        reach = advance_m[k] + t
-        incidence = abs(nx * dx + ny * dy + nz * dz)
+        advance = advance_m[k]
+        strength = _strength(found, k, advance + t, dx, dy, dz, surface, errors)
         if path.beam_sigma_rad > 0:  # the point is recorded on the beam's axis, not on the sub-beam
-            bits = random_bits(path.beam_key, number)
-            jx = path.beam_sigma_rad * normal(bits, 0, quantile)
-            jy = path.beam_sigma_rad * normal(bits, 1, quantile)
-            jz = path.beam_sigma_rad * normal(bits, 2, quantile)
-            along = jx * dx + jy * dy + jz * dz
-            sx, sy, sz = -(jx - along * dx), -(jy - along * dy), -(jz - along * dz)
-            ox, oy, oz = ox + advance_m[k] * sx, oy + advance_m[k] * sy, oz + advance_m[k] * sz
+            sx, sy, sz = _to_axis(path, pulse[k], dx, dy, dz, quantile)
+            ox, oy, oz = ox + advance * sx, oy + advance * sy, oz + advance * sz
             dx, dy, dz = dx + sx, dy + sy, dz + sz
-            axis_slope = nx * dx + ny * dy + nz * dz
-            if axis_slope != 0.0:
-                axis_t = (height - nx * ox - ny * oy - nz * oz) / axis_slope
-                if abs(axis_t - t) < _SAME_SURFACE_M:
-                    t = axis_t
 
-        building, face = np.int32(-1), np.int32(-1)
-        reflectance, loss = TERRAIN_REFLECTANCE, errors.base_loss
-        if triangle >= 0:
-            building, face = surface.building[triangle], surface.face[triangle]
-            reflectance = np.float64(surface.reflectance[triangle])
-            if errors.min_intensity > 0:
+        num_echoes = 1
+        if not is_split:
+            echo_m[0] = _axis_distance(found, k, t, ox, oy, oz, dx, dy, dz) if path.beam_sigma_rad > 0 else t
+            echo_strength[0], echo_triangle[0] = strength, found.triangle[k]
+        else:
+            sub_m[0], sub_strength[0], sub_row[0] = t, strength / SUB_BEAMS, -1
+            num_sub = 1
+            for sub in range(next_chosen * (SUB_BEAMS - 1), (next_chosen + 1) * (SUB_BEAMS - 1)):
+                if sub_found.distance_m[sub] < 0:
+                    continue
+                reach = sub_advance_m[sub] + sub_found.distance_m[sub]
+                x, y, z = sub_direction[sub, 0], sub_direction[sub, 1], sub_direction[sub, 2]
+                share = _strength(sub_found, sub, reach, x, y, z, surface, errors) / SUB_BEAMS
+                place = num_sub
+                while place > 0 and sub_m[place - 1] > reach - advance:
+                    sub_m[place], sub_strength[place] = sub_m[place - 1], sub_strength[place - 1]
+                    sub_row[place] = sub_row[place - 1]
+                    place -= 1
+                sub_m[place], sub_strength[place], sub_row[place] = reach - advance, share, sub
+                num_sub += 1
+            next_chosen += 1
+            num_echoes, first = 0, 0
+            while first < num_sub:
+                # an echo is a run of sub-beams without a gap that the sensor could resolve; a face that
+                # the beam meets at a slant gives one long echo
+                total, mean, best, end = 0.0, 0.0, first, first
+                while end < num_sub and (
+                    end == first
+                    or sub_m[end] - sub_m[end - 1] < errors.separation_m
+                    or _same_face(
+                        surface,
+                        _triangle(found, sub_found, k, sub_row[end]),
+                        _triangle(found, sub_found, k, sub_row[end - 1]),
+                    )
+                ):
+                    total += sub_strength[end]
+                    mean += sub_strength[end] * sub_m[end]
+                    if sub_strength[end] > sub_strength[best]:
+                        best = end
+                    end += 1
+                middle = mean / total if total > 0 else sub_m[best]
+                row = sub_row[best]
+                if row < 0:
+                    echo_m[num_echoes] = _axis_distance(found, k, middle, ox, oy, oz, dx, dy, dz)
+                else:
+                    echo_m[num_echoes] = _axis_distance(sub_found, row, middle, ox, oy, oz, dx, dy, dz)
+                echo_triangle[num_echoes] = _triangle(found, sub_found, k, row)
+                echo_strength[num_echoes] = total
+                num_echoes += 1
+                first = end
+
+        detected, start = 0, n
+        for echo in range(num_echoes):
+            if detected == errors.max_returns:
+                break
+            draw = number + (np.uint64(echo) << np.uint64(48))
+            triangle = echo_triangle[echo]
+            building, face, loss = np.int32(-1), np.int32(-1), errors.base_loss
+            if triangle >= 0:
+                building, face = surface.building[triangle], surface.face[triangle]
                 loss = 1 - (1 - loss) * (1 - surface.loss[triangle])
-        strength = reflectance * incidence * (errors.reference_range_m / reach) ** 2
-        if errors.min_intensity > 0 or loss > 0:
-            bits = random_bits(errors.loss_key, number)
-            strength *= 1 + errors.speckle * normal(bits, 0, quantile)
-            if strength < errors.min_intensity or uniform(bits) < loss:
-                outcome[LOST] += 1
+            power = echo_strength[echo]
+            if errors.min_intensity > 0 or loss > 0:
+                bits = random_bits(errors.loss_key, draw)
+                power *= 1 + errors.speckle * normal(bits, 0, quantile)
+                if power < errors.min_intensity or uniform(bits) < loss:
+                    continue
+            detected += 1
+            bits = random_bits(errors.key, draw)
+            t = echo_m[echo] + errors.noise_range_m * normal(bits, 3, quantile)
+            px = ox + t * dx + errors.offset_x_m + errors.noise_xy_m * normal(bits, 0, quantile)
+            py = oy + t * dy + errors.offset_y_m + errors.noise_xy_m * normal(bits, 1, quantile)
+            pz = oz + t * dz + errors.offset_z_m + errors.noise_z_m * normal(bits, 2, quantile)
+            if not (keep.x_min_m <= px < keep.x_max_m and keep.y_min_m <= py < keep.y_max_m):
                 continue
-
-        bits = random_bits(errors.key, number)
-        t += errors.noise_range_m * normal(bits, 3, quantile)
-        px = ox + t * dx + errors.offset_x_m + errors.noise_xy_m * normal(bits, 0, quantile)
-        py = oy + t * dy + errors.offset_y_m + errors.noise_xy_m * normal(bits, 1, quantile)
-        pz = oz + t * dz + errors.offset_z_m + errors.noise_z_m * normal(bits, 2, quantile)
-        if not (keep.x_min_m <= px < keep.x_max_m and keep.y_min_m <= py < keep.y_max_m):
-            outcome[OUTSIDE] += 1
-            continue
-        outcome[RECORDED] += 1
-        points.xyz_mm[n, 0] = np.int32(np.rint(1000 * px))
-        points.xyz_mm[n, 1] = np.int32(np.rint(1000 * py))
-        points.xyz_mm[n, 2] = np.int32(np.rint(1000 * pz))
-        points.intensity[n] = np.uint16(min(max(strength, 0.0) * _FULL_SCALE, 65535.0))
-        right = heading_y * dx - heading_x * dy
-        points.scan_angle[n] = np.int16(np.rint(atan(-right / dz) * 57.29577951308232 / 0.006))
-        points.pulse[n] = pulse[k]
-        points.strip[n] = np.uint16(strip)
-        points.building[n] = building
-        points.face[n] = face
-        n += 1
+            points.xyz_mm[n, 0] = np.int32(np.rint(1000 * px))
+            points.xyz_mm[n, 1] = np.int32(np.rint(1000 * py))
+            points.xyz_mm[n, 2] = np.int32(np.rint(1000 * pz))
+            points.intensity[n] = np.uint16(min(max(power, 0.0) * _FULL_SCALE, 65535.0))
+            right = heading_y * dx - heading_x * dy
+            points.scan_angle[n] = np.int16(np.rint(atan(-right / dz) * 57.29577951308232 / 0.006))
+            points.pulse[n] = pulse[k]
+            points.strip[n] = np.uint16(strip)
+            points.return_number[n] = np.uint8(detected)
+            points.building[n] = building
+            points.face[n] = face
+            n += 1
+        for row in range(start, n):
+            points.num_returns[row] = np.uint8(detected)
+        outcome[RECORDED if n > start else OUTSIDE if detected else LOST] += 1
     return n
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _triangle(found: Hits, sub_found: Hits, k: int, row: int) -> int:
+    """Triangle of sub-beam ``row``, or of ray ``k`` itself for -1."""
+    return found.triangle[k] if row < 0 else sub_found.triangle[row]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _same_face(surface: Surface, a: int, b: int) -> bool:
+    """Whether two triangles (-1: the terrain) are of one face; leaves are each their own."""
+    if a == b or a < 0 or b < 0:
+        return a == b
+    together = surface.building[a] == surface.building[b] and surface.face[a] == surface.face[b]
+    return together and not surface.porous[a]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _axis_distance(
+    found: Hits, k: int, t: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
+) -> float:
+    """Where the beam's axis meets the surface that a sub-beam met at ``t``; ``t`` where that is another
+    place."""
+    nx, ny, nz = found.normal[k, 0], found.normal[k, 1], found.normal[k, 2]
+    slope = nx * dx + ny * dy + nz * dz
+    if slope != 0.0:
+        axis_t = (found.height_m[k] - nx * ox - ny * oy - nz * oz) / slope
+        if abs(axis_t - t) < _SAME_SURFACE_M:
+            return axis_t
+    return t
 
 
 @njit(cache=True, nogil=True, inline="always")

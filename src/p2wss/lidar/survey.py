@@ -104,8 +104,11 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
             min_intensity=drawn["min_intensity"],
             speckle=drawn["speckle"],
             reference_range_m=drawn["altitude_m"],
+            max_returns=drawn["max_returns"],
+            separation_m=settings.return_separation_m,
             key=np.uint64(derive_seed(seed, "noise", index)),
             loss_key=np.uint64(derive_seed(seed, "loss", index)),
+            split_key=np.uint64(derive_seed(seed, "split", index)),
         )
         strips.append(Strip(path, errors, start_s))
         start_s += duration_s + 120.0  # the turn between two lines
@@ -162,6 +165,7 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
         "base_loss": rng.uniform(*settings.base_loss),
         "min_intensity": settings.min_intensity,
         "speckle": settings.speckle,
+        "max_returns": settings.max_returns,
     }
     if settings.preset == "hd":
         return drawn
@@ -181,7 +185,7 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
         ),
         0.0,
     )
-    drawn["density_per_m2"] = settings.density_per_m2
+    drawn |= {"density_per_m2": settings.density_per_m2, "max_returns": 1}
     if settings.preset == "paper":
         drawn |= {
             "pattern": "conical",

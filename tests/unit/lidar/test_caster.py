@@ -48,6 +48,7 @@ def surface(blocks, loss=0.0):
         encode_face(kinds, np.zeros(len(kinds), np.int32)),
         np.full(len(kinds), 0.3, np.float32),
         np.full(len(kinds), loss, np.float32),
+        np.zeros(len(kinds), bool),
     )
 
 
@@ -168,9 +169,10 @@ def digest(points):
     return h.hexdigest()
 
 
-@pytest.mark.parametrize("preset", ["none", "paper", "hd"])
-def test_points_do_not_depend_on_chunks_or_threads(preset):
-    scene, flown = surface(TOWN), strips(preset, density_per_m2=8, density_bounds_per_m2=(8, 8))
+@pytest.mark.parametrize(("preset", "most"), [("none", 1), ("paper", 1), ("hd", 1), ("hd", 5)])
+def test_points_do_not_depend_on_chunks_or_threads(preset, most):
+    changes = {"density_per_m2": 8, "density_bounds_per_m2": (8, 8), "max_returns": most}
+    scene, flown = surface(TOWN), strips(preset, **changes)
     one, counts = cast(scene, flown, BOX)
     for threads, chunk in ((1, 1000), (2, 5000), (3, 100_000)):
         again, same = cast(scene, flown, BOX, threads, chunk)
@@ -178,16 +180,59 @@ def test_points_do_not_depend_on_chunks_or_threads(preset):
 
 
 GOLDEN = {
-    "none": "acbd2088552d7eb8d239d4516fc61a0688559f82f676e4fce5a2074aad238223",
-    "paper": "fc5ff918abd44162bfa5351dee0dc9b17cca2ddf4dcab7982db812af8638cd8c",
-    "hd": "0245dca7e676fc0cd2ed7cee71b1787080bceddfb90c1f44d6b3192f2ae909d3",
+    "none": "17af3aa7c0627c4b3af49deb171637fb212cc1bc6a2eb25ead22d8f9b0e6b834",
+    "paper": "23a5bed17245506fb3bbb598a80799d20d4ef3a299d266ddd3ecbbf798aa90dc",
+    "hd": "5c3c574c3190f117f20dd9925f70d10ba00d1b263ae7aba81fcadce9d7e183f1",
+    "hd, several returns": "24dd10feefd0886b2f7d5b95de0f955b882f84c240c0ae35baefa0835d9c218c",
 }
 
 
-@pytest.mark.parametrize("preset", GOLDEN)
-def test_points_are_the_same_on_every_machine(preset):
-    flown = strips(preset, density_per_m2=4, density_bounds_per_m2=(4, 4))
-    assert digest(cast(surface(TOWN), flown, BOX)[0]) == GOLDEN[preset]
+@pytest.mark.parametrize("case", GOLDEN)
+def test_points_are_the_same_on_every_machine(case):
+    preset, _, several = case.partition(", ")
+    flown = strips(preset, density_per_m2=4, density_bounds_per_m2=(4, 4), max_returns=5 if several else 1)
+    assert digest(cast(surface(TOWN), flown, BOX)[0]) == GOLDEN[case]
+
+
+@pytest.mark.parametrize("most", [2, 5])
+def test_several_returns_come_from_edges_only_and_in_order(most):
+    wide = {"divergence_mrad": (1, 1), "max_returns": most, "range_noise_m": (0, 0)}
+    flown = strips("hd", **wide)
+    plain, _ = cast(surface([]), flown, BOX)
+    assert (plain.num_returns == 1).all() and (plain.return_number == 1).all()
+
+    tower = surface([block(-10, -10, 10, 10, 20)])
+    points, counts = cast(tower, flown, BOX)
+    assert counts["recorded"] < len(points.pulse)
+    assert points.num_returns.max() == min(most, 3)  # roof, wall, ground
+    assert (points.return_number <= points.num_returns).all()
+    x, y, z = points.xyz_mm.T / 1000
+    first, second = np.flatnonzero(points.return_number == 1), np.flatnonzero(points.return_number == 2)
+    # both points of a pulse that are in the box lie next to each other
+    pair = second[np.isin(second - 1, first)]
+    assert len(pair) > 100
+    assert (points.pulse[pair] == points.pulse[pair - 1]).all()
+    assert (points.strip[pair] == points.strip[pair - 1]).all()
+    apart_m = np.linalg.norm(np.diff(points.xyz_mm[np.stack([pair - 1, pair])] / 1000, axis=0)[0], axis=1)
+    assert apart_m.min() > 0.3 and (z[pair] < z[pair - 1]).all()
+    # the beam is half a metre wide, and walls are seen at a slant
+    edge_m = np.abs(np.maximum(np.abs(x), np.abs(y))[pair - 1] - 10)
+    assert np.quantile(edge_m, 0.99) < 1.5
+    energy = points.intensity.astype(float)
+    alone = (points.num_returns == 1) & (points.building == 0) & (points.face & 3 == ROOF)
+    both = points.num_returns[pair - 1] == 2
+    assert energy[pair - 1][both].mean() < 0.8 * energy[alone].mean()
+
+
+def test_at_most_as_many_returns_as_wanted():
+    # a staircase under a wide beam: more surfaces than returns
+    stairs = [block(-10 + 0.4 * i, -10, -9.6 + 0.4 * i, 10, 4 * i + 1) for i in range(9)]
+    wide = {"divergence_mrad": (1.5, 1.5), "return_separation_m": 0.5}
+    most = [
+        cast(surface(stairs), strips("hd", **wide, max_returns=m), BOX)[0].num_returns.max()
+        for m in (1, 2, 3, 7)
+    ]
+    assert most[:3] == [1, 2, 3] and most[3] > 3
 
 
 def test_noise_has_the_planned_size():
