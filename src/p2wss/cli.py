@@ -22,6 +22,7 @@ from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 from p2wss.tiling import Bounds, tile_bounds, tiles_of_bounds
 
+DEVICES = ("auto", "cpu", "cuda")
 Command = Callable[[argparse.Namespace], None]
 log = logging.getLogger("p2wss")
 
@@ -125,6 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("out", type=Path, help="Parquet of reconstructions")
     command.add_argument("out_parameters", type=Path, help="JSON: errors of Table 1")
     command.add_argument("--threads", type=int, default=1)
+    command.add_argument("--device", choices=DEVICES, default="auto")
     command = _command(evaluate, "baseline", eval_baseline, "reconstruct the same buildings with a baseline")
     command.add_argument("name", help="lod1 or roofer")
     command.add_argument("manifest", type=Path)
@@ -149,7 +151,8 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC")
     command.add_argument("footprints", type=Path, help="any vector file, in the CRS of the clouds")
     command.add_argument("out", type=Path, help="folder")
-    command.add_argument("--model", type=Path, required=True, help="model.safetensors")
+    command.add_argument("--model", type=Path, default=None, help="model.safetensors; default: fit only")
+    command.add_argument("--no-refine", action="store_true", help="leave the network's values as they are")
     command.add_argument(
         "--id-field", default=None, help="column of building ids; default: the usual names, else a number"
     )
@@ -160,6 +163,7 @@ def _parser() -> argparse.ArgumentParser:
         "--tile", default=None, help="only the buildings of this tile, whose name the outputs get"
     )
     command.add_argument("--threads", type=int, default=1)
+    command.add_argument("--device", choices=DEVICES, default="auto")
 
     about = "what a file holds: ours, and those of IGN"
     command = stages.add_parser("inspect", help=about, description=about)
@@ -223,6 +227,7 @@ def _training(command: argparse.ArgumentParser) -> None:
         "--checkpoints", type=Path, required=True, help="folder to resume from; kept until the end"
     )
     command.add_argument("--threads", type=int, default=1)
+    command.add_argument("--device", choices=DEVICES, help="default: compute.device of the config")
 
 
 def _use_threads(num_threads: int) -> None:
@@ -477,7 +482,7 @@ def scans(arguments: argparse.Namespace) -> None:
     survey = scan.facts["survey"]
     log.info(
         f"{arguments.out.name}: {survey['pattern']} scan, {len(survey['strips'])} strips, "
-        f"{scan.facts['num_points']} points, {scan.facts['points_per_m2']:.1f} per m2 "
+        f"{scan.facts['num_points']} points, {scan.facts['pulses_per_m2']:.1f} pulses per m2 "
         f"of {survey['density_per_m2']:.1f} pulses requested"
     )
     scans.write_scan(arguments.out, scan, crs, threads=arguments.threads)
@@ -550,8 +555,10 @@ def dvae(arguments: argparse.Namespace) -> None:
     _use_threads(arguments.threads)
     from p2wss import dvae, training
 
-    config, code = _config(arguments).dvae, fingerprint("dvae")
+    config, code = _on_device(arguments, "dvae").dvae, fingerprint("dvae")
     module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
+    if not training.writes():
+        return
     metrics = training.read_metrics(arguments.checkpoints)
     io.write_text(arguments.out_metrics, metrics)
     dvae.save(module, arguments.out, config, code, metrics)
@@ -562,12 +569,19 @@ def model(arguments: argparse.Namespace) -> None:
     _use_threads(arguments.threads)
     from p2wss import model, training
 
-    config, code = _config(arguments).model, fingerprint("model")
+    config, code = _on_device(arguments, "model").model, fingerprint("model")
     module, dvae_config = model.train(arguments.manifest, arguments.dvae, config, arguments.checkpoints, code)
+    if not training.writes():
+        return
     metrics = training.read_metrics(arguments.checkpoints)
     io.write_text(arguments.out_metrics, metrics)
     model.save(module, arguments.out, config, dvae_config, code, metrics)
     training.remove_checkpoints(arguments.checkpoints)
+
+
+def _on_device(arguments: argparse.Namespace, stage: str) -> Config:
+    device = {} if arguments.device is None else {stage: {"compute": {"device": arguments.device}}}
+    return load(arguments.config, device)
 
 
 # --- eval ---
@@ -579,7 +593,7 @@ def eval_predict(arguments: argparse.Namespace) -> None:
     from p2wss.eval import cases, predict
 
     config = _config(arguments)
-    predictor = model.load(arguments.model)
+    predictor = model.load(arguments.model, arguments.device)
     manifest = cases.read_manifest(arguments.manifest)
     found = cases.test_cases(manifest)
     rows = predict.predict(found, predictor, config.reconstruct)
@@ -654,7 +668,11 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     from p2wss.formats import gpkg
 
     config = _config(arguments)
-    predictor = model.load(arguments.model)
+    if arguments.no_refine:
+        if arguments.model is None:
+            raise InputError("--no-refine needs a --model: without one, all there is is the fit")
+        config.reconstruct = config.reconstruct.model_copy(update={"refine": False})
+    predictor = None if arguments.model is None else model.load(arguments.model)
     read = scenes.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = scenes.clean_footprints(read, config.scenes)
     if arguments.tile is not None:

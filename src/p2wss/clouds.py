@@ -22,13 +22,14 @@ _BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, 
 @dataclass(frozen=True)
 class Cloud:
     """Points in a projected CRS: x_m, y_m, z_m float64 (n,), classification uint8 (n,); crs None if no file
-    tells."""
+    tells. strip: uint16 (n,), the flight line (point source ID), None if unknown."""
 
     x_m: np.ndarray
     y_m: np.ndarray
     z_m: np.ndarray
     classification: np.ndarray
     crs: pyproj.CRS | None
+    strip: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.x_m)
@@ -48,7 +49,9 @@ def read_clouds(
     Raises :class:`InputError` for a file that is missing, truncated or no LAS, and for files in different
     CRSs.
     """
-    parts: list[tuple[np.ndarray, ...]] = [(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8))]
+    parts: list[tuple[np.ndarray, ...]] = [
+        (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
+    ]
     crs: pyproj.CRS | None = None
     named: str | Path = ""
     for path in paths:
@@ -69,7 +72,7 @@ def read_clouds(
                 f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
             ) from error
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return Cloud(columns[0], columns[1], columns[2], columns[3], crs)
+    return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4])
 
 
 def _pieces(
@@ -114,7 +117,8 @@ def _kept(
         keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
     if wanted is not None:
         keep &= wanted(x, y)
-    return x[keep], y[keep], np.asarray(points.z)[keep], classification[keep]
+    strip = np.asarray(points.point_source_id)[keep]
+    return x[keep], y[keep], np.asarray(points.z)[keep], classification[keep], strip
 
 
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:

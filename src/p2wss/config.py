@@ -234,6 +234,7 @@ class Buildings(Section):
     """Parametric buildings by weighted straight skeleton."""
 
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
+    refine: bool = Field(True, description="fit height, angles and classes to the points after the network")
     max_failed_fraction: Share = Field(
         0.02, description="share of rejected buildings past which the job fails"
     )
@@ -364,6 +365,9 @@ class Crops(Section):
         1, gt=0, le=20, description="points within this distance of the footprint are kept"
     )
     min_points: int = Field(20, ge=1, description="buildings with fewer points are left out")
+    max_points: int = Field(
+        2048, ge=1, description="buildings with more points are marked as truncated; all points are kept"
+    )
     block_size_m: float = Field(
         125, gt=0, description="edge of the square blocks that go to train, val or test as a whole"
     )
@@ -390,6 +394,18 @@ class Optimiser(Section):
     gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
 
 
+class Compute(Section):
+    """Where and how it is trained; what is learnt depends on it by rounding only."""
+
+    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="auto: a GPU where there is one")
+    precision: Literal["float32", "bfloat16"] = Field(
+        "float32", description="of matrix products (autocast); weights and losses stay float32"
+    )
+    compile: bool = Field(False, description="compile the networks first (torch.compile): long trainings only")
+    resident: bool = Field(False, description="keep the clouds in the memory of the device")
+    tensorboard: bool = Field(False, description="metrics for TensorBoard too, beside the checkpoints")
+
+
 class Dvae(Section):
     """Discrete VAE that turns patches of points into tokens."""
 
@@ -411,6 +427,7 @@ class Dvae(Section):
     optimiser: Optimiser = Optimiser()
     checkpoint_every_steps: int = Field(100, ge=1, description="also: how often validation runs")
     num_validation: int = Field(128, ge=1, description="clouds of the val split to measure while training")
+    compute: Compute = Compute()
 
 
 # --- model ------------------------------------------------------------------------------------------------
@@ -499,6 +516,7 @@ class Model(Section):
     optimiser: ModelOptimiser = ModelOptimiser()
     checkpoint_every_steps: int = Field(200, ge=1, description="also: how often validation runs")
     num_validation: int = Field(128, ge=1, description="buildings of the val split to measure while training")
+    compute: Compute = Compute()
 
     @model_validator(mode="after")
     def _heads_divide(self) -> Self:
@@ -553,6 +571,7 @@ class Reconstruct(Section):
     )
     min_eave_height_m: float = Field(1, gt=0, description="lower predictions are raised to this")
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
+    refine: bool = Field(True, description="fit height, angles and classes to the points after the network")
 
 
 # --- the whole --------------------------------------------------------------------------------------------

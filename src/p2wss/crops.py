@@ -20,7 +20,14 @@ from p2wss import footprints, io, tiling
 from p2wss.clouds import Cloud, read_clouds, same_crs
 from p2wss.config import Crops
 from p2wss.errors import InputError
-from p2wss.lidar.cropping import crop_points, gather_cm, medians, seen_share
+from p2wss.lidar.cropping import (
+    count_distinct,
+    crop_points,
+    gather_cm,
+    medians,
+    seen_share,
+    walls_seen,
+)
 from p2wss.seeds import generator
 from p2wss.skeleton.types import FaceKind, Polygons
 
@@ -46,6 +53,7 @@ _NOT_INT16 = -32768
 _GROUND_RINGS_M = (1.0, 4.0, 16.0, 64.0)
 _ENOUGH_GROUND_POINTS = 5
 _LOW_PERCENTILE = 5.0
+_WALL_SEEN_POINTS = 10
 
 
 @dataclass(frozen=True)
@@ -110,6 +118,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     """A simulated scan: its points, and the building id and face id of each, int32 (see
     ``scans.write_scan``)."""
     needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
+    needed |= laspy.DecompressionSelection.POINT_SOURCE_ID
     needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
     try:
         with laspy.open(path, decompression_selection=needed) as reader:
@@ -117,6 +126,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
             xyz = [np.empty(count) for _ in range(3)]
             classification = np.empty(count, np.uint8)
             building, face = np.empty(count, np.int32), np.empty(count, np.int32)
+            strip = np.empty(count, np.uint16)
             first = 0
             for points in reader.chunk_iterator(_READ_AT_ONCE):
                 part = slice(first, first + len(points))
@@ -124,6 +134,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
                     column[part] = points[name]
                 classification[part] = points.classification
                 building[part], face[part] = points["building_id"], points["face_id"]
+                strip[part] = points.point_source_id
                 first = part.stop
             if first != count:
                 raise EOFError(f"{first} of {count} points")
@@ -131,7 +142,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
         raise InputError(f"{path}: no such file") from error
     except Exception as error:  # laspy and lazrs raise many kinds for a broken file
         raise InputError(f"{path}: not a readable scan of p2wss, or truncated: {error}") from error
-    return Cloud(xyz[0], xyz[1], xyz[2], classification, crs), building, face
+    return Cloud(xyz[0], xyz[1], xyz[2], classification, crs, strip), building, face
 
 
 def crop_scene(
@@ -165,6 +176,9 @@ def crop_scene(
         "label_ground_z_m": labels["ground_z_m"].combine_chunks(),
         "split": split[rows[kept]],
         "num_wall_points": _counts(on_wall, cropped.offset)[kept].astype(np.int32),
+        "num_walls_seen": walls_seen(
+            (face[cropped.point] >> 2) - 1, on_wall, cropped.offset, _WALL_SEEN_POINTS
+        )[kept],
     }
     return columns, left_out
 
@@ -352,6 +366,7 @@ def _rows(
     left_out["too-large"] += int(large.sum())
     left_out["too-few-points"] += int(few.sum())
     kept = np.flatnonzero(~(large | few))
+    strip = np.zeros(len(cloud), np.uint16) if cloud.strip is None else cloud.strip
     pairs = usable & np.repeat(~(large | few), np.diff(offset))
     num_points = _counts(usable, offset)[kept]
     point_offset = np.concatenate([[0], np.cumsum(num_points)])
@@ -368,6 +383,8 @@ def _rows(
         **footprints.to_columns(shape, np.zeros((len(kept), 2))),
         "ground_z_m": cropped.ground_z_m[kept],
         "num_roof_points": _counts(on_roof & usable, offset)[kept].astype(np.int32),
+        "num_strips": count_distinct(strip, cropped.point, offset)[kept],
+        "is_truncated": num_points > settings.max_points,
         "visible_roof_share": seen_share(
             x_cm[pairs],
             y_cm[pairs],

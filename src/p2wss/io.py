@@ -139,7 +139,15 @@ CROPS = pa.schema(
             "points on this building's roof (real LiDAR: class 6 inside, else all inside but ground)",
         ),
         _field("num_wall_points", pa.int32(), "points on this building's walls; null for real LiDAR", True),
+        _field(
+            "num_walls_seen",
+            pa.int32(),
+            "footprint edges whose walls have 10 points or more; null for real LiDAR",
+            True,
+        ),
+        _field("num_strips", pa.int32(), "flight lines that the points come from"),
         _field("visible_roof_share", pa.float32(), "share of the roof's 1 m cells that have a point"),
+        _field("is_truncated", pa.bool_(), "more points than crops.max_points: networks see a part of them"),
     ]
 )
 

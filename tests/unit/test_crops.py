@@ -27,7 +27,8 @@ needs_data = pytest.mark.skipif(not DATA.exists(), reason="the shared real data 
 def cloud_of(scan):
     x, y, z = (scan.points.xyz_mm / 1000 + scan.origin_m).T
     classes = np.where(scan.points.building < 0, 2, 6).astype(np.uint8)
-    return Cloud(x, y, z, classes, pyproj.CRS(2154)), scan.points.building, scan.points.face
+    cloud = Cloud(x, y, z, classes, pyproj.CRS(2154), scan.points.strip)
+    return cloud, scan.points.building, scan.points.face
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def points_of(columns, row):
 
 def test_rows_hold_the_points_around_each_footprint(scanned):
     buildings, (cloud, owner, face) = scanned
-    columns, left_out = crops.crop_scene(buildings, (cloud, owner, face), Crops())
+    columns, left_out = crops.crop_scene(buildings, (cloud, owner, face), Crops(max_points=1200))
     assert sum(left_out.values()) == 0
     ids = columns["building_id"].to_pylist()
     assert ids == [row["building_id"] for row in buildings.to_pylist() if row["in_tile"]]
@@ -67,6 +68,10 @@ def test_rows_hold_the_points_around_each_footprint(scanned):
         kind = face[near & (owner == source)] & 3
         assert columns["num_roof_points"][row] == (kind == 2).sum()
         assert columns["num_wall_points"][row] == (kind == 1).sum()
+        edges = face[near & (owner == source) & (face & 3 == 1)] >> 2
+        assert columns["num_walls_seen"][row] == (np.bincount(edges) >= 10).sum()
+        assert columns["num_strips"][row] == len(np.unique(cloud.strip[near]))
+        assert columns["is_truncated"][row] == (near.sum() > 1200)
         assert columns["visible_roof_share"][row] > 0.9
         # ground at the building: the label is the median along the footprint, the cloud's is that of the ring
         assert columns["ground_z_m"][row] == pytest.approx(columns["label_ground_z_m"][row].as_py(), abs=0.25)

@@ -263,3 +263,38 @@ def seen_share(
                     num_seen += seen[row, column]
         result[p] = num_seen / num_cells if num_cells else 1.0 * any_seen
     return result
+
+
+@njit(cache=True, nogil=True)
+def count_distinct(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """How many values each polygon's points have, int32 (num_polygons,). value: uint16, one per point."""
+    result = np.zeros(len(offset) - 1, np.int32)
+    last_seen = np.full(1 << 16, -1, np.int64)  # polygon
+    for p in range(len(offset) - 1):
+        for k in range(offset[p], offset[p + 1]):
+            v = value[point[k]]
+            if last_seen[v] != p:
+                last_seen[v] = p
+                result[p] += 1
+    return result
+
+
+@njit(cache=True, nogil=True)
+def walls_seen(edge: np.ndarray, on_wall: np.ndarray, offset: np.ndarray, min_points: int) -> np.ndarray:
+    """Number of edges with ``min_points`` points on their wall or more, int32 (num_polygons,).
+
+    edge int32, on_wall bool (num_pairs,): the edge whose wall the point of a pair is on, and whether it is.
+    """
+    result = np.zeros(len(offset) - 1, np.int32)
+    most = np.int64(0)
+    for k in range(len(edge)):
+        if on_wall[k]:
+            most = max(most, np.int64(edge[k]) + 1)
+    count = np.zeros(most, np.int64)
+    for p in range(len(offset) - 1):
+        count[:] = 0
+        for k in range(offset[p], offset[p + 1]):
+            if on_wall[k]:
+                count[edge[k]] += 1
+        result[p] = (count >= min_points).sum()
+    return result
