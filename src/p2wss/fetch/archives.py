@@ -54,6 +54,15 @@ def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
     return sorted(wanted.values())
 
 
+def members(archive: Path) -> list[str]:
+    """The names of the files in an archive. Raises :class:`InputError` if it is broken or incomplete."""
+    try:
+        with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
+            return content.getnames()
+    except _BROKEN as error:
+        raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}") from error
+
+
 def _open(archive: Path) -> IO[bytes]:
     if archive.suffix == ".001":
         return cast(IO[bytes], multivolumefile.open(archive.with_suffix(""), "rb"))

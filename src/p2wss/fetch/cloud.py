@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import struct
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,6 +44,9 @@ def check_cloud(path: Path, crs: str) -> None:
         )
     if header.point_count == 0:
         return
+    if any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs):
+        _check_copc(path)
+        return
     try:
         with laspy.open(path) as reader:
             # the last point is behind all others, and in LAZ behind a table at the very end of the file
@@ -54,6 +58,24 @@ def check_cloud(path: Path, crs: str) -> None:
         raise InputError(
             f"{path}: is truncated: its header counts {header.point_count} points, the last is missing"
         )
+
+
+def _check_copc(path: Path) -> None:
+    # lazrs cannot seek in the chunks of COPC, which are of different sizes; but the records behind all chunks
+    # tell where the file ends: 60 bytes each, of which 8 their length (LAS 1.4, section 2.7)
+    header, size = read_header(path), path.stat().st_size
+    end = header.start_of_first_evlr
+    with path.open("rb") as file:
+        for _ in range(header.number_of_evlrs):
+            file.seek(end + 20)
+            length = file.read(8)
+            if len(length) < 8:
+                break
+            end += 60 + struct.unpack("<Q", length)[0]
+        else:
+            if end <= size:
+                return
+    raise InputError(f"{path}: is truncated: {size} of at least {end} bytes")
 
 
 def write_cloud(

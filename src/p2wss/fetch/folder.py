@@ -187,7 +187,7 @@ def _warn_of_gaps(covered: list[Bounds], bounds: Bounds, name: str) -> None:
     missing = [
         tile
         for tile in tiles_of_bounds(bounds, 1000)
-        if all(rasterio.coords.disjoint_bounds(other, tile_bounds(tile, 1000, -1)) for other in covered)
+        if all(rasterio.coords.disjoint_bounds(other, tile_bounds(tile, 1000, -10)) for other in covered)
     ]
     if missing:
         log.warning(f"{name}: no file for {', '.join(missing)}; no terrain there")

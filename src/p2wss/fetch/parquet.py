@@ -37,10 +37,8 @@ def read_window(path: Path, window_in: Callable[[Any], Bounds]) -> gpd.GeoDataFr
         boxes = shapely.bounds(geometry)
         meets = (boxes[:, :2] <= (x_max, y_max)).all(axis=1) & (boxes[:, 2:] >= (x_min, y_min)).all(axis=1)
         if meets.any():
-            rows = batch.filter(meets).to_pandas().drop(columns=name)
-            parts.append(
-                gpd.GeoDataFrame(rows, geometry=geometry[meets], crs=empty.crs).rename_geometry(name)
-            )
+            rows = batch.filter(meets).to_pandas().assign(**{name: geometry[meets]})
+            parts.append(gpd.GeoDataFrame(rows, geometry=name, crs=empty.crs))
     return pd.concat(parts, ignore_index=True) if len(parts) > 1 else empty
 
 

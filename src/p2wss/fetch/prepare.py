@@ -46,14 +46,14 @@ def prepare(
     """Write the points of the tile's clouds in ``bounds``, less those in ``holes``, and tell what was done.
 
     paths: the tile's own cloud, then those of its neighbours. holes: the tiles of the neighbours, whose points
-    are written with them; they still help to find the ground here. clouds_crs: of ``paths``, if it is not ``crs``.
+    are written with them; they still help to find the ground here. clouds_crs: of ``paths``.
 
     Raises :class:`InputError` if PDAL is needed and not there, or fails.
     """
     classes = count_classes(paths[0])
     num_ground = classes[GROUND_CLASS]
     reason = ""
-    if clouds_crs and clouds_crs != crs:
+    if clouds_crs != crs:
         reason = f"clouds in {clouds_crs}"
     elif config.mode == "pdal":
         reason = "fetch.prepare.mode: pdal"
@@ -62,7 +62,7 @@ def prepare(
     command = _command(config) if reason else None
     if reason and command is None:
         problem = f"{paths[0]}: {reason}, but no program {config.pdal_command!r} was found; {HOW_TO_GET_PDAL}"
-        if not num_ground or clouds_crs:
+        if not num_ground or clouds_crs != crs:
             raise InputError(f"{problem}; fetch.prepare.mode: never uses clouds as they are")
         log.warning(f"{problem}; the cloud has ground points and is used as it is")
     if not reason or command is None:
@@ -72,7 +72,7 @@ def prepare(
     if num_ground:
         stages = [stage for stage in stages if not str(stage.get("tag", "")).startswith(CONDITIONAL)]
     for path in paths:
-        check_cloud(path, clouds_crs or crs)
+        check_cloud(path, clouds_crs)
     colours = {"red", "nir"} & set(read_header(paths[0]).point_format.dimension_names)
     window = (bounds, holes, crs, clouds_crs)
     facts = _run(command, out, paths, window, 7 if colours else 6, stages, config.pdal_timeout_s)
@@ -97,8 +97,8 @@ def pipeline(
     ends = []
     for number, name in enumerate(names):
         # a cloud that does not tell its CRS is believed to be in the one of the config
-        steps.append({"type": "readers.las", "filename": name, "default_srs": clouds_crs or crs})
-        if clouds_crs and clouds_crs != crs:
+        steps.append({"type": "readers.las", "filename": name, "default_srs": clouds_crs})
+        if clouds_crs != crs:
             steps.append({"type": "filters.reprojection", "in_srs": clouds_crs, "out_srs": crs})
         if number == 0:
             steps += [_crop(bounds)] + [_crop(hole) | {"outside": True} for hole in holes]

@@ -24,7 +24,8 @@ OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"
 
 
 def source(crs: str = "EPSG:2154", **paths: Any) -> FolderSource:
-    return FolderSource(Folder(**{name: str(path) for name, path in paths.items()}), crs, Path("unpacked"))
+    config = Folder(**{name: str(path) for name, path in paths.items()})
+    return FolderSource(config, crs, Path("unpacked"))
 
 
 # --- footprints ---
@@ -306,7 +307,85 @@ def test_truncated_laz_leaves_nothing(tmp_path: Path, keep: float) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
+COPC = ROOT.parent / "shared" / "data" / "lidarhd_crops" / "77050_627755_LA93_IGN69.copc.laz"
+
+
+@pytest.mark.skipif(not COPC.exists(), reason="no shared/data/lidarhd_crops")
+@pytest.mark.parametrize("keep", [1, 0.9999, 0.5, 0.1, 0.001])
+def test_real_copc_whole_and_truncated(tmp_path: Path, keep: float) -> None:
+    path, out = tmp_path / "a.copc.laz", tmp_path / "out.laz"
+    path.write_bytes(COPC.read_bytes()[: int(keep * COPC.stat().st_size)])
+    bounds = (770000.0, 6277000.0, 771000.0, 6278000.0)
+    if keep == 1:
+        assert write_cloud(out, [path], bounds, "EPSG:2154") == 73355
+        assert out.read_bytes() == COPC.read_bytes()
+    else:
+        with pytest.raises(InputError, match=r"a\.copc\.laz: .*truncated"):
+            write_cloud(out, [path], bounds, "EPSG:2154")
+        assert not out.exists()
+
+
 def test_lidar_in_another_crs(tmp_path: Path) -> None:
     write_points(tmp_path / "a.laz", np.array([653100.0]), np.array([6860500.0]), "EPSG:28992")
     with pytest.raises(InputError, match=r"a\.laz: is in Amersfoort.*the region in RGF93"):
         write_cloud(tmp_path / "out.laz", [tmp_path / "a.laz"], TILE, "EPSG:2154")
+
+
+# --- large files, and files in degrees ---
+
+
+@pytest.mark.parametrize("covering", [True, False])
+@pytest.mark.parametrize("crs", ["OGC:CRS84", "EPSG:4171", "EPSG:2154"])
+def test_geoparquet_of_all_france_by_window(tmp_path: Path, crs: str, covering: bool) -> None:
+    """IGN's national file is in degrees, with the boxes as a column; both or neither may be so."""
+    frame = buildings(200)
+    frame.to_crs(crs).to_parquet(tmp_path / "b.parquet", write_covering_bbox=covering, row_group_size=20)
+    window = (652105.0, 6861000.0, 652145.0, 6861010.0)
+    found = source(footprints=tmp_path / "b.parquet").footprints(window)
+    result = normalise(found, "EPSG:2154", "b").set_index("building_id")
+    expected = frame.set_index("cleabs")
+    expected = expected[expected.intersects(shapely.box(*window))]
+    assert sorted(result.index) == sorted(expected.index)
+    moved = result.geometry.hausdorff_distance(gpd.GeoSeries(shapely.force_2d(expected.geometry), crs=2154))
+    assert moved.max() < 1e-3
+
+
+def test_geopackage_in_degrees(tmp_path: Path) -> None:
+    buildings(50).to_crs("EPSG:4326").to_file(tmp_path / "b.gpkg")
+    found = source(footprints=tmp_path / "b.gpkg").footprints((652105.0, 6861000.0, 652145.0, 6861010.0))
+    assert sorted(normalise(found, "EPSG:2154", "b")["building_id"]) == ["B5", "B6", "B7"]
+
+
+def test_an_empty_window_of_each_format(tmp_path: Path) -> None:
+    frame = buildings(5)
+    frame.to_parquet(tmp_path / "a.parquet", write_covering_bbox=True)
+    frame.to_parquet(tmp_path / "b.parquet")
+    frame.to_file(tmp_path / "c.gpkg")
+    for name in ("a.parquet", "b.parquet", "c.gpkg"):
+        found = source(footprints=tmp_path / name).footprints((0.0, 0.0, 1.0, 1.0))
+        assert len(normalise(found, "EPSG:2154", name)) == 0
+
+
+def test_a_parquet_file_that_is_none(tmp_path: Path) -> None:
+    (tmp_path / "a.parquet").write_text("<html>")
+    with pytest.raises(InputError, match=r"a\.parquet: not a readable vector file"):
+        source(footprints=tmp_path / "a.parquet").footprints((0.0, 0.0, 1.0, 1.0))
+
+
+def test_square_kilometres_without_a_file_are_named(caplog: pytest.LogCaptureFixture) -> None:
+    source(dtm=MINI / "rgealti").dtm((651900.0, 6861500.0, 652100.0, 6861600.0))
+    assert "no file for 0651_6862; no terrain there" in caplog.text
+    caplog.clear()
+    source(dtm=MINI / "rgealti").dtm((652100.0, 6861500.0, 652200.0, 6861600.0))
+    assert not caplog.text
+
+
+def test_clouds_in_another_crs_are_found_by_the_window_of_the_region(tmp_path: Path) -> None:
+    from pyproj import Transformer
+
+    to_utm = Transformer.from_crs(2154, 32631, always_xy=True)
+    x, y = to_utm.transform(np.array([653100.0, 653200.0]), np.array([6860500.0, 6860600.0]))
+    write_points(tmp_path / "a.laz", x, y, "EPSG:32631")
+    assert source(lidar=tmp_path, lidar_crs="EPSG:32631").lidar(TILE) == [tmp_path / "a.laz"]
+    with pytest.raises(InputError, match="none of its 1 files has points"):
+        source(lidar=tmp_path).lidar(TILE)

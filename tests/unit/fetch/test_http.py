@@ -42,6 +42,7 @@ def test_server_errors_are_waited_out_with_growing_pauses(httpserver: HTTPServer
     assert client(pauses).get(httpserver.url_for("/x")) == b"fine"
     first, second = (pause for pause in pauses if pause > 0.1)
     assert 1 <= first <= 2 <= second <= 4
+    assert len(httpserver.log) == 3
 
 
 def test_a_service_that_stays_down_is_named(httpserver: HTTPServer) -> None:
@@ -81,6 +82,7 @@ def test_user_agent_and_redirect(httpserver: HTTPServer) -> None:
     )
     httpserver.expect_request("/new", headers={"User-Agent": "p2wss"}).respond_with_data("fine")
     assert client().get(httpserver.url_for("/old")) == b"fine"
+    assert len(httpserver.log) == 2
 
 
 @contextmanager
@@ -192,3 +194,23 @@ def test_a_slow_drip_is_cut(tmp_path: Path) -> None:
             client(max_attempts=1, max_wait_s=0.3).get(f"http://127.0.0.1:{server.server_address[1]}/x")
         stop.set()
         server.shutdown()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_disk_that_is_full_during_a_download(httpserver: HTTPServer, tmp_path: Path) -> None:
+    httpserver.expect_request("/t").respond_with_data(BODY)
+    (tmp_path / "t.laz.part").symlink_to("/dev/full")
+    with pytest.raises(InputError, match=r"t\.laz: not written: No space left on device"):
+        client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
+    assert list(tmp_path.iterdir()) == []
+    assert len(httpserver.log) == 1
+
+
+def test_connection_reset_for_ever_is_named_and_counted(tmp_path: Path) -> None:
+    answer = raw("200 OK", b"LASF" + bytes(600_000), Content_Length=2_000_000)
+    with broken_server([answer]) as (url, requests):
+        with pytest.raises(InputError, match="after 3 attempts"):
+            client(max_attempts=3).download(url, tmp_path / "t.laz", b"LASF")
+        assert len(requests) == 3
+        assert b"Range: bytes=524288-" in requests[1], "the rest is asked for"
+    assert not (tmp_path / "t.laz").exists()

@@ -1,0 +1,52 @@
+"""Clouds of known shape, and a real PDAL where there is one."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyproj
+import pytest
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="session")
+def pdal_command() -> str:
+    """A ``pdal`` on the PATH, or the one that tests/pdal/make_root.sh has made."""
+    if shutil.which("pdal"):
+        return "pdal"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    root = cache / "p2wss-test" / "bullseye-pdal"
+    if not (root / "usr/bin/pdal").exists() or os.geteuid() != 0:
+        pytest.skip("no PDAL on this machine; as root on Debian: tests/pdal/make_root.sh")
+    return f"{ROOT / 'tests/pdal/pdal.sh'} {root}"
+
+
+WriteCloud = Callable[..., Path]
+
+
+@pytest.fixture
+def write_points(tmp_path: Path) -> WriteCloud:
+    """Writes a LAZ (or LAS) file of points (n, 3) with classes."""
+
+    def write(name: str, points: np.ndarray, classes: np.ndarray | int = 1, **columns: np.ndarray) -> Path:
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.scales, header.offsets = [0.001] * 3, [652000, 6861000, 0]
+        header.add_crs(pyproj.CRS(columns.pop("crs", "EPSG:2154")))
+        cloud = laspy.LasData(header)
+        cloud.x, cloud.y, cloud.z = np.asarray(points, float).T
+        cloud.classification = np.broadcast_to(classes, len(points))
+        cloud.return_number = cloud.number_of_returns = np.ones(len(points), np.uint8)
+        for column, values in columns.items():
+            cloud[column] = values
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cloud.write(path)
+        return path
+
+    return write

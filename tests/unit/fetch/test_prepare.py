@@ -1,0 +1,235 @@
+"""Clouds made ready: what goes where, when PDAL is asked for, and what a real one makes of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from p2wss.config import Prepare
+from p2wss.errors import InputError
+from p2wss.fetch.prepare import pipeline, prepare, read_stages, with_class_flags
+
+ROOT = Path(__file__).parents[3]
+STAGES = ROOT / "config" / "pdal" / "prepare.json"
+BRESSE = ROOT.parent / "shared" / "data" / "bresse_ign" / "lidar.laz"
+MINI = ROOT / "tests" / "mini" / "lidar" / "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
+TILE = (652000.0, 6861000.0, 653000.0, 6862000.0)
+AROUND = (651900.0, 6860900.0, 653100.0, 6862100.0)
+EAST = (653000.0, 6861000.0, 654000.0, 6862000.0)
+L93 = "EPSG:2154"
+
+
+def config(**settings) -> Prepare:
+    return Prepare(pdal_stages=str(STAGES), **settings)
+
+
+def scatter(number: int, bounds: tuple[float, ...], seed: int = 0) -> np.ndarray:
+    x_min, y_min, x_max, y_max = bounds
+    return np.round(
+        np.random.default_rng(seed).uniform((x_min, y_min, 40), (x_max, y_max, 60), (number, 3)), 3
+    )
+
+
+def rows(points: np.ndarray) -> list[tuple[int, ...]]:
+    return sorted(map(tuple, np.round(np.asarray(points) * 1000).astype(np.int64).tolist()))
+
+
+def test_a_classified_tile_is_passed_on_as_it_is(write_points, tmp_path):
+    cloud = write_points("0652_6862.laz", scatter(1000, TILE), 2)
+    out = tmp_path / "out" / "0652_6862.laz"
+    facts = prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program"))
+    assert (facts["by"], facts["num_points"], facts["num_ground_points"]) == ("laspy", 1000, 1000)
+    assert out.samefile(cloud), "no second copy of some hundred megabytes"
+
+
+def test_points_of_a_neighbour_tile_are_left_to_its_file(write_points, tmp_path):
+    """A user's file reaches over the tile: all within the margin is kept, but what the neighbour has."""
+    points = scatter(5000, (651500, 6861000, 653500, 6862000))
+    cloud = write_points("0652_6862.laz", points, 2)
+    neighbour = write_points("0653_6862.laz", scatter(100, EAST), 2)
+    out = tmp_path / "out.laz"
+    prepare(out, [cloud, neighbour], AROUND, [EAST], L93, L93, config(mode="never"))
+    x = points[:, 0]
+    assert rows(laspy.read(out).xyz) == rows(points[(x >= 651900) & (x < 653000)])
+
+
+def test_an_unclassified_cloud_without_pdal_tells_how_to_get_it(write_points, tmp_path):
+    cloud = write_points("0652_6862.laz", scatter(100, TILE), np.arange(100) % 2 * 5)
+    out = tmp_path / "out.laz"
+    message = r"no ground points \(class 2\) among the classes \[0, 5\].*no-such-program.*envs/pdal\.yaml"
+    with pytest.raises(InputError, match=message):
+        prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program"))
+    assert not out.exists()
+    prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program", mode="never"))
+    assert out.exists()
+
+
+def test_pdal_asked_for_but_not_there_is_a_warning_for_a_classified_cloud(write_points, tmp_path, caplog):
+    cloud = write_points("0652_6862.laz", scatter(100, TILE), 2)
+    settings = config(pdal_command="no-such-program", mode="pdal")
+    assert prepare(tmp_path / "out.laz", [cloud], AROUND, [], L93, L93, settings)["by"] == "laspy"
+    assert "get it with conda (envs/pdal.yaml" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [
+        ("echo 'PDAL: readers.las: no good' >&2; exit 1", "PDAL failed: PDAL: readers.las: no good"),
+        ("exit 0", "PDAL wrote nothing"),
+        ("sleep 5", "PDAL took longer than fetch.prepare.pdal_timeout_s 0.5"),
+    ],
+)
+def test_a_pdal_that_fails_leaves_nothing(write_points, tmp_path, script, message):
+    cloud = write_points("in/0652_6862.laz", scatter(100, TILE), 1)
+    program = tmp_path / "pdal"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    (tmp_path / "out").mkdir()
+    settings = config(pdal_command=str(program), pdal_timeout_s=0.5)
+    with pytest.raises(InputError, match=message):
+        prepare(tmp_path / "out" / "out.laz", [cloud], AROUND, [], L93, L93, settings)
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_pipeline_reads_crops_merges_and_writes():
+    names = ["a.laz", "b.laz"]
+    steps = pipeline(names, "out.laz", AROUND, [EAST], L93, "EPSG:2949", 6, read_stages(STAGES))["pipeline"]
+    kinds = [step["type"] for step in steps]
+    assert kinds[:7] == [
+        "readers.las",
+        "filters.reprojection",
+        "filters.crop",
+        "filters.crop",
+        "readers.las",
+        "filters.reprojection",
+        "filters.crop",
+    ]
+    assert kinds.index("filters.merge") == 7 and kinds[-1] == "writers.las" and "filters.smrf" in kinds
+    assert steps[7]["inputs"] == [steps[3]["tag"], steps[6]["tag"]]
+    assert steps[3]["outside"] and steps[-2]["outside"]
+    assert steps[6]["bounds"] == "([653000.000, 653100.000], [6861000.000, 6862000.000])"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{}", "expected a list"),
+        ("[{}]", "expected a list"),
+        ("[", "not JSON"),
+        ('[{"type": "writers.las"}]', "only filters belong here"),
+    ],
+)
+def test_stages_that_are_none(tmp_path, text, message):
+    (tmp_path / "s.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_stages(tmp_path / "s.json")
+
+
+def test_flags_in_the_words_of_an_older_pdal():
+    (first, *others) = with_class_flags(read_stages(STAGES))
+    assert first["limits"] == "ClassFlags[0:3],ClassFlags[8:11]"
+    assert others == read_stages(STAGES)[1:]
+
+
+# --- with a real PDAL ---
+
+
+@pytest.mark.skipif(not BRESSE.exists(), reason="no shared/data/bresse_ign")
+def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
+    """IGN's LiDAR without its classes: the ground that PDAL finds is IGN's, and no roof is in it."""
+    cloud = laspy.read(BRESSE)
+    given = np.asarray(cloud.classification).copy()
+    cloud.classification = np.ones(len(given), np.uint8)
+    cloud.write(tmp_path / "0870_6618.laz")
+    out = tmp_path / "out" / "0870_6618.laz"
+    around = (869900.0, 6616900.0, 871100.0, 6618100.0)
+    facts = prepare(
+        out, [tmp_path / "0870_6618.laz"], around, [], L93, L93, config(pdal_command=pdal_command)
+    )
+    assert facts["by"] == "pdal" and "no ground points" in facts["reason"]
+
+    found = laspy.read(out)
+    classes = np.asarray(found.classification)
+    assert facts["num_ground_points"] == (classes == 2).sum() and found.header.parse_crs().to_epsg() == 2154
+    before = dict(zip(map(tuple, rows_in_order(cloud)), given.tolist(), strict=True))
+    theirs = np.array([before[tuple(row)] for row in rows_in_order(found)])
+    assert len(found) > 0.97 * len(cloud)
+    assert (classes[theirs == 2] == 2).mean() > 0.98
+    assert (classes[theirs == 6] == 2).mean() < 0.01
+    # what IGN left unclassified and PDAL calls ground lies on IGN's ground
+    tree = cKDTree(np.c_[cloud.x, cloud.y][given == 2])
+    new = (classes == 2) & (theirs != 2)
+    _, nearest = tree.query(np.c_[found.x, found.y][new])
+    above = np.abs(np.asarray(found.z)[new] - np.asarray(cloud.z)[given == 2][nearest])
+    assert np.percentile(above, 95) < 0.3
+    heights = np.asarray(found["HeightAboveGround"])
+    assert np.percentile(heights[theirs == 6], 5) > 1.5 and np.median(np.abs(heights[theirs == 2])) < 0.1
+
+    left = json.loads(out.with_suffix(".pdal.json").read_text())["pipeline"]
+    assert left[0]["filename"] == str(tmp_path / "0870_6618.laz") and left[-1]["filename"] == str(out)
+    assert sorted(path.name for path in out.parent.iterdir()) == ["0870_6618.laz", "0870_6618.pdal.json"]
+
+
+def test_real_pdal_finds_the_ground_of_the_miniature(pdal_command, tmp_path):
+    """The stand-in cloud's own classes are exact, for it was drawn with them."""
+    cloud = laspy.read(MINI)
+    keep = (cloud.x < 653150) & (cloud.y > 6860850)
+    cloud.points = cloud.points[keep]
+    given = np.asarray(cloud.classification).copy()
+    cloud.classification = np.zeros(len(given), np.uint8)
+    cloud.write(tmp_path / "0653_6861.laz")
+    out = tmp_path / "out.laz"
+    around = (652900.0, 6859900.0, 654100.0, 6861100.0)
+    prepare(out, [tmp_path / "0653_6861.laz"], around, [], L93, L93, config(pdal_command=pdal_command))
+    found = laspy.read(out)
+    before = dict(zip(map(tuple, rows_in_order(cloud)), given.tolist(), strict=True))
+    theirs = np.array([before[tuple(row)] for row in rows_in_order(found)])
+    classes = np.asarray(found.classification)
+    assert (classes[theirs == 2] == 2).mean() > 0.95
+    assert (classes[theirs == 6] == 2).mean() < 0.02
+
+
+def test_real_pdal_merges_drops_noise_and_keeps_the_ground_that_is_there(
+    pdal_command, write_points, tmp_path
+):
+    points = scatter(3000, (652800, 6861400, 653300, 6861600))
+    classes = np.random.default_rng(1).choice([1, 2, 6, 7, 18], len(points))
+    withheld = np.random.default_rng(2).random(len(points)) < 0.1
+    cloud = write_points("0652_6862.laz", points, classes, withheld=withheld)
+    theirs = scatter(2000, (653000, 6861400, 653300, 6861600), seed=3)
+    neighbour = write_points("0653_6862.laz", theirs, 2)
+    out = tmp_path / "out.laz"
+    settings = config(pdal_command=pdal_command, mode="pdal")
+    facts = prepare(out, [cloud, neighbour], AROUND, [EAST], L93, L93, settings)
+    expected = (points[:, 0] < 653000) & ~withheld & ~np.isin(classes, [7, 18])
+    found = laspy.read(out)
+    assert rows(found.xyz) == rows(points[expected])
+    assert facts["num_ground_points"] == (expected & (classes == 2)).sum(), "no ground of its own making"
+    stages = json.loads(out.with_suffix(".pdal.json").read_text())["pipeline"]
+    assert "filters.smrf" not in [stage["type"] for stage in stages]
+
+
+def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
+    """The same place in UTM 31N: within a millimetre of pyproj."""
+    import pyproj
+
+    points = scatter(500, (652400, 6861400, 652600, 6861600))
+    to_utm = pyproj.Transformer.from_crs(L93, "EPSG:32631", always_xy=True)
+    x, y = to_utm.transform(points[:, 0], points[:, 1])
+    moved = np.c_[x, y, points[:, 2]]
+    cloud = write_points("0652_6862.laz", moved, 2, crs="EPSG:32631")
+    out = tmp_path / "out.laz"
+    prepare(out, [cloud], AROUND, [], L93, "EPSG:32631", config(pdal_command=pdal_command))
+    found = laspy.read(out)
+    distance, _ = cKDTree(points).query(found.xyz)
+    assert len(found) == len(points) and distance.max() < 0.003
+    assert found.header.parse_crs().to_epsg() == 2154
+
+
+def rows_in_order(cloud: laspy.LasData) -> list[list[int]]:
+    return np.round(np.c_[cloud.x, cloud.y, cloud.z, cloud.gps_time * 1e3] * 100).astype(np.int64).tolist()
