@@ -87,6 +87,9 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("buildings", type=Path)
     command.add_argument("out", type=Path, help="LAZ")
     command.add_argument("out_survey", type=Path, help="JSON: parameters of the survey and counts")
+    command.add_argument(
+        "--picture", type=Path, default=None, help="PNG of a part of it, by building, strip and return"
+    )
     command.add_argument("--threads", type=int, default=1)
 
     crops = _group(stages, "crops", "points of each building")
@@ -490,6 +493,11 @@ def scans(arguments: argparse.Namespace) -> None:
         tile=facts["tile"], crs=facts["crs"], config=section_json(config, "scans"), code=fingerprint("scans")
     )
     io.write_json(arguments.out_survey, scan.facts | made_by)
+    if arguments.picture:
+        from p2wss.pictures import scan_figure
+
+        with io.atomic(arguments.picture) as temporary:
+            scan_figure(scan.points, scans.busiest_place(scan.points)).savefig(temporary, dpi=110)
 
 
 # --- crops ---
@@ -671,7 +679,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     if arguments.no_refine:
         if arguments.model is None:
             raise InputError("--no-refine needs a --model: without one, all there is is the fit")
-        config.reconstruct = config.reconstruct.model_copy(update={"refine": False})
+        unrefined = config.reconstruct.model_copy(update={"refine": False})
+        config = config.model_copy(update={"reconstruct": unrefined})
     predictor = None if arguments.model is None else model.load(arguments.model)
     read = scenes.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = scenes.clean_footprints(read, config.scenes)

@@ -234,7 +234,6 @@ class Buildings(Section):
     """Parametric buildings by weighted straight skeleton."""
 
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
-    refine: bool = Field(True, description="fit height, angles and classes to the points after the network")
     max_failed_fraction: Share = Field(
         0.02, description="share of rejected buildings past which the job fails"
     )
@@ -246,10 +245,10 @@ class Buildings(Section):
 class PatternShares(Section):
     """How often a scene is scanned with each pattern."""
 
-    conical: float = Field(0.5, ge=0, description="circles (Palmer scanner), as Leica's sensors")
-    parallel: float = Field(0.35, ge=0, description="parallel lines of a rotating polygon")
+    conical: float = Field(0.35, ge=0, description="circles (Palmer scanner), as Leica's sensors")
+    parallel: float = Field(0.45, ge=0, description="parallel lines of a rotating polygon")
     cross_fire: float = Field(
-        0.15, ge=0, description="two crossed channels of parallel lines, as RIEGL VQ-1560"
+        0.2, ge=0, description="two crossed channels of parallel lines, as RIEGL VQ-1560"
     )
     oscillating: float = Field(0, ge=0, description="zigzag of an oscillating mirror")
 
@@ -305,13 +304,16 @@ class Scans(Section):
         description="hd: mixed sensors as in LiDAR HD; paper: the paper's simulator, "
         "which ignores all below but density_per_m2; none: flown as hd, without any error",
     )
-    density_per_m2: float = Field(
-        8, ge=0.5, le=200, description="pulses per m2 over a scene (hd: the median)"
+    density_per_m2: float | None = Field(
+        None,
+        ge=0.5,
+        le=200,
+        description="pulses per m2 over a scene (hd: the median); null: 14 for hd, 8 for paper and none",
     )
     density_spread: float = Field(
-        0.25, ge=0, le=1, description="hd: sigma of the log-normal density of a scene"
+        0.35, ge=0, le=1, description="hd: sigma of the log-normal density of a scene"
     )
-    density_bounds_per_m2: PositiveRange = Field((4, 25), description="hd: limits of that density")
+    density_bounds_per_m2: PositiveRange = Field((5, 30), description="hd: limits of that density")
     pattern_shares: PatternShares = PatternShares()
     altitude_m: PositiveRange = Field((900, 2000), description="of the flight above the median ground")
     conical_half_angle_deg: HalfAngleRange = Field((18, 22), description="off nadir, conical pattern")
@@ -328,17 +330,17 @@ class Scans(Section):
     )
     attitude_deg: NonNegativeRange = Field((0.3, 1), description="largest roll, pitch and yaw")
     divergence_mrad: NonNegativeRange = Field((0.18, 0.3), description="beam, full 1/e2 angle")
-    range_noise_m: NonNegativeRange = Field((0.015, 0.03), description="standard deviation along the ray")
-    pointing_noise_m: NonNegativeRange = Field((0.03, 0.05), description="standard deviation in x and in y")
+    range_noise_m: NonNegativeRange = Field((0.005, 0.02), description="standard deviation along the ray")
+    pointing_noise_m: NonNegativeRange = Field((0.01, 0.04), description="standard deviation in x and in y")
     strip_offset_xy_m: float = Field(
         0.05, ge=0, le=5, description="standard deviation of a strip's shift, per axis"
     )
-    strip_offset_z_m: float = Field(0.03, ge=0, le=5, description="standard deviation of a strip's shift")
+    strip_offset_z_m: float = Field(0.02, ge=0, le=5, description="standard deviation of a strip's shift")
     base_loss: NonNegativeRange = Field((0.005, 0.01), description="share of pulses lost on any surface")
     dark_roof_share: Share = Field(0.02, description="roofs, dark or wet, that lose pulses")
     dark_roof_loss: NonNegativeRange = Field((0.3, 0.9), description="share of pulses such a roof loses")
     min_intensity: float = Field(
-        0.02,
+        0.03,
         ge=0,
         le=1,
         description="weakest echo: reflectance x cosine of incidence, at the planned altitude",

@@ -105,7 +105,7 @@ def reconstruct(
     A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has no mesh here
     and a status; :func:`with_fallback` gives it a flat roof.
     """
-    meshed = [_mesh_footprint(building, config) for building in buildings]
+    meshed = [mesh_footprint(building, config) for building in buildings]
     seen = [simplify_exterior(rings, predictor.max_num_vertices) for rings in meshed]
     ground = [ground_z_m(building) for building in buildings]
     height = np.full(len(buildings), np.nan)
@@ -129,7 +129,7 @@ def reconstruct(
                 angle[i] = kernel_angles(transfer_angles(seen[i], decoded.angle_deg[k], meshed[i]))
             else:
                 refused[i] = "footprint too large for the network"
-    return _build(buildings, meshed, ground, height, angle, confidence, method, config, refused)
+    return build(buildings, meshed, ground, height, angle, confidence, method, config, refused)
 
 
 def with_fallback(
@@ -163,13 +163,13 @@ def constant(
     refused: str = "no height",
 ) -> list[Reconstruction]:
     """Buildings with given heights (b,), NaN for none, and the same angle at every edge."""
-    rings = [_mesh_footprint(building, config) for building in buildings]
+    rings = [mesh_footprint(building, config) for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
     ground = [ground_z_m(building) for building in buildings]
     unknown = np.full(len(buildings), np.nan)
     why = [refused if len(building.point_m) else NO_POINT for building in buildings]
     height = np.asarray(eave_height_m, float)
-    return _build(buildings, rings, ground, height, angle, unknown, method, config, why)
+    return build(buildings, rings, ground, height, angle, unknown, method, config, why)
 
 
 def ground_z_m(building: Building) -> float:
@@ -297,7 +297,7 @@ def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
     )
 
 
-def _build(
+def build(
     buildings: Sequence[Building],
     rings: Sequence[Sequence[np.ndarray]],
     ground: Sequence[float],
@@ -307,17 +307,23 @@ def _build(
     method: str,
     config: Reconstruct,
     refused: Sequence[str],
+    top_height_m: np.ndarray | float = np.inf,
 ) -> list[Reconstruction]:
-    """Meshes through the kernel, which checks each. A building without a finite height is refused."""
+    """Meshes through the kernel, which checks each. A building without a finite height is refused.
+
+    rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. refused: why a
+    building without a height has none. top_height_m: one for all or (b,), of a flat cut above the eave.
+    """
     result = [no_mesh(b, method, why) for b, why in zip(buildings, refused, strict=True)]
     usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground)).tolist()
     if not usable:
         return result
+    top_height = np.broadcast_to(np.asarray(top_height_m, float), len(buildings))
     meshes: Meshes = skeleton.build(
         Polygons.from_rings([list(rings[i]) for i in usable]),
         np.concatenate([angle_deg[i] for i in usable]),
         eave_height_m[usable],
-        max_roof_height_m=config.max_roof_height_m,
+        max_roof_height_m=np.minimum(top_height, config.max_roof_height_m)[usable],
     )
     for k, i in enumerate(usable):
         status = skeleton.Status(int(meshes.status[k]))
@@ -342,7 +348,7 @@ def _build(
     return result
 
 
-def _mesh_footprint(building: Building, config: Reconstruct) -> list[np.ndarray]:
+def mesh_footprint(building: Building, config: Reconstruct) -> list[np.ndarray]:
     """The rings that the mesh gets: simplified, unless that leaves no simple polygon."""
     if config.simplify_m == 0:
         return list(building.rings)

@@ -14,7 +14,7 @@ import pandas as pd
 import pyproj
 import shapely
 
-from p2wss import footprints, inference
+from p2wss import fitting, footprints, inference
 from p2wss.clouds import Cloud, horizontal, same_crs
 from p2wss.config import Reconstruct
 from p2wss.crops import crop_cloud
@@ -94,9 +94,12 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
 
 
 def run(
-    frame: gpd.GeoDataFrame, cloud: Cloud, predictor: Predictor, tile: str, config: Reconstruct
+    frame: gpd.GeoDataFrame, cloud: Cloud, predictor: Predictor | None, tile: str, config: Reconstruct
 ) -> list[Result]:
-    """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order."""
+    """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order.
+
+    By the network, then fitted to the points unless ``config.refine`` is off; without a network, fitted only.
+    """
     polygons = footprints.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.buffer_m)
     origin_xy_m = footprints.origins(polygons)
@@ -119,7 +122,9 @@ def run(
         if status == "ok":
             usable.append(i)
     chosen = [buildings[i] for i in usable]
-    made = inference.reconstruct(chosen, predictor, config, METHOD)
+    method = method_name(predictor, config)
+    known = inference.reconstruct(chosen, predictor, config, METHOD) if predictor else None
+    made = known if known is not None and not config.refine else fitting.fit(chosen, config, known, method)
     made = inference.with_fallback(made, chosen, config)
     found = dict(zip(usable, made, strict=True))
     results = []
@@ -128,9 +133,16 @@ def run(
             results.append(_result(building, found[i]))
         else:
             reason = frame["status"].iloc[i]
-            lost = inference.no_mesh(building, METHOD, reason)
+            lost = inference.no_mesh(building, method, reason)
             results.append(Result(lost, "none", reason, len(building.point_m), float("nan")))
     return results
+
+
+def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
+    """``point2wss``, ``point2wss+fit`` or ``fit``."""
+    if predictor is None:
+        return fitting.METHOD
+    return f"{METHOD}+{fitting.METHOD}" if config.refine else METHOD
 
 
 def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:

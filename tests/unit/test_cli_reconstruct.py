@@ -41,7 +41,7 @@ def run(place: Path, *more: str, cloud: str = "cloud.laz", footprints: str = "fo
 
 
 def test_three_files_named_after_the_cloud(place: Path) -> None:
-    assert run(place) == 0
+    assert run(place, "--no-refine") == 0
     assert sorted(p.name for p in (place / "out").iterdir()) == [
         "cloud.city.jsonl",
         "cloud.glb",
@@ -50,6 +50,25 @@ def test_three_files_named_after_the_cloud(place: Path) -> None:
     (row,) = gpd.read_file(place / "out" / "cloud.gpkg").to_dict("records")
     assert (row["building_id"], row["status"], row["method"]) == ("A", "ok", "point2wss")
     assert row["eave_height_m"] == pytest.approx(6.0) and row["ground_z_m"] == pytest.approx(101.0)
+
+
+def test_refined_with_the_model_and_without(place: Path) -> None:
+    outs = {}
+    for name, options in {"point2wss+fit": ["--model", "m"], "fit": []}.items():
+        files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", name)]
+        assert cli.main(["reconstruct", *files, *options]) == 0
+        (outs[name],) = gpd.read_file(place / name / "cloud.gpkg").to_dict("records")
+        assert (outs[name]["status"], outs[name]["method"]) == ("ok", name)
+    # the flat roof that the points show, whatever the network said
+    assert outs["fit"]["angle_deg"] == outs["point2wss+fit"]["angle_deg"] == "0 0 0 0"
+    assert outs["fit"]["residual_m"] < 0.01
+    assert outs["fit"]["confidence"] is None and outs["point2wss+fit"]["confidence"] > 0
+
+
+def test_without_a_model_there_is_no_unrefined(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
+    assert cli.main(["reconstruct", *files, "--no-refine"]) == 2
+    assert "--model" in capsys.readouterr().err
 
 
 def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:

@@ -25,6 +25,7 @@ SHARED = Path(__file__).parents[2].parent / "shared"
 LAMBERT, RD, WGS84 = (pyproj.CRS.from_epsg(code) for code in (2154, 28992, 4326))
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)
+UNREFINED = Reconstruct(refine=False)
 
 
 def cloud_over(*boxes: shapely.Polygon) -> Cloud:
@@ -90,7 +91,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
         np.append(cloud.classification, 6).astype(np.uint8),
         LAMBERT,
     )
-    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", UNREFINED)
     assert [r.status for r in results] == ["ok", "none", "none", "flat"]
     assert results[1].reason == "no point" and results[3].reason == "fewer than 10 points"
     assert "4 buildings: 1 ok, 1 flat (fewer than 10 points: 1)" in reconstruct.summary(results)
@@ -115,7 +116,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
 def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
     place = shapely.box(652000, 6861000, 652010, 6861010)
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
-    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", UNREFINED)
     path = tmp_path / "a.glb"
     path.write_bytes(reconstruct.gltf(results, LAMBERT, {"code": "x"}))
     scene = trimesh.load_scene(path)
@@ -131,7 +132,7 @@ def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
 def test_nothing_at_all_can_be_written() -> None:
     frame = gpd.GeoDataFrame({"building_id": []}, geometry=[], crs=LAMBERT)
     empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
-    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", UNREFINED)
     assert results == []
     assert len(reconstruct.city_json(results, LAMBERT).splitlines()) == 1
     assert reconstruct.gltf(results, LAMBERT, {})[:4] == b"glTF"
@@ -140,7 +141,7 @@ def test_nothing_at_all_can_be_written() -> None:
 
 def test_no_overlap_is_one_clear_line() -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[shapely.box(900, 0, 910, 10)], crs=LAMBERT)
-    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", Reconstruct())
+    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", UNREFINED)
     with pytest.raises(InputError, match=r"no point near any of the 1 footprints of b\.gpkg"):
         reconstruct.check_overlap(results, Path("a.laz"), Path("b.gpkg"))
 
@@ -157,7 +158,7 @@ def test_real_clouds_give_watertight_buildings(
     frame = scenes.read_footprints(folder / "footprints.gpkg")
     points = read_clouds([folder / cloud], reconstruct.window(frame))
     crs, _ = reconstruct.common_crs(points.crs, frame.crs, None, NAMES)
-    results = reconstruct.run(cleaned(frame), points, Oracle(), place, Reconstruct())
+    results = reconstruct.run(cleaned(frame), points, Oracle(), place, UNREFINED)
     assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
     path = tmp_path / "out.city.jsonl"
     path.write_text(reconstruct.city_json(results, crs))

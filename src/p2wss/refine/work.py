@@ -1,0 +1,77 @@
+"""What a fit works on and with: the problem, and work arrays that no evaluation of a roof allocates anew."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from p2wss.skeleton.queries import QueryWork, query_work
+from p2wss.skeleton.records import SkeletonWork, skeleton_work
+
+_NUM_ROWS = 4
+
+
+class Problem(NamedTuple):
+    """One polygon with its points, as compiled code takes it.
+
+    num_edges, num_rings: of the polygon. x, y, z: float64 (m,), x and y relative to its first vertex.
+    direction: int64 (num_edges,), which edges face the same way: 0 to num_directions - 1. angle_group: int64
+    (num_edges,), edges of one group share their slope. cap_m: residuals count up to this. max_roof_height_m:
+    above the eave.
+    """
+
+    num_edges: int
+    num_rings: int
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    direction: np.ndarray
+    num_directions: int
+    angle_group: np.ndarray
+    num_angle_groups: int
+    cap_m: float
+    max_roof_height_m: float
+
+
+class FitWork(NamedTuple):
+    """Arrays for polygons of up to ``max_edges`` edges with up to ``max_points`` points.
+
+    trial, best, unit: rows of angles of nested searches. num_evaluations: int64 (1,), counts roofs looked at.
+    """
+
+    skeleton: SkeletonWork
+    query: QueryWork
+    face: np.ndarray
+    distance: np.ndarray
+    residual: np.ndarray
+    sorted: np.ndarray
+    tangent: np.ndarray
+    group_tangent: np.ndarray
+    group_count: np.ndarray
+    matrix: np.ndarray
+    right_side: np.ndarray
+    solved: np.ndarray
+    trial: np.ndarray
+    num_evaluations: np.ndarray
+
+
+def fit_work(max_edges: int, max_points: int) -> FitWork:
+    """Work arrays for one thread."""
+    size = max_edges + 2
+    return FitWork(
+        skeleton=skeleton_work(max_edges),
+        query=query_work(max_edges),
+        face=np.zeros(max_points, np.int64),
+        distance=np.zeros(max_points),
+        residual=np.zeros(max_points),
+        sorted=np.zeros(max_points),
+        tangent=np.zeros(max_edges),
+        group_tangent=np.zeros(max_edges),
+        group_count=np.zeros(max_edges),
+        matrix=np.zeros((size, size)),
+        right_side=np.zeros(size),
+        solved=np.zeros(max_edges),
+        trial=np.zeros((_NUM_ROWS, max_edges)),
+        num_evaluations=np.zeros(1, np.int64),
+    )
