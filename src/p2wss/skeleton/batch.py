@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, spliced
-from p2wss.skeleton.line_kinds import solid_lines
+from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.line_kinds import find_lines
 from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
 from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, mesh_work, skeleton_work
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import Faces, FloatArray, IntArray, Lines, Meshes, Polygons
+from p2wss.skeleton.types import Faces, FloatArray, IntArray, Lines, Meshes, Polygons, writable
 
 _OK = int(Status.OK)
 
@@ -33,14 +33,11 @@ class _Output(NamedTuple):
     ring_offset: np.ndarray
     point_offset: np.ndarray
     point: np.ndarray
-    line_vertex: np.ndarray
-    line_kind: np.ndarray
-    line_offset: np.ndarray
     num_caps: np.ndarray
     num_ambiguous: np.ndarray
 
 
-@spliced
+@inner
 def _append_faces(num_edges, counts, num_faces, mesh, output, first_face):
     """Append the faces of one solid. False: no room."""
     num_rings = output.ring_offset[first_face]
@@ -68,7 +65,7 @@ def _append_faces(num_edges, counts, num_faces, mesh, output, first_face):
 @entry
 def _solids(
     xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m,
-    skeleton, mesh, start, want_faces, want_lines, output,
+    skeleton, mesh, start, want_faces, output,
 ):  # fmt: skip
     """Solids of the polygons from ``start`` on. Returns the first one for which there was no room."""
     counts = skeleton.counts
@@ -88,17 +85,6 @@ def _solids(
             if not _append_faces(num_edges, counts, num_faces, mesh, output, output.face_offset[p]):
                 return p
             output.face_offset[p + 1] = output.face_offset[p] + num_faces
-        if want_lines:
-            last_line = solid_lines(
-                num_edges, counts, mesh.vertex, mesh.triangle, mesh.triangle_label, more_triangles,
-                mesh.twin, output.line_vertex, output.line_kind, output.line_offset[p],
-            )  # fmt: skip
-            if last_line < 0:
-                return p
-            for row in range(output.line_offset[p], last_line):
-                output.line_vertex[row, 0] += num_vertices
-                output.line_vertex[row, 1] += num_vertices
-            output.line_offset[p + 1] = last_line
         output.status[p] = code
         output.num_caps[p] = counts[NUM_CAPS] if code == _OK else 0
         output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == _OK else 0
@@ -125,15 +111,13 @@ _PER_POLYGON = {
     "vertex_offset",
     "triangle_offset",
     "face_offset",
-    "line_offset",
     "num_caps",
     "num_ambiguous",
 }
 
 
-def _output(num_polygons: int, num_rows: int, want_faces: bool, want_lines: bool) -> _Output:
+def _output(num_polygons: int, num_rows: int, want_faces: bool) -> _Output:
     face_rows = num_rows if want_faces else 0
-    line_rows = num_rows if want_lines else 0
     return _Output(
         status=np.zeros(num_polygons, np.int32),
         vertex=np.empty((num_rows, 3)),
@@ -148,9 +132,6 @@ def _output(num_polygons: int, num_rows: int, want_faces: bool, want_lines: bool
         ring_offset=np.zeros(face_rows + 1, np.int64),
         point_offset=np.zeros(face_rows + 1, np.int64),
         point=np.empty(4 * face_rows, np.int32),
-        line_vertex=np.empty((2 * line_rows, 2), np.int64),
-        line_kind=np.empty(2 * line_rows, np.uint8),
-        line_offset=np.zeros(num_polygons + 1, np.int64),
         num_caps=np.zeros(num_polygons, np.int32),
         num_ambiguous=np.zeros(num_polygons, np.int32),
     )
@@ -171,22 +152,21 @@ def _run(
     base_height_m: float | FloatArray,
     max_roof_height_m: float | FloatArray,
     want_faces: bool = False,
-    want_lines: bool = False,
 ) -> _Output:
     arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
     size = work_size(polygons)
     work = skeleton_work(size), mesh_work(size)
-    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64, want_faces, want_lines)
+    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64, want_faces)
     done = 0
     while True:
-        done = _solids(*arguments, *work, done, want_faces, want_lines, output)
+        done = _solids(*arguments, *work, done, want_faces, output)
         if done == len(polygons):
             return output
         output = _grow(output)
 
 
 def _per_polygon(value: float | FloatArray, num_polygons: int) -> FloatArray:
-    return np.ascontiguousarray(np.broadcast_to(np.asarray(value, np.float64), num_polygons))
+    return writable(np.broadcast_to(np.asarray(value, np.float64), num_polygons), np.float64)
 
 
 def kernel_arguments(
@@ -198,14 +178,14 @@ def kernel_arguments(
 ) -> tuple[FloatArray, ...]:
     """All arguments as contiguous arrays of the one dtype that the compiled code is made for."""
     num_polygons = len(polygons)
-    xy_m = np.ascontiguousarray(polygons.xy_m, np.float64).reshape(-1, 2)
-    angle = np.ascontiguousarray(angle_deg, np.float64)
+    xy_m = writable(polygons.xy_m, np.float64).reshape(-1, 2)
+    angle = writable(angle_deg, np.float64)
     if angle.shape != (len(xy_m),):
         raise ValueError(f"angle_deg has shape {angle.shape}, but there are {len(xy_m)} edges")
     return (
         xy_m,
-        np.ascontiguousarray(polygons.ring_offset, np.int64),
-        np.ascontiguousarray(polygons.polygon_offset, np.int64),
+        writable(polygons.ring_offset, np.int64),
+        writable(polygons.polygon_offset, np.int64),
         angle,
         _per_polygon(eave_height_m, num_polygons),
         _per_polygon(base_height_m, num_polygons),
@@ -296,14 +276,19 @@ def lines(
     max_roof_height_m: float | FloatArray = np.inf,
 ) -> Lines:
     """Eaves, verges, ridges, hips, valleys and abutments of the roofs; arguments as for :func:`build`."""
-    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m, want_lines=True)
-    ends = output.line_vertex[: output.line_offset[-1]]
+    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    num_half_edges = 3 * int(output.triangle_offset[-1])
+    work = mesh_work(work_size(polygons))
+    ends = np.empty((num_half_edges // 2, 2), np.int64)
+    kind = np.empty(len(ends), np.uint8)
+    offset = np.zeros(len(polygons) + 1, np.int64)
+    find_lines(
+        output.vertex, output.triangle, output.triangle_kind, output.triangle_edge, output.vertex_offset,
+        output.triangle_offset, work.hash_key, work.hash_half, work.twin, ends, kind, offset,
+    )  # fmt: skip
+    ends = ends[: offset[-1]]
     return Lines(
-        output.vertex[ends[:, 0]],
-        output.vertex[ends[:, 1]],
-        output.line_kind[: len(ends)].copy(),
-        output.line_offset,
-        output.status,
+        output.vertex[ends[:, 0]], output.vertex[ends[:, 1]], kind[: len(ends)], offset, output.status
     )
 
 

@@ -10,7 +10,8 @@ from p2wss.skeleton.compiled import ZERO, entry, inner
 from p2wss.skeleton.footprint import check_rings, load_footprint
 from p2wss.skeleton.records import EDGE, MAX_EDGES
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import IntArray, Polygons
+from p2wss.skeleton.straighten import LINE, straighten
+from p2wss.skeleton.types import IntArray, Polygons, writable
 
 _OK = int(Status.OK)
 _EMPTY = int(Status.EMPTY)
@@ -87,15 +88,18 @@ def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge,
 
 @entry
 def _clean_all(
-    xy_m, ring_offset, polygon_offset, min_edge, max_cos, min_offset, min_area, longest_ring, edge
-):
+    xy_m, ring_offset, polygon_offset, min_edge, max_cos, min_offset, min_area, max_sine, max_shift,
+    longest_ring, edge, line,
+):  # fmt: skip
     num_polygons = len(polygon_offset) - 1
     status = np.zeros(num_polygons, np.int32)
     out_xy = np.empty((len(xy_m), 2))
     out_source = np.empty(len(xy_m), np.int64)
     out_ring_offset = np.zeros(len(ring_offset), np.int64)
     out_polygon_offset = np.zeros(num_polygons + 1, np.int64)
-    x, y = np.empty(longest_ring), np.empty(longest_ring)
+    num_kept = max(longest_ring, len(edge))
+    x, y = np.empty(num_kept), np.empty(num_kept)
+    corner = np.empty((len(edge), 2))
     source, length = np.empty(longest_ring, np.int64), np.empty(longest_ring)
     before, after = np.empty(longest_ring, np.int64), np.empty(longest_ring, np.int64)
     offence = np.empty(longest_ring)
@@ -164,6 +168,22 @@ def _clean_all(
             code = _TOO_MANY_EDGES
         if code == _OK:
             code, _ = load_footprint(out_xy, out_ring_offset, first_ring, num_rings, edge)
+        if code == _OK and max_sine > 0.0:
+            n = num_vertices - first_vertex
+            if straighten(edge, n, max_sine, max_shift, min_offset, line, corner):
+                origin_x, origin_y = out_xy[first_vertex, 0], out_xy[first_vertex, 1]
+                for k in range(n):
+                    x[k], y[k] = out_xy[first_vertex + k, 0], out_xy[first_vertex + k, 1]
+                    if corner[k, 0] != edge[k].x or corner[k, 1] != edge[k].y:
+                        out_xy[first_vertex + k, 0] = corner[k, 0] + origin_x
+                        out_xy[first_vertex + k, 1] = corner[k, 1] + origin_y
+                code, _ = load_footprint(out_xy, out_ring_offset, first_ring, num_rings, edge)
+                if code == _OK:
+                    code = check_rings(edge, out_ring_offset, first_ring, num_rings)
+                if code != _OK:  # it was simple only as it came
+                    for k in range(n):
+                        out_xy[first_vertex + k, 0], out_xy[first_vertex + k, 1] = x[k], y[k]
+                    code, _ = load_footprint(out_xy, out_ring_offset, first_ring, num_rings, edge)
         if code == _OK:
             code = check_rings(edge, out_ring_offset, first_ring, num_rings)
         if code != _OK:
@@ -186,6 +206,8 @@ def clean(
     min_turn_deg: float = 3.0,
     min_offset_m: float = 0.02,
     min_area_m2: float = 0.1,
+    parallel_deg: float = 2.5,
+    max_shift_m: float = 0.05,
 ) -> Cleaned:
     """Clean polygons in any state; see :class:`Cleaned`.
 
@@ -196,21 +218,29 @@ def clean(
     that is then not simple, smaller than ``min_area_m2``, or has a courtyard out of place is rejected: it
     keeps its place with no rings.
 
+    Last, edges that are parallel to within ``parallel_deg`` become exactly parallel (the mean direction,
+    weighted by squared length), and those of one direction within ``min_offset_m`` of one line collinear, as
+    far as no corner moves by more than ``max_shift_m``; 0 degrees: never. A millimetre would otherwise decide
+    which of two wavefront edges goes on where they meet.
+
     Never raises for any coordinates.
     """
-    xy_m = np.ascontiguousarray(polygons.xy_m, np.float64).reshape(-1, 2)
-    ring_offset = np.ascontiguousarray(polygons.ring_offset, np.int64)
+    xy_m = writable(polygons.xy_m, np.float64).reshape(-1, 2)
+    ring_offset = writable(polygons.ring_offset, np.int64)
     longest = int(min(np.diff(ring_offset).max(initial=3), _MAX_RAW_VERTICES))
     largest = int(min(max(np.diff(polygons.vertex_offset).max(initial=3), 16), MAX_EDGES))
     xy, ring, polygon, source, status = _clean_all(
         xy_m,
         ring_offset,
-        np.ascontiguousarray(polygons.polygon_offset, np.int64),
+        writable(polygons.polygon_offset, np.int64),
         float(min_edge_m),
         float(np.cos(np.radians(min_turn_deg))),
         float(min_offset_m),
         float(min_area_m2),
+        float(np.sin(np.radians(parallel_deg))),
+        float(max_shift_m),
         longest,
         np.zeros(largest, EDGE),
+        np.zeros(largest, LINE),
     )
     return Cleaned(Polygons(xy, ring, polygon), source, status)

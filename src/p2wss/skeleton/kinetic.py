@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, inner, spliced
+from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.records import (
     NUM_ALIVE,
     NUM_AMBIGUOUS,
@@ -520,7 +520,7 @@ def _next_event(vertex, counts):
     return height, v_best, is_split
 
 
-@spliced
+@inner
 def _start_phase(edge, num_edges, vertex, counts, phase):
     limit = counts[NUM_VERTICES]
     for e in range(num_edges):
@@ -538,7 +538,7 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
             _start_moving(edge, vertex, v, 0.0)
 
 
-@spliced
+@inner
 def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height):
     _start_phase(edge, num_edges, vertex, counts, phase)
     t = 0.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from p2wss.skeleton.compiled import inner
-from p2wss.skeleton.faces import flat_label, ground_label
-from p2wss.skeleton.records import NUM_CAPS
+from p2wss.skeleton.check import pair_half_edges
+from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.types import FaceKind
 
 
 class LineKind(IntEnum):
@@ -21,6 +21,7 @@ class LineKind(IntEnum):
 
 
 _EAVE, _VERGE, _RIDGE, _HIP, _VALLEY, _ABUTMENT = (int(kind) for kind in LineKind)
+_GROUND, _WALL = int(FaceKind.GROUND), int(FaceKind.WALL)
 _LEVEL_M = 1e-6
 
 
@@ -33,38 +34,48 @@ def _triangle_normal(vertex, triangle, t):
 
 
 @inner
-def solid_lines(
-    num_edges, counts, vertex, triangle, label, num_triangles, twin, line_vertex, line_kind, start
-):
-    """Append the lines of a solid from row ``start`` on. Returns the row after the last, -1 if full."""
-    first_wall = num_edges + counts[NUM_CAPS]
-    flat, ground = flat_label(num_edges, counts), ground_label(num_edges, counts)
-    row = start
-    for h in range(3 * num_triangles):
-        other = twin[h]
-        one, two = label[h // 3], label[other // 3]
-        if other < h or one in (two, ground) or two == ground:
+def _solid_lines(vertex, triangle, kind, edge, twin, line_vertex, line_kind, row):
+    """Lines of one solid from ``row`` on. Returns the row after the last."""
+    for h in range(3 * len(triangle)):
+        t, u = h // 3, twin[h] // 3
+        if twin[h] < h or (kind[t] == kind[u] and edge[t] == edge[u]):
             continue
-        wall_one = first_wall <= one < flat
-        wall_two = first_wall <= two < flat
-        if wall_one and wall_two:
-            continue  # a corner of the walls
-        a, b = triangle[h // 3, h % 3], triangle[h // 3, (h + 1) % 3]
-        nx, ny, nz = _triangle_normal(vertex, triangle, h // 3)
-        mx, my, mz = _triangle_normal(vertex, triangle, other // 3)
+        if kind[t] == _GROUND or kind[u] == _GROUND or (kind[t] == _WALL and kind[u] == _WALL):
+            continue
+        a, b = triangle[t, h % 3], triangle[t, (h + 1) % 3]
+        nx, ny, nz = _triangle_normal(vertex, triangle, t)
+        mx, my, mz = _triangle_normal(vertex, triangle, u)
         dx, dy, dz = vertex[b, 0] - vertex[a, 0], vertex[b, 1] - vertex[a, 1], vertex[b, 2] - vertex[a, 2]
         bend = (ny * mz - nz * my) * dx + (nz * mx - nx * mz) * dy + (nx * my - ny * mx) * dz
         level = abs(dz) < _LEVEL_M
-        if wall_one or wall_two:
-            kind = _ABUTMENT if bend < 0.0 else _EAVE if level else _VERGE
+        if kind[t] == _WALL or kind[u] == _WALL:
+            of_kind = _ABUTMENT if bend < 0.0 else _EAVE if level else _VERGE
         elif bend < 0.0:
-            kind = _VALLEY
+            of_kind = _VALLEY
         else:
-            kind = _RIDGE if level else _HIP
-        if row >= len(line_kind):
-            return -1
-        line_vertex[row, 0] = a
-        line_vertex[row, 1] = b
-        line_kind[row] = kind
+            of_kind = _RIDGE if level else _HIP
+        line_vertex[row, 0], line_vertex[row, 1] = a, b
+        line_kind[row] = of_kind
         row += 1
     return row
+
+
+@entry
+def find_lines(
+    vertex, triangle, kind, edge, vertex_offset, triangle_offset, hash_key, hash_half, twin,
+    line_vertex, line_kind, line_offset,
+):  # fmt: skip
+    """Lines of the meshes of a batch. ``line_vertex`` gets rows of ``vertex``."""
+    for p in range(len(vertex_offset) - 1):
+        a, b = triangle_offset[p], triangle_offset[p + 1]
+        start, end = vertex_offset[p], vertex_offset[p + 1]
+        first = line_offset[p]
+        last = first
+        if pair_half_edges(triangle[a:b], b - a, end - start, hash_key, hash_half, twin):
+            last = _solid_lines(
+                vertex[start:end], triangle[a:b], kind[a:b], edge[a:b], twin, line_vertex, line_kind, first
+            )
+        for row in range(first, last):
+            line_vertex[row, 0] += start
+            line_vertex[row, 1] += start
+        line_offset[p + 1] = last

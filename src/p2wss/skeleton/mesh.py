@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
-from p2wss.skeleton.compiled import ZERO, inner, spliced
+from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.faces import (
     collect_half_edges,
     drop_straight_points,
@@ -46,7 +46,7 @@ def label_kind_and_edge(num_edges, counts, label):
     return _WALL, label - first_wall
 
 
-@spliced
+@inner
 def solid_skeleton(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, work
 ):  # fmt: skip
@@ -71,27 +71,7 @@ def solid_skeleton(
     return status, num_edges
 
 
-@spliced
-def _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough):
-    """Faces of one solid, in ``mesh_work``. Returns (status, number of faces)."""
-    edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
-    status, num_half = collect_half_edges(
-        edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work, thorough
-    )
-    if status != _OK:
-        return status, 0
-    point = mesh_work.point
-    num_nodes = counts[NUM_NODES]
-    for k in range(num_nodes):
-        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + eave
-    for i in range(num_edges):
-        k = num_nodes + i
-        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, base
-    drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
-    return trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
-
-
-@spliced
+@inner
 def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
     """Number of triangles, or -1."""
     uv, flat_point, first = mesh_work.flat_uv, mesh_work.flat_point, mesh_work.flat_first
@@ -113,7 +93,7 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
         if num_rings > 1:
             size = join_holes(
                 uv[0], uv[1], flat_point[0], first, num_rings, uv[2], uv[3], flat_point[1],
-                uv[4], uv[5], flat_point[2],
+                uv[4], uv[5], flat_point[2], mesh_work.ear[0],
             )  # fmt: skip
             if size < 0:
                 return -1
@@ -130,20 +110,33 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
     return num_triangles
 
 
-@spliced
+@inner
 def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
     """Faces, triangles and checks. Returns (status, number of faces, vertices, triangles)."""
-    status, num_faces = _solid_faces(num_edges, eave, base, skeleton_work, mesh_work, thorough)
+    edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
+    status, num_half = collect_half_edges(
+        edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work, thorough
+    )
     if status != _OK:
         return status, 0, 0, 0
-    edge, counts = skeleton_work.edge, skeleton_work.counts
+    point = mesh_work.point
+    num_nodes = counts[NUM_NODES]
+    for k in range(num_nodes):
+        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + eave
+    for i in range(num_edges):
+        k = num_nodes + i
+        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, base
+    drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
+    status, num_faces = trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
+    if status != _OK:
+        return status, 0, 0, 0
     num_triangles = _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work)
     if num_triangles < 0:
         return _NOT_TRIANGULATED, 0, 0, 0
-    point, vertex = mesh_work.point, mesh_work.vertex
+    vertex = mesh_work.vertex
     triangle, new_index = mesh_work.triangle, mesh_work.new_index
     # keep the points in use, in their order
-    num_points = counts[NUM_NODES] + num_edges
+    num_points = num_nodes + num_edges
     for k in range(num_points):
         new_index[k] = -1
     for t in range(num_triangles):
@@ -176,7 +169,7 @@ def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, me
     return status, num_faces, num_vertices, num_triangles
 
 
-@spliced
+@inner
 def solid_mesh(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
 ):  # fmt: skip

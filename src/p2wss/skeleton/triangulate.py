@@ -50,7 +50,9 @@ def _in_cone(u, v, before, here, after, to_u, to_v):
 
 
 @inner
-def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, spare_u, spare_v, spare_point):
+def join_holes(
+    u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, spare_u, spare_v, spare_point, joined
+):  # fmt: skip
     """One ring from an outer ring and its holes by bridges between nearest visible corners.
 
     u, v, point: corners ring after ring, ring r at ``ring_first[r]:ring_first[r + 1]``, the outer ring first.
@@ -63,12 +65,13 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
     if total + 2 * (num_rings - 1) > len(loop_u):
         return -1
     zero = ZERO
-    joined = np.zeros(num_rings, np.bool_)
-    joined[0] = True
+    for ring in range(num_rings):
+        joined[ring] = 0
+    joined[0] = 1
     for _ in range(num_rings - 1):
         best, best_p, best_q, best_ring = np.inf, -1, -1, -1
         for ring in range(1, num_rings):
-            if joined[ring]:
+            if joined[ring] == 1:
                 continue
             first, last = ring_first[ring], ring_first[ring + 1]
             for q in range(first, last):
@@ -86,7 +89,7 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
                         continue
                     blocked = _ring_blocks(loop_u, loop_v, zero, size, p_u, p_v, u[q], v[q])
                     for other in range(1, num_rings):
-                        if not blocked and not joined[other]:
+                        if not blocked and joined[other] == 0:
                             start, end = ring_first[other], ring_first[other + 1]
                             blocked = _ring_blocks(u, v, start, end, p_u, p_v, u[q], v[q])
                     if not blocked:
@@ -110,7 +113,7 @@ def join_holes(u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, s
             loop_u[at], loop_v[at], loop_point[at] = spare_u[k], spare_v[k], spare_point[k]
             at += 1
         size = at
-        joined[best_ring] = True
+        joined[best_ring] = 1
     return size
 
 

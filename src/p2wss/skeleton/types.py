@@ -11,6 +11,12 @@ FloatArray = np.ndarray
 IntArray = np.ndarray
 
 
+def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray:
+    """The array, or a copy where it is of another dtype, scattered or read-only: for each of these numba would
+    compile everything once more."""
+    return np.require(array, dtype, ["C", "W"])
+
+
 class FaceKind(IntEnum):
     """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from."""
 
