@@ -1,20 +1,28 @@
 """Buildings for training and evaluation: from the shards of ``crops`` to padded batches.
 
 Points stay int16 centimetres in one flat array, as in the shards; a batch is cut out of it, thinned and
-turned into metres when it is needed.
+turned into metres when it is needed. The array is a file that is mapped into memory, decoded once from the
+shards (:func:`load`), or a tensor in the memory of a GPU (:class:`ResidentBuildings`).
 """
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import tempfile
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from hashlib import blake2b
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numba import njit
 
-from p2wss import io
+from p2wss import io, parallel
 from p2wss.errors import InputError
 from p2wss.nets.augment import Batch
 from p2wss.seeds import generator
@@ -25,6 +33,25 @@ _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_groun
 _GROUND_QUANTILE = 0.02
 # batches are sorted by length within a window of so many, so that little of them is padding
 _BUCKET_WINDOW = 8
+# names the layout of the decoded files: other numbers are decoded anew
+_CACHE_VERSION = 1
+_MASK = (1 << 64) - 1
+
+
+class Source(Protocol):
+    """Where batches come from."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def num_vertices(self) -> np.ndarray: ...
+
+    def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
+        """The buildings ``index`` as a padded batch; clouds of more than ``num_points`` are thinned.
+
+        ``seed`` draws the points kept, for each building on its own; without one they depend on the size of
+        the cloud alone.
+        """
 
 
 @dataclass(frozen=True)
@@ -67,32 +94,17 @@ class Buildings:
     def num_vertices(self) -> np.ndarray:
         return np.diff(self.vertex_offset)
 
-    def batch(self, index: np.ndarray, num_points: int, rng: np.random.Generator | None) -> Batch:
-        """The buildings ``index`` as a padded batch; clouds of more than ``num_points`` are thinned.
-
-        ``rng`` draws the points kept; without one they depend on the size of the cloud alone.
-        """
-        chosen = []
-        for i in index:
-            first, last = int(self.point_offset[i]), int(self.point_offset[i + 1])
-            chosen.append(first + thin(last - first, num_points, rng))
-        width = max(map(len, chosen))
-        points = np.zeros((len(index), width, 3), np.float32)
-        valid = np.zeros((len(index), width), bool)
-        for row, which in enumerate(chosen):
-            points[row, : len(which)] = self.points_cm[which]
-            valid[row, : len(which)] = True
-        points *= np.float32(0.01)
-        num_vertices = self.num_vertices[index]
-        xy = np.zeros((len(index), max(int(num_vertices.max()), 1), 2), np.float32)
-        angle = np.zeros(xy.shape[:2], np.float32)
-        for row, i in enumerate(index):
-            ring = slice(self.vertex_offset[i], self.vertex_offset[i + 1])
-            xy[row, : num_vertices[row]] = self.xy_m[ring]
-            angle[row, : num_vertices[row]] = self.angle_deg[ring]
+    def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
+        """See :class:`Source`. On the CPU."""
+        index = np.asarray(index, np.int64)
+        count = self.point_offset[index + 1] - self.point_offset[index]
+        width = int(min(count.max(), num_points))
+        points = np.empty((len(index), width, 3), np.float32)
+        _gather(self.points_cm, self.point_offset, index, _states(index, count, seed), points)
+        xy, angle, num_vertices = self.rings(index)
         return Batch(
             points=torch.from_numpy(points),
-            valid=torch.from_numpy(valid),
+            valid=torch.from_numpy(np.arange(width) < count[:, None]),
             ground_z=torch.from_numpy(self.ground_z_m[index]),
             height=torch.from_numpy(self.height_m[index]),
             xy=torch.from_numpy(xy),
@@ -100,13 +112,118 @@ class Buildings:
             num_vertices=torch.from_numpy(num_vertices),
         )
 
+    def rings(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """xy (b, n, 2), angle (b, n), padded with 0, and num_vertices (b,) of the buildings ``index``."""
+        first = self.vertex_offset[index]
+        num_vertices = self.vertex_offset[index + 1] - first
+        position = np.arange(max(int(num_vertices.max()), 1))
+        inside = position < num_vertices[:, None]
+        which = np.where(inside, first[:, None] + position, 0)
+        if not len(self.xy_m):
+            return np.zeros((*inside.shape, 2), np.float32), np.zeros(inside.shape, np.float32), num_vertices
+        return self.xy_m[which] * inside[..., None], self.angle_deg[which] * inside, num_vertices
 
-def thin(count: int, num_points: int, rng: np.random.Generator | None) -> np.ndarray:
-    """Indices of at most ``num_points`` of ``count`` points; the same for the same count without ``rng``."""
-    if count <= num_points:
-        return np.arange(count)
-    rng = rng or np.random.Generator(np.random.Philox(key=count))
-    return rng.choice(count, num_points, replace=False, shuffle=False)
+
+class ResidentBuildings:
+    """The clouds of :class:`Buildings` in the memory of a device, where batches are cut too."""
+
+    def __init__(self, buildings: Buildings, device: torch.device) -> None:
+        self._buildings = buildings
+        self._device = device
+        self._points_cm = torch.from_numpy(np.array(buildings.points_cm)).to(device)
+
+    def __len__(self) -> int:
+        return len(self._buildings)
+
+    @property
+    def num_vertices(self) -> np.ndarray:
+        return self._buildings.num_vertices
+
+    def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
+        """See :class:`Source`. With a seed other points are kept than on the CPU, from the same law."""
+        if seed is None:
+            return self._buildings.batch(index, num_points, None).to(self._device)
+        own, device = self._buildings, self._device
+        index = np.asarray(index, np.int64)
+        first = torch.from_numpy(own.point_offset[index]).to(device)
+        count = torch.from_numpy(own.point_offset[index + 1]).to(device) - first
+        widest = int((own.point_offset[index + 1] - own.point_offset[index]).max())
+        position = torch.arange(widest, device=device)
+        valid = position < count[:, None]
+        which = first[:, None] + position
+        if widest > num_points:
+            random = torch.Generator(device).manual_seed(seed)
+            key = torch.rand(valid.shape, device=device, generator=random).masked_fill(~valid, 2)
+            order = key.topk(num_points, largest=False, sorted=False)[1].sort(1)[0]
+            which, valid = which.gather(1, order), valid.gather(1, order)
+        points = self._points_cm[which.masked_fill(~valid, 0)] * 0.01
+        xy, angle, num_vertices = map(torch.from_numpy, own.rings(index))
+        return Batch(
+            points=points * valid[..., None],
+            valid=valid,
+            ground_z=torch.from_numpy(own.ground_z_m[index]).to(device),
+            height=torch.from_numpy(own.height_m[index]).to(device),
+            xy=xy.to(device),
+            angle=angle.to(device),
+            num_vertices=num_vertices.to(device),
+        )
+
+
+def thin(count: int, num_points: int) -> np.ndarray:
+    """Indices of at most ``num_points`` of ``count`` points; the same for the same count."""
+    chosen = np.empty(min(count, num_points), np.int64)
+    _select(count, _states(np.zeros(1, np.int64), np.array([count]), None)[0], chosen)
+    return chosen
+
+
+def _states(index: np.ndarray, count: np.ndarray, seed: int | None) -> np.ndarray:
+    """uint64 (b,): where the random numbers of each cloud begin."""
+    if seed is None:
+        return count.astype(np.uint64) * np.uint64(0xD1342543DE82EF95)
+    return index.astype(np.uint64) * np.uint64(0xD1342543DE82EF95) + np.uint64(seed & _MASK)
+
+
+@njit(cache=True, nogil=True)
+def _select(count: int, state: Any, chosen: np.ndarray) -> None:
+    """Every subset of ``len(chosen)`` of ``count`` alike (selection sampling, Knuth; random: splitmix64)."""
+    wanted = len(chosen)
+    taken = 0
+    for i in range(count):
+        if count - i > wanted - taken:
+            state += np.uint64(0x9E3779B97F4A7C15)
+            z = state
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            z = z ^ (z >> np.uint64(31))
+            if np.float64(z >> np.uint64(11)) * 2.0**-53 * (count - i) >= wanted - taken:
+                continue
+        chosen[taken] = i
+        taken += 1
+        if taken == wanted:
+            return
+
+
+@njit(cache=True, nogil=True)
+def _gather(
+    points_cm: np.ndarray, offset: np.ndarray, index: np.ndarray, state: np.ndarray, points: np.ndarray
+) -> None:
+    """Fill ``points`` (b, p, 3) with the chosen points in metres, and zeros."""
+    width = points.shape[1]
+    chosen = np.empty(width, np.int64)
+    metre = np.float32(0.01)
+    for row in range(len(index)):
+        first = offset[index[row]]
+        count = offset[index[row] + 1] - first
+        if count > width:
+            _select(count, state[row], chosen)
+            for i in range(width):
+                for axis in range(3):
+                    points[row, i, axis] = metre * points_cm[first + chosen[i], axis]
+        else:
+            for i in range(count):
+                for axis in range(3):
+                    points[row, i, axis] = metre * points_cm[first + i, axis]
+            points[row, count:] = 0
 
 
 def ground_from_points(z: np.ndarray) -> float:
@@ -144,41 +261,117 @@ class Order:
         return self._batches[within]
 
 
-def load(manifest: Path, splits: Sequence[str], limits: Limits, labelled: bool, lidar: bool) -> Buildings:
+def load(
+    manifest: Path,
+    splits: Sequence[str],
+    limits: Limits,
+    labelled: bool,
+    lidar: bool,
+    cache: Path | None = None,
+) -> Buildings:
     """Buildings of the ``splits`` from the shards that ``manifest`` lists; real LiDAR too if ``lidar``.
 
-    Raises :class:`InputError` for a broken manifest or shard, or when nothing is left.
+    They are decoded into a new folder within ``cache``, whole or not at all, and mapped into memory; the next
+    call with shards of the same content and the same arguments finds them there. Without ``cache`` they are
+    held in memory. Raises :class:`InputError` for a broken manifest or shard, or when nothing is left.
     """
     listed = io.read_json(manifest)
     try:
         shards = [
-            (Path(manifest).parent / shard["path"], shard["dataset"])
+            (Path(manifest).parent / shard["path"], shard["dataset"], shard.get("sha256"))
             for shard in listed["shards"]
             if shard["dataset"] == "synthetic" or (lidar and not labelled)
         ]
     except (TypeError, KeyError) as error:
         raise InputError(f"{manifest}: not a manifest of crops: no {error}") from error
     left_out: Counter[str] = Counter()
-    parts = [
-        _read(path, splits if dataset == "synthetic" else ["none"], limits, labelled, left_out)
-        for path, dataset in shards
-    ]
-    parts = [part for part in parts if len(part)]
-    if not parts:
+
+    def parts() -> Iterator[Buildings]:
+        for path, name, _ in shards:
+            part = _read(path, splits if name == "synthetic" else ["none"], limits, labelled, left_out)
+            if len(part):
+                yield part
+
+    if cache is None:
+        found = _join(list(parts()), None)
+    else:
+        content = [(name, sha256 or io.sha256(path)) for path, name, sha256 in shards]
+        asked = [_CACHE_VERSION, content, list(splits), vars(limits), labelled, lidar]
+        folder = cache / blake2b(json.dumps(asked).encode(), digest_size=12).hexdigest()
+        if parallel.rank() == 0 and not folder.is_dir():
+            _write_cache(parts(), folder, left_out)
+        parallel.barrier()
+        found = _open_cache(folder)
+        left_out = Counter(found.num_left_out)
+    if not len(found):
         raise InputError(
             f"{manifest}: no building of split {' or '.join(splits)} can be used"
             + (f" (left out: {_counts(left_out)})" if left_out else "")
         )
-    joined = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("points_cm", "ground_z_m", "xy_m", "angle_deg", "height_m")
-    }
+    return replace(found, num_left_out=dict(left_out))
+
+
+_FLAT = ("ground_z_m", "xy_m", "angle_deg", "height_m")
+
+
+def _join(parts: list[Buildings], points_cm: np.ndarray | None) -> Buildings:
+    """Parts one after the other; ``points_cm`` if their points are joined already."""
+    if points_cm is None:
+        points_cm = np.concatenate([np.zeros((0, 3), np.int16), *(part.points_cm for part in parts)])
+    empty = {"xy_m": np.zeros((0, 2), np.float32)}
     return Buildings(
-        **joined,
+        points_cm=points_cm,
+        **{
+            name: np.concatenate(
+                [empty.get(name, np.zeros(0, np.float32)), *(getattr(part, name) for part in parts)]
+            )
+            for name in _FLAT
+        },
         point_offset=_offsets([np.diff(part.point_offset) for part in parts]),
         vertex_offset=_offsets([np.diff(part.vertex_offset) for part in parts]),
-        num_left_out=dict(left_out),
+        num_left_out={},
     )
+
+
+def _write_cache(parts: Iterator[Buildings], folder: Path, left_out: Counter[str]) -> None:
+    """Decode one shard at a time: of the points no more than that is ever in memory."""
+    made: Path | None = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=".decoding-", dir=folder.parent))
+        slim = []
+        with open(made / "points_cm.i16", "wb") as file:
+            for part in parts:
+                file.write(part.points_cm.tobytes())
+                slim.append(replace(part, points_cm=part.points_cm[:0]))
+        joined = _join(slim, np.zeros((0, 3), np.int16))
+        np.savez(made / "buildings.npz", **{name: getattr(joined, name) for name in (*_FLAT, *_OFFSETS)})
+        (made / "left_out.json").write_text(json.dumps(left_out))
+        os.replace(made, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: not written: {error.strerror or error}") from error
+    finally:
+        if made is not None:
+            shutil.rmtree(made, ignore_errors=True)
+
+
+_OFFSETS = ("point_offset", "vertex_offset")
+
+
+def _open_cache(folder: Path) -> Buildings:
+    try:
+        with np.load(folder / "buildings.npz") as file:
+            arrays: dict[str, Any] = dict(file)
+        num_points = int(arrays["point_offset"][-1])
+        points = np.zeros((0, 3), np.int16)
+        if num_points:
+            points = np.memmap(folder / "points_cm.i16", np.int16, "r", shape=(num_points, 3)).view(
+                np.ndarray
+            )
+        left_out = json.loads((folder / "left_out.json").read_text())
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{folder}: not readable ({error}); delete it") from error
+    return Buildings(points_cm=points, **arrays, num_left_out=left_out)
 
 
 def describe(buildings: Buildings) -> str:
@@ -192,7 +385,9 @@ def _counts(counts: dict[str, int]) -> str:
 
 
 def _offsets(lengths: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([[0], np.cumsum(np.concatenate(lengths))]).astype(np.int64)
+    return np.concatenate([[0], np.cumsum(np.concatenate([np.zeros(0, np.int64), *lengths]))]).astype(
+        np.int64
+    )
 
 
 def _read(

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from p2wss import dataset, io, training
+from p2wss import compute, dataset, io, parallel, training
 from p2wss.config import Dvae as DvaeConfig
-from p2wss.dataset import Buildings, Limits, Order
+from p2wss.dataset import Limits, Order, ResidentBuildings, Source
 from p2wss.errors import InputError
 from p2wss.nets import augment
 from p2wss.nets.augment import Batch
 from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes, kl_weight, temperature
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.seeds import derive_seed, generator
+from p2wss.seeds import derive_seed
 
 log = logging.getLogger("p2wss")
 
@@ -25,6 +26,8 @@ log = logging.getLogger("p2wss")
 SCALE = 0.1
 # with a smaller share of its codes in use a tokenizer says nothing
 MIN_CODE_USAGE = 0.05
+# temperature and weight of the divergence have reached their last values
+WARM_SHARE = 0.55
 
 
 def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> DiscreteVae:
@@ -33,26 +36,28 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
     ``code`` is the fingerprint of this stage. Raises :class:`InputError` if nothing can be trained on or the
     codebook collapses.
     """
+    device = compute.device_of(config.compute.device)
     limits = Limits(config.min_points, max_vertices=0, max_length_m=0)
-    buildings = dataset.load(manifest, ["train"], limits, labelled=False, lidar=config.use_lidar)
-    log.info("dvae: train: %s", dataset.describe(buildings))
-    held_out = dataset.load(manifest, ["val"], limits, labelled=False, lidar=False)
-    torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
-    task = _Task(DiscreteVae(sizes(config)), buildings, held_out, config)
-    plan = training.Plan(config.seed, config.optimiser, 0.0, config.checkpoint_every_steps)
-    identity = {
-        "stage": "dvae",
-        "config": config.model_dump(mode="json"),
-        "code": code,
-        "data": io.sha256(manifest),
-    }
-    training.train(task, plan, checkpoints, identity)
-    used = config.num_tokens - task.num_dead_codes
-    if used < max(MIN_CODE_USAGE * config.num_tokens, 2):
-        raise InputError(
-            f"dvae: the codebook collapsed: {used} of {config.num_tokens} codes in use; "
-            "raise dvae.kl_weight or lower dvae.optimiser.learning_rate"
+    with parallel.processes(device):
+        cache = training.cache_folder(checkpoints)
+        buildings = dataset.load(manifest, ["train"], limits, False, config.use_lidar, cache)
+        log.info("dvae: train: %s", dataset.describe(buildings))
+        held_out = dataset.load(manifest, ["val"], limits, False, False, cache)
+        torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
+        module = DiscreteVae(sizes(config)).to(device)
+        source = ResidentBuildings(buildings, device) if config.compute.resident else buildings
+        task = _Task(module, source, held_out, config, device)
+        plan = training.Plan(
+            config.seed, config.optimiser, 0.0, config.checkpoint_every_steps, config.compute
         )
+        identity = {
+            "stage": "dvae",
+            "config": training.what_is_learnt(config),
+            "code": code,
+            "data": io.sha256(manifest),
+        }
+        training.train(task, plan, checkpoints, identity)
+        task.check_usage()
     return task.module
 
 
@@ -73,23 +78,36 @@ def patches_of(batch: Batch, num_patches: int, patch_size: int) -> Patches:
 
 class _Task:
     def __init__(
-        self, module: DiscreteVae, buildings: Buildings, held_out: Buildings, config: DvaeConfig
+        self,
+        module: DiscreteVae,
+        buildings: Source,
+        held_out: Source,
+        config: DvaeConfig,
+        device: torch.device,
     ) -> None:
         self.module = module
         self.config = config
         self.buildings = buildings
         self.held_out = held_out
+        self.device = device
         self.num_dead_codes = 0
+        self.progress = 0.0
         self.order = Order(np.zeros(len(buildings)), config.optimiser.batch_size, config.seed)
+
+    def heavy_parts(self) -> Sequence[nn.Module]:
+        module = self.module
+        return [module.encoder, module.to_logits, module.to_features, module.decoder]
 
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
-        rng = generator(config.seed, "dvae", "points", step)
-        batch = self.buildings.batch(self.order.batch(step), config.num_points, rng)
-        batch = augment.rotate_randomly(augment.centre(batch))
-        progress = step / config.optimiser.num_steps
+        seed = derive_seed(config.seed, "dvae", "points", step)
+        batch = self.buildings.batch(parallel.own(self.order.batch(step)), config.num_points, seed)
+        batch = augment.rotate_randomly(augment.centre(batch.to(self.device)))
+        progress = self.progress = step / config.optimiser.num_steps
         tau = temperature(progress, config.temperature_end)
-        losses = self.module.losses(patches_of(batch, config.num_patches, config.patch_size), tau)
+        patches = patches_of(batch, config.num_patches, config.patch_size)
+        with compute.autocast(config.compute, self.device):
+            losses = self.module.losses(patches, tau)
         weight = kl_weight(progress, config.kl_weight)
         used = torch.bincount(losses.pop("codes").flatten(), minlength=config.num_tokens)
         return {
@@ -103,12 +121,13 @@ class _Task:
     def validate(self, module: nn.Module) -> dict[str, float]:
         assert isinstance(module, DiscreteVae)
         config = self.config
-        chamfer, used, count = 0.0, torch.zeros(config.num_tokens, dtype=torch.int64), 0
+        chamfer, count = 0.0, 0
+        used = torch.zeros(config.num_tokens, dtype=torch.int64, device=self.device)
         size = config.optimiser.batch_size
         total = min(len(self.held_out), config.num_validation)
         for first in range(0, total, size):
             index = np.arange(first, min(first + size, total))
-            batch = augment.centre(self.held_out.batch(index, config.num_points, None))
+            batch = augment.centre(self.held_out.batch(index, config.num_points, None).to(self.device))
             patches = patches_of(batch, config.num_patches, config.patch_size)
             losses = module.losses(patches, config.temperature_end)
             chamfer += float(losses["fine"]) * len(index)
@@ -116,6 +135,8 @@ class _Task:
             used += torch.bincount(codes, minlength=config.num_tokens)
             count += len(index)
         self.num_dead_codes = int((used == 0).sum())
+        if self.progress > WARM_SHARE:
+            self.check_usage()
         return {
             # Chamfer-L1 of restored patches in metres
             "val_chamfer_m": chamfer / count / SCALE,
@@ -123,6 +144,15 @@ class _Task:
             "val_perplexity": float(_perplexity(used)),
             "val_dead_codes": float(self.num_dead_codes),
         }
+
+    def check_usage(self) -> None:
+        num_tokens = self.config.num_tokens
+        used = num_tokens - self.num_dead_codes
+        if used < max(MIN_CODE_USAGE * num_tokens, 2):
+            raise InputError(
+                f"dvae: the codebook collapsed: {used} of {num_tokens} codes in use; "
+                "raise dvae.kl_weight or lower dvae.optimiser.learning_rate"
+            )
 
 
 def _perplexity(count: Tensor) -> Tensor:

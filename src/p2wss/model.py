@@ -16,11 +16,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from p2wss import dataset, dvae, io, training
+from p2wss import compute, dataset, dvae, io, parallel, training
+from p2wss.compute import DeviceName
 from p2wss.config import Decoding
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
-from p2wss.dataset import Buildings, Limits, Order
+from p2wss.dataset import Buildings, Limits, Order, ResidentBuildings, Source
 from p2wss.nets import augment, decoding
 from p2wss.nets import tokenizer as words
 from p2wss.nets.augment import Batch
@@ -29,7 +30,8 @@ from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches
 from p2wss.nets.point2wss import ModelSizes, Point2Wss, inference_weights
 from p2wss.nets.tokenizer import Tokenizer, roll_index
-from p2wss.seeds import derive_seed, generator
+from p2wss.nets.transformer import Encoder
+from p2wss.seeds import derive_seed
 
 log = logging.getLogger("p2wss")
 
@@ -46,24 +48,29 @@ def train(
     vae, dvae_config = dvae.load(tokens)
     tokenizer = make_tokenizer(config)
     limits = limits_of(config, dvae_config, tokenizer)
-    buildings = dataset.load(manifest, ["train"], limits, labelled=True, lidar=False)
-    held_out = dataset.load(manifest, ["val"], limits, labelled=True, lidar=False)
-    log.info("model: train: %s", dataset.describe(buildings))
-    log.info("model: val: %s", dataset.describe(held_out))
-    torch.manual_seed(derive_seed(config.seed, "model", "weights"))
-    module = make_module(config, dvae_config, tokenizer)
-    module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
-    log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
-    task = _Task(module, vae, buildings, held_out, config, dvae_config)
-    plan = training.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
-    identity = {
-        "stage": "model",
-        "config": config.model_dump(mode="json"),
-        "code": code,
-        "data": io.sha256(manifest),
-        "dvae": io.sha256(tokens),
-    }
-    kept = training.train(task, plan, checkpoints, identity)
+    device = compute.device_of(config.compute.device)
+    with parallel.processes(device):
+        cache = training.cache_folder(checkpoints)
+        buildings = dataset.load(manifest, ["train"], limits, True, False, cache)
+        held_out = dataset.load(manifest, ["val"], limits, True, False, cache)
+        log.info("model: train: %s", dataset.describe(buildings))
+        log.info("model: val: %s", dataset.describe(held_out))
+        torch.manual_seed(derive_seed(config.seed, "model", "weights"))
+        module = make_module(config, dvae_config, tokenizer)
+        module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
+        log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
+        task = _Task(module.to(device), vae.to(device), buildings, held_out, config, dvae_config, device)
+        plan = training.Plan(
+            config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps, config.compute
+        )
+        identity = {
+            "stage": "model",
+            "config": training.what_is_learnt(config),
+            "code": code,
+            "data": io.sha256(manifest),
+            "dvae": io.sha256(tokens),
+        }
+        kept = training.train(task, plan, checkpoints, identity)
     assert isinstance(kept, Point2Wss)
     return kept, dvae_config
 
@@ -84,8 +91,11 @@ def save(
     training.write_weights(path, inference_weights(module.state_dict()), facts)
 
 
-def load(path: Path) -> Predictor:
-    """A trained model, ready to use. Raises :class:`InputError` for a file that is none."""
+def load(path: Path, device: DeviceName = "auto") -> Predictor:
+    """A trained model, ready to use, on a GPU where there is one.
+
+    Raises :class:`InputError` for a file that is none, and for a device that there is not.
+    """
     state, facts = training.read_weights(path, "model")
     with training.of_this_version(path, facts):
         config = ModelConfig.model_validate(facts["config"])
@@ -96,7 +106,7 @@ def load(path: Path) -> Predictor:
         missing = set(inference_weights(module.state_dict())) - set(state)
         if missing:
             raise ValueError(f"no weights {min(missing)}")
-    return Predictor(module, config.decoding, dvae_config, config.max_vertices)
+    return Predictor(module.to(compute.device_of(device)), config.decoding, dvae_config, config.max_vertices)
 
 
 def make_tokenizer(config: ModelConfig) -> Tokenizer:
@@ -143,10 +153,14 @@ class _Task:
         held_out: Buildings,
         config: ModelConfig,
         dvae_config: DvaeConfig,
+        device: torch.device,
     ) -> None:
         self.module = module
         self.vae = vae
-        self.buildings = buildings
+        self.device = device
+        self.buildings: Source = buildings
+        if config.compute.resident:
+            self.buildings = ResidentBuildings(buildings, device)
         self.held_out = held_out
         self.config = config
         self.dvae_config = dvae_config
@@ -154,10 +168,14 @@ class _Task:
         self.constant_height = float(np.median(buildings.height_m))
         self.constant_angle = float(np.median(buildings.angle_deg))
 
+    def heavy_parts(self) -> Sequence[nn.Module]:
+        return [*(part for part in self.module.modules() if isinstance(part, Encoder)), self.vae.to_logits]
+
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
-        rng = generator(config.seed, "model", "points", step)
-        batch = self.buildings.batch(self.order.batch(step), self.dvae_config.num_points, rng)
+        seed = derive_seed(config.seed, "model", "points", step)
+        own = parallel.own(self.order.batch(step))
+        batch = self.buildings.batch(own, self.dvae_config.num_points, seed).to(self.device)
         batch = augmented(batch, config, self.dvae_config.min_points)
         tokenizer = self.module.tokenizer
         parameters, _ = tokenizer.canonical(
@@ -172,16 +190,18 @@ class _Task:
             masking.random_ratio,
         )
         patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        losses = self.module.losses(
-            patches,
-            batch.ground_z * dvae.SCALE,
-            mask_patches(patches, masking.patch_ratio),
-            self.vae.tokens(patches),
-            tokens,
-            token_masked,
-            batch.num_vertices,
-            config.match_balanced,
-        )
+        patch_masked = mask_patches(patches, masking.patch_ratio)
+        with compute.autocast(config.compute, self.device):
+            losses = self.module.losses(
+                patches,
+                batch.ground_z * dvae.SCALE,
+                patch_masked,
+                self.vae.tokens(patches),
+                tokens,
+                token_masked,
+                batch.num_vertices,
+                config.match_balanced,
+            )
         weights = config.loss_weights.model_dump()
         total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()  # (5)
         return {"loss": total, **{f"loss_{name}": value for name, value in losses.items()}}
@@ -241,6 +261,7 @@ class Predictor:
         self, module: Point2Wss, decode: Decoding, dvae_config: DvaeConfig, max_num_vertices: int
     ) -> None:
         self.module = module.eval()
+        self.device = next(module.parameters()).device
         self.tokenizer = module.tokenizer
         self.decode = decode
         self.dvae_config = dvae_config
@@ -335,7 +356,7 @@ class Predictor:
 
     def _batch(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> Batch:
         num_points = self.dvae_config.num_points
-        chosen = [points[dataset.thin(len(points), num_points, None)] for points in points_m]
+        chosen = [points[dataset.thin(len(points), num_points)] for points in points_m]
         num_vertices = np.array([len(ring) for ring in exterior])
         width = max(map(len, chosen))
         points = np.zeros((len(chosen), width, 3), np.float32)
@@ -364,8 +385,9 @@ class Predictor:
         The probabilities of ``num_rotations`` views are averaged before anything is decided.
         """
         tokenizer, decode = self.tokenizer, self.decode
+        batch = batch.to(self.device)
         patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        heights = angles = torch.zeros(())
+        heights = angles = torch.zeros((), device=self.device)
         for view in range(decode.num_rotations):
             turned, seen = _turned(batch, patches, 2 * math.pi * view / decode.num_rotations)
             parameters, start = tokenizer.canonical(
@@ -378,23 +400,24 @@ class Predictor:
             angle = self._angle_distribution(logits)
             angles = angles + angle.gather(1, back[..., None].expand_as(angle))
         heights = heights / decode.num_rotations
-        angles = decoding.constrain(angles, decoding.angle_support(decode.angle_support))
+        angles = decoding.constrain(angles, decoding.angle_support(decode.angle_support).to(self.device))
         height, angle = decoding.decode(heights, decode.mode), decoding.decode(angles, decode.mode)
         unit = 10.0 ** tokenizer.height_places[-1]
-        inside = torch.arange(angle.shape[1]) < batch.num_vertices[:, None]
+        inside = torch.arange(angle.shape[1], device=self.device) < batch.num_vertices[:, None]
         sure_height = decoding.mass_near(heights, height, round(decoding.CONFIDENT_HEIGHT_M / unit))
         sure_angle = decoding.mass_near(angles, angle, decoding.CONFIDENT_ANGLE_DEG)
         sure_angle = (sure_angle * inside).sum(1) / batch.num_vertices
         return (
-            (height * unit).numpy(),
-            angle.double().numpy(),
-            ((sure_height + sure_angle) / 2).numpy(),
+            (height * unit).cpu().numpy(),
+            angle.double().cpu().numpy(),
+            ((sure_height + sure_angle) / 2).cpu().numpy(),
         )
 
     @torch.no_grad()
     def _decode_all(self, batch: Batch, signs_visible: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Heights (b,) m, vertices (b, n, 2) m and angles (b, n) degrees of a centred batch, all masked."""
         tokenizer, mode = self.tokenizer, self.decode.mode
+        batch = batch.to(self.device)
         parameters, start = tokenizer.canonical(
             tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
         )
@@ -405,7 +428,7 @@ class Predictor:
         logits = self._logits(tokens, batch, patches)
         height = decoding.decode(self._height_distribution(logits), mode)
         angle = self._angle_distribution(logits)
-        angle = decoding.constrain(angle, decoding.angle_support(self.decode.angle_support))
+        angle = decoding.constrain(angle, decoding.angle_support(self.decode.angle_support).to(self.device))
         signs, block_logits = tokenizer.blocks(tokens), tokenizer.blocks(logits)
         axes = []
         for slot in (tokenizer.x_slot, tokenizer.y_slot):
@@ -419,9 +442,9 @@ class Predictor:
         back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
         xy = torch.stack(axes, -1).gather(1, back[..., None].expand(-1, -1, 2))
         return (
-            (height * 10.0 ** tokenizer.height_places[-1]).numpy(),
-            (xy * 10.0**-tokenizer.coord_decimals).numpy(),
-            decoding.decode(angle, mode).gather(1, back).double().numpy(),
+            (height * 10.0 ** tokenizer.height_places[-1]).cpu().numpy(),
+            (xy * 10.0**-tokenizer.coord_decimals).cpu().numpy(),
+            decoding.decode(angle, mode).gather(1, back).double().cpu().numpy(),
         )
 
     def _logits(self, tokens: Tensor, batch: Batch, patches: Patches) -> Tensor:
@@ -442,7 +465,7 @@ def _turned(batch: Batch, patches: Patches, theta: float) -> tuple[Batch, Patche
     """A batch and its patches rotated by ``theta``: which points make a patch does not depend on it."""
     if theta == 0:
         return batch, patches
-    matrix = torch.tensor([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
+    matrix = batch.xy.new_tensor([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
 
     def turn(points: Tensor) -> Tensor:
         return torch.cat([points[..., :2] @ matrix, points[..., 2:]], -1)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import logging
 import math
+import os
+import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
@@ -22,8 +24,8 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from p2wss import __version__, io
-from p2wss.config import Optimiser
+from p2wss import __version__, io, parallel
+from p2wss.config import Compute, Optimiser, Section
 from p2wss.errors import InputError
 from p2wss.seeds import derive_seed
 
@@ -42,6 +44,7 @@ class Plan:
     optimiser: Optimiser
     ema_decay: float
     checkpoint_every_steps: int
+    compute: Compute
 
 
 class Task(Protocol):
@@ -58,6 +61,9 @@ class Task(Protocol):
     def validate(self, module: nn.Module) -> dict[str, float]:
         """Measures of ``module`` (the averaged weights, where there are such) on held-out data."""
 
+    def heavy_parts(self) -> Sequence[nn.Module]:
+        """The parts of ``module`` that are worth compiling."""
+
 
 def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -> nn.Module:
     """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return the weights to keep.
@@ -65,36 +71,50 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
     Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of
     the same ``identity`` (config, code, data; JSON values), training continues there; one of another
     identity is discarded. On SIGTERM a checkpoint is written and the process exits with status 0.
+    Of several processes (see :mod:`parallel`) the first one writes.
     Raises :class:`InputError` when the loss is no longer finite.
     """
     state = _State.new(task.module, plan)
-    metrics = _Metrics(checkpoints / "metrics.jsonl")
+    if plan.compute.compile:
+        for part in task.heavy_parts():
+            part.compile()
+    metrics = _Metrics(checkpoints / "metrics.jsonl", plan.compute.tensorboard)
     start = state.resume(checkpoints, identity)
     metrics.keep_until(start)
     num_steps = plan.optimiser.num_steps
     progress = _Progress(start, num_steps, plan.optimiser.batch_size)
-    with _termination() as terminated:
+    with _termination() as received:
         for step in range(start, num_steps):
             rate = learning_rate(step, plan.optimiser)
             losses = _take_step(task, state, plan, step, rate)
             done = step + 1
-            if done % METRICS_EVERY_STEPS == 0 or done == num_steps:
-                values = {name: float(value) for name, value in losses.items()}
+            due = done % plan.checkpoint_every_steps == 0 or done == num_steps
+            if done % METRICS_EVERY_STEPS == 0 or due:
+                values = parallel.average_values({name: float(value) for name, value in losses.items()})
                 if not math.isfinite(values["loss"]):
                     raise InputError(
                         f"training: the loss is {values['loss']} at step {done}: lower the learning rate"
                     )
                 metrics.add({"step": done, "learning_rate": rate, **values})
                 progress.show(done, values["loss"])
-            if done % plan.checkpoint_every_steps == 0 or done == num_steps:
+            if due:
                 metrics.add({"step": done, **_validate(task, state, plan, done)})
+            stop = _all_stop(received(), done) and done < num_steps
+            if due or stop:
                 state.save(checkpoints, done, identity)
-            elif terminated():
-                state.save(checkpoints, done, identity)
-            if terminated() and done < num_steps:
+            if stop:
                 log.info("stopped at step %d of %d; the next run continues there", done, num_steps)
                 raise SystemExit(0)
     return state.kept
+
+
+def _all_stop(received: bool, done: int) -> bool:
+    """Whether any process was told to stop. They ask one another now and then only: it makes GPUs wait."""
+    if parallel.num_processes() == 1:
+        return received
+    if done % METRICS_EVERY_STEPS:
+        return False
+    return parallel.average_values({"stop": float(received)})["stop"] > 0
 
 
 def learning_rate(step: int, optimiser: Optimiser) -> float:
@@ -107,8 +127,26 @@ def learning_rate(step: int, optimiser: Optimiser) -> float:
     return low + (high - low) * (1 + math.cos(math.pi * share)) / 2
 
 
+def writes() -> bool:
+    """Whether this process writes the results: of those that torchrun starts, the first one."""
+    return os.environ.get("RANK", "0") == "0"
+
+
+def cache_folder(checkpoints: Path) -> Path:
+    """Where the shards are decoded to, see :func:`dataset.load`."""
+    return checkpoints / "clouds"
+
+
+def what_is_learnt(config: Section) -> dict[str, Any]:
+    """The config of a training without what may change from one run of it to the next."""
+    return config.model_dump(
+        mode="json", exclude={"compute": {"device", "compile", "resident", "tensorboard"}}
+    )
+
+
 def remove_checkpoints(checkpoints: Path) -> None:
     """Remove what :func:`train` wrote to the folder, and the folder if nothing else is in it."""
+    shutil.rmtree(cache_folder(checkpoints), ignore_errors=True)
     for path in [*_steps(checkpoints).values(), checkpoints / "metrics.jsonl"]:
         path.unlink(missing_ok=True)
     if checkpoints.is_dir() and not any(checkpoints.iterdir()):
@@ -155,13 +193,16 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
 
 
 def _take_step(task: Task, state: _State, plan: Plan, step: int, rate: float) -> dict[str, Tensor]:
-    torch.manual_seed(derive_seed(plan.seed, "step", step))
+    # processes must not draw the same noise for different rows
+    own = [parallel.rank()] if parallel.num_processes() > 1 else []
+    torch.manual_seed(derive_seed(plan.seed, "step", step, *own))
     task.module.train()
     for group in state.optimiser.param_groups:
         group["lr"] = rate
     losses = task.step(step)
     state.optimiser.zero_grad(set_to_none=True)
     losses["loss"].backward()
+    parallel.average_gradients(task.module)
     nn.utils.clip_grad_norm_(task.module.parameters(), plan.optimiser.gradient_clip)
     state.optimiser.step()
     state.average(step)
@@ -224,6 +265,8 @@ class _State:
             ours.copy_(new)
 
     def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
+        if parallel.rank():
+            return
         state = {
             "step": step,
             "identity": json.dumps(identity, sort_keys=True),
@@ -244,7 +287,7 @@ class _State:
         wanted = json.dumps(identity, sort_keys=True)
         for step, path in sorted(_steps(folder).items(), reverse=True):
             try:
-                state = torch.load(path, weights_only=True)
+                state = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:
                 log.warning("%s: not readable (%s): trying the one before", path, type(error).__name__)
                 continue
@@ -257,8 +300,10 @@ class _State:
             self.optimiser.load_state_dict(state["optimiser"])
             log.info("continuing at step %d", step)
             return step
-        for path in _steps(folder).values():
-            path.unlink()
+        parallel.barrier()  # every process has looked
+        if parallel.rank() == 0:
+            for path in _steps(folder).values():
+                path.unlink()
         return 0
 
 
@@ -273,24 +318,43 @@ def _steps(folder: Path) -> dict[int, Path]:
 
 
 class _Metrics:
-    """Lines of JSON in a file that survives an interruption."""
+    """Lines of JSON in a file that survives an interruption; of several processes the first one writes."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, tensorboard: bool) -> None:
         self.path = path
+        self.writer: Any = _tensorboard(path.parent) if tensorboard and parallel.rank() == 0 else None
 
     def keep_until(self, step: int) -> None:
         """Forget what was written after ``step``: it will be written again."""
+        if parallel.rank():
+            return
         lines = self.path.read_text().splitlines() if step and self.path.exists() else []
         kept = [line for line in lines if json.loads(line)["step"] <= step]
         with io.atomic(self.path) as temporary:
             temporary.write_text("".join(line + "\n" for line in kept))
 
     def add(self, values: dict[str, Any]) -> None:
+        if parallel.rank():
+            return
+        if self.writer is not None:
+            for name in values.keys() - {"step"}:
+                self.writer.add_scalar(name, values[name], values["step"])
+            self.writer.flush()
         try:
             with open(self.path, "a") as file:
                 file.write(json.dumps(values) + "\n")
         except OSError as error:
             raise InputError(f"{self.path}: not written: {error.strerror or error}") from error
+
+
+def _tensorboard(folder: Path) -> Any:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise InputError(
+            "compute.tensorboard: TensorBoard is not installed: pip install tensorboard"
+        ) from error
+    return SummaryWriter(str(folder / "tensorboard"))
 
 
 class _Progress:

@@ -107,7 +107,7 @@ def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
         assert np.allclose(own, cm / 100, atol=1e-5)
         assert np.allclose(batch.xy[row].numpy().ravel(), table["footprint_xy_m"][i].as_py(), atol=1e-5)
         assert batch.angle[row].tolist() == table["angle_deg"][i].as_py()
-    thinned = train.batch(np.array([7, 2]), 100, np.random.default_rng(0))
+    thinned = train.batch(np.array([7, 2]), 100, 0)
     assert thinned.valid.sum(1).tolist() == [100, 100]
     whole = {tuple(p) for p in batch.points[0].tolist()}
     chosen = [tuple(p) for p in thinned.points[0].tolist()]
@@ -128,3 +128,62 @@ def test_an_epoch_visits_every_building_once_in_batches_of_like_length() -> None
     # any step can be asked for first
     assert np.array_equal(Order(num, 32, seed=1).batch(40), order.batch(40))
     assert len(Order(num[:5], 32, seed=1).batch(3)) == 5
+
+
+def test_the_decoded_files_are_found_again_and_hold_the_same(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = (["train"], LIMITS, True, False)
+    plain = dataset.load(manifest, *arguments)
+    first = dataset.load(manifest, *arguments, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 1
+    with monkeypatch.context() as patch:
+        patch.setattr(dataset, "_read", lambda *_: pytest.fail("decoded again"))
+        second = dataset.load(manifest, *arguments, cache=tmp_path)
+    for name in vars(plain):
+        if name != "num_left_out":
+            assert np.array_equal(getattr(plain, name), getattr(first, name))
+            assert np.array_equal(getattr(plain, name), getattr(second, name))
+    assert plain.num_left_out == second.num_left_out
+    dataset.load(manifest, ["val"], LIMITS, True, False, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_an_interrupted_decoding_leaves_nothing(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dies(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez", dies)
+    with pytest.raises(KeyboardInterrupt):
+        dataset.load(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_thinning_keeps_every_point_equally_often_and_in_order() -> None:
+    kept = np.zeros(50)
+    for seed in range(4000):
+        chosen = np.empty(20, np.int64)
+        dataset._select(50, dataset._states(np.array([3]), np.array([50]), seed * 7919)[0], chosen)
+        assert (np.diff(chosen) > 0).all() and chosen[-1] < 50
+        kept[chosen] += 1
+    # 4,000 draws of 2 in 5: 5 standard deviations
+    assert np.abs(kept / 4000 - 0.4).max() < 5 * (0.4 * 0.6 / 4000) ** 0.5
+    assert dataset.thin(10, 20).tolist() == list(range(10))
+
+
+def test_resident_clouds_give_the_same_batches(manifest: Path) -> None:
+    train = dataset.load(manifest, ["train"], LIMITS, labelled=True, lidar=False)
+    resident = dataset.ResidentBuildings(train, torch.device("cpu"))
+    index = np.array([5, 1, 9])
+    for seed in (None, 4):
+        ours, other = train.batch(index, 10**6, seed), resident.batch(index, 10**6, seed)
+        for name in vars(ours):
+            assert torch.allclose(getattr(ours, name), getattr(other, name), atol=1e-6), name
+    thinned = resident.batch(index, 100, 4)
+    assert thinned.valid.sum(1).tolist() == [100] * 3
+    whole = {
+        tuple(np.round(100 * p).astype(int)) for p in train.batch(index[:1], 10**6, None).points[0].numpy()
+    }
+    assert {tuple(np.round(100 * p).astype(int)) for p in thinned.points[0].numpy()} <= whole

@@ -37,7 +37,7 @@ def test_the_command_trains_and_the_weights_load(manifest: Path, tmp_path: Path)
     assert not checkpoints.exists()
     records = [json.loads(line) for line in metrics.read_text().splitlines()]
     measured = [r["val_chamfer_m"] for r in records if "val_chamfer_m" in r]
-    assert len(measured) == 3 and measured[-1] < 0.9 * measured[0]
+    assert len(measured) == 3 and measured[-1] < 0.97 * measured[0]
     assert next(r for r in records if "loss" in r)["fine"] > 0
     assert {"temperature", "kl_weight", "perplexity"} <= set().union(*records)
     module, config = dvae.load(out)

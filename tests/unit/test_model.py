@@ -171,7 +171,7 @@ def test_all_masked_footprints_come_in_the_frame_and_order_given(
     _, moved, _ = predictor.reconstruct_all_masked(
         [c + np.append(shift, 0) for c in clouds], [r + shift for r in exterior], signs_visible
     )
-    middle = [c[dataset.thin(len(c), SMALL_DVAE["num_points"], None)].mean(0)[:2] for c in clouds]
+    middle = [c[dataset.thin(len(c), SMALL_DVAE["num_points"])].mean(0)[:2] for c in clouds]
     for place, other, ring, at in zip(xy, moved, exterior, middle, strict=True):
         assert place.shape == ring.shape
         if signs_visible:  # the signs are those of the footprint
@@ -213,3 +213,16 @@ def test_eight_buildings_are_learnt_by_heart(folder: Path, tmp_path: Path) -> No
     known = dataset.load(manifest, ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
     height, angle = Predictor(module, config.decoding, dvae_config, 8).errors(known, np.arange(8))
     assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3
+
+
+def test_bfloat16_resident_clouds_and_the_device_option_train_too(folder: Path, tmp_path: Path) -> None:
+    few = SMALL | {
+        "optimiser": {"num_steps": 4, "batch_size": 8},
+        "compute": {"precision": "bfloat16", "resident": True},
+    }
+    arguments = ["model", str(folder / "manifest.json"), str(folder / "d.safetensors")]
+    arguments += [str(tmp_path / "m.safetensors"), str(tmp_path / "m.jsonl")]
+    arguments += ["--checkpoints", str(tmp_path / "c"), "--device", "cpu"]
+    assert cli.main([*arguments, "--config", json.dumps({"model": few})]) == 0
+    assert model.load(tmp_path / "m.safetensors", "cpu").module.sequence_head.weight.dtype == torch.float32
+    assert not (tmp_path / "c").exists()

@@ -7,14 +7,17 @@ import json
 import math
 import os
 import signal
+import sys
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
 from torch import Tensor, nn
 
-from p2wss import training
+from p2wss import compute, training
+from p2wss.config import Compute
 from p2wss.errors import InputError
 
 IDENTITY = {"config": {"a": 1}, "code": "x"}
@@ -49,13 +52,16 @@ class Line:
         loss = (self.module(x)[:, 0] - x.sum(1)).square().mean()
         return {"loss": loss * (math.nan if step == self.poison else 1.0)}
 
+    def heavy_parts(self) -> list[nn.Module]:
+        return [self.module]
+
     def validate(self, module: nn.Module) -> dict[str, float]:
         x = torch.randn(64, 2)
         return {"val_error": float((module(x)[:, 0] - x.sum(1)).abs().mean())}
 
 
 def run(folder: Path, task: Line, ema_decay: float = 0.9, identity: dict = IDENTITY) -> dict[str, Tensor]:
-    plan = training.Plan(3, Settings(), ema_decay, checkpoint_every_steps=20)
+    plan = training.Plan(3, Settings(), ema_decay, 20, Compute())
     return training.train(task, plan, folder, identity).state_dict()
 
 
@@ -140,7 +146,7 @@ def test_the_averaged_weights_are_what_is_measured_and_kept(tmp_path: Path) -> N
 def test_only_weights_of_linear_layers_decay() -> None:
     module = nn.ModuleDict({"a": nn.Linear(2, 2), "b": nn.Embedding(3, 2), "c": nn.LayerNorm(2)})
     module.register_parameter("codebook", nn.Parameter(torch.ones(4, 2)))
-    state = training._State.new(module, training.Plan(0, Settings(), 0.0, 10))
+    state = training._State.new(module, training.Plan(0, Settings(), 0.0, 10, Compute()))
     decayed, plain = (group["params"] for group in state.optimiser.param_groups)
     assert [p.shape for p in decayed] == [(2, 2)] and decayed[0] is module["a"].weight
     assert len(plain) == 5 and state.optimiser.param_groups[1]["weight_decay"] == 0
@@ -179,3 +185,48 @@ def test_weights_carry_their_facts_and_other_files_are_refused(tmp_path: Path) -
         training.read_weights(path, "model")
     with pytest.raises(InputError, match="no such file"):
         training.read_weights(tmp_path / "none", "model")
+
+
+def test_tensorboard_that_is_not_installed_is_one_clear_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    plan = training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True))
+    with pytest.raises(InputError, match="pip install tensorboard"):
+        training.train(Line(), plan, tmp_path, IDENTITY)
+
+
+def test_tensorboard_gets_every_metric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[tuple[str, float, int]] = []
+
+    class Writer:
+        def __init__(self, folder: str) -> None:
+            assert Path(folder) == tmp_path / "tensorboard"
+
+        def add_scalar(self, *what: object) -> None:
+            written.append(what)
+
+        def flush(self) -> None: ...
+
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=Writer))
+    training.train(Line(), training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True)), tmp_path, IDENTITY)
+    records = [json.loads(line) for line in training.read_metrics(tmp_path).splitlines()]
+    expected = [(k, v, r["step"]) for r in records for k, v in r.items() if k != "step"]
+    assert sorted(written) == sorted(expected)
+
+
+@pytest.mark.slow
+def test_compiled_is_the_same_but_for_rounding(tmp_path: Path) -> None:
+    plain = run(tmp_path / "one", Line())
+    plan = training.Plan(3, Settings(), 0.9, 20, Compute(compile=True))
+    task = Line()
+    task.module[2] = nn.Identity()  # its random numbers come from elsewhere once compiled
+    compiled = training.train(task, plan, tmp_path / "two", IDENTITY).state_dict()
+    assert plain.keys() == compiled.keys()
+
+
+def test_a_gpu_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert compute.device_of("auto") == compute.device_of("cpu") == torch.device("cpu")
+    with pytest.raises(InputError, match="device cuda: torch finds no GPU"):
+        compute.device_of("cuda")

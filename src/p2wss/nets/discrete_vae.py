@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from p2wss import parallel
+from p2wss.nets.layers import BatchNorm, PlaceLinear
 from p2wss.nets.patches import Patches, squared_distance
 
 NUM_NEIGHBOURS = 4
@@ -29,12 +31,12 @@ class MiniPointNet(nn.Module):
 
     def __init__(self, dim: int) -> None:
         super().__init__()
-        self.first = nn.Linear(3, dim // 2)
-        self.first_norm = nn.BatchNorm1d(dim // 2)
+        self.first = PlaceLinear(3, dim // 2)
+        self.first_norm = BatchNorm(dim // 2)
         self.second = nn.Linear(dim // 2, dim)
         self.third_point = nn.Linear(dim, 2 * dim, bias=False)
         self.third_patch = nn.Linear(dim, 2 * dim)
-        self.third_norm = nn.BatchNorm1d(2 * dim)
+        self.third_norm = BatchNorm(2 * dim)
         self.fourth = nn.Linear(2 * dim, dim)
 
     def forward(self, points: Tensor) -> Tensor:
@@ -113,10 +115,10 @@ class FoldingDecoder(nn.Module):
         self.register_buffer("seeds", torch.cartesian_prod(side, side), persistent=False)
         # the input of the fold is [feature; seed; coarse point]: its first layer is split by what it reads
         self.from_feature = nn.Linear(dim, 2 * dim)
-        self.from_point = nn.Linear(5, 2 * dim, bias=False)
-        self.norm = nn.BatchNorm1d(2 * dim)
+        self.from_point = PlaceLinear(5, 2 * dim, bias=False)
+        self.norm = BatchNorm(2 * dim)
         self.middle = nn.Linear(2 * dim, 2 * dim)
-        self.middle_norm = nn.BatchNorm1d(2 * dim)
+        self.middle_norm = BatchNorm(2 * dim)
         self.last = nn.Linear(2 * dim, 3)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -127,7 +129,7 @@ class FoldingDecoder(nn.Module):
         point = torch.cat([seeds.expand(batch, groups, -1, -1), centre], -1)
         h = (self.from_point(point) + self.from_feature(x)[:, :, None]).flatten(0, 2)
         h = F.relu(self.middle_norm(self.middle(F.relu(self.norm(h)))))
-        return coarse, centre + self.last(h).view_as(centre)
+        return coarse, centre + self.last(h).view(centre.shape)
 
 
 @dataclass(frozen=True)
@@ -194,11 +196,11 @@ def chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
 
     The mean over patches leaves out those that are not ``valid`` (b, g).
     """
-    distance = squared_distance(made, given)
+    distance = squared_distance(made.float(), given)
     # the root has no finite slope at 0
     forth = distance.amin(-1).clamp_min(1e-12).sqrt().mean(-1)
     back = distance.amin(-2).clamp_min(1e-12).sqrt().mean(-1)
-    return ((forth + back) * valid).sum() / (2 * valid.sum())
+    return ((forth + back) * valid).sum() / (2 * parallel.average_count(valid.sum()))
 
 
 def _masked_mean(x: Tensor, valid: Tensor) -> Tensor:

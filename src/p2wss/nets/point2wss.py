@@ -9,7 +9,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from p2wss import parallel
 from p2wss.nets.discrete_vae import MiniPointNet
+from p2wss.nets.layers import PlaceLinear
 from p2wss.nets.patches import Patches
 from p2wss.nets.tokenizer import MASK, MINUS, PAD, Tokenizer
 from p2wss.nets.transformer import Encoder
@@ -52,7 +54,7 @@ class CloudEncoder(nn.Module):
         self.embed = MiniPointNet(sizes.patch_dim)
         self.reduce = nn.Linear(sizes.patch_dim, dim)
         self.position = nn.Sequential(
-            nn.Linear(4 if sizes.ground_relative else 3, POSITION_WIDTH),
+            PlaceLinear(4 if sizes.ground_relative else 3, POSITION_WIDTH),
             nn.GELU(),
             nn.Linear(POSITION_WIDTH, dim),
         )
@@ -100,7 +102,9 @@ class SequenceEncoder(nn.Module):
         )
         self.edge: nn.Module | None = None
         if sizes.edge_embedding:
-            self.edge = nn.Sequential(nn.Linear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim))
+            self.edge = nn.Sequential(
+                PlaceLinear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim)
+            )
 
     def embed(self, tokens: Tensor, num_vertices: Tensor, edges: Tensor) -> Tensor:
         """(b, l, dim). ``edges`` (b, n, 9) are the :func:`edge_features` of ``tokens``."""
@@ -173,7 +177,7 @@ class EdgeAttention(nn.Module):
         super().__init__()
         self.num_heads = num_heads
         self.from_patch = nn.Linear(dim, dim)
-        self.from_pair = nn.Linear(7, dim, bias=False)
+        self.from_pair = PlaceLinear(7, dim, bias=False)
         self.logits = nn.Linear(dim, num_heads)
         # each head starts with its own reach around the edge, 10 m / decay
         self.decay = nn.Parameter(torch.logspace(0.5, 1.5, num_heads))
@@ -274,27 +278,28 @@ class Point2Wss(nn.Module):
         cloud_logits = self.cloud_head(from_cloud[:, 1:][patch_masked])
         sequence_logits = self.sequence_head(from_sequence[token_masked])
         return {
-            "cloud": F.cross_entropy(cloud_logits.float(), patch_labels[patch_masked]),  # (1)
-            "sequence": F.cross_entropy(sequence_logits.float(), tokens[token_masked]),  # (2)
+            "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
+            "sequence": _mean_cross_entropy(sequence_logits, tokens[token_masked]),  # (2)
             "modal": self._modal_loss(cloud[:, 0], sequence[:, 0]),  # (3)
             "match": self._match_loss(from_cloud[:, 0], from_sequence[:, 0], match_balanced),  # (4)
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
-        z_p = F.normalize(self.align_cloud(cloud).float(), dim=-1)
-        z_s = F.normalize(self.align_sequence(sequence).float(), dim=-1)
+        z_p = parallel.gather(F.normalize(self.align_cloud(cloud).float(), dim=-1))
+        z_s = parallel.gather(F.normalize(self.align_sequence(sequence).float(), dim=-1))
         logits = self.logit_scale.clamp(max=MAX_LOGIT_SCALE).exp() * z_p @ z_s.T
         target = torch.arange(len(logits), device=logits.device)
         return (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target)) / 2
 
     def _match_loss(self, g_p: Tensor, g_s: Tensor, balanced: bool) -> Tensor:
-        """Equation 4 over all B^2 pairs of (b, dim) features.
+        """Equation 4 over all B^2 pairs of (b, dim) features, of all processes.
 
         FC(g_p[i] * g_s[j]) = sum_d W[c, d] g_p[i, d] g_s[j, d] + b[c]: two matrix products instead of
         B^2 fused features; exact.
         """
         weight, bias = self.match.weight.float(), self.match.bias.float()
-        logits = torch.stack([(g_p.float() * row) @ g_s.float().T for row in weight], -1) + bias
+        g_p, g_s = parallel.gather(g_p.float()), parallel.gather(g_s.float())
+        logits = torch.stack([(g_p * row) @ g_s.T for row in weight], -1) + bias
         target = torch.eye(len(g_p), dtype=torch.int64, device=g_p.device)
         if balanced:
             loss = F.cross_entropy(logits.flatten(0, 1), target.flatten(), reduction="none").view_as(target)
@@ -335,6 +340,12 @@ class Point2Wss(nn.Module):
         tok = self.tokenizer
         seen = self.look(edges, cloud[:, 1:], patches, ground_z).repeat_interleave(tok.block_length, 1)
         return x + F.pad(seen, (0, 0, tok.header_length, 1))
+
+
+def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
+    """Mean over the tokens of all processes; 0 where none is masked."""
+    count = parallel.average_count(torch.tensor(len(label), device=label.device))
+    return F.cross_entropy(logits.float(), label, reduction="sum") / count
 
 
 def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:

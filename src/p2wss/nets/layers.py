@@ -1,0 +1,44 @@
+"""Layers that both networks use: batch norm over all processes, and linear layers that read places."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from p2wss import parallel
+
+
+class BatchNorm(nn.BatchNorm1d):
+    """Batch norm of rows (n, channels), with the moments of the rows of all processes (on CPUs too)."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        if not self.training or parallel.num_processes() == 1:
+            return super().forward(x)
+        rows = x.float()
+        # equally many rows in each process
+        mean, square = parallel.average(torch.stack([rows.mean(0), rows.square().mean(0)]))
+        var = square - mean.square()
+        with torch.no_grad():
+            count = len(x) * parallel.num_processes()
+            momentum = self.momentum or 0.0
+            self.get_buffer("running_mean").lerp_(mean, momentum)
+            self.get_buffer("running_var").lerp_(var * (count / (count - 1)), momentum)
+            self.get_buffer("num_batches_tracked").add_(1)
+        scale = self.weight * torch.rsqrt(var + self.eps)
+        return (rows * scale + (self.bias - mean * scale)).to(x.dtype)
+
+
+class PlaceLinear(nn.Linear):
+    """A linear layer that reads coordinates: in float32 under autocast, too.
+
+    In bfloat16 a coordinate of 50 m is known to 0.25 m.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        device = x.device.type
+        if not torch.is_autocast_enabled(device):
+            return super().forward(x)
+        with torch.autocast(device, enabled=False):
+            y = F.linear(x.float(), self.weight, self.bias)
+        return y.to(torch.get_autocast_dtype(device))

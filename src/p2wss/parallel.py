@@ -1,0 +1,122 @@
+"""Training on several processes (torchrun): what differs from one process.
+
+Each process takes its rows of a batch. Losses are written so that their mean over the processes, and the
+mean of their gradients, are those of one process with the whole batch: sums are divided by counts averaged
+over the processes, batch norms take moments over all, and losses over pairs see the features of all.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+
+
+def num_processes() -> int:
+    return dist.get_world_size() if dist.is_initialized() else 1
+
+
+def rank() -> int:
+    return dist.get_rank() if dist.is_initialized() else 0
+
+
+@contextmanager
+def processes(device: torch.device) -> Iterator[None]:
+    """Join the processes that torchrun started, if it did: NCCL between GPUs, gloo between CPUs."""
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1 or dist.is_initialized():
+        yield
+        return
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    try:
+        yield
+    finally:
+        dist.destroy_process_group()
+
+
+def barrier() -> None:
+    if num_processes() > 1:
+        dist.barrier()
+
+
+def own(index: np.ndarray) -> np.ndarray:
+    """The part of a batch (n,) that this process takes: equally many each, the remainder is left out."""
+    count = num_processes()
+    return index[: len(index) // count * count][rank() :: count]
+
+
+def average_count(count: Tensor) -> Tensor:
+    """A count averaged over the processes, at least 1 in total: what a process divides its sum by."""
+    if num_processes() == 1:
+        return count.clamp(min=1)
+    total = count.clone()
+    dist.all_reduce(total)
+    return total.clamp(min=1) / num_processes()
+
+
+def average_values(values: dict[str, float]) -> dict[str, float]:
+    """Values averaged over the processes."""
+    if num_processes() == 1:
+        return values
+    device = torch.device("cuda") if dist.get_backend() == "nccl" else torch.device("cpu")
+    total = torch.tensor(list(values.values()), dtype=torch.float64, device=device)
+    dist.all_reduce(total)
+    return dict(zip(values, (total / num_processes()).tolist(), strict=True))
+
+
+def average_gradients(module: nn.Module) -> None:
+    """Replace every gradient by its mean over the processes, in one message."""
+    if num_processes() == 1:
+        return
+    gradients = [p.grad for p in module.parameters() if p.grad is not None]
+    flat = torch.cat([gradient.flatten() for gradient in gradients])
+    dist.all_reduce(flat)
+    flat /= num_processes()
+    for gradient, mean in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+        gradient.copy_(mean.view_as(gradient))
+
+
+def average(x: Tensor) -> Tensor:
+    """The mean over the processes, which gradients pass through."""
+    return x if num_processes() == 1 else _Average.apply(x)
+
+
+def gather(x: Tensor) -> Tensor:
+    """The rows (b, ..) of all processes, joined; gradients find the way back to the process of the row."""
+    return x if num_processes() == 1 else _Gather.apply(x)
+
+
+class _Average(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        return _mean(x)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        return _mean(gradient)
+
+
+class _Gather(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        x = x.contiguous()
+        parts = [torch.empty_like(x) for _ in range(num_processes())]
+        dist.all_gather(parts, x)
+        return torch.cat(parts)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        total = gradient.contiguous().clone()
+        dist.all_reduce(total)
+        return total.chunk(num_processes())[rank()]
+
+
+def _mean(x: Tensor) -> Tensor:
+    total = x.contiguous().clone()
+    dist.all_reduce(total)
+    return total / num_processes()
