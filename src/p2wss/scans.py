@@ -232,6 +232,18 @@ def _facts(
     }
 
 
+def busiest_place(points: Points, cell_m: float = 50.0) -> np.ndarray:
+    """Middle of the cell with most buildings, float64 (2,) in the local frame; zero without a building."""
+    hit = points.building >= 0
+    cell = np.floor(points.xyz_mm[hit, :2] / (1000 * cell_m)).astype(np.int64)
+    pair = np.unique(np.column_stack([cell, points.building[hit]]), axis=0)[:, :2]
+    if not len(pair):
+        return np.zeros(2)
+    cells, counts = np.unique(pair, axis=0, return_counts=True)
+    middle: np.ndarray = (cells[counts.argmax()] + 0.5) * cell_m
+    return middle
+
+
 def classes(points: Points) -> np.ndarray:
     """LAS class per point, uint8: 2 ground, 5 vegetation, 6 building and what stands on it."""
     above = np.where(is_tree(points.face), VEGETATION_CLASS, BUILDING_CLASS)

@@ -34,6 +34,8 @@ _PAPER_ALTITUDE_M, _PAPER_HALF_ANGLE_DEG, _PAPER_SPEED_M_PER_S, _PAPER_SCAN_RATE
 )
 _PAPER_NOISE_XY_M, _PAPER_NOISE_Z_M = 0.13, 0.05
 _PAPER_OVERLAP = 0.3
+_PAPER_DENSITY_PER_M2 = 8.0  # section 5.1 of the paper
+_HD_DENSITY_PER_M2 = 14.0
 
 
 @dataclass(frozen=True)
@@ -139,9 +141,10 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
     pattern = str(rng.choice(list(shares), p=weights / weights.sum()))
     half_angle = settings.conical_half_angle_deg if pattern == "conical" else settings.line_half_angle_deg
     low, high = settings.density_bounds_per_m2
-    density = float(
-        np.clip(settings.density_per_m2 * np.exp(rng.normal(0, settings.density_spread)), low, high)
+    wanted = settings.density_per_m2 or (
+        _HD_DENSITY_PER_M2 if settings.preset == "hd" else _PAPER_DENSITY_PER_M2
     )
+    density = float(np.clip(wanted * np.exp(rng.normal(0, settings.density_spread)), low, high))
     drawn: dict[str, Any] = {
         "preset": settings.preset,
         "pattern": pattern,
@@ -185,7 +188,7 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
         ),
         0.0,
     )
-    drawn |= {"density_per_m2": settings.density_per_m2, "max_returns": 1}
+    drawn |= {"density_per_m2": wanted, "max_returns": 1}
     if settings.preset == "paper":
         drawn |= {
             "pattern": "conical",

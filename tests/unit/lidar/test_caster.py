@@ -180,10 +180,10 @@ def test_points_do_not_depend_on_chunks_or_threads(preset, most):
 
 
 GOLDEN = {
-    "none": "17af3aa7c0627c4b3af49deb171637fb212cc1bc6a2eb25ead22d8f9b0e6b834",
-    "paper": "23a5bed17245506fb3bbb598a80799d20d4ef3a299d266ddd3ecbbf798aa90dc",
-    "hd": "5c3c574c3190f117f20dd9925f70d10ba00d1b263ae7aba81fcadce9d7e183f1",
-    "hd, several returns": "24dd10feefd0886b2f7d5b95de0f955b882f84c240c0ae35baefa0835d9c218c",
+    "none": "331d32b73379c17d4bc41d8aa3c4c9b706c69dcb622ec6762f86c7b113cde129",
+    "paper": "d7aeb20153e7fea3141cc86a7b5d63eb98be33dd9781b08b3adde15eeb16479f",
+    "hd": "97bc2674e324e39e1c5d3dce7719f5190abd71df1d57926fec4304a73c48ff13",
+    "hd, several returns": "999464e40cb297c5c95b85195de9cd6dd2a1d88829bb17dc2ad03338c1d86c65",
 }
 
 

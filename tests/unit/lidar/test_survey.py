@@ -71,7 +71,7 @@ def test_hd_draws_within_the_bounds_and_varies():
         for name in ("altitude_m", "speed_m_per_s", "scan_rate_hz", "overlap", "attitude_deg", "base_loss"):
             low, high = getattr(settings, name)
             assert low <= drawn[name] <= high
-        assert 4 <= drawn["density_per_m2"] <= 25
+        assert 5 <= drawn["density_per_m2"] <= 30
         assert drawn["strip_spacing_m"] == pytest.approx(drawn["swath_m"] * (1 - drawn["overlap"]))
     assert patterns == {"conical", "parallel", "cross_fire"}
     assert np.ptp(headings) > 300

@@ -1,0 +1,523 @@
+"""Speed, memory and realism of the simulated LiDAR and of cropping, against peers in the same run.
+
+    python benchmarks/lidar.py [--quick] [--data FOLDER]
+
+Speeds are CPU time of one core. The scene is 1 km2 of terrain with 5,000 buildings under about 10 million
+pulses; --quick takes a sixteenth of it, whose times mean little. FOLDER holds real LiDAR (default:
+../shared/data; what is absent is skipped). The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+
+import geopandas as gpd
+import numpy as np
+import pyarrow as pa
+import pyproj
+import shapely
+import trimesh
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from scipy.spatial import cKDTree
+
+from p2wss import crops, footprints, io, scans
+from p2wss.buildings import build_scene
+from p2wss.clouds import Cloud, read_clouds
+from p2wss.config import Buildings, Clutter, Crops, Scans
+from p2wss.lidar import caster
+from p2wss.terrain import Terrain
+from p2wss.tiling import tile_bounds
+
+ROOT = Path(__file__).resolve().parents[1]
+TILE, TILE_SIZE_M, MARGIN_M = "0652_6862", 1000.0, 60.0
+BARE = Clutter(
+    dormer_share=0,
+    chimney_share=0,
+    raised_part_share=0,
+    parapet_share=0,
+    skylight_share=0,
+    annex_share=0,
+    trees_per_building=0,
+    shade_share=0,
+)
+BARS = {
+    "pulses generated and culled": 0.5,
+    "scene built": 2.5,
+    "cast": 2.2,
+    "noise, drop-out, tags": 0.8,
+    "crop": 1.3,
+    "shard written": 0.8,
+    "whole scene": 8.0,
+}
+
+
+def ground_m(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 120 + 0.02 * (x - 652_500) + 3 * np.sin(x / 90) * np.cos(y / 70)
+
+
+def make_terrain(size_m: float) -> Terrain:
+    """A rolling raster of 1 m with 3 cm of roughness."""
+    x_min, _, x_max, y_max = tile_bounds(TILE, size_m, MARGIN_M)
+    steps = np.arange(int(x_max - x_min)) + 0.5
+    height = ground_m((x_min + steps)[None, :], (y_max - steps)[:, None])
+    height += np.random.default_rng(1).normal(0, 0.03, height.shape)
+    return Terrain(height.astype(np.float32), x_min, y_max, 1.0)
+
+
+def make_buildings(num: int, size_m: float, seed: int = 0) -> pa.Table:
+    """Rectangles and L-shapes of 50 to 120 m2 with gable, hip and flat roofs, all over the tile."""
+    rng = np.random.default_rng(seed)
+    x_min, y_min, _, _ = tile_bounds(TILE, size_m)
+    side = int(np.ceil(np.sqrt(num)))
+    step = size_m / side
+    shapes, angles, types = [], [], []
+    for k in range(num):
+        a, b = rng.uniform(3.5, 5.5, 2)
+        slope = float(rng.integers(20, 46))
+        kind = rng.choice(["gable", "hip", "flat", "wing"], p=[0.5, 0.2, 0.15, 0.15])
+        corners = [(-a, -b), (a, -b), (a, b), (-a, b)]
+        if kind == "wing":
+            corners = [(-a, -b), (a, -b), (a, 0), (0, 0), (0, b), (-a, b)]
+        shape = shapely.affinity.rotate(shapely.Polygon(corners), rng.uniform(0, 360), origin=(0, 0))
+        middle = x_min + (k % side + 0.5) * step, y_min + (k // side + 0.5) * step
+        shapes.append(shapely.affinity.translate(shape, *middle))
+        angles.append(
+            {"gable": [90.0, slope, 90.0, slope], "flat": [0.0] * 4}.get(kind, [slope] * len(corners))
+        )
+        types.append({"wing": "hip"}.get(kind, kind))
+    middle = shapely.get_coordinates(shapely.centroid(np.array(shapes)))
+    ground = ground_m(middle[:, 0], middle[:, 1])
+    scene = gpd.GeoDataFrame(
+        {
+            "building_id": [f"B{k:05d}" for k in range(num)],
+            "tile": TILE,
+            "in_tile": True,
+            "status": "ok",
+            "eave_height_m": rng.uniform(3, 12, num).astype(np.float32),
+            "eave_height_source": "hauteur",
+            "ground_z_m": ground,
+            "base_z_m": ground - 1,
+            "roof_type": types,
+            "angle_deg": angles,
+        },
+        geometry=shapes,
+        crs=2154,
+    )
+    columns = build_scene(scene, Buildings())
+    return pa.table({f.name: pa.array(columns[f.name], f.type) for f in io.BUILDINGS}, schema=io.BUILDINGS)
+
+
+def settings(preset: str = "hd", seed: int = 0, **changes: Any) -> Scans:
+    """A survey of about 10 million pulses per km2."""
+    return Scans(
+        preset=preset, seed=seed, density_per_m2=9.8, density_spread=0, **({"clutter": BARE} | changes)
+    )
+
+
+class Meter:
+    """CPU seconds per name: wraps functions, sums what their calls take."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._undo: list[tuple[Any, str, Any]] = []
+
+    def watch(self, owner: Any, name: str, label: str) -> None:
+        original = getattr(owner, name)
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            start = time.thread_time()
+            try:
+                return original(*arguments, **named)
+            finally:
+                self.seconds[label] = self.seconds.get(label, 0.0) + time.thread_time() - start
+
+        setattr(owner, name, timed)
+        self._undo.append((owner, name, original))
+
+    def stop(self) -> None:
+        for owner, name, original in reversed(self._undo):
+            setattr(owner, name, original)
+
+
+def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
+    """What ``crops.read_scan`` reads of the scan's file."""
+    x, y, z = (scan.points.xyz_mm[:, i] * 0.001 + scan.origin_m[i] for i in range(3))
+    cloud = Cloud(x, y, z, scans.classes(scan.points), pyproj.CRS(2154), scan.points.strip)
+    return cloud, scan.points.building, scan.points.face
+
+
+def whole_scene(buildings: pa.Table, terrain: Terrain, size_m: float, folder: Path) -> dict[str, Any]:
+    """One scene from buildings to shard, with the seconds of each step."""
+    meter = Meter()
+    meter.watch(scans, "_surface", "scene built")
+    meter.watch(caster.Caster, "__init__", "scene built")
+    meter.watch(caster, "blocks_over", "pulses generated and culled")
+    meter.watch(caster, "generate", "pulses generated and culled")
+    meter.watch(caster, "_hits", "cast")
+    meter.watch(caster, "record", "noise, drop-out, tags")
+    meter.watch(crops, "crop_points", "crop")
+    begin = time.process_time()
+    scan = scans.simulate(buildings, terrain, TILE, size_m, settings())
+    simulated = time.process_time() - begin
+    cloud = as_cloud(scan)
+    start = time.process_time()
+    columns, _ = crops.crop_scene(buildings, cloud, Crops())
+    cropped = time.process_time() - start
+    start = time.process_time()
+    io.write_table(folder / "shard.parquet", columns, io.CROPS, {})
+    meter.seconds["shard written"] = time.process_time() - start
+    total = time.process_time() - begin
+    meter.stop()
+    return {
+        "steps": meter.seconds | {"whole scene": total},
+        "simulated": simulated,
+        "cropped": cropped,
+        "pulses": scan.facts["pulses"]["cast"],
+        "points": scan.facts["num_points"],
+        "scan": scan,
+        "cloud": cloud,
+        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+    }
+
+
+def peers_of_the_cast(
+    buildings: pa.Table, terrain: Terrain, size_m: float, num_slow: int
+) -> tuple[float, float, dict[str, float]]:
+    """(speed relative to embreex alone, speed relative to trimesh, million rays per CPU-second of each).
+
+    embreex gets the same rays in the same chunks and all triangles, the terrain's too, and only answers which
+    triangle; ours also gives the point, its plane and its distance.
+    """
+    surfaces, rays = [], []
+    original = caster._hits
+
+    def keep(of: Any, surface: Any, origin: np.ndarray, direction: np.ndarray, found: Any) -> None:
+        if len(origin) and len(rays) < 40:
+            rays.append((origin.copy(), direction.copy()))
+            surfaces.append(surface)
+        original(of, surface, origin, direction, found)
+
+    caster._hits = keep
+    scans.simulate(buildings, terrain, TILE, size_m, settings())
+    caster._hits = original
+    surface, count = surfaces[0], sum(len(origin) for origin, _ in rays)
+    grid = surface.terrain
+    rows, columns = grid.height_m.shape
+    x, y = np.meshgrid(
+        grid.x_min_m + np.arange(columns) * grid.cell_m, grid.y_max_m - np.arange(rows) * grid.cell_m
+    )
+    index = np.arange(rows * columns).reshape(rows, columns)
+    nw, ne, sw, se = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    ground = np.concatenate(
+        [np.stack([nw, sw, se], -1).reshape(-1, 3), np.stack([nw, se, ne], -1).reshape(-1, 3)]
+    )
+    vertex = np.concatenate([np.stack([x.ravel(), y.ravel(), grid.height_m.ravel()], 1), surface.vertex_m])
+    triangle = np.concatenate([ground, surface.triangle + rows * columns]).astype(np.int32)
+
+    start = time.process_time()
+    scene = EmbreeScene()
+    mesh = TriangleMesh(scene, vertex.astype(np.float32), triangle)
+    scene.run(*(a[:1] for a in rays[0]))
+    build = time.process_time() - start
+    ours, room = caster.Caster(surface), caster._empty_hits(max(len(origin) for origin, _ in rays))
+    best = {"ours": np.inf, "embreex": np.inf}
+    for _ in range(2):
+        start = time.process_time()
+        for origin, direction in rays:
+            found = caster.Hits(*(column[: len(origin)] for column in room))
+            original(ours, surface, origin, direction, found)
+        best["ours"] = min(best["ours"], time.process_time() - start)
+        start = time.process_time()
+        for origin, direction in rays:
+            scene.run(origin, direction, query="INTERSECT", output=1)
+        best["embreex"] = min(best["embreex"], time.process_time() - start)
+    del mesh
+    both = trimesh.Trimesh(vertex, triangle, process=False)
+    origin, direction = (a[:num_slow].astype(float) for a in rays[len(rays) // 2])
+    slow = {}
+    for name, several in (("trimesh", True), ("trimesh, first hit only", False)):
+        both.ray.intersects_location(origin[:1], direction[:1], multiple_hits=several)
+        start = time.process_time()
+        both.ray.intersects_location(origin, direction, multiple_hits=several)
+        slow[name] = len(origin) / (time.process_time() - start)
+    speed = {name: count / seconds for name, seconds in best.items()}
+    rates = {name: round(rate / 1e6, 2) for name, rate in (speed | slow).items()}
+    print(f"  embreex and {len(triangle):,} triangles: {build:.2f} s to build its tree")
+    return speed["ours"] / speed["embreex"], speed["ours"] / slow["trimesh"], rates
+
+
+def peers_of_the_crop(buildings: pa.Table, cloud: Cloud, num: int) -> tuple[float, bool]:
+    """How many times as fast as shapely on ``num`` points in a strip of the scene, and whether the same."""
+    polygons = crops._absolute(buildings)
+    start = time.process_time()
+    crops.crop_points(cloud.x_m, cloud.y_m, polygons, 1.0)
+    ours = len(cloud) / (time.process_time() - start)
+    first = np.argsort(cloud.y_m, kind="stable")[:num]
+    x, y = cloud.x_m[first], cloud.y_m[first]
+    point, _, offset = crops.crop_points(x, y, polygons, 1.0)
+    shapes = footprints.to_geometries(polygons)
+    start = time.process_time()
+    found, polygon = shapely.STRtree(shapes).query(shapely.points(x, y), predicate="dwithin", distance=1.0)
+    peer = num / (time.process_time() - start)
+    mine = np.repeat(np.arange(len(polygons)), np.diff(offset)) * num + point
+    same = np.array_equal(np.sort(mine), np.sort(polygon * num + found))
+    return ours / peer, same
+
+
+def two_at_once(quick: bool) -> tuple[float, float, float]:
+    """Wall seconds of one scene, of two in two processes, and the larger peak memory of these in GB."""
+
+    def run(num: int) -> tuple[float, float]:
+        command = [sys.executable, __file__, "--one", *(["--quick"] if quick else [])]
+        started = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(num)]
+        answers = [json.loads(process.communicate()[0].splitlines()[-1]) for process in started]
+        return max(a["wall_s"] for a in answers), max(a["peak_gb"] for a in answers)
+
+    run(1)
+    one, _ = run(1)
+    two, peak = run(2)
+    return one, two, peak
+
+
+def one_scene(num: int, size_m: float) -> dict[str, float]:
+    """A scene in this process: wall seconds from buildings to shard, and peak memory."""
+    buildings, terrain = make_buildings(num, size_m), make_terrain(size_m)
+    with tempfile.TemporaryDirectory() as folder:
+        warm_up(Path(folder))
+        start = time.perf_counter()
+        result = whole_scene(buildings, terrain, size_m, Path(folder))
+        return {"wall_s": time.perf_counter() - start, "peak_gb": result["peak_gb"]}
+
+
+def warm_up(folder: Path) -> None:
+    """Compile everything that is measured."""
+    whole_scene(make_buildings(9, 100.0), make_terrain(100.0), 100.0, folder)
+
+
+# --- realism ---
+
+COLUMNS = (
+    "density mean",
+    "p5",
+    "p95",
+    "spacing m",
+    "wall share",
+    "walls seen",
+    "roof noise m",
+    "class 5",
+    "returns",
+    "strips",
+)
+
+
+def realism(
+    cloud: Cloud, shapes: np.ndarray, on_wall: np.ndarray | None = None, num_returns: np.ndarray | None = None
+) -> list[float]:
+    """The figures of :data:`COLUMNS`, measured alike for simulated and real clouds.
+
+    Density: points per m2 in cells of 2 m that hold any. Spacing: median distance in the plane to the nearest
+    point. Walls: points within 0.5 m of a footprint's edge, at least 1 m above the ground and 0.7 m below the
+    lowest twentieth of its roof's points; their share of wall and roof points, and the number of edges with
+    10 of them, per building. Roof noise: median distance to a plane through the 15 nearest roof points.
+    """
+    cells, counts = np.unique(
+        (np.stack([cloud.x_m, cloud.y_m], 1) // 2).astype(np.int64), axis=0, return_counts=True
+    )
+    del cells
+    density = counts / 4
+    rng = np.random.default_rng(0)
+    some = rng.choice(len(cloud), min(len(cloud), 20_000), replace=False)
+    xy = np.stack([cloud.x_m, cloud.y_m], 1)
+    distance, _ = cKDTree(xy).query(xy[some], 2)
+    walls, roofs, seen, noise = 0, 0, [], []
+    if len(shapes):
+        polygons = footprints.to_polygons(shapes)
+        cropped = crops.crop_cloud(cloud, polygons, 0.5)
+        for p, shape in enumerate(shapes):
+            own = cropped.of(p)
+            inside = cropped.inside[cropped.offset[p] : cropped.offset[p + 1]]
+            ground = cropped.ground_z_m[p]
+            above = cloud.z_m[own] - ground
+            solid = cloud.classification[own] != 5
+            high = inside & (above > 2) & solid
+            if high.sum() < 50 or not np.isfinite(ground):
+                continue
+            eave = np.percentile(above[high], 5)
+            x, y = cloud.x_m[own], cloud.y_m[own]
+            ring = np.asarray(shape.exterior.coords)[:, :2]
+            candidates = np.flatnonzero((above > 1) & (above < eave - 0.7) & solid)
+            at = shapely.points(x[candidates], y[candidates])
+            edges = shapely.linestrings(np.stack([ring[:-1], ring[1:]], 1))
+            away = shapely.distance(at[:, None], edges[None, :]) if len(at) else np.ones((0, len(edges)))
+            near = away.min(axis=1, initial=np.inf) < 0.5
+            nearest = away[near].argmin(axis=1) if near.any() else np.zeros(0, int)
+            walls += int(near.sum())
+            roofs += int((inside & (above >= eave)).sum())
+            seen.append(int((np.bincount(nearest, minlength=1) >= 10).sum()))
+            core = np.flatnonzero(high & (above > eave))
+            roof = np.stack([x[core], y[core], above[core]], 1)
+            roof = roof[rng.choice(len(roof), min(len(roof), 300), replace=False)]
+            noise += _plane_residuals(roof)
+    return [
+        float(density.mean()),
+        *(float(v) for v in np.percentile(density, [5, 95])),
+        float(np.median(distance[:, 1])),
+        walls / max(walls + roofs, 1) if seen else np.nan,
+        float(np.mean(seen)) if seen else np.nan,
+        float(np.median(noise)) if noise else np.nan,
+        float((cloud.classification == 5).mean()),
+        float(num_returns.mean()) if num_returns is not None else np.nan,
+        float(len(np.unique(cloud.strip))) if cloud.strip is not None else np.nan,
+    ]
+
+
+def _plane_residuals(xyz: np.ndarray) -> list[float]:
+    """Standard deviation about a plane through the 15 nearest points, for the flatter half of the places."""
+    if len(xyz) < 30:
+        return []
+    _, index = cKDTree(xyz[:, :2]).query(xyz[:, :2], 15)
+    near = xyz[index] - xyz[index].mean(axis=1, keepdims=True)
+    smallest = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", near, near))[:, 0]
+    sigma = np.sqrt(np.maximum(smallest, 0) / (15 - 3))
+    return np.sort(sigma)[: len(sigma) // 2].tolist()
+
+
+def real_clouds(data: Path) -> dict[str, list[float]]:
+    """The same figures for the real clouds that are there."""
+    import laspy
+
+    rows = {}
+    for name, folder, file, crs in (
+        ("Delft AHN3", "delft_ahn3", "ahn3.laz", 28992),
+        ("Bresse IGN", "bresse_ign", "lidar.laz", 2154),
+    ):
+        path = data / folder / file
+        if not path.exists():
+            print(f"  {name}: not here, skipped")
+            continue
+        frame = gpd.read_file(data / folder / "footprints.gpkg")
+        frame = frame.set_crs(crs, allow_override=True) if frame.crs is None else frame
+        frame = frame.assign(geometry=shapely.force_2d(frame.geometry.to_numpy())).explode(index_parts=False)
+        returns = np.asarray(laspy.read(path).num_returns)
+        rows[name] = realism(read_clouds([path]), frame.geometry.to_numpy(), num_returns=returns)
+    for path in sorted((data / "lidarhd_crops").glob("*_IGN69.laz")):
+        returns = np.asarray(laspy.read(path).num_returns)
+        rows[f"LiDAR HD {path.name[:12]}"] = realism(
+            read_clouds([path]), np.array([], dtype=object), num_returns=returns
+        )
+    return rows
+
+
+def simulated_clouds(size_m: float) -> dict[str, list[float]]:
+    """The same figures for each preset, ``hd`` on several surveys, in the configuration's density."""
+    buildings, terrain = make_buildings(int(0.0025 * size_m**2), size_m), make_terrain(size_m)
+    shapes = footprints.to_geometries(crops._absolute(buildings))
+    rows = {}
+    cases = [("none", {}), ("paper", {}), ("hd, no clutter", {"clutter": BARE})]
+    for seed in range(4):
+        cases.append((f"hd, survey {seed}", {"seed": seed}))
+    cases.append(("hd, 7 returns", {"max_returns": 7}))
+    for name, changes in cases:
+        scan = scans.simulate(
+            buildings, terrain, TILE, size_m, Scans(**({"preset": name.split(",")[0]} | changes))
+        )
+        cloud, _, _ = as_cloud(scan)
+        survey = scan.facts["survey"]
+        rows[f"{name} ({survey['pattern']})"] = realism(cloud, shapes, num_returns=scan.points.num_returns)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
+    arguments = parser.parse_args()
+    num, size_m = (312, 250.0) if arguments.quick else (5000, TILE_SIZE_M)
+    if arguments.one:
+        print(json.dumps(one_scene(num, size_m)))
+        return
+
+    buildings, terrain = make_buildings(num, size_m), make_terrain(size_m)
+    with tempfile.TemporaryDirectory() as folder:
+        warm_up(Path(folder))
+        result = whole_scene(buildings, terrain, size_m, Path(folder))
+        steps = result["steps"]
+        print(f"{result['pulses']:,} pulses, {result['points']:,} points, preset hd without clutter")
+        print(f"{'step':<30}{'CPU s':>8}{'bar':>8}")
+        for name, bar in BARS.items():
+            print(f"{name:<30}{steps[name]:>8.2f}{bar:>8.1f}  {'met' if steps[name] <= bar else 'MISSED'}")
+        print(f"  of the whole: simulated {result['simulated']:.2f}, cropped {result['cropped']:.2f}")
+        cast_rate = result["pulses"] / steps["cast"] / 1e6
+        print(f"cast: {cast_rate:.1f} M rays per CPU-second (bar 4.5)")
+
+        # the file between the stages is no step of the bar
+        start = time.process_time()
+        scans.write_scan(Path(folder) / "scan.laz", result["scan"], pyproj.CRS(2154))
+        written = time.process_time() - start
+        start = time.process_time()
+        crops.read_scan(Path(folder) / "scan.laz")
+        read = time.process_time() - start
+        print(f"LAZ between the stages, in no bar: written {written:.2f} s, read {read:.2f} s")
+
+    cloud = result["cloud"][0]
+    crop_ratio, crop_same = peers_of_the_crop(buildings, cloud, min(len(cloud), 500_000))
+    print(f"crop: {crop_ratio:.1f} times as fast as shapely dwithin (bar 8), same result: {crop_same}")
+    del result, cloud
+    embreex_ratio, trimesh_ratio, rates = peers_of_the_cast(buildings, terrain, size_m, 100_000)
+    print(f"cast against embreex alone on the same rays: {embreex_ratio:.0%} (bar 85 %)")
+    print(f"cast against trimesh intersects_location: {trimesh_ratio:.1f} times (bar 10); M rays/s {rates}")
+
+    for name, changes in (
+        ("clutter", {"clutter": Clutter()}),
+        ("clutter, 5 returns", {"clutter": Clutter(), "max_returns": 5}),
+    ):
+        start = time.process_time()
+        scans.simulate(buildings, terrain, TILE, size_m, settings(**changes))
+        print(f"simulated with {name}, in no bar: {time.process_time() - start:.2f} s")
+
+    one, two, peak = two_at_once(arguments.quick)
+    print(f"one scene {one:.1f} s of wall time, two at once {two:.1f} s: {two / one:.2f} times (bar 1.25)")
+    print(f"peak memory of a process: {peak:.2f} GB (bar 1.5)")
+
+    print(f"\n{'realism':<34}" + "".join(f"{name:>14}" for name in COLUMNS))
+    table = simulated_clouds(250.0) | real_clouds(arguments.data)
+    for name, row in table.items():
+        print(f"{name:<34}" + "".join(f"{value:>14.3f}" for value in row))
+    print(
+        json.dumps(
+            {
+                "steps_cpu_s": {name: round(seconds, 3) for name, seconds in steps.items()},
+                "bars_cpu_s": BARS,
+                "cast_mrays_per_cpu_s": round(cast_rate, 2),
+                "cast_to_embreex": round(embreex_ratio, 3),
+                "cast_to_trimesh": round(trimesh_ratio, 1),
+                "crop_to_shapely": round(crop_ratio, 1),
+                "crop_same": crop_same,
+                "two_to_one": round(two / one, 3),
+                "peak_gb": round(peak, 3),
+                "laz_cpu_s": {"written": round(written, 2), "read": round(read, 2)},
+                "realism": {
+                    name: dict(zip(COLUMNS, np.round(row, 4).tolist(), strict=True))
+                    for name, row in table.items()
+                },
+            }
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
