@@ -1,11 +1,15 @@
 #!/usr/bin/env bash
 # A real PDAL for the tests, where nobody installed one: Debian bullseye, the last Debian with the command `pdal`,
-# in a folder of its own, from the mirror that apt is set up with. Needs root. Prints a command for fetch.prepare.pdal_command.
+# in a folder of its own, from the mirror that apt is set up with. Needs root.
+# Prints a command for fetch.prepare.pdal_command, or why there is none.
 # tests/pdal/make_root.sh [FOLDER]      default: ~/.cache/p2wss-test/bullseye-pdal (450 MB, about a minute)
 set -euo pipefail
 root=${1:-${XDG_CACHE_HOME:-$HOME/.cache}/p2wss-test/bullseye-pdal}
 skip() { echo "no PDAL for the tests: $*" >&2; exit 3; }
 
+mkdir -p "$(dirname "$root")"
+exec 9>"$root.lock"  # two test runs at once make it once
+flock 9
 if [ ! -x "$root/usr/bin/pdal" ]; then
     [ "$(id -u)" = 0 ] || skip "making a root needs the user root"
     command -v apt-get >/dev/null || skip "this is no Debian"

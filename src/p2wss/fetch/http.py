@@ -22,6 +22,7 @@ _BUSY = {408, 425, 429, 500, 502, 503, 504}
 _GONE = {404, 410}
 _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
+_PROGRESS_BYTES = 50_000_000
 _QUOTE_CHARACTERS = 200
 Result = TypeVar("Result")
 
@@ -98,9 +99,14 @@ class Client:
                 total = _length(response)
                 if resumed and total is not None:
                     total += have
+                come = have if resumed else 0
                 with part.open("ab" if resumed else "wb") as file:
                     for chunk in _body(response, deadline):
                         file.write(chunk)
+                        if (come + len(chunk)) // _PROGRESS_BYTES > come // _PROGRESS_BYTES:
+                            of = f" of {total / 1e6:.0f}" if total else ""
+                            log.info(f"{path.name}: {(come + len(chunk)) / 1e6:.0f}{of} MB")
+                        come += len(chunk)
             size = part.stat().st_size
             with part.open("rb") as file:
                 head = file.read(_QUOTE_CHARACTERS)

@@ -75,7 +75,10 @@ def prepare(
         check_cloud(path, clouds_crs)
     colours = {"red", "nir"} & set(read_header(paths[0]).point_format.dimension_names)
     window = (bounds, holes, crs, clouds_crs)
-    facts = _run(command, out, paths, window, 7 if colours else 6, stages, config.pdal_timeout_s)
+    try:
+        facts = _run(command, out, paths, window, 7 if colours else 6, stages, config.pdal_timeout_s)
+    except OSError as error:
+        raise InputError(f"{out}: not written: {error.strerror or error}") from error
     return facts | {"by": "pdal", "reason": reason}
 
 
@@ -193,8 +196,6 @@ def _run(
             raise InputError(
                 f"{paths[0]}: PDAL took longer than fetch.prepare.pdal_timeout_s {timeout_s}"
             ) from error
-        except OSError as error:
-            raise InputError(f"{' '.join(words)}: cannot be run: {error.strerror or error}") from error
         if not (folder / "out.laz").is_file():
             raise InputError(f"{paths[0]}: PDAL wrote nothing; does {' '.join(words)} work in {{folder}}?")
         classes = count_classes(folder / "out.laz")
