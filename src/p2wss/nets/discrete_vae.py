@@ -53,6 +53,8 @@ class EdgeConvolution(nn.Module):
     """One edge convolution on a given graph: max over neighbours of act(norm(W [neighbour - x; x])).
 
     W [nb - x; x] = W1 nb + (W2 - W1) x is applied per node before the gather: k times fewer multiplications.
+    The edges' features are never built. Their group norm's moments follow from those of the nodes and of the
+    graph, and as norm and activation are monotonous in each channel only the extreme neighbour counts.
     """
 
     def __init__(self, dim_in: int, dim_out: int) -> None:
@@ -61,17 +63,58 @@ class EdgeConvolution(nn.Module):
         self.self = nn.Linear(dim_in, dim_out, bias=False)
         self.norm = nn.GroupNorm(NORM_GROUPS, dim_out)
 
-    def forward(self, x: Tensor, neighbour: Tensor) -> Tensor:
-        """``x`` (b, g, dim_in), ``neighbour`` int64 (b, g, k) -> (b, g, dim_out)."""
-        batch, groups, k = neighbour.shape
-        from_neighbour = self.difference(x)
-        from_self = F.linear(x, self.self.weight - self.difference.weight)
-        index = neighbour.reshape(batch, groups * k, 1).expand(-1, -1, from_neighbour.shape[-1])
-        edges = from_neighbour.gather(1, index).view(batch, groups, k, -1) + from_self[:, :, None]
-        # the norm's statistics are per sample and channel group, over all edges
-        edges = self.norm(edges.flatten(1, 2).transpose(1, 2)).transpose(1, 2).view(batch, groups, k, -1)
-        # the activation increases, so it may follow the maximum: k times fewer evaluations
-        return F.leaky_relu(edges.amax(2), 0.2)
+    def forward(self, x: Tensor, neighbour: Tensor, adjacency: Tensor) -> Tensor:
+        """``x`` (b, g, dim_in), ``neighbour`` int64 (b, g, k) and its :func:`adjacency_matrix` -> (b, g, dim_out)."""
+        from_neighbour = self.difference(x).float()
+        from_self = F.linear(x, self.self.weight - self.difference.weight).float()
+        mean, variance = self._moments(from_neighbour, from_self, adjacency, neighbour.shape[-1])
+        scale = self.norm.weight * (variance + self.norm.eps).rsqrt()
+        # which neighbour is the largest after the scale: found without, fetched with gradients
+        with torch.no_grad():
+            winner = _largest_neighbour(from_neighbour * torch.sign(self.norm.weight), neighbour)
+        y = (from_neighbour.gather(1, winner) + from_self - mean) * scale + self.norm.bias
+        return F.leaky_relu(y, 0.2)
+
+    def _moments(
+        self, from_neighbour: Tensor, from_self: Tensor, adjacency: Tensor, k: int
+    ) -> tuple[Tensor, Tensor]:
+        """Mean and variance (b, 1, dim) of neighbour + self over the edges and the channels of each group."""
+        count = k * from_self.shape[1]
+        degree = adjacency.sum(1)[..., None]
+        neighbour_sum = (degree * from_neighbour).sum(1)
+        mean = _over_groups(neighbour_sum + k * from_self.sum(1)) / count
+        # about the mean, or the squares would cancel
+        own = from_self - mean[:, None]
+        around = torch.bmm(adjacency, from_neighbour)
+        square = (degree * from_neighbour.square() + k * own.square() + 2 * own * around).sum(1)
+        return mean[:, None], _over_groups(square)[:, None] / count
+
+
+def _over_groups(x: Tensor) -> Tensor:
+    """Mean over the channels of each group of the norm, for every channel (b, dim)."""
+    groups = x.unflatten(-1, (NORM_GROUPS, -1))
+    return groups.mean(-1, keepdim=True).expand_as(groups).flatten(1)
+
+
+def _largest_neighbour(x: Tensor, neighbour: Tensor) -> Tensor:
+    """int64 (b, g, dim): per channel the index of the neighbour with the largest value; ``x`` (b, g, dim)."""
+    batch, groups, k = neighbour.shape
+    rows = (neighbour + groups * torch.arange(batch, device=x.device)[:, None, None]).flatten(0, 1)
+    flat = x.flatten(0, 1)
+    best, winner = flat[rows[:, 0]], neighbour.flatten(0, 1)[:, :1].expand(-1, x.shape[-1])
+    for i in range(1, k):
+        value = flat[rows[:, i]]
+        larger = value > best
+        best = torch.where(larger, value, best)
+        winner = torch.where(larger, neighbour.flatten(0, 1)[:, i, None], winner)
+    return winner.view(batch, groups, -1)
+
+
+def adjacency_matrix(neighbour: Tensor) -> Tensor:
+    """float32 (b, g, g): how often node j is a neighbour of node i, from int64 (b, g, k)."""
+    batch, groups, _ = neighbour.shape
+    counts = torch.zeros(batch, groups, groups, device=neighbour.device)
+    return counts.scatter_add_(2, neighbour, torch.ones(1, device=counts.device).expand(neighbour.shape))
 
 
 class Dgcnn(nn.Module):
@@ -90,9 +133,10 @@ class Dgcnn(nn.Module):
 
     def forward(self, x: Tensor, neighbour: Tensor) -> Tensor:
         x = self.first(x)
+        adjacency = adjacency_matrix(neighbour)
         outputs = []
         for convolution in self.convolutions:
-            x = convolution(x, neighbour)
+            x = convolution(x, neighbour, adjacency)
             outputs.append(x)
         x = self.last(torch.cat(outputs, -1))
         return F.leaky_relu(self.norm(x.transpose(1, 2)).transpose(1, 2), 0.2)

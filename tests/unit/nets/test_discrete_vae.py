@@ -14,6 +14,7 @@ from p2wss.nets.discrete_vae import (
     DvaeSizes,
     EdgeConvolution,
     MiniPointNet,
+    adjacency_matrix,
     centre_graph,
     chamfer_l1,
     kl_weight,
@@ -41,7 +42,16 @@ def test_edge_convolution_is_that_of_gathered_differences() -> None:
     own = x[:, :, None].expand(-1, -1, 4, -1)
     edges = F.linear(torch.cat([x[rows, graph] - own, own], -1), weight).permute(0, 3, 1, 2)
     expected = F.leaky_relu(layer.norm(edges), 0.2).amax(-1).transpose(1, 2)
-    assert torch.allclose(layer(x, graph), expected, atol=1e-5)
+    found = layer(x, graph, adjacency_matrix(graph))
+    assert torch.allclose(found, expected, atol=1e-5)
+    weights = torch.randn_like(found)
+    parameters = list(layer.parameters())
+    for ours, theirs in zip(
+        torch.autograd.grad((found * weights).sum(), parameters),
+        torch.autograd.grad((expected * weights).sum(), parameters),
+        strict=True,
+    ):
+        assert torch.allclose(ours, theirs, atol=1e-4)
 
 
 def test_point_net_reads_each_point_beside_its_patchs_maximum() -> None:
