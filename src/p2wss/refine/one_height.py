@@ -118,6 +118,10 @@ class Fitter:
         found = fit.run(guesses)
         return None if found is None else fit.tidy(found)
 
+    def tidied(self, found: OneHeight, point_m: np.ndarray, effort: Effort) -> OneHeight:
+        """An earlier result with whole degrees where that costs little."""
+        return Fit(self, found.rings, point_m[even_order(point_m)], effort).tidy(found)
+
     def loss(self, one: OneHeight, point_m: np.ndarray) -> float:
         """Loss of a given building on points (m, 3)."""
         fit = Fit(self, one.rings, point_m, Effort(num_points=len(point_m)))

@@ -75,11 +75,32 @@ def _median_eave(problem, work):
             rise = work.distance[k] * work.tangent[f] if f >= 0 else work.distance[k]
             work.sorted[count] = problem.z[k] - rise
             count += 1
-    if count == 0:
-        return 0.0
-    values = work.sorted[:count]
-    values.sort()
-    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
+    return _select(work.sorted, count, count // 2) if count > 0 else 0.0
+
+
+@inner
+def _select(values, count, place):
+    """What would stand at ``place`` if the first ``count`` values were sorted; they are reordered."""
+    low, high = 0, count - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if place <= j:
+            high = j
+        elif place >= i:
+            low = i
+        else:
+            break
+    return values[place]
 
 
 @inner

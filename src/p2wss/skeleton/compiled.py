@@ -2,13 +2,15 @@
 infinity.
 
 numba's cache of a function notices changes in the file of the function only, yet its machine code contains
-that of all it calls. So here the names of the cached files carry a digest of all sources of the package:
-code of other sources is never found, not even by processes that run while a file is being edited.
+that of all it calls. So here the names of the cached files carry a digest of all sources of the package, and
+of the function's own package where that is another that builds on this one: code of other sources is never
+found, not even by processes that run while a file is being edited.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
@@ -22,34 +24,34 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 ZERO: Any = np.int64(0)
 
 
-def _digest_of_sources() -> str:
+@cache
+def _digest_of_sources(folder: Path) -> str:
+    """Of this package and of the one in ``folder``."""
     digest = blake2b(digest_size=6)
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted({*Path(__file__).parent.glob("*.py"), *folder.glob("*.py")}):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
-
-
-_DIGEST = _digest_of_sources()
 
 
 class _PackageCacheFile(IndexDataCacheFile):
     """The cached files of one function; the first new one removes those of other sources."""
 
-    def __init__(self, folder: str, base: str):
-        super().__init__(folder, f"{base}.{_DIGEST}", _DIGEST)
-        self._folder, self._function = Path(folder), base.rpartition("-")[0]
+    def __init__(self, folder: str, base: str, digest: str):
+        super().__init__(folder, f"{base}.{digest}", digest)
+        self._folder, self._function, self._digest = Path(folder), base.rpartition("-")[0], digest
 
     def save(self, key: object, data: object) -> None:
         super().save(key, data)
         for path in self._folder.glob(f"{self._function}-*.nb[ic]"):
-            if f".{_DIGEST}." not in path.name:
+            if f".{self._digest}." not in path.name:
                 path.unlink(missing_ok=True)
 
 
 class _PackageCache(FunctionCache):
     def __init__(self, function: Callable):
         super().__init__(function)
-        self._cache_file = _PackageCacheFile(self._cache_path, self._impl.filename_base)
+        digest = _digest_of_sources(Path(function.__code__.co_filename).parent)
+        self._cache_file = _PackageCacheFile(self._cache_path, self._impl.filename_base, digest)
 
 
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
