@@ -16,6 +16,8 @@ if [ ! -x "$root/usr/bin/pdal" ]; then
     command -v debootstrap >/dev/null || timeout 60 apt-get install -qq -y debootstrap >/dev/null 2>&1 \
         || skip "debootstrap is not installed, and apt cannot install it"
     mirror=$(apt-get indextargets --format '$(ORIGIN) $(LABEL) $(REPO_URI)' | sed -n 's/^Debian Debian //p' | head -1)
+    # before the first apt-get update only the addresses are known
+    [ -n "$mirror" ] || mirror=$(apt-get indextargets --no-release-info --format '$(SITE)' | grep '/debian/*$' | head -1)
     [ -n "$mirror" ] || skip "apt knows no Debian mirror"
     mkdir -p "$root.new.$$"
     trap 'umount -q "$root.new.$$/proc" "$root.new.$$/sys" 2>/dev/null; rm -rf --one-file-system "$root.new.$$"' EXIT

@@ -8,6 +8,8 @@ import random
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import TypeVar
 
@@ -132,7 +134,7 @@ class Client:
         retrying = tenacity.Retrying(
             retry=tenacity.retry_if_exception_type(Transient),
             stop=tenacity.stop_after_attempt(self.config.max_attempts)
-            | tenacity.stop_after_delay(self.config.max_wait_s),
+            | tenacity.stop_before_delay(self.config.max_wait_s),
             wait=_pause_s,
             sleep=self._sleep,
             before_sleep=lambda state: log.warning(
@@ -190,9 +192,14 @@ def _body(response: requests.Response, deadline: float) -> Iterator[bytes]:
 
 
 def _retry_after_s(response: requests.Response) -> float | None:
+    value = response.headers.get("Retry-After", "")
     try:
-        return max(0.0, float(response.headers["Retry-After"]))
-    except (KeyError, ValueError):  # absent, or a date
+        return max(0.0, float(value))
+    except ValueError:  # absent, or a date
+        pass
+    try:
+        return max(0.0, (parsedate_to_datetime(value) - datetime.now(UTC)).total_seconds())
+    except (ValueError, TypeError):
         return None
 
 

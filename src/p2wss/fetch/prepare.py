@@ -146,12 +146,16 @@ def read_stages(path: Path) -> list[Stage]:
     return stages
 
 
-def with_class_flags(stages: Sequence[Stage]) -> list[Stage]:
-    """``stages`` in the words of PDAL before 2.6, which has one dimension of flags, withheld as its bit 4."""
+def in_words_of(schema: str, stages: Sequence[Stage]) -> list[Stage]:
+    """``stages`` as the installed PDAL understands them. schema: its dimensions of the cloud, as JSON text.
+
+    Before 2.6 withheld is no dimension, but bit 4 of ClassFlags, or bit 128 of the class in formats before 6.
+    """
+    if '"Withheld"' in schema:
+        return list(stages)
+    instead = "ClassFlags[0:3],ClassFlags[8:11]" if '"ClassFlags"' in schema else "Classification[0:127]"
     return [
-        stage | {"limits": stage["limits"].replace(_NOT_WITHHELD, "ClassFlags[0:3],ClassFlags[8:11]")}
-        if _NOT_WITHHELD in stage.get("limits", "")
-        else stage
+        stage | {"limits": stage["limits"].replace(_NOT_WITHHELD, instead)} if "limits" in stage else stage
         for stage in stages
     ]
 
@@ -186,7 +190,7 @@ def _run(
         words = [word.replace("{folder}", str(folder)) for word in command]
         try:
             schema = _call([*words, "info", "--schema", "0.laz"], folder, timeout_s)
-            stages = stages if '"Withheld"' in schema else with_class_flags(stages)
+            stages = in_words_of(schema, stages)
             io.write_json(folder / "pipeline.json", pipeline(local, "out.laz", *window, point_format, stages))
             _call([*words, "pipeline", "pipeline.json"], folder, timeout_s)
         except subprocess.CalledProcessError as error:

@@ -6,6 +6,8 @@ import socketserver
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from email.utils import format_datetime
 from pathlib import Path
 
 import pytest
@@ -32,6 +34,24 @@ def test_retry_after_is_obeyed(httpserver: HTTPServer) -> None:
     assert client(pauses).get(httpserver.url_for("/x")) == b"fine"
     assert [pause for pause in pauses if pause > 0.1] == [5.0, 3.0]
     assert len(httpserver.log) == 3
+
+
+def test_retry_after_may_be_a_date(httpserver: HTTPServer) -> None:
+    date = format_datetime(datetime.now(UTC) + timedelta(seconds=30), usegmt=True)
+    httpserver.expect_ordered_request("/x").respond_with_data("", status=429, headers={"Retry-After": date})
+    httpserver.expect_ordered_request("/x").respond_with_data("fine")
+    pauses: list[float] = []
+    assert client(pauses).get(httpserver.url_for("/x")) == b"fine"
+    assert len(httpserver.log) == 2 and 25 < max(pauses) <= 30
+
+
+def test_nobody_waits_for_a_day(httpserver: HTTPServer) -> None:
+    headers = {"Retry-After": "86400"}
+    httpserver.expect_request("/x").respond_with_data("", status=429, headers=headers)
+    pauses: list[float] = []
+    with pytest.raises(InputError, match="HTTP 429, after 1 attempts"):
+        client(pauses, max_wait_s=600).get(httpserver.url_for("/x"))
+    assert len(httpserver.log) == 1 and max(pauses, default=0) < 600
 
 
 def test_server_errors_are_waited_out_with_growing_pauses(httpserver: HTTPServer) -> None:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from p2wss.config import Prepare
 from p2wss.errors import InputError
-from p2wss.fetch.prepare import pipeline, prepare, read_stages, with_class_flags
+from p2wss.fetch.prepare import in_words_of, pipeline, prepare, read_stages
 
 ROOT = Path(__file__).parents[3]
 STAGES = ROOT / "config" / "pdal" / "prepare.json"
@@ -131,9 +131,12 @@ def test_stages_that_are_none(tmp_path, text, message):
 
 
 def test_flags_in_the_words_of_an_older_pdal():
-    (first, *others) = with_class_flags(read_stages(STAGES))
-    assert first["limits"] == "ClassFlags[0:3],ClassFlags[8:11]"
-    assert others == read_stages(STAGES)[1:]
+    stages = read_stages(STAGES)
+    assert in_words_of('{"name": "Withheld"}', stages) == stages
+    (first, *others) = in_words_of('{"name": "ClassFlags"}', stages)
+    assert first["limits"] == "ClassFlags[0:3],ClassFlags[8:11]" and others == stages[1:]
+    (first, *others) = in_words_of('{"name": "Classification"}', stages)
+    assert first["limits"] == "Classification[0:127]" and others == stages[1:]
 
 
 # --- with a real PDAL ---
@@ -212,6 +215,30 @@ def test_real_pdal_merges_drops_noise_and_keeps_the_ground_that_is_there(
     assert facts["num_ground_points"] == (expected & (classes == 2)).sum(), "no ground of its own making"
     stages = json.loads(out.with_suffix(".pdal.json").read_text())["pipeline"]
     assert "filters.smrf" not in [stage["type"] for stage in stages]
+
+
+def test_real_pdal_on_a_cloud_of_an_old_format(pdal_command, tmp_path):
+    """LAS 1.2, without CRS, classes and numbers of returns, some points withheld."""
+    rng = np.random.default_rng(0)
+    points = scatter(4000, (652400, 6861400, 652460, 6861460))
+    points[:, 2] = np.round(50 + 0.02 * (points[:, 0] - 652400), 3)
+    roof = (abs(points[:, 0] - 652430) < 8) & (abs(points[:, 1] - 6861430) < 8)
+    points[roof, 2] += 6
+    header = laspy.LasHeader(point_format=3, version="1.2")
+    header.scales, header.offsets = [0.001] * 3, [652000, 6861000, 0]
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = points.T
+    cloud.withheld = rng.random(len(points)) < 0.1
+    cloud.write(tmp_path / "0652_6862.laz")
+    out = tmp_path / "out.laz"
+    prepare(out, [tmp_path / "0652_6862.laz"], AROUND, [], L93, L93, config(pdal_command=pdal_command))
+    found = laspy.read(out)
+    assert len(found) >= 0.98 * (np.asarray(cloud.withheld) == 0).sum()
+    assert len(found) <= (np.asarray(cloud.withheld) == 0).sum()
+    on_roof = np.asarray(found.z) > 54
+    classes = np.asarray(found.classification)
+    assert (classes[on_roof] == 1).all() and (classes[~on_roof] == 2).mean() > 0.98
+    assert (found.header.version.minor, found.header.parse_crs().to_epsg()) == (4, 2154)
 
 
 def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
