@@ -159,7 +159,9 @@ def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
     return cloud, scan.points.building, scan.points.face
 
 
-def whole_scene(buildings: pa.Table, terrain: Terrain, size_m: float, folder: Path) -> dict[str, Any]:
+def whole_scene(
+    buildings: pa.Table, terrain: Terrain, size_m: float, folder: Path, keep_scan: bool = False
+) -> dict[str, Any]:
     """One scene from buildings to shard, with the seconds of each step."""
     meter = Meter()
     meter.watch(scans, "_surface", "scene built")
@@ -172,7 +174,9 @@ def whole_scene(buildings: pa.Table, terrain: Terrain, size_m: float, folder: Pa
     begin = time.process_time()
     scan = scans.simulate(buildings, terrain, TILE, size_m, settings())
     simulated = time.process_time() - begin
-    cloud = as_cloud(scan)
+    cloud, facts = as_cloud(scan), scan.facts
+    kept = scan if keep_scan else None
+    del scan  # in the pipeline the crop is a process of its own
     start = time.process_time()
     columns, _ = crops.crop_scene(buildings, cloud, Crops())
     cropped = time.process_time() - start
@@ -185,9 +189,9 @@ def whole_scene(buildings: pa.Table, terrain: Terrain, size_m: float, folder: Pa
         "steps": meter.seconds | {"whole scene": total},
         "simulated": simulated,
         "cropped": cropped,
-        "pulses": scan.facts["pulses"]["cast"],
-        "points": scan.facts["num_points"],
-        "scan": scan,
+        "pulses": facts["pulses"]["cast"],
+        "points": facts["num_points"],
+        "scan": kept,
         "cloud": cloud,
         "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
@@ -454,7 +458,7 @@ def main() -> None:
     buildings, terrain = make_buildings(num, size_m), make_terrain(size_m)
     with tempfile.TemporaryDirectory() as folder:
         warm_up(Path(folder))
-        result = whole_scene(buildings, terrain, size_m, Path(folder))
+        result = whole_scene(buildings, terrain, size_m, Path(folder), keep_scan=True)
         steps = result["steps"]
         print(f"{result['pulses']:,} pulses, {result['points']:,} points, preset hd without clutter")
         print(f"{'step':<30}{'CPU s':>8}{'bar':>8}")

@@ -140,6 +140,13 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("manifest", type=Path)
     command.add_argument("out", type=Path, help="Parquet, one row per building and method")
     command.add_argument("reconstructions", type=Path, nargs="+")
+    command = _command(evaluate, "ablation", eval_ablation, "the table of the ablation, on the test split")
+    command.add_argument("manifest", type=Path)
+    command.add_argument("out_csv", type=Path)
+    command.add_argument("out_markdown", type=Path)
+    command.add_argument("models", type=Path, nargs="+", help="VARIANT/model.safetensors")
+    command.add_argument("--threads", type=int, default=1)
+    command.add_argument("--device", choices=DEVICES, default="auto")
     command = _command(evaluate, "report", eval_report, "the report")
     command.add_argument("out", type=Path, help="folder: report.html, table1.csv, table2.csv")
     command.add_argument("--manifest", type=Path, required=True)
@@ -149,6 +156,7 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument(
         "--metrics", type=Path, nargs="+", required=True, help="metrics.jsonl of dvae and model"
     )
+    command.add_argument("--scans", type=Path, nargs="*", default=[], help="PNGs of simulated scans")
 
     command = _command(stages, "reconstruct", reconstruct, "buildings from your own LiDAR and footprints")
     command.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC")
@@ -641,6 +649,16 @@ def eval_measure(arguments: argparse.Namespace) -> None:
     log.info("%s: %d rows", arguments.out, len(rows["method"]))
 
 
+def eval_ablation(arguments: argparse.Namespace) -> None:
+    _use_threads(arguments.threads)
+    from p2wss import ablation
+
+    rows = ablation.measure(arguments.manifest, arguments.models, arguments.device)
+    io.write_text(arguments.out_csv, ablation.csv(rows))
+    io.write_text(arguments.out_markdown, ablation.markdown(rows))
+    log.info("%s", ablation.markdown(rows))
+
+
 def eval_report(arguments: argparse.Namespace) -> None:
     from p2wss import sources
     from p2wss.eval import report
@@ -656,6 +674,7 @@ def eval_report(arguments: argparse.Namespace) -> None:
         arguments.reconstructions,
         arguments.metrics,
         config.eval.model_copy(update=footer),
+        arguments.scans,
     )
     for name, text in report.documents(inputs).items():
         io.write_text(arguments.out / name, text)

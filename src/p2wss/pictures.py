@@ -44,7 +44,7 @@ def scan_figure(points: Points, middle_m: np.ndarray) -> Figure:
 
 
 def _by_building(points: Points, own: np.ndarray) -> np.ndarray:
-    palette = np.array(colormaps["tab20"].colors)
+    palette = colormaps["tab20"](np.arange(20))[:, :3]
     face, building = points.face[own], points.building[own]
     color = palette[(building * 7) % len(palette)]
     color[(face >= 0) & (face & 3 == THING_KIND)] = _rgb(THING_COLOR)
@@ -54,7 +54,7 @@ def _by_building(points: Points, own: np.ndarray) -> np.ndarray:
 
 
 def _by_number(number: np.ndarray) -> np.ndarray:
-    palette = np.array(colormaps["Dark2"].colors)
+    palette = colormaps["Dark2"](np.arange(8))[:, :3]
     return palette[number.astype(int) % len(palette)]
 
 

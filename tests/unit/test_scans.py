@@ -141,7 +141,10 @@ def test_command_line(tmp_path):
     config = '{"scans": {"density_per_m2": 4}}'
     for threads, name in (("1", "a"), ("2", "b")):
         out = [str(tmp_path / f"{name}.laz"), str(tmp_path / f"{name}.json")]
+        out += ["--picture", str(tmp_path / f"{name}.png")]
         assert main(["scans", *files, *out, "--threads", threads, "--config", config]) == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     one, two = laspy.read(tmp_path / "a.laz"), laspy.read(tmp_path / "b.laz")
     np.testing.assert_array_equal(one.points.array, two.points.array)
     survey = json.loads((tmp_path / "a.json").read_text())

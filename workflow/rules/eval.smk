@@ -84,6 +84,8 @@ rule eval_report:
         parameters="<results>/eval/parameters.json",
         reconstructions=rules.measure.input.reconstructions,
         metrics=["<results>/dvae/metrics.jsonl", "<results>/model/metrics.jsonl"],
+        # pictures of the first few: a report of a whole city stays small
+        scans=lambda wildcards: expand("<results>/scans/{tile}.png", tile=tiles(wildcards)[:3]),
         tables=expand("<results>/reconstruct/{tile}.gpkg", tile=settings.region.lidar_tiles),
         sources=settings.fetch.sources,
     output:
@@ -105,4 +107,5 @@ rule eval_report:
     shell:
         "p2wss eval report {params.folder} --manifest {input.manifest} --measures {input.measures}"
         " --parameters {input.parameters} --reconstructions {input.reconstructions} --metrics {input.metrics}"
+        " --scans {input.scans}"
         " --config {params.config:q} 2> {log}"

@@ -1,4 +1,4 @@
-"""Scans. In: a scene, its terrain, its buildings. Out: per tile a simulated LiDAR survey and its parameters."""
+"""Scans. In: a scene, its terrain, its buildings. Out: per tile a simulated LiDAR survey, its parameters, a picture."""
 
 
 rule cast_scan:
@@ -9,6 +9,7 @@ rule cast_scan:
     output:
         scan=ensure("<results>/scans/{tile}.laz", non_empty=True),
         survey="<results>/scans/{tile}.json",
+        picture="<results>/scans/{tile}.png",
     log:
         "<logs>/scans/{tile}.log",
     benchmark:
@@ -19,10 +20,10 @@ rule cast_scan:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
         config=section("scans"),
-        code=fingerprint("scans"),
+        code=fingerprint("scans", "pictures"),
     shell:
         "p2wss scans {input.scene} {input.dtm} {input.buildings} {output.scan} {output.survey}"
-        " --threads {threads} --config {params.config:q} 2> {log}"
+        " --picture {output.picture} --threads {threads} --config {params.config:q} 2> {log}"
 
 
 rule scans:

@@ -37,7 +37,12 @@ def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
     # no date and no version among the metadata: the same figure has the same bytes
     figure.savefig(buffer, format="png", dpi=dots_per_inch, metadata={"Software": None})
     plt.close(figure)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return png_uri(buffer.getvalue())
+
+
+def png_uri(content: bytes) -> str:
+    """A PNG as a ``data:`` address."""
+    return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def curves(series: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, title: str) -> Figure:

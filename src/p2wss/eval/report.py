@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,7 @@ class Inputs:
     training: Mapping[str, Sequence[dict[str, Any]]]
     provenance: Mapping[str, dict[str, Any]]
     config: Eval
+    scans: Mapping[str, str] = field(default_factory=dict)  # tile to PNG as a data: address
 
 
 def dataset_names(config: Eval) -> dict[str, str]:
@@ -59,6 +60,7 @@ def read(
     reconstructions: Sequence[Path],
     metrics: Sequence[Path],
     config: Eval,
+    scans: Sequence[Path] = (),
 ) -> Inputs:
     """The report's inputs from files; a stage of training is named after the folder of its metrics."""
     tables_of = {}
@@ -84,6 +86,7 @@ def read(
         {path.parent.name: read_training(path) for path in metrics},
         made_by,
         config,
+        {path.stem: figures.png_uri(path.read_bytes()) for path in scans},
     )
 
 
@@ -128,6 +131,7 @@ def render(inputs: Inputs) -> str:
         distributions=_distributions(inputs, names),
         training=_training(inputs.training),
         pictures=_pictures(inputs),
+        scans=inputs.scans,
         attribution=inputs.config.attribution,
         provenance=inputs.provenance,
     )

@@ -422,13 +422,13 @@ def _on_triangle(
     ux, uy, uz = bx - ax, by - ay, bz - az
     vx, vy, vz = cx - ax, cy - ay, cz - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = sqrt(nx * nx + ny * ny + nz * nz)
+    per_length = 1 / sqrt(max(nx * nx + ny * ny + nz * nz, 1e-300))
     slope = nx * dx + ny * dy + nz * dz
     if slope == 0.0:
         return -1.0, 0.0, 0.0, 0.0, 0.0
     t = (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / slope
     px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
-    nx, ny, nz = nx / length, ny / length, nz / length
+    nx, ny, nz = nx * per_length, ny * per_length, nz * per_length
     if not (
         _inside_edge(ax, ay, az, ux, uy, uz, nx, ny, nz, px, py, pz)
         and _inside_edge(bx, by, bz, cx - bx, cy - by, cz - bz, nx, ny, nz, px, py, pz)

@@ -271,11 +271,13 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     rows = [tmp_path / f"{name}.parquet" for name in ("predictions", "lod1", "constant", "roofer")]
     run("measure", hamlet, tmp_path / "measures.parquet", *rows)
     training = tmp_path / "model" / "metrics.jsonl"
+    (tmp_path / "0652_6862.png").write_bytes(b"\x89PNG of a scan")
     training.parent.mkdir()
     training.write_text("".join(json.dumps({"step": i, "loss": 9 / (i + 1)}) + "\n" for i in range(5)))
     run(
         *("report", tmp_path, "--manifest", hamlet, "--measures", tmp_path / "measures.parquet"),
         *("--parameters", tmp_path / "parameters.json", "--reconstructions", *rows, "--metrics", training),
+        *("--scans", tmp_path / "0652_6862.png"),
     )
     page = (tmp_path / "report.html").read_text()
     # nothing is loaded from anywhere: no script, no style sheet, every image inside
@@ -284,6 +286,7 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
     assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
     assert "not run: eval.roofer_command is empty" in page
+    assert page.count("Simulated scan of tile 0652_6862") == 1
     assert "no real data" in page and "0123" in page
     assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
     assert "mu_CD" in (tmp_path / "table2.csv").read_text()
