@@ -202,8 +202,8 @@ def peers_of_the_cast(
 ) -> tuple[float, float, dict[str, float]]:
     """(speed relative to embreex alone, speed relative to trimesh, million rays per CPU-second of each).
 
-    embreex gets the same rays in the same chunks and all triangles, the terrain's too, and only answers which
-    triangle; ours also gives the point, its plane and its distance.
+    embreex gets the same rays in the same chunks and all triangles, the terrain's too, and answers in float32;
+    ours asks it for the buildings' triangles only, walks the terrain and locates every point in float64.
     """
     surfaces, rays = [], []
     original = caster._hits
