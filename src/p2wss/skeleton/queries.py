@@ -190,12 +190,17 @@ def _assign_all(
 class RoofPoints:
     """The roof over points, one row per point.
 
-    z_m: float64, NaN where there is no roof. kind: uint8, ROOF or FLAT, GROUND where there is no roof.
-    edge: int32, the edge of the polygon (counted over all its rings) that owns the face, or -1. face:
-    int64, the same edge, or OUTSIDE, FLAT, CAP or CUT. distance_m: float64, plan distance to the line of
-    the edge; for CAP and CUT the height above the eave; else 0. With the faces held fixed, dz / d(eave) is
-    1, dz / d(tan(angle of ``edge``)) is ``distance_m``, and dz_dangle_m_per_deg, float64, is dz / d(angle
-    of ``edge``); both are 0 where edge is -1. status: int32 (num_polygons,), a ``Status``.
+    * z_m: float64, height, NaN where there is no roof.
+    * kind: uint8, ROOF or FLAT; GROUND where there is no roof.
+    * edge: int32, the edge of the polygon (counted over all its rings) that owns the face, or -1.
+    * face: int64, the same edge, or OUTSIDE, FLAT, CAP or CUT.
+    * distance_m: float64, plan distance to the line of ``edge``; for CAP and CUT the height above the eave;
+      else 0.
+    * dz_dangle_m_per_deg: float64, derivative of z_m by the angle of ``edge``; 0 where edge is -1.
+    * status: int32 (num_polygons,), a ``Status``.
+
+    Derivatives hold every point's face fixed. The one by the eave height is 1 wherever there is a roof; the one
+    by the tangent of the angle of ``edge`` is ``distance_m`` where edge is not -1.
     """
 
     z_m: FloatArray

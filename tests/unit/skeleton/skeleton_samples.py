@@ -76,14 +76,15 @@ def _court(rng: np.random.Generator) -> list[np.ndarray]:
     return [outer, np.array([[x0, y0], [(x0 + x1) / 2, y1], [x1, (y0 + y1) / 2]])]
 
 
-def sample_footprints(num: int, seed: int, court_share: float = 0.0) -> Polygons:
-    """Footprints with a mean of about 7 edges, turned at random, a third each with 0, 1 and 10 cm of
-    jitter."""
+def sample_footprints(
+    num: int, seed: int, court_share: float = 0.0, jitters: tuple[float, ...] = (0, 0.01, 0.1)
+) -> Polygons:
+    """Footprints with a mean of about 7 edges, most turned at random, moved by one of the jitters (metres)."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(num):
         rings = _court(rng) if rng.random() < court_share else [_outline(rng)]
-        jitter = rng.choice([0, 0.01, 0.1])
+        jitter = rng.choice(jitters)
         turn = rng.uniform(0, 2 * np.pi) if rng.random() < 0.7 else 0.0
         c, s = np.cos(turn), np.sin(turn)
         out.append([(r + jitter * rng.normal(size=r.shape)) @ np.array([[c, -s], [s, c]]) for r in rings])
