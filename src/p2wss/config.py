@@ -403,7 +403,9 @@ class Compute(Section):
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="of matrix products (autocast); weights and losses stay float32"
     )
-    compile: bool = Field(False, description="compile the networks first (torch.compile): long trainings only")
+    compile: bool = Field(
+        False, description="compile the networks first (torch.compile): long trainings only"
+    )
     resident: bool = Field(False, description="keep the clouds in the memory of the device")
     tensorboard: bool = Field(False, description="metrics for TensorBoard too, beside the checkpoints")
 
@@ -527,6 +529,54 @@ class Model(Section):
         return self
 
 
+# --- ablation ---------------------------------------------------------------------------------------------
+
+_PAPER_MASKING = {"masking": {"inference_share": 0, "table1_share": 0, "random_ratio": [0.3, 0.3]}}
+_PAPER_DECODING = {"decoding": {"mode": "argmax", "angle_support": "all", "num_rotations": 1}}
+_NO_AUGMENTATION = {
+    "augmentation": {"mirror": False, "scale": [1, 1], "lift_m": 0, "jitter_m": 0, "keep_points": [1, 1]}
+}
+_NO_EDGES = {"edge_embedding": False, "edge_attention": False}
+_PAPER_LOSSES = {
+    "match_balanced": False,
+    "loss_weights": {"cloud": 1, "sequence": 1, "modal": 1, "match": 1},
+}
+_PLAIN_INPUT = {"ground_relative": False, "numerical_encoding": False}
+_PAPER = {
+    **_PAPER_MASKING,
+    **_PAPER_DECODING,
+    **_NO_AUGMENTATION,
+    **_NO_EDGES,
+    **_PAPER_LOSSES,
+    **_PLAIN_INPUT,
+    "ema_decay": 0,
+}
+
+
+class Ablation(Section):
+    """Models trained with single switches changed (target ablation)."""
+
+    variants: dict[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], dict[str, Any]] = Field(
+        {
+            "plus": {},
+            "paper": _PAPER,
+            "masking_of_paper": _PAPER_MASKING,
+            "decoding_of_paper": _PAPER_DECODING,
+            "one_view": {"decoding": {"num_rotations": 1}},
+            "losses_of_paper": _PAPER_LOSSES,
+            "no_augmentation": _NO_AUGMENTATION,
+            "no_mirror": {"augmentation": {"mirror": False}},
+            "no_average": {"ema_decay": 0},
+            "no_ground": {"ground_relative": False},
+            "no_numerical_encoding": {"numerical_encoding": False},
+            "no_edge_attention": {"edge_attention": False},
+            "no_edges": _NO_EDGES,
+        },
+        min_length=1,
+        description="name: changes of the section model, one training each",
+    )
+
+
 # --- eval -------------------------------------------------------------------------------------------------
 
 
@@ -574,6 +624,9 @@ class Reconstruct(Section):
     min_eave_height_m: float = Field(1, gt=0, description="lower predictions are raised to this")
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
     refine: bool = Field(True, description="fit height, angles and classes to the points after the network")
+    max_parts: int = Field(
+        4, ge=1, le=16, description="heights of one building at most; 1 = the paper's model"
+    )
 
 
 # --- the whole --------------------------------------------------------------------------------------------
@@ -590,8 +643,20 @@ class Config(Section):
     crops: Crops = Crops()
     dvae: Dvae = Dvae()
     model: Model = Model()
+    ablation: Ablation = Ablation()
     eval: Eval = Eval()
     reconstruct: Reconstruct = Reconstruct()
+
+    @model_validator(mode="after")
+    def _variants_are_models(self) -> Self:
+        for name in self.ablation.variants:
+            try:
+                ablated(self, name)
+            except ValidationError as error:
+                first = error.errors()[0]
+                key = ".".join(["ablation.variants", name, *map(str, first["loc"])])
+                raise ValueError(f"{key}: {first['msg']}") from None
+        return self
 
     @model_validator(mode="after")
     def _terrain_under_margins(self) -> Self:
@@ -618,6 +683,13 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
         key = ".".join(map(str, first["loc"])) or "config"
         reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
         raise InputError(f"config: {key}: {reason}{_suggestion(first)}") from error
+
+
+def ablated(config: Config, variant: str) -> Config:
+    """The config with the changes that a variant of the ablation makes to the section model."""
+    section = config.model.model_dump(mode="json")
+    _merge(section, config.ablation.variants[variant])
+    return config.model_copy(update={"model": Model.model_validate(section)})
 
 
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:

@@ -9,19 +9,31 @@ import numpy as np
 import shapely
 
 from p2wss.config import Reconstruct
-from p2wss.inference import NO_POINT, Building, Reconstruction, build, ground_z_m, mesh_footprint
+from p2wss.inference import (
+    NO_POINT,
+    Building,
+    Reconstruction,
+    build,
+    ground_z_m,
+    mesh_footprint,
+    no_mesh,
+    transfer_angles,
+)
 from p2wss.refine.one_height import MIN_NUM_POINTS, Effort, Fitter, Limits, OneHeight
+from p2wss.refine.parts import Cutting, fit_parts, main_frame
 from p2wss.refine.points import roof_points
+from p2wss.refine.solid import union
 
 METHOD = "fit"
 
 
 @dataclass(frozen=True)
 class _Found:
+    """What the points say of a building: its parts in the frame ``xy @ rotation``, or why there are none."""
+
     rings: Sequence[np.ndarray]
-    eave_height_m: float
-    angle_deg: np.ndarray
-    top_height_m: float
+    rotation: np.ndarray
+    parts: Sequence[OneHeight]
     refused: str
 
 
@@ -31,54 +43,88 @@ def fit(
     known: Sequence[Reconstruction] | None = None,
     method: str = METHOD,
 ) -> list[Reconstruction]:
-    """One reconstruction per building, in order: the parametric building nearest to the points on its roof.
+    """One reconstruction per building, in order: the parametric building nearest to the points on its roof, or
+    up to ``config.max_parts`` of them side by side as one solid.
 
     ``known``: the network's reconstructions of the same buildings; each is where a search begins, and it stays
     where the points are too few, nothing better is found or the kernel rejects what is found. Deterministic.
     """
     fitter = Fitter(Limits(max_roof_height_m=config.max_roof_height_m))
     starts = [None] * len(buildings) if known is None else list(known)
-    found = [_fit(fitter, b, start, config) for b, start in zip(buildings, starts, strict=True)]
-    confidence = [
-        np.nan if start is None or start.confidence is None else start.confidence for start in starts
-    ]
-    made = build(
-        buildings,
-        [one.rings for one in found],
-        [ground_z_m(building) for building in buildings],
-        np.array([one.eave_height_m for one in found]),
-        [one.angle_deg for one in found],
-        np.array(confidence, float),
-        method,
-        config,
-        [one.refused for one in found],
-        np.array([one.top_height_m for one in found]),
-    )
-    for i, start in enumerate(starts):
-        if not made[i].has_mesh and start is not None and start.has_mesh:
-            made[i] = replace(start, method=method)
-    return made
+    result = []
+    for building, start in zip(buildings, starts, strict=True):
+        found = _fit(fitter, building, start, config, config.max_parts)
+        made = _mesh(building, found, start, method, config)
+        if not made.has_mesh and len(found.parts) > 1:
+            made = _mesh(building, _fit(fitter, building, start, config, 1), start, method, config)
+        if not made.has_mesh and start is not None and start.has_mesh:
+            made = replace(start, method=method)
+        result.append(made)
+    return result
 
 
-def _fit(fitter: Fitter, building: Building, start: Reconstruction | None, config: Reconstruct) -> _Found:
+def _fit(
+    fitter: Fitter, building: Building, start: Reconstruction | None, config: Reconstruct, max_parts: int
+) -> _Found:
     rings = mesh_footprint(building, config)
-    none = np.zeros(sum(map(len, rings)))
+    rotation = main_frame(rings)
     if not len(building.point_m):
-        return _Found(rings, np.nan, none, np.inf, NO_POINT)
+        return _Found(rings, rotation, [], NO_POINT)
     if len(building.point_m) < config.min_num_points:
-        return _Found(rings, np.nan, none, np.inf, f"fewer than {config.min_num_points} points")
+        return _Found(rings, rotation, [], f"fewer than {config.min_num_points} points")
     ground = ground_z_m(building)
     polygon = shapely.Polygon(rings[0], rings[1:])
     point_m = roof_points(polygon, building.point_m, building.classification, ground)
     if len(point_m) < MIN_NUM_POINTS:
-        return _Found(rings, np.nan, none, np.inf, f"fewer than {MIN_NUM_POINTS} points on the roof")
+        return _Found(rings, rotation, [], f"fewer than {MIN_NUM_POINTS} points on the roof")
+    point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
+    turned = [ring @ rotation for ring in rings]
     guess = start.angle_deg if start is not None and start.has_mesh else None
-    one = fitter.fit_whole(rings, point_m, Effort(), [] if guess is None else [guess])
-    if one is None:
-        return _Found(rings, np.nan, none, np.inf, "no roof found")
-    if start is not None and guess is not None and start.eave_height_m is not None:
-        before = OneHeight(rings, guess, start.eave_height_m + ground, np.inf, np.inf, len(point_m))
-        if fitter.loss(before, point_m) < fitter.loss(one, point_m):
-            one = before
-    height = max(one.eave_z_m - ground, config.min_eave_height_m)
-    return _Found(rings, height, one.angle_deg, one.top_m, "")
+    guesses = [] if guess is None else [guess]
+    parts = fit_parts(fitter, turned, point_m, Effort(), Cutting(max_parts=max_parts), guesses)
+    if start is not None and guess is not None and start.eave_height_m is not None and len(parts) == 1:
+        before = OneHeight(turned, guess, start.eave_height_m + ground, np.inf, np.inf, len(point_m))
+        if fitter.loss(before, point_m) < fitter.loss(parts[0], point_m):
+            parts = [before]
+    return _Found(rings, rotation, parts, "" if parts else "no roof found")
+
+
+def _mesh(
+    building: Building, found: _Found, start: Reconstruction | None, method: str, config: Reconstruct
+) -> Reconstruction:
+    """The row of the building. Of several parts it tells the eave height of the largest and, for each edge of
+    the footprint, the angle of the part there."""
+    if not found.parts:
+        return no_mesh(building, method, found.refused)
+    ground = ground_z_m(building)
+    largest = max(found.parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
+    height = max(largest.eave_z_m - ground, config.min_eave_height_m)
+    confidence = np.nan if start is None or start.confidence is None else start.confidence
+    if len(found.parts) == 1:
+        (one,) = build(
+            [building], [found.rings], [ground], np.array([height]), [largest.angle_deg],
+            np.array([confidence]), method, config, [""], largest.top_m,
+        )  # fmt: skip
+        return one
+    mesh = union(found.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
+    if mesh is None:
+        return no_mesh(building, method, "no closed union of its parts")
+    part_rings = [ring @ found.rotation.T for part in found.parts for ring in part.rings]
+    part_angles = np.concatenate([part.angle_deg for part in found.parts])
+    return Reconstruction(
+        building.building_id,
+        building.tile,
+        method,
+        "ok",
+        building.origin_xy_m,
+        ground,
+        found.rings,
+        height,
+        transfer_angles(part_rings, part_angles, found.rings),
+        None if np.isnan(confidence) else float(confidence),
+        np.column_stack([mesh.vertex_m[:, :2] @ found.rotation.T, mesh.vertex_m[:, 2]]),
+        mesh.triangle,
+        mesh.kind,
+        mesh.plane,
+        len(found.parts),
+    )

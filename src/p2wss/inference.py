@@ -48,7 +48,10 @@ class Building:
 @dataclass(frozen=True)
 class Reconstruction:
     """One row of ``io.RECONSTRUCTIONS``: what a method made of a building. Without a mesh, ``triangle`` is
-    (0, 3) and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``."""
+    (0, 3) and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``.
+
+    num_parts: with a height each. Of several, ``eave_height_m`` is that of the largest, ``angle_deg`` those of
+    the parts along the footprint, and ``edge`` numbers the planes instead of the edges."""
 
     building_id: str
     tile: str
@@ -64,6 +67,7 @@ class Reconstruction:
     triangle: np.ndarray
     kind: np.ndarray
     edge: np.ndarray
+    num_parts: int = 1
 
     @property
     def has_mesh(self) -> bool:

@@ -235,6 +235,7 @@ def attributes(result: Result) -> dict[str, Any]:
         "confidence": _rounded(made.confidence),
         "residual_m": _rounded(result.residual_m),
         "num_points": result.num_points,
+        "num_parts": made.num_parts if made.has_mesh else None,
         "num_triangles": len(made.triangle),
     }
 

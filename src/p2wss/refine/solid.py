@@ -1,0 +1,200 @@
+"""One closed solid from the parts of a building: their union, with coplanar faces as one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import manifold3d
+import numpy as np
+
+from p2wss import skeleton
+from p2wss.refine.one_height import OneHeight
+from p2wss.skeleton import FaceKind, Polygons, Status
+
+# vertices this near to a plane lie in it
+_COPLANAR_M = 4e-3
+_ON_CUT_M = 1e-6
+_WELD_M = 1e-4
+# how much higher each further part is, and what a surface may move by when slivers are taken out
+_ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
+_UPRIGHT_NZ = 0.05
+_LEVEL_NZ = 0.9999
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A closed mesh. vertex_m (v, 3), triangle int32 (t, 3), kind uint8 (t,) (``FaceKind``), plane int32 (t,):
+    triangles of one kind and plane that touch are one face."""
+
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    plane: np.ndarray
+
+
+def union(
+    parts: Sequence[OneHeight], ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
+) -> Mesh | None:
+    """The union of the parts' solids over one ground, z above it. None: a part has no solid, or the union is
+    not one closed manifold.
+
+    parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly
+    coplanar. Parts that meet in a single edge only are no manifold: then some are raised by a few centimetres.
+    """
+    for step_m, simplify_m in _ATTEMPTS_M:
+        raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
+        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m)
+        if mesh is not None and is_closed(mesh.vertex_m, mesh.triangle):
+            return mesh
+    return None
+
+
+def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
+    """Whether every edge has exactly two triangles, in opposite directions, once vertices that files cannot
+    tell apart are one."""
+    _, welded = np.unique(np.round(vertex_m / _WELD_M).astype(np.int64), axis=0, return_inverse=True)
+    corner = welded.reshape(-1)[triangle]
+    corner = corner[(corner != np.roll(corner, 1, axis=1)).all(axis=1)]
+    size = len(vertex_m)
+    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    forward, back = np.sort(start * size + end), np.sort(end * size + start)
+    return bool(len(forward) and (np.diff(forward) > 0).all() and np.array_equal(forward, back))
+
+
+def _union(
+    parts: Sequence[OneHeight],
+    ground_z_m: float,
+    min_eave_height_m: float,
+    max_roof_height_m: float,
+    simplify_m: float,
+) -> Mesh | None:
+    made = skeleton.build(
+        Polygons.from_rings([list(part.rings) for part in parts]),
+        np.concatenate([part.angle_deg for part in parts]),
+        np.array([max(part.eave_z_m - ground_z_m, min_eave_height_m) for part in parts]),
+        max_roof_height_m=np.array([min(part.top_m, max_roof_height_m) for part in parts]),
+    )
+    if (made.status != Status.OK).any():
+        return None
+    solids = []
+    for i, part in enumerate(parts):
+        vertex_m, triangle, _, _ = made.mesh(i)
+        vertex_m = _snapped(vertex_m, np.concatenate(list(part.rings)))
+        mesh = manifold3d.Mesh64(np.ascontiguousarray(vertex_m), triangle.astype(np.uint64))
+        solids.append(manifold3d.Manifold(mesh))
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    whole = whole.as_original().simplify(simplify_m)
+    if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
+        return None
+    out = whole.to_mesh64()
+    vertex_m = np.array(out.vert_properties, float)[:, :3]
+    triangle = np.array(out.tri_verts, np.int32)
+    kind, plane = _planes(vertex_m, triangle)
+    kept, corners = _without_straight(vertex_m, triangle, plane)
+    used, index = np.unique(corners, return_inverse=True)
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind[kept], plane[kept])
+
+
+def _without_straight(
+    vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which triangles stay (indices), and their corners, once vertices that only two planes share, and so lie
+    within a straight edge, have moved to an end of that edge."""
+    rows = dict(enumerate(triangle.tolist()))
+    around: dict[int, set[int]] = {}
+    for t, corners in rows.items():
+        for v in corners:
+            around.setdefault(v, set()).add(t)
+    for v in sorted(around):
+        if len({int(plane[t]) for t in around[v]}) != 2:
+            continue
+        planes_of: dict[int, set[int]] = {}
+        for t in around[v]:
+            for w in rows[t]:
+                if w != v:
+                    planes_of.setdefault(w, set()).add(int(plane[t]))
+        for end in sorted(w for w, own in planes_of.items() if len(own) == 2):
+            if _can_move(vertex_m, rows, around, v, end):
+                for t in around.pop(v):
+                    if end in rows[t]:
+                        for w in rows.pop(t):
+                            if w != v:
+                                around[w].discard(t)
+                    else:
+                        rows[t] = [end if w == v else w for w in rows[t]]
+                        around[end].add(t)
+                break
+    return np.array(list(rows), int), np.array(list(rows.values()), int)
+
+
+def _can_move(
+    vertex_m: np.ndarray, rows: dict[int, list[int]], around: dict[int, set[int]], v: int, end: int
+) -> bool:
+    """Whether the mesh stays a manifold, and no triangle turns over, if ``v`` moves to ``end``."""
+    neighbours = [{w for t in around[u] for w in rows[t]} - {v, end} for u in (v, end)]
+    if len(neighbours[0] & neighbours[1]) != 2:
+        return False
+    for t in around[v]:
+        if end not in rows[t]:
+            before = _normal(vertex_m[rows[t]])
+            after = _normal(vertex_m[[end if w == v else w for w in rows[t]]])
+            if after @ after < 1e-12 or after @ before < 0:
+                return False
+    return True
+
+
+def _normal(corner_m: np.ndarray) -> np.ndarray:
+    return np.cross(corner_m[1] - corner_m[0], corner_m[2] - corner_m[0])
+
+
+def _snapped(vertex_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
+    """Vertices over the footprint's corners and lines with exactly their coordinates."""
+    vertex_m = vertex_m.copy()
+    for axis in (0, 1):
+        lines = np.unique(corner_m[:, axis])
+        place = np.clip(np.searchsorted(lines, vertex_m[:, axis] - _ON_CUT_M), 0, len(lines) - 1)
+        near = np.abs(lines[place] - vertex_m[:, axis]) < _ON_CUT_M
+        vertex_m[near, axis] = lines[place[near]]
+    return vertex_m
+
+
+def _planes(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Kind and plane of every triangle, grown from the largest ones, whose normals can be trusted."""
+    corner = vertex_m[triangle]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(normal, axis=1)
+    normal /= np.maximum(area, 1e-12)[:, None]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    is_sliver = area < 2 * _COPLANAR_M * longest
+    half = {}
+    for t, (a, b, c) in enumerate(triangle.tolist()):
+        half[a, b] = half[b, c] = half[c, a] = t
+    kind = np.zeros(len(triangle), np.uint8)
+    plane = np.full(len(triangle), -1, np.int32)
+    for number, seed in enumerate(np.argsort(-area, kind="stable").tolist()):
+        if plane[seed] >= 0:
+            continue
+        unit, offset = normal[seed], normal[seed] @ corner[seed].mean(axis=0)
+        in_plane = np.abs(corner @ unit - offset).max(axis=1) < _COPLANAR_M
+        in_plane &= is_sliver | (normal @ unit > 0.99)
+        pending = [seed]
+        plane[seed] = number
+        while pending:
+            t = pending.pop()
+            kind[t] = _kind(unit)
+            a, b, c = triangle[t].tolist()
+            for pair in ((b, a), (c, b), (a, c)):
+                other = half[pair]
+                if plane[other] < 0 and in_plane[other]:
+                    plane[other] = number
+                    pending.append(other)
+    return kind, plane
+
+
+def _kind(normal: np.ndarray) -> int:
+    if abs(normal[2]) < _UPRIGHT_NZ:
+        return int(FaceKind.WALL)
+    if normal[2] < 0:
+        return int(FaceKind.GROUND)
+    return int(FaceKind.FLAT if normal[2] > _LEVEL_NZ else FaceKind.ROOF)
