@@ -42,3 +42,24 @@ def judged_sound(vertex: np.ndarray, triangle: np.ndarray, num_courtyards: int) 
     if abs(united.volume() - mesh.volume) > 1e-6 * mesh.volume + 1e-6:
         return f"manifold3d: volume {united.volume()} against {mesh.volume}"
     return ""
+
+
+def crosses_itself(vertex: np.ndarray, triangle: np.ndarray, margin: float = 1e-6) -> bool:
+    """Whether an edge passes through the inside of a triangle that it has no corner in common with."""
+    corner = (vertex - vertex[0])[triangle]
+    a, ab, ac = corner[:, 0], corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    normal = np.cross(ab, ac)
+    area = np.linalg.norm(normal, axis=1)
+    edges = np.unique(np.sort(triangle[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    start, end = (vertex - vertex[0])[edges[:, 0]], (vertex - vertex[0])[edges[:, 1]]
+    # heights over the planes of all triangles: (edges, triangles)
+    above = np.einsum("etk,tk->et", start[:, None] - a, normal) / area
+    below = np.einsum("etk,tk->et", end[:, None] - a, normal) / area
+    through = (np.minimum(above, below) < -margin) & (np.maximum(above, below) > margin)
+    through &= ~(edges[:, :, None, None] == triangle[None, None]).any(axis=(1, 3))
+    e, t = np.nonzero(through)
+    share = above[e, t] / (above[e, t] - below[e, t])
+    hit = start[e] + share[:, None] * (end[e] - start[e]) - a[t]
+    u = np.einsum("ij,ij->i", np.cross(hit, ac[t]), normal[t]) / area[t] ** 2
+    v = np.einsum("ij,ij->i", np.cross(ab[t], hit), normal[t]) / area[t] ** 2
+    return bool(np.any(np.minimum(np.minimum(u, v), 1 - u - v) > margin))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from skeleton_samples import REGIMES, sample_angles, sample_footprints
-from skeleton_solids import judged_sound, volumes
+from skeleton_solids import crosses_itself, judged_sound, volumes
 
 from p2wss.skeleton import FaceKind, LineKind, build, clean, faces, lines, roof_height, roof_points
 
@@ -32,6 +32,22 @@ def test_independent_judges(regime):
 @pytest.mark.parametrize("regime", REGIMES)
 def test_independent_judges_on_many(regime):
     judge(4000, regime, 0.25, 12)
+
+
+def test_the_judge_sees_a_crossing():
+    apart = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, -1], [1, 1, 1], [5, 5, 1]], float)
+    assert crosses_itself(apart, np.array([[0, 1, 2], [3, 4, 5]]))
+    assert not crosses_itself(
+        apart + np.repeat([[0, 0, 0], [9, 0, 0]], 3, axis=0), np.array([[0, 1, 2], [3, 4, 5]])
+    )
+
+
+@pytest.mark.parametrize("num", [40, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("regime", REGIMES)
+def test_no_mesh_crosses_itself(regime, num):
+    polygons = clean(sample_footprints(num, 13, 0.25)).polygons
+    meshes = build(polygons, sample_angles(polygons, regime, 13), np.full(num, 5.0))
+    assert [k for k in range(num) if crosses_itself(*meshes.mesh(k)[:2])] == []
 
 
 @pytest.mark.parametrize("regime", REGIMES)
