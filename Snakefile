@@ -31,6 +31,7 @@ include: "workflow/rules/dvae.smk"
 include: "workflow/rules/model.smk"
 include: "workflow/rules/reconstruct.smk"
 include: "workflow/rules/eval.smk"
+include: "workflow/rules/ablation.smk"
 
 
 # without a target: the report (the default target must stand in this file)

@@ -256,7 +256,8 @@ def main() -> int:
     bar("loader's share of a training step", batch_s / ours, 0.05, False)
 
     decode = config.model.decoding.model_copy(update={"num_rotations": 1})
-    predictor = model.Predictor(network(), decode, config.dvae, config.model.max_vertices)
+    limits = model.limits_of(config.model, config.dvae, tokenizer)
+    predictor = model.Predictor(network(), decode, config.dvae, config.model.max_vertices, limits)
     peaks = []
     for num in (options.num // 16, options.num // 4):
         some = range(num)

@@ -305,7 +305,7 @@ class Scans(Section):
         "which ignores all below but density_per_m2; none: flown as hd, without any error",
     )
     density_per_m2: float | None = Field(
-        None,
+        8,
         ge=0.5,
         le=200,
         description="pulses per m2 over a scene (hd: the median); null: 14 for hd, 8 for paper and none",
@@ -369,6 +369,9 @@ class Crops(Section):
     min_points: int = Field(20, ge=1, description="buildings with fewer points are left out")
     max_points: int = Field(
         2048, ge=1, description="buildings with more points are marked as truncated; all points are kept"
+    )
+    split: Literal["blocks", "train", "val", "test"] = Field(
+        "blocks", description="blocks: by place, see below; else every building of the region is in this one"
     )
     block_size_m: float = Field(
         125, gt=0, description="edge of the square blocks that go to train, val or test as a whole"

@@ -254,11 +254,14 @@ def assign_splits(polygons: Polygons, settings: Crops) -> np.ndarray:
     Square blocks go to a split as a whole; of every 5 by 2 blocks, one drawn by the seed is val and another
     is test, so that the shares are 80, 10 and 10 percent of any larger area. A val or test building nearer
     than ``guard_m`` to a building of another split is set aside as guard. The polygons must be in the CRS,
-    not local; a polygon without rings is guard.
+    not local; a polygon without rings is guard. Where ``split`` names one, all the others are in that.
     """
     shapes = footprints.to_geometries(polygons)
     split = np.full(len(shapes), "guard", dtype=object)
     filled = np.flatnonzero(~shapely.is_empty(shapes))
+    if settings.split != "blocks":
+        split[filled] = settings.split
+        return split
     shapes = shapes[filled]
     centroid = shapely.centroid(shapes)
     block = np.floor(shapely.get_coordinates(centroid) / settings.block_size_m).astype(np.int64)

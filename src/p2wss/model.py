@@ -35,7 +35,8 @@ from p2wss.seeds import derive_seed
 
 log = logging.getLogger("p2wss")
 
-INFERENCE_BATCH = 64
+# on a CPU the points of a batch should fit into the cache: 16 is half as fast again as 64
+INFERENCE_BATCH = {"cpu": 16, "cuda": 256}
 
 
 def train(
@@ -106,7 +107,9 @@ def load(path: Path, device: DeviceName = "auto") -> Predictor:
         missing = set(inference_weights(module.state_dict())) - set(state)
         if missing:
             raise ValueError(f"no weights {min(missing)}")
-    return Predictor(module.to(compute.device_of(device)), config.decoding, dvae_config, config.max_vertices)
+    module.to(compute.device_of(device))
+    limits = limits_of(config, dvae_config, tokenizer)
+    return Predictor(module, config.decoding, dvae_config, config.max_vertices, limits)
 
 
 def make_tokenizer(config: ModelConfig) -> Tokenizer:
@@ -210,7 +213,8 @@ class _Task:
         assert isinstance(module, Point2Wss)
         # one view: the learning curve needs no more
         decode = self.config.decoding.model_copy(update={"num_rotations": 1})
-        predictor = Predictor(module, decode, self.dvae_config, self.config.max_vertices)
+        limits = limits_of(self.config, self.dvae_config, module.tokenizer)
+        predictor = Predictor(module, decode, self.dvae_config, self.config.max_vertices, limits)
         index = np.arange(min(len(self.held_out), self.config.num_validation))
         height, angle = predictor.errors(self.held_out, index)
         label = self.held_out.batch(index, 1, None)
@@ -258,14 +262,22 @@ class Predictor:
     """A trained model. Memory is bounded whatever the number of buildings; results depend on no order."""
 
     def __init__(
-        self, module: Point2Wss, decode: Decoding, dvae_config: DvaeConfig, max_num_vertices: int
+        self,
+        module: Point2Wss,
+        decode: Decoding,
+        dvae_config: DvaeConfig,
+        max_num_vertices: int,
+        limits: Limits,
     ) -> None:
+        # of the buildings that it was trained on
+        self.limits = limits
         self.module = module.eval()
         self.device = next(module.parameters()).device
         self.tokenizer = module.tokenizer
         self.decode = decode
         self.dvae_config = dvae_config
         self._max_num_vertices = max_num_vertices
+        self._batch_size = INFERENCE_BATCH[self.device.type]
 
     @property
     def max_num_vertices(self) -> int:
@@ -322,8 +334,8 @@ class Predictor:
     def errors(self, buildings: Buildings, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed errors, footprint given, of labelled buildings: heights (n,) m, angles (edges,) degrees."""
         heights, angles = [], []
-        for first in range(0, len(index), INFERENCE_BATCH):
-            rows = index[first : first + INFERENCE_BATCH]
+        for first in range(0, len(index), self._batch_size):
+            rows = index[first : first + self._batch_size]
             batch = augment.centre(buildings.batch(rows, self.dvae_config.num_points, None))
             height, angle, _ = self._decode(batch)
             inside = np.arange(angle.shape[1]) < batch.num_vertices.numpy()[:, None]
@@ -343,8 +355,8 @@ class Predictor:
     ) -> Iterator[tuple[np.ndarray, Batch]]:
         """Centred batches of similar length; buildings that the number format cannot hold are left out."""
         order = np.argsort([len(ring) for ring in exterior], kind="stable")
-        for first in range(0, len(order), INFERENCE_BATCH):
-            index = order[first : first + INFERENCE_BATCH]
+        for first in range(0, len(order), self._batch_size):
+            index = order[first : first + self._batch_size]
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
             reach = batch.xy.norm(dim=-1).amax(1) * 10**self.tokenizer.coord_decimals
             fits = reach.numpy() < self.tokenizer.max_coord

@@ -1,6 +1,6 @@
 """Draw the miniature: a small town in IGN's own formats, so that the whole pipeline runs without a network.
 
-    python tests/mini/make.py [FOLDER]
+    python tests/mini/make.py [FOLDER] [--seed SEED]
 
 writes into ``bdtopo/``, ``rgealti/`` and ``lidar/`` beside this file (or in FOLDER):
 
@@ -11,13 +11,14 @@ writes into ``bdtopo/``, ``rgealti/`` and ``lidar/`` beside this file (or in FOL
   scanner swings like a pendulum, and its buildings have what the training data lacks: dormers, chimneys,
   garages lower than their house, trees. It is no LiDAR HD and no truth comes with it.
 
-Everything follows from ``SEED``; nothing here uses p2wss.
+Everything follows from ``SEED``; nothing here uses p2wss. Another seed draws another town, on the same ground
+without the LiDAR: footprints to train on.
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
-import sys
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -747,13 +748,18 @@ def _crown_hit(
     return result
 
 
-def main(folder: Path) -> None:
-    rng = np.random.Generator(np.random.PCG64(SEED))
+def main(folder: Path, seed: int) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
     town = draw_town(rng)
     write_terrain(folder / "rgealti")
     write_footprints(town, folder / "bdtopo" / "BDTOPO_mini.gpkg", rng)
-    write_lidar(town, folder / "lidar" / "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz", rng)
+    if seed == SEED:
+        write_lidar(town, folder / "lidar" / "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz", rng)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent)
+    parser.add_argument("--seed", type=int, default=SEED, help="of another town, for a FOLDER of its own")
+    options = parser.parse_args()
+    main(options.folder, options.seed)

@@ -181,6 +181,11 @@ def test_splits_do_not_depend_on_the_tile():
     assert crops.assign_splits(footprints.to_polygons([]), Crops()).tolist() == []
 
 
+def test_a_region_may_be_held_out_as_a_whole():
+    split = crops.assign_splits(footprints.to_polygons(scattered(50)), Crops(split="val"))
+    assert split.tolist() == ["val"] * 50
+
+
 def test_command_line_and_manifest(tmp_path, capsys):
     files = [str(path) for path in write_scene(tmp_path)]
     scan, shard = str(tmp_path / "scan.laz"), str(tmp_path / "shards" / "a.parquet")

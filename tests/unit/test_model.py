@@ -211,7 +211,9 @@ def test_eight_buildings_are_learnt_by_heart(folder: Path, tmp_path: Path) -> No
     ).model
     module, dvae_config = model.train(manifest, folder / "d.safetensors", config, tmp_path / "c", "x")
     known = dataset.load(manifest, ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
-    height, angle = Predictor(module, config.decoding, dvae_config, 8).errors(known, np.arange(8))
+    height, angle = Predictor(module, config.decoding, dvae_config, 8, Limits(64, 8, 70)).errors(
+        known, np.arange(8)
+    )
     assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3
 
 

@@ -7,11 +7,15 @@ from conftest import ROOT, rules_to_run
 
 
 def test_the_miniature_plans_every_rule(project):
-    jobs = rules_to_run(project.snakemake("-n"))
+    jobs = rules_to_run(project.snakemake("-n", "all", "ablation"))
     text = "".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     with_output = re.findall(r"^(?:rule|checkpoint) (\w+):\n(?:    .*\n|\n)*?    output:", text, re.M)
     assert len(with_output) > 12
     assert set(with_output) <= set(jobs), set(with_output) - set(jobs)
+
+
+def test_the_ablation_is_no_part_of_the_report(project):
+    assert not {"ablation", "ablation_model"} & set(rules_to_run(project.snakemake("-n")))
 
 
 def test_a_stage_is_a_target(project):

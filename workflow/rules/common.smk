@@ -2,7 +2,7 @@
 
 from snakemake.exceptions import WorkflowError
 
-from p2wss.config import load, section_json
+from p2wss.config import ablated, load, section_json
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 from p2wss.tiling import TILE_PATTERN, neighbours
@@ -21,6 +21,11 @@ wildcard_constraints:
 def section(*names, without=()):
     """Sections of the config as one string: tracked by Snakemake, readable in the printed command."""
     return section_json(settings, *names, without=without)
+
+
+def variant_section(wildcards):
+    """The section of a model of the ablation."""
+    return section_json(ablated(settings, wildcards.variant), "model")
 
 
 def tiles(wildcards):

@@ -1,0 +1,78 @@
+"""The table of the ablation: what each switch of the section model is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from p2wss import dataset, model
+from p2wss.compute import DeviceName
+
+HEADER = (
+    "variant",
+    "num_buildings",
+    "height_mae_m",
+    "height_std_m",
+    "height_mae_constant_m",
+    "angle_mae_deg",
+    "angle_std_deg",
+    "angle_mae_constant_deg",
+)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Mean and standard deviation of absolute errors on the test split, footprint given, one variant."""
+
+    variant: str
+    num_buildings: int
+    height_mae_m: float
+    height_std_m: float
+    height_mae_constant_m: float
+    angle_mae_deg: float
+    angle_std_deg: float
+    angle_mae_constant_deg: float
+
+
+def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> list[Row]:
+    """One row per model; a model is named by its folder. The constants are medians of the train split.
+
+    Raises :class:`InputError` for an unusable manifest or model.
+    """
+    rows = []
+    for path in paths:
+        predictor = model.load(path, device)
+        limits = predictor.limits
+        train = dataset.load(manifest, ["train"], limits, labelled=True, lidar=False)
+        test = dataset.load(manifest, ["test"], limits, labelled=True, lidar=False)
+        height, angle = (np.abs(error) for error in predictor.errors(test, np.arange(len(test))))
+        rows.append(
+            Row(
+                path.parent.name,
+                len(test),
+                float(height.mean()),
+                float(height.std()),
+                float(np.abs(test.height_m - np.median(train.height_m)).mean()),
+                float(angle.mean()),
+                float(angle.std()),
+                float(np.abs(test.angle_deg - np.median(train.angle_deg)).mean()),
+            )
+        )
+    return rows
+
+
+def csv(rows: Sequence[Row]) -> str:
+    return "\n".join([",".join(HEADER), *(",".join(_cells(row, 4)) for row in rows)]) + "\n"
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    lines = [HEADER, ["---"] * len(HEADER), *(_cells(row, 2) for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def _cells(row: Row, digits: int) -> list[str]:
+    values = [getattr(row, name) for name in HEADER]
+    return [f"{value:.{digits}f}" if isinstance(value, float) else str(value) for value in values]

@@ -1,0 +1,52 @@
+"""The first ten losses of both stages, seeded, on one CPU thread: what ``golden.json`` holds.
+
+python tests/unit/golden.py   writes it anew, after a change that is meant to change what is learnt
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from pathlib import Path
+
+import torch
+import toy_crops
+from test_dvae import SMALL as SMALL_DVAE
+from test_model import SMALL as SMALL_MODEL
+
+from p2wss import dvae, model, training
+from p2wss.config import load
+
+PATH = Path(__file__).with_name("golden.json")
+NUM_STEPS = 10
+
+
+def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
+    """Per stage the logged losses of each of ten steps, on simple crops made in ``folder``."""
+    steps = {"optimiser": {"num_steps": NUM_STEPS, "batch_size": 8}}
+    config = load({"dvae": SMALL_DVAE | steps, "model": SMALL_MODEL | steps})
+    manifest = toy_crops.make(folder, {"train": 24, "val": 8})
+    found = {}
+    every, training.METRICS_EVERY_STEPS = training.METRICS_EVERY_STEPS, 1
+    num_threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        vae = dvae.train(manifest, config.dvae, folder / "dvae", "x")
+        dvae.save(vae, folder / "d.safetensors", config.dvae, "x", "")
+        model.train(manifest, folder / "d.safetensors", config.model, folder / "model", "x")
+    finally:
+        training.METRICS_EVERY_STEPS = every
+        torch.set_num_threads(num_threads)
+    for stage in ("dvae", "model"):
+        records = map(json.loads, training.read_metrics(folder / stage).splitlines())
+        found[stage] = [
+            {name: round(value, 6) for name, value in record.items() if name != "learning_rate"}
+            for record in records
+            if "loss" in record
+        ]
+    return found
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        PATH.write_text(json.dumps(losses(Path(folder)), indent=1) + "\n")

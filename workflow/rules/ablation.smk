@@ -1,0 +1,56 @@
+"""Ablation. In: the crops and the dvae. Out: one model per variant of the section model, and a table of their errors."""
+
+
+rule ablation_model:
+    input:
+        manifest="<results>/crops/manifest.json",
+        shards=every_tile("<results>/crops/{tile}.parquet"),
+        dvae="<results>/dvae/model.safetensors",
+    output:
+        weights="<results>/ablation/{variant}/model.safetensors",
+        metrics="<results>/ablation/{variant}/metrics.jsonl",
+    log:
+        "<logs>/ablation/{variant}.log",
+    benchmark:
+        "<benchmarks>/ablation/{variant}.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    threads: 2
+    resources:
+        mem_mb=8000,
+        gpu=1,
+    params:
+        config=variant_section,
+        code=fingerprint("model"),
+        folder=subpath(output.weights, parent=True),
+    shell:
+        "p2wss model {input.manifest} {input.dvae} {output.weights} {output.metrics} --checkpoints {params.folder}/checkpoints"
+        " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"
+
+
+rule ablation:
+    input:
+        manifest="<results>/crops/manifest.json",
+        shards=every_tile("<results>/crops/{tile}.parquet"),
+        models=expand(
+            "<results>/ablation/{variant}/model.safetensors", variant=list(settings.ablation.variants)
+        ),
+    output:
+        csv="<results>/ablation/table.csv",
+        markdown="<results>/ablation/table.md",
+    log:
+        "<logs>/ablation/table.log",
+    benchmark:
+        "<benchmarks>/ablation/table.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    threads: 2
+    resources:
+        mem_mb=4000,
+        gpu=1,
+    params:
+        config=section("ablation"),
+        code=fingerprint("ablation"),
+    shell:
+        "p2wss eval ablation {input.manifest} {output.csv} {output.markdown} {input.models}"
+        " --threads {threads} --config {params.config:q} 2> {log}"
