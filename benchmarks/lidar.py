@@ -436,7 +436,11 @@ def simulated_clouds(size_m: float) -> dict[str, list[float]]:
     cases.append(("hd, 7 returns", {"max_returns": 7}))
     for name, changes in cases:
         scan = scans.simulate(
-            buildings, terrain, TILE, size_m, Scans(**({"preset": name.split(",")[0]} | changes))
+            buildings,
+            terrain,
+            TILE,
+            size_m,
+            Scans(**({"preset": name.split(",")[0], "density_per_m2": None} | changes)),
         )
         cloud, _, _ = as_cloud(scan)
         survey = scan.facts["survey"]
