@@ -1,0 +1,166 @@
+"""Reconstruction of real LiDAR against its bars: accuracy, triangles, closedness, CPU time; the last line is JSON.
+
+    python benchmarks/real.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
+
+``--data`` holds ``delft_ahn3`` and ``bresse_ign``. The judge is a script of its own that shares no code with
+this package. Halves A and B: every second building of Delft by id.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+
+from p2wss import clouds, fitting, footprints, inference, reconstruct, scenes
+from p2wss.config import Config, Reconstruct
+from p2wss.crops import crop_cloud
+from p2wss.inference import Building, Reconstruction
+
+SETS = {"delft": ("delft_ahn3", "ahn3.laz", 28992), "bresse": ("bresse_ign", "lidar.laz", 2154)}
+NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh", "tri": "triangles"}
+BARS = {
+    "one height": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28},
+    "parts": {"cd": 0.90, "roof": 0.30, "p2m": 0.15, "tri": 44},
+    "parts, 10 % of the points": {"roof": 0.6},
+}
+
+
+def read(folder: Path, name: str, config: Config) -> list[Building]:
+    """The buildings of a data set, clean footprints with their points."""
+    place, cloud_file, _ = SETS[name]
+    frame = scenes.read_footprints(folder / place / "footprints.gpkg", None, needs_crs=False)
+    frame = scenes.clean_footprints(frame, config.scenes)
+    cloud = clouds.read_clouds([folder / place / cloud_file], reconstruct.window(frame))
+    polygons = footprints.to_polygons(frame.geometry.to_numpy())
+    cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)
+    origin = footprints.origins(polygons)
+    xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
+    buildings = []
+    for i, name_of in enumerate(frame["building_id"]):
+        own = cropped.of(i)
+        if len(own) >= 50:  # as the judge does
+            buildings.append(
+                Building(
+                    str(name_of),
+                    name,
+                    (float(origin[i, 0]), float(origin[i, 1])),
+                    [ring - origin[i] for ring in polygons.rings(i)],
+                    xyz[own] - np.array([*origin[i], 0.0]),
+                    cloud.classification[own],
+                    float(cropped.ground_z_m[i]),
+                )
+            )
+    return buildings
+
+
+def thinned(building: Building, count: int) -> Building:
+    """The building with ``count`` of its points at most, drawn by its id."""
+    if len(building.point_m) <= count:
+        return building
+    seed = list(building.building_id.encode())
+    kept = np.sort(np.random.default_rng(seed).choice(len(building.point_m), count, replace=False))
+    return replace(building, point_m=building.point_m[kept], classification=building.classification[kept])
+
+
+def fitted(
+    buildings: list[Building], config: Reconstruct, predictor: Any
+) -> tuple[list[Reconstruction], float]:
+    """Reconstructions, and CPU milliseconds each."""
+    start = time.process_time()
+    known = inference.reconstruct(buildings, predictor, config) if predictor is not None else None
+    made = inference.with_fallback(fitting.fit(buildings, config, known), buildings, config)
+    return made, 1e3 * (time.process_time() - start) / max(len(buildings), 1)
+
+
+def judged(made: list[Reconstruction], name: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    place, cloud_file, epsg = SETS[name]
+    results = [reconstruct.Result(one, "ok", None, 0, float("nan")) for one in made]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "made.city.jsonl"
+        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(epsg)))
+        data = arguments.data / place
+        command = [
+            sys.executable,
+            arguments.judge,
+            path,
+            data / "footprints.gpkg",
+            data / cloud_file,
+            "--json",
+        ]
+        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
+    return json.loads(done.stdout)["rows"]
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
+    meshes = [row for row in rows if row["mesh"]]
+    means = {key: float(np.mean([row[key] for row in meshes if key in row])) for key in NAMES}
+    closed = float(np.mean([row["watertight"] for row in meshes]))
+    return {"buildings": len(rows), "meshes": len(meshes), "watertight": closed, **means}
+
+
+def report(
+    title: str, rows: list[dict[str, Any]], bars: dict[str, float], cpu_ms: float | None
+) -> dict[str, float]:
+    found = summary(rows)
+    parts = [f"{found['meshes']} of {found['buildings']} meshes", f"{found['watertight']:.1%} closed"]
+    for key, label in NAMES.items():
+        bar = f" (bar {bars[key]:g}{'' if found[key] <= bars[key] else ' MISSED'})" if key in bars else ""
+        parts.append(f"{label} {found[key]:.3f}{bar}")
+    if cpu_ms is not None:
+        parts.append(f"{cpu_ms:.1f} ms CPU each")
+    print(f"{title}: " + ", ".join(parts), flush=True)
+    return found if cpu_ms is None else {**found, "cpu_ms": cpu_ms}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--judge", type=Path, required=True)
+    parser.add_argument("--model", type=Path, default=None, help="begin with this network's reconstructions")
+    arguments = parser.parse_args()
+    predictor = None
+    if arguments.model is not None:
+        from p2wss import model
+
+        predictor = model.load(arguments.model)
+    config = Config()
+    figures: dict[str, Any] = {}
+    for name in SETS:
+        buildings = read(arguments.data, name, config)
+        fitted(buildings[:2], config.reconstruct, None)  # compiles
+        variants = {
+            "one height": (buildings, 1),
+            "parts": (buildings, config.reconstruct.max_parts),
+        }
+        if name == "delft":
+            tenth = [thinned(b, max(1, round(len(b.point_m) * 0.1))) for b in buildings]
+            variants["parts, 10 % of the points"] = (tenth, config.reconstruct.max_parts)
+            for count in (10, 20, 40, 80, 200):
+                few = [thinned(b, count) for b in buildings]
+                variants[f"parts, {count} points"] = (few, config.reconstruct.max_parts)
+        for variant, (chosen, max_parts) in variants.items():
+            own = config.reconstruct.model_copy(update={"max_parts": max_parts})
+            made, cpu_ms = fitted(chosen, own, predictor)
+            rows = judged(made, name, arguments)
+            bars = BARS.get(variant, {}) if name == "delft" else {}
+            figures[f"{name}, {variant}"] = report(f"{name}, {variant}", rows, bars, cpu_ms)
+            if name == "delft" and variant in BARS:
+                ids = sorted(row["id"] for row in rows)
+                for half, members in (("A", set(ids[::2])), ("B", set(ids[1::2]))):
+                    title = f"{name}, {variant}, half {half}"
+                    figures[title] = report(title, [r for r in rows if r["id"] in members], bars, None)
+    print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()
