@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from conftest import ROOT
+from checkout import ROOT
 
 MINI = ROOT / "tests/mini"
 LAZ = next((MINI / "lidar").glob("*.laz"))

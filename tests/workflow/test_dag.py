@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from conftest import ROOT, rules_to_run
+from checkout import ROOT, rules_to_run
 
 
 def test_the_miniature_plans_every_rule(project):

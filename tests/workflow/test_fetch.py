@@ -3,7 +3,7 @@
 import laspy
 import numpy as np
 import yaml
-from conftest import rules_to_run
+from checkout import rules_to_run
 
 CLOUD = "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
 

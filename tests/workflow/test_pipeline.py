@@ -6,7 +6,7 @@ import shutil
 
 import pyarrow.parquet as pq
 import pytest
-from conftest import REDUCED, Project, rules_to_run
+from checkout import REDUCED, Project, rules_to_run
 
 NOTHING = "Nothing to be done"
 SCANS_AND_WHAT_FOLLOWS = {
