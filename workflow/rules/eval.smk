@@ -102,7 +102,7 @@ rule eval_report:
         mem_mb=2000,
     params:
         config=section("region", "fetch", "eval"),
-        code=fingerprint("eval.report", "eval.templates"),
+        code=fingerprint("eval.report", "eval.templates", "eval.assets"),
         folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report {params.folder} --manifest {input.manifest} --measures {input.measures}"

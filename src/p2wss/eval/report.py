@@ -18,6 +18,7 @@ from p2wss.config import Eval
 from p2wss.errors import InputError
 from p2wss.eval import figures, tables
 from p2wss.eval.cases import LIDAR, SYNTHETIC, Case, read_manifest, read_reconstructions, test_cases
+from p2wss.eval.viewer import viewer
 from p2wss.inference import Reconstruction
 
 Key = tuple[str, str, str]
@@ -131,6 +132,14 @@ def render(inputs: Inputs) -> str:
         distributions=_distributions(inputs, names),
         training=_training(inputs.training),
         pictures=_pictures(inputs),
+        viewer=viewer(
+            inputs.cases,
+            inputs.reconstructions,
+            inputs.measures.to_pylist(),
+            names,
+            tables.METHOD_NAMES,
+            tables.OURS,
+        ),
         scans=inputs.scans,
         attribution=inputs.config.attribution,
         provenance=inputs.provenance,

@@ -280,8 +280,9 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
         *("--scans", tmp_path / "0652_6862.png"),
     )
     page = (tmp_path / "report.html").read_text()
-    # nothing is loaded from anywhere: no script, no style sheet, every image inside
-    assert not re.search(r"<script|<link|@import|url\(", page)
+    # nothing is loaded from anywhere: scripts and style sheets stand in the page, every image inside
+    assert not re.search(r"<script[^>]* src|<link|@import|url\(", page)
+    assert 'id="viewer-data"' in page
     sources = re.findall(r'src="([^"]{0,30})', page)
     assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
     assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
