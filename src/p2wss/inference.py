@@ -274,6 +274,7 @@ def columns(reconstructions: Sequence[Reconstruction], dataset: str | Sequence[s
         "eave_height_m": [r.eave_height_m for r in rows],
         "angle_deg": [r.angle_deg for r in rows],
         "confidence": [r.confidence for r in rows],
+        "num_parts": [r.num_parts for r in rows],
         "vertex_xyz_m": [r.vertex_m.ravel() for r in rows],
         "triangle": [r.triangle.ravel() for r in rows],
         "triangle_kind": [r.kind for r in rows],

@@ -66,7 +66,11 @@ _MESH = [
         "triangle", pa.list_(pa.int32()), "three vertex indices per triangle, counter-clockwise from outside"
     ),
     _field("triangle_kind", pa.list_(pa.uint8()), "per triangle: 0 ground, 1 wall, 2 roof, 3 flat"),
-    _field("triangle_edge", pa.list_(pa.int32()), "per triangle: the footprint edge it grows from, or -1"),
+    _field(
+        "triangle_edge",
+        pa.list_(pa.int32()),
+        "per triangle: the footprint edge it grows from, or -1; of several parts and of Roofer: its polygon",
+    ),
 ]
 
 # Scenes are GeoParquet: these columns and a `geometry` of cleaned polygons (exterior CCW, courtyards CW, 2D).
@@ -155,7 +159,7 @@ RECONSTRUCTIONS = pa.schema(
     [
         _field("dataset", pa.string(), "synthetic (the test split) or lidar"),
         *_IDENTITY,
-        _field("method", pa.string(), "point2wss, lod1, roofer, .."),
+        _field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
         *_STATUS,
         *_FRAME,
         _field("ground_z_m", pa.float64(), "z of height 0"),
@@ -168,6 +172,7 @@ RECONSTRUCTIONS = pa.schema(
             "probability of the decoded values, mean over height and angles; null where unknown",
             True,
         ),
+        _field("num_parts", pa.int32(), "parts with a height each; 1 for the paper's model"),
         *_MESH,
     ]
 )
@@ -176,16 +181,39 @@ MEASURES = pa.schema(
     [
         _field("dataset", pa.string(), "synthetic (the test split) or lidar"),
         *_IDENTITY,
-        _field("method", pa.string(), "point2wss, lod1, roofer, .."),
+        _field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
         _field("status", pa.string(), "of the reconstruction: 'ok', or why there is no mesh"),
         _field("num_points", pa.int32(), "points of the building's cloud"),
         _field("num_vertices", pa.int32(), "vertices of the building's footprint, all rings"),
+        _field("density_per_m2", pa.float32(), "points inside the footprint, per m2 of it"),
         _field("roof_type", pa.string(), "label; null for real LiDAR", True),
+        _field(
+            "roof_kind", pa.string(), "by the angles of this reconstruction; null where it has none", True
+        ),
         _field("visible_roof_share", pa.float32(), "as in the crop"),
         _field("confidence", pa.float32(), "of the reconstruction; null where unknown", True),
+        _field(
+            "num_parts", pa.int32(), "of the reconstruction, with a height each; null without a mesh", True
+        ),
         _field("num_triangles", pa.int32(), "of the whole mesh, ground included; null without a mesh", True),
+        _field("num_mesh_vertices", pa.int32(), "different ones of the mesh; null without a mesh", True),
         _field("watertight", pa.bool_(), "every edge has two triangles; null without a mesh", True),
         _field("oriented", pa.bool_(), "and they agree on the outside; null without a mesh", True),
+        _field(
+            "manifold",
+            pa.bool_(),
+            "watertight, oriented, and the triangles at each vertex form one fan; null without a mesh",
+            True,
+        ),
+        _field(
+            "planar",
+            pa.bool_(),
+            "every face's vertices lie within 1 cm of one plane; null without a mesh",
+            True,
+        ),
+        _field(
+            "num_small_faces", pa.int32(), "roof faces and walls below 0.25 m2; null without a mesh", True
+        ),
         _field("chamfer_m", pa.float32(), "CD of the paper: cloud against the whole mesh", True),
         _field(
             "roof_chamfer_m",
@@ -194,9 +222,29 @@ MEASURES = pa.schema(
             True,
         ),
         _field("points_to_mesh_m", pa.float32(), "mean distance of those points to the mesh", True),
+        _field("far_share", pa.float32(), "share of those points more than 0.5 m from the mesh", True),
+        _field(
+            "height_rmse_m",
+            pa.float32(),
+            "root mean square of their heights above the roof under or over them; those beside it left out",
+            True,
+        ),
+        _field("height_bias_m", pa.float32(), "median of the same heights: positive = roof too low", True),
+        _field(
+            "overshoot_m",
+            pa.float32(),
+            "highest point of the mesh above the highest of those points, negative below it",
+            True,
+        ),
         _field("height_error_m", pa.float32(), "absolute error of the eave's z; null without label", True),
         _field(
             "angle_error_deg", pa.float32(), "mean absolute error over the edges; null without label", True
+        ),
+        _field(
+            "right_share",
+            pa.float32(),
+            "share of the height and the angles within 0.5 m and 5 degrees; null without label",
+            True,
         ),
     ]
 )

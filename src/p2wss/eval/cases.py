@@ -183,6 +183,7 @@ def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstructio
             "ground_z_m",
             "eave_height_m",
             "confidence",
+            "num_parts",
         ]
     ).to_pylist()
     return {
@@ -201,6 +202,7 @@ def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstructio
             own("triangle", i).reshape(-1, 3),
             own("triangle_kind", i),
             own("triangle_edge", i),
+            row["num_parts"],
         )
         for i, row in enumerate(plain)
     }

@@ -10,22 +10,40 @@ import shapely
 
 from p2wss.config import Eval
 from p2wss.eval.cases import Case
+from p2wss.eval.roof_kinds import roof_kind
 from p2wss.inference import BUILDING_CLASS, Reconstruction
 from p2wss.metrics.chamfer import chamfer_distance_m
+from p2wss.metrics.height import height_rmse_m, surface_height_m
 from p2wss.metrics.mesh_facts import mesh_facts
-from p2wss.metrics.surface import distance_to_mesh, sample_surface
+from p2wss.metrics.planarity import face_of_triangle, out_of_plane_m
+from p2wss.metrics.surface import distance_to_mesh, sample_surface, triangle_areas
 from p2wss.seeds import generator
 from p2wss.skeleton.types import FaceKind
 
 # with fewer points on the building the roof's distance says nothing
 MIN_ROOF_POINTS = 10
+PLANAR_M = 0.01
+SMALL_FACE_M2 = 0.25
+FAR_M = 0.5
+# a value counts as right within these
+RIGHT_M, RIGHT_DEG = 0.5, 5.0
+_ROOF = (FaceKind.ROOF, FaceKind.FLAT)
 _MESH_MEASURES = (
+    "num_parts",
     "num_triangles",
+    "num_mesh_vertices",
     "watertight",
     "oriented",
+    "manifold",
+    "planar",
+    "num_small_faces",
     "chamfer_m",
     "roof_chamfer_m",
     "points_to_mesh_m",
+    "far_share",
+    "height_rmse_m",
+    "height_bias_m",
+    "overshoot_m",
 )
 
 
@@ -47,38 +65,78 @@ def measure(
 def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -> dict[str, Any]:
     """One row of ``io.MEASURES``. The draws depend on the seed, the building and the method alone."""
     building = case.building
+    x, y, _ = building.point_m.T
+    num_inside = int(shapely.contains_xy(building.polygon, x, y).sum())
+    made = reconstruction
     row: dict[str, Any] = {
         "dataset": case.dataset,
         "building_id": building.building_id,
         "tile": building.tile,
-        "method": reconstruction.method,
-        "status": reconstruction.status,
+        "method": made.method,
+        "status": made.status,
         "num_points": len(building.point_m),
         "num_vertices": sum(map(len, building.rings)),
+        "density_per_m2": num_inside / building.polygon.area,
         "roof_type": case.roof_type,
+        "roof_kind": None
+        if made.angle_deg is None
+        else roof_kind(made.rings, made.angle_deg, made.num_parts),
         "visible_roof_share": case.visible_roof_share,
-        "confidence": reconstruction.confidence,
+        "confidence": made.confidence,
         **dict.fromkeys(_MESH_MEASURES),
-        **_parameter_errors(case, reconstruction),
+        **_parameter_errors(case, made),
     }
-    if not reconstruction.has_mesh:
+    if not made.has_mesh:
         return row
-    vertex_m, triangle = reconstruction.vertex_m, reconstruction.triangle
-    facts = mesh_facts(vertex_m, triangle)
-    row |= {"num_triangles": len(triangle), "watertight": facts.watertight, "oriented": facts.oriented}
-    shift = np.subtract(building.origin_xy_m, reconstruction.origin_xy_m)
-    point_m = building.point_m + np.array([*shift, -reconstruction.ground_z_m])
-    names = (building.tile, building.building_id)
-    draw = generator(config.seed, "eval.measure", *names, reconstruction.method)
-    samples = sample_surface(vertex_m, triangle, config.num_samples, draw)
+    row |= {"num_parts": made.num_parts, **_mesh_measures(made)}
+    point_m = local_points(case, made)
+    draw = generator(config.seed, "eval.measure", building.tile, building.building_id, made.method)
+    samples = sample_surface(made.vertex_m, made.triangle, config.num_samples, draw)
     row["chamfer_m"] = _finite(chamfer_distance_m(subset(case, point_m, config), samples))
-    on_building = point_m[_on_building(case)]
+    on_building = point_m[points_on_building(case)]
     if len(on_building) >= MIN_ROOF_POINTS:
-        roof = triangle[np.isin(reconstruction.kind, (FaceKind.ROOF, FaceKind.FLAT))]
-        roof_samples = sample_surface(vertex_m, roof, config.num_samples, draw)
-        row["roof_chamfer_m"] = _finite(chamfer_distance_m(on_building, roof_samples))
-        row["points_to_mesh_m"] = float(distance_to_mesh(on_building, vertex_m, triangle).mean())
+        row |= _roof_measures(made, on_building, config, draw)
     return row
+
+
+def local_points(case: Case, made: Reconstruction) -> np.ndarray:
+    """The building's points in the frame of the mesh."""
+    shift = np.subtract(case.building.origin_xy_m, made.origin_xy_m)
+    return case.building.point_m + np.array([*shift, -made.ground_z_m])
+
+
+def _mesh_measures(made: Reconstruction) -> dict[str, Any]:
+    facts = mesh_facts(made.vertex_m, made.triangle)
+    face = face_of_triangle(made.triangle, np.column_stack([made.kind, made.edge]))
+    area = np.bincount(face, triangle_areas(made.vertex_m, made.triangle))
+    above = np.bincount(face, made.kind != FaceKind.GROUND) > 0
+    return {
+        "num_triangles": len(made.triangle),
+        "num_mesh_vertices": facts.num_vertices,
+        "watertight": facts.watertight,
+        "oriented": facts.oriented,
+        "manifold": facts.manifold,
+        "planar": bool(out_of_plane_m(made.vertex_m, made.triangle, face).max() <= PLANAR_M),
+        "num_small_faces": int((above & (area < SMALL_FACE_M2)).sum()),
+    }
+
+
+def _roof_measures(
+    made: Reconstruction, on_building: np.ndarray, config: Eval, draw: np.random.Generator
+) -> dict[str, Any]:
+    roof = made.triangle[np.isin(made.kind, _ROOF)]
+    roof_samples = sample_surface(made.vertex_m, roof, config.num_samples, draw)
+    distance = distance_to_mesh(on_building, made.vertex_m, made.triangle)
+    above = on_building[:, 2] - surface_height_m(on_building[:, :2], made.vertex_m, made.triangle)
+    known = above[~np.isnan(above)]
+    return {
+        "roof_chamfer_m": _finite(chamfer_distance_m(on_building, roof_samples)),
+        "points_to_mesh_m": float(distance.mean()),
+        "far_share": float((distance > FAR_M).mean()),
+        "height_rmse_m": _finite(height_rmse_m(above)),
+        "height_bias_m": float(np.median(known)) if len(known) else None,
+        "overshoot_m": float(made.vertex_m[:, 2].max() - on_building[:, 2].max()),
+    }
 
 
 def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:
@@ -89,9 +147,9 @@ def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:
     return point_m[np.sort(draw.choice(len(point_m), config.max_num_points, replace=False))]
 
 
-def _on_building(case: Case) -> np.ndarray:
-    """Points inside the footprint of the class building; where the cloud has no such class, those not below
-    2 m above the ground."""
+def points_on_building(case: Case) -> np.ndarray:
+    """Which points are inside the footprint and of the class building; where the cloud has no such class,
+    those not below 2 m above the ground."""
     building = case.building
     x, y, z = building.point_m.T
     inside = shapely.contains_xy(building.polygon, x, y)
@@ -101,16 +159,23 @@ def _on_building(case: Case) -> np.ndarray:
     return chosen
 
 
-def _parameter_errors(case: Case, reconstruction: Reconstruction) -> dict[str, float | None]:
+def _parameter_errors(case: Case, made: Reconstruction) -> dict[str, float | None]:
     """Errors against the labels; None without labels, or where the method has other edges than the label."""
-    errors: dict[str, float | None] = {"height_error_m": None, "angle_error_deg": None}
-    if case.eave_height_m is None or case.angle_deg is None or reconstruction.eave_height_m is None:
+    errors: dict[str, float | None] = {
+        "height_error_m": None,
+        "angle_error_deg": None,
+        "right_share": None,
+    }
+    if case.eave_height_m is None or case.angle_deg is None or made.eave_height_m is None:
         return errors
-    eave_z_m = reconstruction.ground_z_m + reconstruction.eave_height_m
-    errors["height_error_m"] = abs(eave_z_m - (case.label_ground_z_m or 0.0) - case.eave_height_m)
-    angle = reconstruction.angle_deg
-    if angle is not None and len(angle) == len(case.angle_deg):
-        errors["angle_error_deg"] = float(np.abs(angle - case.angle_deg).mean())
+    eave_z_m = made.ground_z_m + made.eave_height_m
+    height_error = abs(eave_z_m - (case.label_ground_z_m or 0.0) - case.eave_height_m)
+    errors["height_error_m"] = height_error
+    if made.angle_deg is not None and len(made.angle_deg) == len(case.angle_deg):
+        angle_error = np.abs(made.angle_deg - case.angle_deg)
+        errors["angle_error_deg"] = float(angle_error.mean())
+        right = np.append(angle_error <= RIGHT_DEG, height_error <= RIGHT_M)
+        errors["right_share"] = float(right.mean())
     return errors
 
 

@@ -99,7 +99,7 @@ def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
         solid.vertex_m - [*building.origin_xy_m, ground],
         solid.triangle.astype(np.int32),
         solid.kind,
-        np.full(len(solid.triangle), -1, np.int32),
+        solid.surface.astype(np.int32),
     )
 
 

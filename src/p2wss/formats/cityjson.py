@@ -135,12 +135,14 @@ def _compact(value: dict[str, Any]) -> str:
 @dataclass(frozen=True)
 class ReadSolid:
     """A building read back, triangulated: vertex_m float64 (v, 3) in the CRS, triangle int (t, 3), kind uint8
-    (t,); empty if the building has no geometry of the wanted level of detail."""
+    (t,), surface int (t,), the number of the polygon that a triangle is part of; empty if the building has no
+    geometry of the wanted level of detail."""
 
     building_id: str
     vertex_m: np.ndarray
     triangle: np.ndarray
     kind: np.ndarray
+    surface: np.ndarray
     attributes: dict[str, Any]
 
 
@@ -190,6 +192,7 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[
                     triangles.append(triangle)
                     kinds.append(np.full(len(triangle), kind, np.uint8))
         triangle = np.concatenate(triangles)
+        surface = np.repeat(np.arange(len(triangles)), [len(own) for own in triangles]) - 1
         used, local = np.unique(triangle, return_inverse=True)
         found.append(
             ReadSolid(
@@ -197,6 +200,7 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[
                 vertex_m[used],
                 local.reshape(-1, 3),
                 np.concatenate(kinds),
+                surface,
                 building.get("attributes", {}),
             )
         )

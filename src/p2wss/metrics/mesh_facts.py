@@ -1,4 +1,4 @@
-"""What a mesh is by itself: number of triangles, closed, consistently oriented, its volume."""
+"""What a mesh is by itself: number of triangles, closed, consistently oriented, manifold, its volume."""
 
 from __future__ import annotations
 
@@ -6,17 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """num_triangles: without degenerate ones. watertight: every edge has two triangles. oriented: neighbours
-    run through their common edge in opposite directions. volume_m3: positive if the normals point outwards,
-    NaN if not watertight. num_bodies: connected parts."""
+    """num_triangles: without degenerate ones. num_vertices: different ones that triangles use. watertight:
+    every edge has two triangles. oriented: neighbours run through their common edge in opposite directions.
+    manifold: both, and the triangles at each vertex form one fan. volume_m3: positive if the normals point
+    outwards, NaN if not watertight. num_bodies: connected parts."""
 
     num_triangles: int
+    num_vertices: int
     watertight: bool
     oriented: bool
+    manifold: bool
     volume_m3: float
     num_bodies: int
 
@@ -25,18 +30,39 @@ def mesh_facts(vertex_m: np.ndarray, triangle: np.ndarray, weld_m: float = 1e-4)
     """Facts of a mesh, vertices welded on a grid of ``weld_m`` metres. vertex_m (v, 3), triangle (t, 3)."""
     triangle = np.asarray(triangle, int).reshape(-1, 3)
     if not len(triangle):
-        return MeshFacts(0, False, False, 0.0, 0)
+        return MeshFacts(0, 0, False, False, False, 0.0, 0)
     grid = np.round(np.asarray(vertex_m, float) / weld_m).astype(np.int64)
     _, first, welded = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     triangle = welded.reshape(-1)[triangle]
     a, b, c = triangle.T
     triangle = triangle[(a != b) & (b != c) & (c != a)]
     mesh = trimesh.Trimesh(np.asarray(vertex_m, float)[first], triangle, process=False)
-    closed = bool(mesh.is_watertight)
+    closed, oriented = bool(mesh.is_watertight), bool(mesh.is_winding_consistent)
+    num_vertices = len(np.unique(triangle))
     return MeshFacts(
         num_triangles=len(triangle),
+        num_vertices=num_vertices,
         watertight=closed,
-        oriented=bool(mesh.is_winding_consistent),
+        oriented=oriented,
+        manifold=closed and oriented and _num_fans(triangle) == num_vertices,
         volume_m3=float(mesh.volume) if closed else float("nan"),
         num_bodies=int(mesh.body_count),
     )
+
+
+def _num_fans(triangle: np.ndarray) -> int:
+    """Fans of triangles around vertices, over all vertices: as many as vertices where each has just one.
+
+    Corners of two triangles belong to one fan where they share the vertex and an edge at it.
+    """
+    corner = np.arange(triangle.size).reshape(-1, 3)
+    ends = np.stack([triangle, np.roll(triangle, -1, axis=1)], axis=-1).reshape(-1, 2)
+    corners = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2)
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned], corners[turned] = ends[turned, ::-1], corners[turned, ::-1]
+    order = np.lexsort(ends.T)
+    ends, corners = ends[order], corners[order]
+    same = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
+    one, other = corners[same].ravel(), corners[same + 1].ravel()
+    links = coo_array((np.ones(len(one)), (one, other)), shape=(triangle.size, triangle.size))
+    return int(connected_components(links, directed=False)[0])
