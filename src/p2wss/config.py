@@ -459,10 +459,11 @@ class Augmentation(Section):
     lift_m: float = Field(2.0, ge=0, description="raise or lower what stands above the ground by up to this")
     jitter_m: float = Field(0.02, ge=0, description="noise on the points, standard deviation")
     keep_points: tuple[Share, Share] = Field((0.4, 1.0), description="share of the points kept; [1, 1] = off")
+    occlusion_share: Share = Field(0.1, description="samples that lack the points of a wedge")
 
 
 class LossWeights(Section):
-    """Shares of the four losses in the total. The paper: 1, 1, 1, 1."""
+    """Weights of the four losses in the total. The paper: 1, 1, 1, 1."""
 
     cloud: float = Field(0.3, ge=0, description="restoring masked patches")
     sequence: float = Field(1.0, ge=0, description="restoring masked parameter tokens")
@@ -502,6 +503,12 @@ class Model(Section):
     sequence_depth: int = Field(1, ge=1, description="blocks of the parameter encoder")
     cross_depth: int = Field(2, ge=1, description="blocks of each cross-modality encoder")
     align_dim: int = Field(64, ge=1, description="width of the space in which both modalities are aligned")
+    auxiliary_share: float = Field(
+        0.25,
+        gt=0,
+        le=1,
+        description="share of a batch that also restores patches, is aligned and matched; the paper: 1",
+    )
     match_balanced: bool = Field(
         True, description="matching loss halved between pairs and non-pairs, or 0.1/0.9"
     )
@@ -537,10 +544,18 @@ class Model(Section):
 _PAPER_MASKING = {"masking": {"inference_share": 0, "table1_share": 0, "random_ratio": [0.3, 0.3]}}
 _PAPER_DECODING = {"decoding": {"mode": "argmax", "angle_support": "all", "num_rotations": 1}}
 _NO_AUGMENTATION = {
-    "augmentation": {"mirror": False, "scale": [1, 1], "lift_m": 0, "jitter_m": 0, "keep_points": [1, 1]}
+    "augmentation": {
+        "mirror": False,
+        "scale": [1, 1],
+        "lift_m": 0,
+        "jitter_m": 0,
+        "keep_points": [1, 1],
+        "occlusion_share": 0,
+    }
 }
 _NO_EDGES = {"edge_embedding": False, "edge_attention": False}
 _PAPER_LOSSES = {
+    "auxiliary_share": 1,
     "match_balanced": False,
     "loss_weights": {"cloud": 1, "sequence": 1, "modal": 1, "match": 1},
 }
@@ -569,6 +584,8 @@ class Ablation(Section):
             "losses_of_paper": _PAPER_LOSSES,
             "no_augmentation": _NO_AUGMENTATION,
             "no_mirror": {"augmentation": {"mirror": False}},
+            "no_occlusion": {"augmentation": {"occlusion_share": 0}},
+            "all_auxiliary": {"auxiliary_share": 1},
             "no_average": {"ema_decay": 0},
             "no_ground": {"ground_relative": False},
             "no_numerical_encoding": {"numerical_encoding": False},

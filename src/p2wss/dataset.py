@@ -241,7 +241,8 @@ def batches(num_vertices: np.ndarray, batch_size: int, rng: np.random.Generator)
     for first in range(0, len(order), window):
         part = order[first : first + window]
         part = part[np.argsort(num_vertices[part], kind="stable")]
-        cut += np.split(part, len(part) // batch_size)
+        # within a batch the order is random: the first rows are those of the auxiliary losses
+        cut += [rng.permutation(batch) for batch in np.split(part, len(part) // batch_size)]
     return [cut[i] for i in rng.permutation(len(cut))]
 
 

@@ -95,8 +95,7 @@ class _Task:
         self.order = Order(np.zeros(len(buildings)), config.optimiser.batch_size, config.seed)
 
     def heavy_parts(self) -> Sequence[nn.Module]:
-        module = self.module
-        return [module.encoder, module.to_logits, module.to_features, module.decoder]
+        return [self.module]
 
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
@@ -107,7 +106,7 @@ class _Task:
         tau = temperature(progress, config.temperature_end)
         patches = patches_of(batch, config.num_patches, config.patch_size)
         with compute.autocast(config.compute, self.device):
-            losses = self.module.losses(patches, tau)
+            losses = self.module(patches, tau)
         weight = kl_weight(progress, config.kl_weight)
         used = torch.bincount(losses.pop("codes").flatten(), minlength=config.num_tokens)
         return {
@@ -129,7 +128,7 @@ class _Task:
             index = np.arange(first, min(first + size, total))
             batch = augment.centre(self.held_out.batch(index, config.num_points, None).to(self.device))
             patches = patches_of(batch, config.num_patches, config.patch_size)
-            losses = module.losses(patches, config.temperature_end)
+            losses = module(patches, config.temperature_end)
             chamfer += float(losses["fine"]) * len(index)
             codes = losses["codes"][patches.valid]
             used += torch.bincount(codes, minlength=config.num_tokens)

@@ -193,13 +193,14 @@ class _Task:
             masking.random_ratio,
         )
         patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        patch_masked = mask_patches(patches, masking.patch_ratio)
+        auxiliary = patches[: max(round(config.auxiliary_share * len(own)), 1)]
+        patch_masked = mask_patches(auxiliary, masking.patch_ratio)
         with compute.autocast(config.compute, self.device):
             losses = self.module.losses(
                 patches,
                 batch.ground_z * dvae.SCALE,
                 patch_masked,
-                self.vae.tokens(patches),
+                self.vae.tokens(auxiliary),
                 tokens,
                 token_masked,
                 batch.num_vertices,
@@ -233,6 +234,8 @@ def augmented(batch: Batch, config: ModelConfig, min_points: int) -> Batch:
     change = config.augmentation
     if change.keep_points != (1, 1):
         batch = augment.drop_points_randomly(batch, change.keep_points, min_points)
+    if change.occlusion_share > 0:
+        batch = augment.occlude_randomly(batch, change.occlusion_share, min_points)
     if change.lift_m > 0:
         batch = augment.lift_randomly(batch, change.lift_m)
     if change.scale != (1, 1):

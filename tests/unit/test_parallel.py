@@ -68,7 +68,7 @@ def dvae_step() -> dict[str, Tensor]:
     module = DiscreteVae(DVAE)
     # the noise is the one thing that is drawn per process
     F.gumbel_softmax = lambda logits, tau, **_: F.softmax(logits / tau, -1)
-    losses = module.losses(patches(generator), 0.5)
+    losses = module(patches(generator), 0.5)
     return measure(module, {name: losses[name] for name in ("coarse", "fine", "kl")})
 
 

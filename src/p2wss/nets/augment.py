@@ -103,6 +103,25 @@ def lift_randomly(batch: Batch, lift_m: float) -> Batch:
     )
 
 
+def occlude_randomly(batch: Batch, share: float, at_least: int) -> Batch:
+    """Take the points of a wedge, 10 to 60 degrees wide, from a ``share`` of the clouds.
+
+    Its apex is one of the cloud's points, as the edge of what stands in the way could be. Clouds that would
+    keep fewer than ``at_least`` points stay as they are.
+    """
+    num, device = len(batch.points), batch.points.device
+    chosen = torch.rand(num, device=device) < share
+    apex = torch.rand(batch.valid.shape, device=device).masked_fill(~batch.valid, -1).argmax(1)
+    from_apex = batch.points[..., :2] - batch.points[torch.arange(num, device=device), apex, None, :2]
+    heading = 2 * math.pi * torch.rand(num, device=device)
+    half_width = torch.deg2rad(5 + 25 * torch.rand(num, device=device))
+    along = from_apex[..., 0] * torch.cos(heading)[:, None] + from_apex[..., 1] * torch.sin(heading)[:, None]
+    hidden = along > from_apex.norm(dim=-1) * torch.cos(half_width)[:, None]
+    kept = batch.valid & ~hidden
+    chosen &= kept.sum(1) >= at_least
+    return replace(batch, valid=torch.where(chosen[:, None], kept, batch.valid))
+
+
 def drop_points_randomly(batch: Batch, keep: tuple[float, float], at_least: int) -> Batch:
     """Keep a share of each cloud drawn from ``keep``, but ``at_least`` so many points (or all there are)."""
     low, high = keep

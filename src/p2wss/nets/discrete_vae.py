@@ -208,7 +208,7 @@ class DiscreteVae(nn.Module):
         """int64 (b, g): the most probable code of each patch, without Gumbel noise."""
         return self.logits(patches).argmax(-1)
 
-    def losses(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
+    def forward(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
         """Reconstruction (Chamfer-L1 of coarse and fine), divergence from the uniform code, codes used."""
         graph = centre_graph(patches)
         logits = self.to_logits(self.encoder(patches.points), graph).float()

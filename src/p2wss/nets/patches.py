@@ -24,6 +24,9 @@ class Patches:
     points: Tensor
     valid: Tensor
 
+    def __getitem__(self, rows: slice) -> Patches:
+        return Patches(self.centre[rows], self.points[rows], self.valid[rows])
+
 
 def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Tensor, Tensor]:
     """Farthest point sampling from the first valid point on.

@@ -249,29 +249,34 @@ class Point2Wss(nn.Module):
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
-        patches, ground_z (b,): in scaled, centred units. patch_masked bool (b, g), patch_labels int64 (b, g):
-        codes of the dVAE. tokens int64 (b, l) without masks, token_masked bool (b, l), num_vertices (b,).
+        patches, ground_z (b,): in scaled, centred units. tokens int64 (b, l) without masks, token_masked bool
+        (b, l), num_vertices (b,). patch_masked bool (a, g), patch_labels int64 (a, g), codes of the dVAE:
+        of the first a <= b pairs, on which (1), (3) and (4) are computed. In the paper a = b.
         """
+        first = slice(len(patch_masked))
         # each branch runs once on a batch of its masked and its unmasked form
         x, position, valid = self.cloud.embed_patches(patches, ground_z)
         both = self.cloud.encoder(
-            torch.cat([self.cloud.hide(x, patch_masked), x]), valid.repeat(2, 1), position.repeat(2, 1, 1)
+            torch.cat([self.cloud.hide(x[first], patch_masked), x]),
+            torch.cat([valid[first], valid]),
+            torch.cat([position[first], position]),
         )
-        cloud_masked, cloud = both.chunk(2)
+        cloud_masked, cloud = both.tensor_split([len(patch_masked)])
         hidden = tokens.masked_fill(token_masked, MASK)
         present = tokens != PAD
         edges = self._edges(hidden, num_vertices)
+        shown, num_shown = tokens[first], num_vertices[first]
         both = self.sequence.encoder(
             torch.cat(
                 [
+                    self.sequence.embed(shown, num_shown, self._edges(shown, num_shown)),
                     self.sequence.embed(hidden, num_vertices, edges),
-                    self.sequence.embed(tokens, num_vertices, self._edges(tokens, num_vertices)),
                 ]
             ),
-            present.repeat(2, 1),
+            torch.cat([present[first], present]),
         )
-        sequence_masked, sequence = both.chunk(2)
-        from_cloud = self.cloud_cross(cloud_masked, valid, position, sequence, present)
+        sequence, sequence_masked = both.tensor_split([len(shown)])
+        from_cloud = self.cloud_cross(cloud_masked, valid[first], position[first], sequence, present[first])
         sequence_masked = self._look(sequence_masked, edges, cloud, patches, ground_z)
         from_sequence = self.sequence_cross(sequence_masked, present, None, cloud, valid)
 
@@ -280,8 +285,8 @@ class Point2Wss(nn.Module):
         return {
             "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
             "sequence": _mean_cross_entropy(sequence_logits, tokens[token_masked]),  # (2)
-            "modal": self._modal_loss(cloud[:, 0], sequence[:, 0]),  # (3)
-            "match": self._match_loss(from_cloud[:, 0], from_sequence[:, 0], match_balanced),  # (4)
+            "modal": self._modal_loss(cloud[first, 0], sequence[:, 0]),  # (3)
+            "match": self._match_loss(from_cloud[:, 0], from_sequence[first, 0], match_balanced),  # (4)
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:

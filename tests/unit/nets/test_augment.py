@@ -86,6 +86,30 @@ def test_lift_moves_the_roof_with_the_label_and_leaves_the_ground() -> None:
     assert (after.height > 0).all() and lift.abs().max() > 0.5
 
 
+def test_occlusion_takes_a_wedge_from_some_clouds_only() -> None:
+    torch.manual_seed(0)
+    before = batch()
+    after = augment.occlude_randomly(before, 1.0, 10)
+    taken = before.valid & ~after.valid
+    assert (taken.sum(1) > 0).sum() >= 3 and (after.valid.sum(1) >= 10).all()
+    for row in torch.where(taken.sum(1) > 1)[0]:
+        own = before.points[row, :, :2]
+        # some point of the cloud sees all that was taken within 60 degrees, and nothing else between
+        found = False
+        for apex in torch.where(before.valid[row] & ~taken[row])[0]:
+            towards = torch.nn.functional.normalize(own - own[apex], dim=-1)
+            middle = towards[taken[row]].sum(0)
+            side = towards[:, 0] * middle[1] - towards[:, 1] * middle[0]
+            angle = torch.rad2deg(torch.atan2(side, towards @ middle))
+            low, high = angle[taken[row]].aminmax()
+            kept = after.valid[row].clone()
+            kept[apex] = False
+            found |= bool(high - low < 60 and not ((angle > low) & (angle < high) & kept).any())
+        assert found
+    assert torch.equal(augment.occlude_randomly(before, 0.0, 10).valid, before.valid)
+    assert torch.equal(augment.occlude_randomly(before, 1.0, 50).valid, before.valid)
+
+
 def test_dropped_points_leave_a_share_but_never_too_few() -> None:
     torch.manual_seed(0)
     before = batch()

@@ -98,15 +98,15 @@ def test_the_graph_never_leads_to_a_repeated_patch() -> None:
 def test_divergence_is_zero_for_uniform_codes_and_positive_otherwise() -> None:
     torch.manual_seed(0)
     vae = DiscreteVae(SIZES)
-    assert float(vae.losses(patches(), 1.0)["kl"].detach()) > 0
+    assert float(vae(patches(), 1.0)["kl"].detach()) > 0
     torch.nn.init.zeros_(vae.to_logits.norm.weight)
-    assert float(vae.losses(patches(), 1.0)["kl"].detach()) == pytest.approx(0, abs=1e-5)
+    assert float(vae(patches(), 1.0)["kl"].detach()) == pytest.approx(0, abs=1e-5)
 
 
 def test_every_weight_gets_a_gradient() -> None:
     torch.manual_seed(0)
     vae = DiscreteVae(SIZES)
-    losses = vae.losses(patches(), 0.5)
+    losses = vae(patches(), 0.5)
     (losses["coarse"] + losses["fine"] + losses["kl"]).backward()
     idle = [name for name, p in vae.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     # a bias before a batch norm has no effect

@@ -95,8 +95,8 @@ def test_masked_digits_cannot_leak() -> None:
             patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
             given, asked, num, True,
         )  # fmt: skip
-    assert torch.equal(captured[0][:4], captured[1][:4])  # the masked half of the doubled batch
-    assert not torch.equal(captured[0][4:], captured[1][4:])
+    assert torch.equal(captured[0][4:], captured[1][4:])  # the masked half of the doubled batch
+    assert not torch.equal(captured[0][:4], captured[1][:4])
 
 
 def test_edge_features_restate_the_visible_coordinates_only() -> None:
@@ -173,6 +173,22 @@ def test_losses_start_near_chance_and_reach_every_weight() -> None:
     torch.stack(list(losses.values())).sum().backward()
     idle = [name for name, p in model.named_parameters() if p.grad is None]
     assert idle == []
+
+
+def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
+    model = network().eval()
+    patches, tokens, num = sample(8)
+    masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
+    hidden, labels = mask_patches(patches, (0.25, 0.45)), torch.randint(20, (8, 12))
+    whole = model.losses(patches, torch.zeros(8), hidden, labels, tokens, masked, num, True)
+    some = model.losses(patches, torch.zeros(8), hidden[:3], labels[:3], tokens, masked, num, True)
+    alone = model.losses(
+        patches[:3], torch.zeros(3), hidden[:3], labels[:3], tokens[:3], masked[:3], num[:3], True
+    )
+    assert torch.allclose(some["sequence"], whole["sequence"], atol=1e-5)
+    for name in ("cloud", "modal", "match"):
+        assert torch.allclose(some[name], alone[name], atol=1e-5)
+        assert not torch.allclose(some[name], whole[name], atol=1e-3)
 
 
 def test_inference_needs_only_the_parts_that_are_kept() -> None:
