@@ -16,7 +16,7 @@ from numba import njit
 from p2wss.lidar.pulses import BLOCK_PULSES, Box, StripPath
 from p2wss.lidar.randomness import normal, random_bits, uniform
 from p2wss.lidar.surface import TERRAIN_REFLECTANCE, Surface
-from p2wss.lidar.terrain import first_crossing
+from p2wss.lidar.terrain import crossing, frame_of
 
 # counts of the pulses that were cast, by what became of them
 RECORDED, NO_SURFACE, OUTSIDE, LOST = range(4)
@@ -94,23 +94,26 @@ class Points(NamedTuple):
 def locate(origin: np.ndarray, direction: np.ndarray, hit: np.ndarray, surface: Surface, found: Hits) -> None:
     """Fill in ``found``: the exact first hit of each ray on the triangle ``hit`` (int32 (n,), -1 none) or the
     terrain."""
+    grid, vertex, triangles = surface.terrain, surface.vertex_m, surface.triangle
+    frame, height, blocks, regions = frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m
+    found_triangle, found_m, found_normal, found_height = found
     for k in range(len(hit)):
         ox, oy, oz = np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2])
         dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
         triangle = hit[k]
-        t, nx, ny, nz, height = _on_triangle(surface, triangle, ox, oy, oz, dx, dy, dz)
+        t, nx, ny, nz, offset = _on_triangle(vertex, triangles, triangle, ox, oy, oz, dx, dy, dz)
         if t < 0:
             triangle = -1
-        ground_t, east, north = first_crossing(
-            surface.terrain, ox, oy, oz, dx, dy, dz, t if t >= 0 else np.inf
+        ground_t, east, north = crossing(
+            frame, height, blocks, regions, ox, oy, oz, dx, dy, dz, t if t >= 0 else np.inf
         )
         if ground_t >= 0:
             triangle, t = -1, ground_t
             nz = 1 / sqrt(1 + east * east + north * north)
             nx, ny = -east * nz, -north * nz
-            height = nx * (ox + t * dx) + ny * (oy + t * dy) + nz * (oz + t * dz)
-        found.triangle[k], found.distance_m[k], found.height_m[k] = triangle, t, height
-        found.normal[k, 0], found.normal[k, 1], found.normal[k, 2] = nx, ny, nz
+            offset = nx * (ox + t * dx) + ny * (oy + t * dy) + nz * (oz + t * dz)
+        found_triangle[k], found_m[k], found_height[k] = triangle, t, offset
+        found_normal[k, 0], found_normal[k, 1], found_normal[k, 2] = nx, ny, nz
 
 
 @njit(cache=True, nogil=True)
@@ -406,16 +409,19 @@ def _axis_distance(
 
 @njit(cache=True, nogil=True, inline="always")
 def _on_triangle(
-    surface: Surface, triangle: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
-) -> tuple[float, float, float, float, float]:
+    vertex: np.ndarray,
+    triangles: np.ndarray,
+    triangle: int,
+    ox: float, oy: float, oz: float,
+    dx: float, dy: float, dz: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Distance to a building's triangle, its unit normal and its plane's distance from the origin.
 
     The distance is -1 if there is no triangle, or if the ray passes it by: then Embree was wrong.
     """
     if triangle < 0:
         return -1.0, 0.0, 0.0, 0.0, 0.0
-    vertex = surface.vertex_m
-    i0, i1, i2 = surface.triangle[triangle, 0], surface.triangle[triangle, 1], surface.triangle[triangle, 2]
+    i0, i1, i2 = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
     ax, ay, az = vertex[i0, 0], vertex[i0, 1], vertex[i0, 2]
     bx, by, bz = vertex[i1, 0], vertex[i1, 1], vertex[i1, 2]
     cx, cy, cz = vertex[i2, 0], vertex[i2, 1], vertex[i2, 2]

@@ -11,16 +11,18 @@ from numba import njit
 class TerrainGrid(NamedTuple):
     """The terrain in the local frame, as two triangles between every four neighbouring cell centres.
 
-    height_m: float32 (rows, columns), NaN where there is no data. block_max_m: float32, the highest of each
-    block of :data:`BLOCK_SQUARES` squares and its border. min_m, max_m: the lowest and the highest of all.
-    x_min_m, y_max_m: centre of the north-west cell.
+    height_m: float32 (rows, columns), NaN where there is no data. block_range_m: float32 (.., .., 2), the
+    lowest and the highest of each block of :data:`BLOCK_SQUARES` squares and its border, the lowest is -inf
+    where data is missing; region_range_m: the same of :data:`REGION_SQUARES`. min_m, max_m: the lowest and
+    the highest of all. x_min_m, y_max_m: centre of the north-west cell.
 
     A square between the centres nw, ne, sw, se is cut along nw-se; a triangle with a NaN corner does not
     exist.
     """
 
     height_m: np.ndarray
-    block_max_m: np.ndarray
+    block_range_m: np.ndarray
+    region_range_m: np.ndarray
     min_m: float
     max_m: float
     x_min_m: float
@@ -28,7 +30,19 @@ class TerrainGrid(NamedTuple):
     cell_m: float
 
 
-BLOCK_SQUARES = 8
+class GridFrame(NamedTuple):
+    """The numbers of a :class:`TerrainGrid` without its arrays."""
+
+    rows: int
+    columns: int
+    min_m: float
+    max_m: float
+    x_min_m: float
+    y_max_m: float
+    per_cell: float
+
+
+BLOCK_SQUARES, REGION_SQUARES = 8, 64
 
 
 def local_grid(
@@ -39,9 +53,11 @@ def local_grid(
     height_m: float (rows, columns), NaN where there is no data. x_min_m, y_max_m: outer north-west corner.
     """
     height = (height_m.astype(np.float64) - origin_m[2]).astype(np.float32)
+    blocks, regions = _ranges(height, BLOCK_SQUARES), _ranges(height, REGION_SQUARES)
     return TerrainGrid(
         height,
-        _block_max(height),
+        blocks,
+        regions,
         float(np.nanmin(height, initial=np.inf)),
         float(np.nanmax(height, initial=-np.inf)),
         float(x_min_m + cell_m / 2 - origin_m[0]),
@@ -51,20 +67,22 @@ def local_grid(
 
 
 @njit(cache=True)
-def _block_max(height: np.ndarray) -> np.ndarray:
+def _ranges(height: np.ndarray, size: int) -> np.ndarray:
+    """Lowest and highest centre of every block of ``size`` squares, float32 (.., .., 2)."""
     rows, columns = height.shape
-    num_rows, num_columns = (rows - 2) // BLOCK_SQUARES + 1, (columns - 2) // BLOCK_SQUARES + 1
-    result = np.full((max(num_rows, 0), max(num_columns, 0)), -np.inf, np.float32)
-    for row in range(rows):
-        for column in range(columns):
-            h = height[row, column]
-            # a centre on the border of two blocks counts for both; NaN compares false
-            for i in range(max(row - 1, 0) // BLOCK_SQUARES, min(row // BLOCK_SQUARES, num_rows - 1) + 1):
-                for j in range(
-                    max(column - 1, 0) // BLOCK_SQUARES, min(column // BLOCK_SQUARES, num_columns - 1) + 1
-                ):
-                    if h > result[i, j]:
-                        result[i, j] = h
+    result = np.empty((max((rows - 2) // size + 1, 0), max((columns - 2) // size + 1, 0), 2), np.float32)
+    for i in range(result.shape[0]):
+        for j in range(result.shape[1]):
+            low, high = np.float32(np.inf), np.float32(-np.inf)
+            # a centre on the border of two blocks counts for both
+            for row in range(i * size, min((i + 1) * size + 1, rows)):
+                for column in range(j * size, min((j + 1) * size + 1, columns)):
+                    h = height[row, column]
+                    if np.isnan(h):
+                        low = np.float32(-np.inf)
+                    else:
+                        low, high = min(low, h), max(high, h)
+            result[i, j, 0], result[i, j, 1] = low, high
     return result
 
 
@@ -75,38 +93,161 @@ def first_crossing(
     """Where a falling ray (dz < 0) first meets the terrain, if nearer than ``limit``.
 
     Returns (distance in lengths of the direction, or -1; slope of the triangle towards east; towards north).
-    Walks over blocks that the ray passes above, and through the squares of those that it may meet, in
-    float64: a ray at 20 degrees meets two or three squares, and no tree has to be built.
     """
-    rows, columns = grid.height_m.shape
+    return crossing(
+        frame_of(grid),
+        grid.height_m,
+        grid.block_range_m,
+        grid.region_range_m,
+        ox,
+        oy,
+        oz,
+        dx,
+        dy,
+        dz,
+        limit,
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def frame_of(grid: TerrainGrid) -> GridFrame:
+    """What :func:`crossing` needs beside the arrays."""
+    return GridFrame(
+        grid.height_m.shape[0],
+        grid.height_m.shape[1],
+        grid.min_m,
+        grid.max_m,
+        grid.x_min_m,
+        grid.y_max_m,
+        1 / grid.cell_m,
+    )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def crossing(
+    frame: GridFrame,
+    height: np.ndarray,
+    blocks: np.ndarray,
+    regions: np.ndarray,
+    ox: float, oy: float, oz: float,
+    dx: float, dy: float, dz: float,
+    limit: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """:func:`first_crossing` for loops over many rays, which take the arrays out of the grid once: numba
+    counts the references to an array each time that it is taken out of a tuple.
+
+    In float64, no tree has to be built. The lowest and the highest of the region and then of the block that
+    the ray falls through leave some decimetres of it, mostly in one square.
+    """
     per_dz = 1 / dz
-    end = min((grid.min_m - oz) * per_dz + 1e-6, limit)
+    start = max((frame.max_m - oz) * per_dz, 0.0)
+    end = min((frame.min_m - oz) * per_dz + 1e-6, limit)
+    hit, east, south = -1.0, 0.0, 0.0
     # in units of cells: u to the east, v to the south, squares between whole numbers
-    per_cell = 1 / grid.cell_m
-    u, v = (ox - grid.x_min_m) * per_cell, (grid.y_max_m - oy) * per_cell
-    du, dv = dx * per_cell, -dy * per_cell
+    u, v = (ox - frame.x_min_m) * frame.per_cell, (frame.y_max_m - oy) * frame.per_cell
+    du, dv = dx * frame.per_cell, -dy * frame.per_cell
+    u0, v0, u1, v1 = u + du * start, v + dv * start, u + du * end, v + dv * end
+    if not (
+        min(u0, u1) >= 0
+        and min(v0, v1) >= 0
+        and max(u0, u1) < frame.columns - 1
+        and max(v0, v1) < frame.rows - 1
+    ):
+        if start < end:
+            hit, east, south = _walk(height, blocks, u, v, oz, du, dv, dz, start, end)
+        return hit, east * frame.per_cell, -south * frame.per_cell
+    if start < end and _adjoin(u0, v0, u1, v1, REGION_SQUARES):
+        low, high = _range(regions, u0, v0, u1, v1, REGION_SQUARES)
+        start, end = max(start, (high - oz) * per_dz), min(end, (low - oz) * per_dz + 1e-6)
+        u0, v0, u1, v1 = u + du * start, v + dv * start, u + du * end, v + dv * end
+    if start < end:
+        if _adjoin(u0, v0, u1, v1, BLOCK_SQUARES):
+            low, high = _range(blocks, u0, v0, u1, v1, BLOCK_SQUARES)
+            start, end = max(start, (high - oz) * per_dz), min(end, (low - oz) * per_dz + 1e-6)
+            u0, v0, u1, v1 = u + du * start, v + dv * start, u + du * end, v + dv * end
+            if start < end:
+                row, column = int(v0), int(u0)
+                if row == int(v1) and column == int(u1):
+                    hit, east, south = _cross_square(
+                        height, row, column, u - column, v - row, oz, du, dv, dz, start, end
+                    )
+                else:
+                    hit, east, south = _walk_squares(height, u, v, oz, du, dv, dz, start, end)
+        else:
+            hit, east, south = _walk(height, blocks, u, v, oz, du, dv, dz, start, end)
+    return hit, east * frame.per_cell, -south * frame.per_cell
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _adjoin(u0: float, v0: float, u1: float, v1: float, size: int) -> bool:
+    """Whether two places are in the same block of ``size`` squares or in neighbouring ones."""
+    per = 1.0 / size
+    return abs(int(u0 * per) - int(u1 * per)) <= 1 and abs(int(v0 * per) - int(v1 * per)) <= 1
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _range(
+    blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size: int
+) -> tuple[float, float]:
+    """The lowest and the highest of the one, two or four blocks that two such places span."""
+    per = 1.0 / size
+    i0, j0, i1, j1 = np.uint64(v0 * per), np.uint64(u0 * per), np.uint64(v1 * per), np.uint64(u1 * per)
+    low = min(min(blocks[i0, j0, 0], blocks[i1, j1, 0]), min(blocks[i0, j1, 0], blocks[i1, j0, 0]))
+    high = max(max(blocks[i0, j0, 1], blocks[i1, j1, 1]), max(blocks[i0, j1, 1], blocks[i1, j0, 1]))
+    return np.float64(low), np.float64(high)
+
+
+@njit(cache=True, nogil=True)
+def _walk(
+    height: np.ndarray,
+    blocks: np.ndarray,
+    u: float, v: float, z: float,
+    du: float, dv: float, dz: float,
+    start: float,
+    end: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """First crossing between ``start`` and ``end``: block by block, through the squares of those that the ray
+    may meet."""
+    rows, columns = height.shape
     # lengths of ray per cell; a ray that stays in its column or row never leaves it
     per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300
-    t, end = _clip(u, per_u, columns - 1.0, max((grid.max_m - oz) * per_dz, 0.0), end)
+    t, end = _clip(u, per_u, columns - 1.0, start, end)
     t, end = _clip(v, per_v, rows - 1.0, t, end)
     size = BLOCK_SQUARES
     while t < end:
-        block_column = _place(u + du * t, du, size, grid.block_max_m.shape[1])
-        block_row = _place(v + dv * t, dv, size, grid.block_max_m.shape[0])
+        block_column = _place(u + du * t, du, size, blocks.shape[1])
+        block_row = _place(v + dv * t, dv, size, blocks.shape[0])
         leave = min(_exit(u, per_u, block_column, size, t), _exit(v, per_v, block_row, size, t), end)
-        highest = grid.block_max_m[block_row, block_column]
-        if oz + dz * leave <= highest:
-            s = max(t, (highest - oz) * per_dz)
-            while s < leave:
-                column = _place(u + du * s, du, 1, columns - 1)
-                row = _place(v + dv * s, dv, 1, rows - 1)
-                out = min(_exit(u, per_u, column, 1, s), _exit(v, per_v, row, 1, s), leave)
-                hit, east, south = _cross_square(
-                    grid.height_m, row, column, u - column, v - row, oz, du, dv, dz, s, out
-                )
-                if hit >= 0:
-                    return hit, east * per_cell, -south * per_cell
-                s = out
+        highest = blocks[block_row, block_column, 1]
+        if z + dz * leave <= highest:
+            hit, east, south = _walk_squares(
+                height, u, v, z, du, dv, dz, max(t, (highest - z) / dz), leave
+            )
+            if hit >= 0:
+                return hit, east, south
+        t = leave
+    return -1.0, 0.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def _walk_squares(
+    height: np.ndarray,
+    u: float, v: float, z: float,
+    du: float, dv: float, dz: float,
+    start: float,
+    end: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """First crossing between ``start`` and ``end``, square by square."""
+    rows, columns = height.shape
+    per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300
+    t = start
+    while t < end:
+        column = _place(u + du * t, du, 1, columns - 1)
+        row = _place(v + dv * t, dv, 1, rows - 1)
+        leave = min(_exit(u, per_u, column, 1, t), _exit(v, per_v, row, 1, t), end)
+        hit, east, south = _cross_square(height, row, column, u - column, v - row, z, du, dv, dz, t, leave)
+        if hit >= 0:
+            return hit, east, south
         t = leave
     return -1.0, 0.0, 0.0
 
