@@ -1,10 +1,11 @@
 """Speed of loading, of both training stages and of inference, against plain implementations in the same run.
 
-    python benchmarks/training.py [--config config/models/cpu.yaml] [--num 4000] [--steps 3]
+    python benchmarks/training.py [--config config/models/cpu.yaml] [--num 4000] [--steps 3] [--compile]
 
 All speeds are CPU time of one thread, on clouds and outlines drawn here. The reference does what the paper
 and Point-BERT describe, operation by operation: point and patch features joined before the layer, edge
-convolutions on gathered features with the graph found anew each time, every sequence padded to the longest.
+convolutions on gathered features with the graph found anew each time, every sequence padded to the longest,
+all four losses on the whole batch. ``--compile`` compiles our networks (``compute.compile``), not the reference's.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import json
 import os
 import resource
+import subprocess
 import sys
 import tempfile
 import time
@@ -140,8 +142,11 @@ def no_buckets() -> Iterator[None]:
         dataset._BUCKET_WINDOW = window
 
 
-def optimised(task: dvae._Task | model._Task) -> Callable[[int], None]:
+def optimised(task: dvae._Task | model._Task, compiled: bool = False) -> Callable[[int], None]:
     """A step of training without the averaging of weights."""
+    if compiled:
+        for part in task.heavy_parts():
+            part.compile()
     optimiser = torch.optim.AdamW(task.module.parameters(), foreach=True)
 
     def step(number: int) -> None:
@@ -153,12 +158,14 @@ def optimised(task: dvae._Task | model._Task) -> Callable[[int], None]:
     return step
 
 
-def mean_step(task: dvae._Task | model._Task, steps: int) -> float:
+def mean_step(task: dvae._Task | model._Task, steps: int, compiled: bool = False) -> float:
     """CPU seconds per step, over different batches."""
-    step = optimised(task)
-    step(0)
+    step = optimised(task, compiled)
+    # lengths differ: the second batch compiles for any
+    for number in (0, *(range(1, 9) if compiled else ())):
+        step(number)
     start = time.process_time()
-    for number in range(1, steps + 1):
+    for number in range(100, 100 + steps):
         step(number)
     return (time.process_time() - start) / steps
 
@@ -181,14 +188,43 @@ def loading(buildings: Buildings, config: Config, folder: Path) -> tuple[float, 
     return rate, took / len(batches) * config.model.optimiser.batch_size / size
 
 
+def inference(config: Config, num: int) -> dict[str, float]:
+    """Buildings per CPU second, one view, and the most memory that this process ever held."""
+    buildings = town(num)
+    module = model.make_module(config.model, config.dvae, model.make_tokenizer(config.model))
+    decode = config.model.decoding.model_copy(update={"num_rotations": 1})
+    limits = model.limits_of(config.model, config.dvae, module.tokenizer)
+    predictor = model.Predictor(module, decode, config.dvae, config.model.max_vertices, limits)
+    offset, ring = buildings.point_offset, buildings.vertex_offset
+    clouds = [buildings.points_cm[offset[i] : offset[i + 1]] * np.float32(0.01) for i in range(num)]
+    rings = [[buildings.xy_m[ring[i] : ring[i + 1]]] for i in range(num)]
+    predictor.predict(clouds[:32], rings[:32])
+    start = time.process_time()
+    predictor.predict(clouds, rings)
+    took = time.process_time() - start
+    return {"per_s": num / took, "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+
+
+def in_fresh_process(config: str, num: int) -> dict[str, float]:
+    command = [sys.executable, __file__, "--config", config, "--inference", str(num)]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    measured: dict[str, float] = json.loads(output.splitlines()[-1])
+    return measured
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--config", default="config/models/cpu.yaml")
     parser.add_argument("--num", type=int, default=4000, help="buildings")
     parser.add_argument("--steps", type=int, default=3, help="measured steps of each kind")
+    parser.add_argument("--compile", action="store_true", help="compile our networks first")
+    parser.add_argument("--inference", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     config = load(options.config)
+    if options.inference:
+        print(json.dumps(inference(config, options.inference)))
+        return 0
     buildings = town(options.num)
     device = torch.device("cpu")
     figures: dict[str, dict[str, object]] = {}
@@ -206,7 +242,9 @@ def main() -> int:
 
     torch.manual_seed(0)
     vae = DiscreteVae(dvae.sizes(config.dvae))
-    ours = mean_step(dvae._Task(vae, buildings, buildings, config.dvae, device), options.steps)
+    ours = mean_step(
+        dvae._Task(vae, buildings, buildings, config.dvae, device), options.steps, options.compile
+    )
     reference = plain(DiscreteVae(dvae.sizes(config.dvae)))
     task = dvae._Task(reference, buildings, buildings, config.dvae, device)
     real = dvae.patches_of
@@ -234,13 +272,16 @@ def main() -> int:
 
     frozen = vae.eval().requires_grad_(False)
     ours = mean_step(
-        model._Task(network(), frozen, buildings, buildings, config.model, config.dvae, device), options.steps
+        model._Task(network(), frozen, buildings, buildings, config.model, config.dvae, device),
+        options.steps,
+        options.compile,
     )
     other = plain(network())
     padded = Buildings(**vars(buildings))
+    whole = config.model.model_copy(update={"auxiliary_share": 1.0})
     with no_buckets():
         task = model._Task(
-            other, reference.eval().requires_grad_(False), padded, padded, config.model, config.dvae, device
+            other, reference.eval().requires_grad_(False), padded, padded, whole, config.dvae, device
         )
         task.order.batch(0)
         longest = int(np.argmax(buildings.num_vertices))
@@ -255,22 +296,14 @@ def main() -> int:
     bar("model steps/s over the reference", theirs / ours, 3, True)
     bar("loader's share of a training step", batch_s / ours, 0.05, False)
 
-    decode = config.model.decoding.model_copy(update={"num_rotations": 1})
-    limits = model.limits_of(config.model, config.dvae, tokenizer)
-    predictor = model.Predictor(network(), decode, config.dvae, config.model.max_vertices, limits)
-    peaks = []
-    for num in (options.num // 16, options.num // 4):
-        some = range(num)
-        offset, ring = buildings.point_offset, buildings.vertex_offset
-        clouds = [buildings.points_cm[offset[i] : offset[i + 1]] * np.float32(0.01) for i in some]
-        rings = [[buildings.xy_m[ring[i] : ring[i + 1]]] for i in some]
-        start = time.process_time()
-        predictor.predict(clouds, rings)
-        took = time.process_time() - start
-        peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    print(f"inference, one view: {num / took:.0f} buildings per CPU second; peak memory {peaks} MiB")
-    bar("buildings/s of inference, two cores", 2 * num / took, 200, True)
-    bar("MiB more for four times the buildings", peaks[1] - peaks[0], 200, False)
+    # each in a fresh process, or the peak would be that of training
+    few, many = (in_fresh_process(options.config, num) for num in (options.num // 16, options.num // 4))
+    print(
+        f"inference, one view: {many['per_s']:.0f} buildings per CPU second; peak memory "
+        f"{few['peak_mib']:.0f} MiB for {options.num // 16}, {many['peak_mib']:.0f} for four times as many"
+    )
+    bar("buildings/s of inference, two cores", 2 * many["per_s"], 200, True)
+    bar("MiB more for four times the buildings", many["peak_mib"] - few["peak_mib"], 200, False)
     print(json.dumps(figures))
     return 0 if all(figure["ok"] for figure in figures.values()) else 1
 

@@ -491,6 +491,7 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Point2WSS, the multimodal transformer. Points and patches are those of the dvae."""
 
+    weights: str = Field("", description="trained weights to use instead of training; '' = train")
     seed: int = Field(0, ge=0, description="of weights, batches and augmentation")
     max_vertices: int = Field(16, ge=3, le=128, description="buildings with more are left out of training")
     coord_decimals: Literal[1, 2] = Field(1, description="of coordinates in tokens; the paper's 2 is slower")

@@ -51,6 +51,12 @@ def around(path):
     return paths
 
 
+def drawn_town(path):
+    """The town in ``path`` of the config, if rule draw_town makes it."""
+    return path if settings.fetch.source == "folder" and str(path).startswith("resources/towns/") else []
+
+
 lidar_around = around("<results>/fetch/lidar/{tile}.laz")
 delivered_around = around("<resources>/lidar/{tile}.laz")
+weights = settings.model.weights or "<results>/model/model.safetensors"
 downloads = f"resources/ign/{settings.region.vintage}/downloads"

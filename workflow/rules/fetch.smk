@@ -12,7 +12,23 @@ localrules:
     fetch_lidar,
 
 
+rule draw_town:
+    output:
+        footprints="resources/towns/{seed}/bdtopo/BDTOPO_mini.gpkg",
+        dtm=directory("resources/towns/{seed}/rgealti"),
+    log:
+        "logs/towns/{seed}.log",
+    benchmark:
+        "logs/towns/{seed}.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    shell:
+        "python tests/mini/make.py resources/towns/{wildcards.seed} --seed {wildcards.seed} > {log} 2>&1"
+
+
 rule fetch_footprints:
+    input:
+        drawn_town(settings.fetch.folder.footprints),
     output:
         footprints=ensure("<results>/fetch/footprints.gpkg", non_empty=True),
     log:
@@ -37,6 +53,8 @@ rule fetch_footprints:
 
 
 rule fetch_dtm:
+    input:
+        drawn_town(settings.fetch.folder.dtm),
     output:
         dtm=ensure("<resources>/dtm/{tile}.tif", non_empty=True),
     log:

@@ -21,7 +21,7 @@ rule model:
         mem_mb=8000,
         gpu=1,
     params:
-        config=section("model"),
+        config=section("model", without=("weights",)),
         code=fingerprint("model"),
         folder=subpath(output.weights, parent=True),
     shell:
