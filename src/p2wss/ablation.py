@@ -70,7 +70,26 @@ def csv(rows: Sequence[Row]) -> str:
 
 def markdown(rows: Sequence[Row]) -> str:
     lines = [HEADER, ["---"] * len(HEADER), *(_cells(row, 2) for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+    table = ["| " + " | ".join(line) + " |" for line in lines]
+    return "\n".join([*table, *(["", *spreads(rows)] if spreads(rows) else [])]) + "\n"
+
+
+def spreads(rows: Sequence[Row]) -> list[str]:
+    """What another seed changes: one line per variant that was trained with several, named ``.._seed_1``, .."""
+    seeds: dict[str, list[Row]] = {}
+    for row in rows:
+        seeds.setdefault(row.variant.partition("_seed_")[0], []).append(row)
+    return [
+        f"{variant} over {len(own)} seeds: height {_spread([row.height_mae_m for row in own])} m, "
+        f"angle {_spread([row.angle_mae_deg for row in own])} degrees (mean of the errors above "
+        "± standard deviation between seeds)"
+        for variant, own in seeds.items()
+        if len(own) > 1
+    ]
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.3f} ± {np.std(values, ddof=1):.3f}"
 
 
 def _cells(row: Row, digits: int) -> list[str]:

@@ -11,7 +11,7 @@ import toy_crops
 from test_dvae import SMALL as SMALL_DVAE
 from test_model import SMALL
 
-from p2wss import cli, dataset, model
+from p2wss import ablation, cli, dataset, model
 from p2wss.config import ablated, load
 from p2wss.dataset import Limits
 from p2wss.errors import InputError
@@ -29,13 +29,32 @@ def test_the_variant_of_the_paper_is_its_config() -> None:
     """But for sizes, lengths and the number format, which the budget decides."""
     ours = ablated(load({}), "paper").model
     paper = load(Path(__file__).parents[2] / "config" / "paper.yaml").model
-    for name in ("masking", "decoding", "augmentation", "loss_weights", "match_balanced", "ema_decay"):
+    for name in (
+        "masking",
+        "decoding",
+        "augmentation",
+        "loss_weights",
+        "match_balanced",
+        "ema_decay",
+        "auxiliary_share",
+    ):
         assert getattr(ours, name) == getattr(paper, name), name
 
 
 def test_a_variant_with_a_wrong_key_is_one_clear_line() -> None:
     with pytest.raises(InputError, match=r"ablation\.variants\.a\.dimm: Extra inputs"):
         load({"ablation": {"variants": {"a": {"dimm": 3}}}})
+
+
+def test_seeds_are_summed_up_below_the_table() -> None:
+    rows = [
+        ablation.Row(name, 10, height, 0.1, 2.0, angle, 1.0, 20.0)
+        for name, height, angle in (("a", 0.1, 2.0), ("a_seed_1", 0.3, 4.0), ("b", 9.0, 9.0))
+    ]
+    (line,) = ablation.spreads(rows)
+    assert line.startswith("a over 2 seeds: height 0.200 ± 0.141 m, angle 3.000 ± 1.414 degrees")
+    assert ablation.markdown(rows).endswith(f"|\n\n{line}\n")
+    assert ablation.spreads(rows[1:]) == []
 
 
 def test_the_table_holds_the_errors_on_the_test_split(tmp_path: Path) -> None:
