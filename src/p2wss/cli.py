@@ -128,12 +128,21 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("model", type=Path)
     command.add_argument("out", type=Path, help="Parquet of reconstructions")
     command.add_argument("out_parameters", type=Path, help="JSON: errors of Table 1")
+    command.add_argument("out_cpu", type=Path, help="JSON: CPU time per building")
     command.add_argument("--threads", type=int, default=1)
     command.add_argument("--device", choices=DEVICES, default="auto")
-    command = _command(evaluate, "baseline", eval_baseline, "reconstruct the same buildings with a baseline")
-    command.add_argument("name", help="lod1 or roofer")
+    command = _command(evaluate, "refine", eval_refine, "fit the same buildings to their points")
     command.add_argument("manifest", type=Path)
     command.add_argument("out", type=Path, help="Parquet of reconstructions")
+    command.add_argument("out_cpu", type=Path, help="JSON: CPU time per building")
+    command.add_argument(
+        "--predictions", type=Path, default=None, help="begin with the network's; default: from nothing"
+    )
+    command = _command(evaluate, "baseline", eval_baseline, "reconstruct the same buildings with a baseline")
+    command.add_argument("name", help="lod1, constant or roofer")
+    command.add_argument("manifest", type=Path)
+    command.add_argument("out", type=Path, help="Parquet of reconstructions")
+    command.add_argument("out_cpu", type=Path, help="JSON: CPU time per building")
     command = _command(
         evaluate, "measure", eval_measure, "Chamfer distance, triangles, .. of every reconstruction"
     )
@@ -148,13 +157,14 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--threads", type=int, default=1)
     command.add_argument("--device", choices=DEVICES, default="auto")
     command = _command(evaluate, "report", eval_report, "the report")
-    command.add_argument("out", type=Path, help="folder: report.html, table1.csv, table2.csv")
+    command.add_argument("out", type=Path, help="folder: report.html and its tables as CSV and LaTeX")
     command.add_argument("--manifest", type=Path, required=True)
     command.add_argument("--measures", type=Path, required=True)
     command.add_argument("--parameters", type=Path, required=True)
     command.add_argument("--reconstructions", type=Path, nargs="+", required=True)
+    command.add_argument("--cpu", type=Path, nargs="*", default=[], help="JSON: CPU time per building")
     command.add_argument(
-        "--metrics", type=Path, nargs="+", required=True, help="metrics.jsonl of dvae and model"
+        "--metrics", type=Path, nargs="*", required=True, help="metrics.jsonl of dvae and model"
     )
     command.add_argument("--scans", type=Path, nargs="*", default=[], help="PNGs of simulated scans")
 
@@ -605,36 +615,60 @@ def _on_device(arguments: argparse.Namespace, stage: str) -> Config:
 
 def eval_predict(arguments: argparse.Namespace) -> None:
     _use_threads(arguments.threads)
-    from p2wss import inference, model, training
-    from p2wss.eval import cases, predict
+    from p2wss import model, training
+    from p2wss.eval import cases, parameters, predict
+    from p2wss.eval.clock import CpuClock
 
-    config = _config(arguments)
+    config, clock = _config(arguments), CpuClock()
     predictor = model.load(arguments.model, arguments.device)
     manifest = cases.read_manifest(arguments.manifest)
     found = cases.test_cases(manifest)
-    rows = predict.predict(found, predictor, config.reconstruct)
-    errors = predict.parameter_errors(found, rows, predictor, cases.train_medians(manifest))
+    rows = predict.predict(found, predictor, config.reconstruct, clock)
+    errors = parameters.masked_errors(found, rows, predictor, cases.train_medians(manifest))
     made_by = training.read_weights(arguments.model, "model")[1]
     weights = {name: made_by[name] for name in ("version", "code", "config", "dvae_config")}
-    facts = _eval_facts(config, method="point2wss", status="ok", model=weights)
-    columns = inference.columns(rows, [case.dataset for case in found])
-    io.write_table(arguments.out, columns, io.RECONSTRUCTIONS, facts)
+    facts = _eval_facts(config, method=predict.NETWORK, status="ok", model=weights)
     io.write_json(arguments.out_parameters, errors | {"p2wss": facts})
-    _report(log, arguments.out, columns["status"])
+    _write_reconstructions(arguments, found, rows, facts, clock)
+
+
+def eval_refine(arguments: argparse.Namespace) -> None:
+    from p2wss.eval import cases, predict
+    from p2wss.eval.clock import CpuClock
+
+    config, clock = _config(arguments), CpuClock()
+    found = cases.test_cases(cases.read_manifest(arguments.manifest))
+    known = None if arguments.predictions is None else cases.read_reconstructions(arguments.predictions)
+    rows = predict.refine(found, known, config.reconstruct, clock)
+    facts: dict[str, Any] = {"method": predict.FIT, "status": "ok"}
+    if arguments.predictions is not None:
+        begun = io.read_metadata(arguments.predictions)
+        facts = {"method": predict.REFINED, "status": "ok", "model": begun.get("model")}
+    _write_reconstructions(arguments, found, rows, _eval_facts(config, **facts), clock)
 
 
 def eval_baseline(arguments: argparse.Namespace) -> None:
-    from p2wss import inference
     from p2wss.eval import baselines, cases
+    from p2wss.eval.clock import CpuClock
 
-    config = _config(arguments)
+    config, clock = _config(arguments), CpuClock()
     manifest = cases.read_manifest(arguments.manifest)
     found = cases.test_cases(manifest)
-    rows, run = baselines.baseline(arguments.name, found, manifest, config.eval, config.reconstruct)
-    columns = inference.columns(rows, [case.dataset for case in found] if rows else [])
-    facts = _eval_facts(config, method=arguments.name, **run)
-    io.write_table(arguments.out, columns, io.RECONSTRUCTIONS, facts)
+    made, run = baselines.baseline(arguments.name, found, manifest, config.eval, config.reconstruct, clock)
+    chosen = [case for case in found if case.key in made]
+    rows = [made[case.key] for case in chosen]
     log.info("%s: %s", arguments.name, run["status"])
+    _write_reconstructions(arguments, chosen, rows, _eval_facts(config, method=arguments.name, **run), clock)
+
+
+def _write_reconstructions(
+    arguments: argparse.Namespace, found: Any, rows: Any, facts: dict[str, Any], clock: Any
+) -> None:
+    from p2wss import inference
+
+    columns = inference.columns(rows, [case.dataset for case in found])
+    io.write_table(arguments.out, columns, io.RECONSTRUCTIONS, facts)
+    io.write_json(arguments.out_cpu, {"method": facts["method"], "cpu_ms": clock.ms_per_building()})
     _report(log, arguments.out, columns["status"])
 
 
@@ -672,6 +706,7 @@ def eval_report(arguments: argparse.Namespace) -> None:
         arguments.measures,
         arguments.parameters,
         arguments.reconstructions,
+        arguments.cpu,
         arguments.metrics,
         config.eval.model_copy(update=footer),
         arguments.scans,

@@ -578,6 +578,8 @@ class Ablation(Section):
     variants: dict[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], dict[str, Any]] = Field(
         {
             "plus": {},
+            "plus_seed_1": {"seed": 1},
+            "plus_seed_2": {"seed": 2},
             "paper": _PAPER,
             "masking_of_paper": _PAPER_MASKING,
             "decoding_of_paper": _PAPER_DECODING,
@@ -617,12 +619,19 @@ class Eval(Section):
     num_samples: int = Field(2048, gt=0, description="points sampled on each mesh for the Chamfer distance")
     max_num_points: int = Field(2048, gt=0, description="points of a cloud used for it: a subset by the seed")
     num_resamples: int = Field(1000, ge=10, description="bootstrap draws behind each 95 % interval")
+    num_worst: int = Field(
+        20, ge=0, le=100, description="buildings shown per data set, worst first, with the reason"
+    )
     num_pictures: int = Field(
-        4, ge=0, le=20, description="buildings shown per data set: best, middle and worst, each"
+        2, ge=0, le=20, description="buildings shown for each counterpart of the paper's Figures 7 to 14"
     )
     roofer_command: str = Field(
         "roofer",
         description="Roofer and its options ({folder} = folder of its input and output, for containers); '' = never",
+    )
+    roofer_recorded: str = Field(
+        "",
+        description="what an earlier Roofer made of this LiDAR (CityJSON, folder), where none is installed; '' = none",
     )
     roofer_timeout_s: float = Field(3600, gt=0, description="for one run of Roofer, one tile")
 
@@ -630,9 +639,29 @@ class Eval(Section):
 # --- reconstruct ------------------------------------------------------------------------------------------
 
 
+# what `p2wss reconstruct` writes, and how the names of these files end
+OUTPUT_SUFFIXES = {
+    "cityjsonseq": ".city.jsonl",
+    "cityjson": ".city.json",
+    "glb": ".glb",
+    "obj": ".obj",
+    "ply": ".ply",
+    "stl": ".stl",
+    "gpkg": ".gpkg",
+    "geoparquet": ".parquet",
+}
+Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "gpkg", "geoparquet"]
+
+
 class Reconstruct(Section):
     """Buildings from the user's own LiDAR."""
 
+    outputs: list[Output] = Field(
+        ["cityjsonseq", "glb", "gpkg"], min_length=1, description="files to write, beside a summary in JSON"
+    )
+    per_building: bool = Field(
+        False, description="one more glb, obj, ply and stl for each building, as far as outputs has them"
+    )
     buffer_m: float = Field(
         1, ge=0, le=20, description="points within this distance of a footprint are its cloud"
     )
@@ -648,6 +677,13 @@ class Reconstruct(Section):
     max_parts: int = Field(
         4, ge=1, le=16, description="heights of one building at most; 1 = the paper's model"
     )
+    not_representable_m: float = Field(
+        0.25, gt=0, description="a fitted building whose points are further off in the mean is flagged"
+    )
+    terrain_tolerance_m: float = Field(
+        0.2, gt=0, le=10, description="of the triangulated terrain, where --terrain gives one"
+    )
+    terrain_margin_m: float = Field(20, ge=0, le=1000, description="of that terrain around the buildings")
 
 
 # --- the whole --------------------------------------------------------------------------------------------

@@ -1,15 +1,37 @@
 """Eval. In: crops, model, metrics. Out: reconstructions by every method, their measures, the report with its tables."""
 
+from p2wss.eval import roofer_command
+
+# files of reconstructions: ours, then the baselines
+OURS = ["predictions", "refined", "fitted"]
+TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
+
+
+def recorded(wildcards):
+    """Recorded outputs of Roofer, where there is none to run."""
+    if wildcards.baseline != "roofer":
+        return []
+    try:
+        return roofer_command.recorded_files(settings.eval)
+    except InputError as error:
+        raise WorkflowError(str(error)) from None
+
+
+def state(wildcards):
+    """What a baseline is made with besides this code: another version of Roofer makes it anew."""
+    return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""
+
 
 rule predict:
     input:
         manifest="<results>/crops/manifest.json",
         shards=every_tile("<results>/crops/{tile}.parquet"),
         lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
-        model="<results>/model/model.safetensors",
+        model=weights,
     output:
         predictions="<results>/eval/predictions.parquet",
         parameters="<results>/eval/parameters.json",
+        cpu="<results>/eval/cpu/predictions.json",
     log:
         "<logs>/eval/predict.log",
     benchmark:
@@ -24,8 +46,38 @@ rule predict:
         config=section("eval", "reconstruct"),
         code=fingerprint("eval.predict", "model"),
     shell:
-        "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters}"
+        "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters} {output.cpu}"
         " --threads {threads} --config {params.config:q} 2> {log}"
+
+
+rule refine:
+    input:
+        manifest="<results>/crops/manifest.json",
+        shards=every_tile("<results>/crops/{tile}.parquet"),
+        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        predictions=branch(
+            lambda wildcards: wildcards.variant == "refined",
+            then="<results>/eval/predictions.parquet",
+            otherwise=[],
+        ),
+    output:
+        reconstructions="<results>/eval/{variant,refined|fitted}.parquet",
+        cpu="<results>/eval/cpu/{variant,refined|fitted}.json",
+    log:
+        "<logs>/eval/{variant}.log",
+    benchmark:
+        "<benchmarks>/eval/{variant}.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=4000,
+    params:
+        config=section("eval", "reconstruct"),
+        code=fingerprint("eval.predict"),
+        begin=lambda wildcards, input: f"--predictions {input.predictions}" if input.predictions else "",
+    shell:
+        "p2wss eval refine {input.manifest} {output.reconstructions} {output.cpu} {params.begin}"
+        " --config {params.config:q} 2> {log}"
 
 
 rule baseline:
@@ -33,8 +85,10 @@ rule baseline:
         manifest="<results>/crops/manifest.json",
         shards=every_tile("<results>/crops/{tile}.parquet"),
         lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        recorded=recorded,
     output:
         reconstructions="<results>/eval/{baseline}.parquet",
+        cpu="<results>/eval/cpu/{baseline}.json",
     log:
         "<logs>/eval/{baseline}.log",
     benchmark:
@@ -46,8 +100,9 @@ rule baseline:
     params:
         config=section("eval", "reconstruct"),
         code=fingerprint("eval.baselines"),
+        state=state,
     shell:
-        "p2wss eval baseline {wildcards.baseline} {input.manifest} {output.reconstructions}"
+        "p2wss eval baseline {wildcards.baseline} {input.manifest} {output.reconstructions} {output.cpu}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -56,9 +111,7 @@ rule measure:
         manifest="<results>/crops/manifest.json",
         shards=every_tile("<results>/crops/{tile}.parquet"),
         lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
-        reconstructions=expand(
-            "<results>/eval/{name}.parquet", name=["predictions", *settings.eval.baselines]
-        ),
+        reconstructions=expand("<results>/eval/{name}.parquet", name=[*OURS, *settings.eval.baselines]),
     output:
         measures="<results>/eval/measures.parquet",
     log:
@@ -83,15 +136,32 @@ rule eval_report:
         measures="<results>/eval/measures.parquet",
         parameters="<results>/eval/parameters.json",
         reconstructions=rules.measure.input.reconstructions,
-        metrics=["<results>/dvae/metrics.jsonl", "<results>/model/metrics.jsonl"],
+        # of weights that come from elsewhere there is no training to show
+        metrics=(
+            []
+            if settings.model.weights
+            else ["<results>/dvae/metrics.jsonl", "<results>/model/metrics.jsonl"]
+        ),
         # pictures of the first few: a report of a whole city stays small
         scans=lambda wildcards: expand("<results>/scans/{tile}.png", tile=tiles(wildcards)[:3]),
-        tables=expand("<results>/reconstruct/{tile}.gpkg", tile=settings.region.lidar_tiles),
+        tables=expand("<results>/reconstruct/{tile}.json", tile=settings.region.lidar_tiles),
         sources=settings.fetch.sources,
     output:
         report=report("<results>/eval/report.html", caption="../report/report.rst", category="Evaluation"),
         table1=report("<results>/eval/table1.csv", caption="../report/table1.rst", category="Evaluation"),
         table2=report("<results>/eval/table2.csv", caption="../report/table2.rst", category="Evaluation"),
+        more=report(
+            "<results>/eval/table2_more.csv", caption="../report/table2_more.rst", category="Evaluation"
+        ),
+        without_mesh=report(
+            "<results>/eval/without_mesh.csv", caption="../report/without_mesh.rst", category="Evaluation"
+        ),
+        groups=report("<results>/eval/groups.csv", caption="../report/groups.rst", category="Evaluation"),
+        calibration=report(
+            "<results>/eval/calibration.csv", caption="../report/calibration.rst", category="Evaluation"
+        ),
+        worst=report("<results>/eval/worst.csv", caption="../report/worst.rst", category="Evaluation"),
+        latex=expand("<results>/eval/{table}.tex", table=TABLES),
     log:
         "<logs>/eval/report.log",
     benchmark:
@@ -106,6 +176,7 @@ rule eval_report:
         folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report {params.folder} --manifest {input.manifest} --measures {input.measures}"
-        " --parameters {input.parameters} --reconstructions {input.reconstructions} --metrics {input.metrics}"
+        " --parameters {input.parameters} --reconstructions {input.reconstructions}"
+        " --cpu {input.cpu} --metrics {input.metrics}"
         " --scans {input.scans}"
         " --config {params.config:q} 2> {log}"

@@ -2,55 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from p2wss import inference
+from p2wss import inference, io
 from p2wss.config import Eval, Reconstruct
 from p2wss.errors import InputError
-from p2wss.eval import roofer
+from p2wss.eval import roofer, roofer_command
 from p2wss.eval.cases import Case, Manifest, train_medians
+from p2wss.eval.clock import CpuClock
 from p2wss.eval.predict import by_dataset
 from p2wss.inference import Reconstruction
 
+Key = tuple[str, str, str]
+RECORDED = "recorded"
+
 
 def baseline(
-    name: str, cases: Sequence[Case], manifest: Manifest, eval_config: Eval, config: Reconstruct
-) -> tuple[list[Reconstruction], dict[str, str]]:
-    """Reconstructions of a baseline, one per case in order, and facts of the run: ``status`` is ``ok``, or
-    ``not run: ..`` with no reconstruction at all.
+    name: str,
+    cases: Sequence[Case],
+    manifest: Manifest,
+    eval_config: Eval,
+    config: Reconstruct,
+    clock: CpuClock | None = None,
+) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
+    """Reconstructions of a baseline by the keys of the cases, and facts of the run.
 
-    Raises :class:`InputError` for another name than lod1, constant, roofer.
+    ``status`` is ``ok``; ``recorded`` for outputs of an earlier Roofer, which there are of LiDAR only; or
+    ``not run: ..`` with no reconstruction at all. Raises :class:`InputError` for another name than lod1,
+    constant, roofer.
     """
     if name == "lod1":
-        return by_dataset(cases, inference.lod1, config), {"status": "ok"}
+        return _by_key(cases, by_dataset(cases, inference.lod1, config, clock)), {"status": "ok"}
     if name == "constant":
-        return _constant(cases, manifest, config)
+        return _constant(cases, manifest, config, clock)
     if name == roofer.METHOD:
-        found = roofer.find(eval_config.roofer_command)
-        if isinstance(found, str):
-            return [], {"status": found}
-        rows = roofer.run(found, cases, manifest.crs(), eval_config)
-        return rows, {"status": "ok", "roofer": found.version}
+        return _roofer(cases, manifest, eval_config, clock)
     raise InputError(f"no baseline is named {name}: choose lod1, constant or roofer")
 
 
+def _roofer(
+    cases: Sequence[Case], manifest: Manifest, config: Eval, clock: CpuClock | None
+) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
+    found = roofer_command.find(config.roofer_command)
+    if isinstance(found, roofer_command.Roofer):
+        rows = roofer.run(found, cases, manifest.crs(), config, clock)
+        return _by_key(cases, rows), {"status": "ok", "roofer": found.version}
+    files = roofer_command.recorded_files(config)
+    if not files:
+        return {}, {"status": found}
+    read = roofer.recorded(files, cases)
+    names = ", ".join(path.name for path in files)
+    if not read:
+        return {}, {"status": f"not run, and none of the buildings is in the recorded {names}"}
+    hashes = " ".join(io.sha256(path)[:16] for path in files)
+    return read, {"status": RECORDED, "roofer": f"recorded outputs: {names}", "sha256": hashes}
+
+
 def _constant(
-    cases: Sequence[Case], manifest: Manifest, config: Reconstruct
-) -> tuple[list[Reconstruction], dict[str, str]]:
+    cases: Sequence[Case], manifest: Manifest, config: Reconstruct, clock: CpuClock | None
+) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
     """Every building with the median height and the median angle of the train split."""
     medians = train_medians(manifest)
     if not np.isfinite(medians.eave_height_m):
-        return [], {"status": "not run: the manifest has no train split"}
+        return {}, {"status": "not run: the manifest has no train split"}
     rows = by_dataset(
         cases,
         lambda buildings, own: inference.constant(
             buildings, np.full(len(buildings), medians.eave_height_m), medians.angle_deg, own
         ),
         config,
+        clock,
     )
-    return rows, {
+    return _by_key(cases, rows), {
         "status": "ok",
         "medians": f"{medians.eave_height_m:.3f} m, {medians.angle_deg:.1f} degrees",
     }
+
+
+def _by_key(cases: Sequence[Case], rows: Sequence[Reconstruction]) -> dict[Key, Reconstruction]:
+    return {case.key: made for case, made in zip(cases, rows, strict=True)}

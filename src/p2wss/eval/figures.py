@@ -13,15 +13,25 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from PIL import Image
 
 from p2wss.eval.cases import Case
-from p2wss.inference import Reconstruction
+from p2wss.inference import Reconstruction, ground_z_m
+from p2wss.metrics.calibration import Bin
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.skeleton.types import FaceKind
 
-COLORS = {"point2wss": "#b4451f", "roofer": "#2a6f97", "lod1": "#6c757d", "constant": "#b8a13c"}
+COLORS = {
+    "point2wss": "#e0996f",
+    "point2wss+fit": "#b4451f",
+    "fit": "#7b5ea7",
+    "roofer": "#2a6f97",
+    "lod1": "#6c757d",
+    "constant": "#b8a13c",
+}
 FACE_COLORS = {
     FaceKind.GROUND: "#9a9a9a",
     FaceKind.WALL: "#e8dfd0",
@@ -32,12 +42,17 @@ _MAX_POINTS_SHOWN = 1200
 
 
 def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
-    """The figure as a ``data:`` address of a PNG; closes it."""
+    """The figure as a ``data:`` address of a PNG of 128 colours; closes it."""
     buffer = BytesIO()
-    # no date and no version among the metadata: the same figure has the same bytes
-    figure.savefig(buffer, format="png", dpi=dots_per_inch, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=dots_per_inch)
     plt.close(figure)
-    return png_uri(buffer.getvalue())
+    buffer.seek(0)
+    small = BytesIO()
+    # a third of the size, and no date or version among the metadata: the same figure has the same bytes
+    Image.open(buffer).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(
+        small, "png", optimize=True
+    )
+    return png_uri(small.getvalue())
 
 
 def png_uri(content: bytes) -> str:
@@ -61,14 +76,15 @@ def curves(series: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_labe
     return figure
 
 
-def cumulative(values: dict[str, np.ndarray], x_label: str, title: str) -> Figure:
-    """Share of buildings with at most x, one line per method."""
+def cumulative(values: dict[str, np.ndarray], names: Mapping[str, str], x_label: str, title: str) -> Figure:
+    """Share of buildings with at most x, one line per method; names: what methods are called."""
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for name, sample in values.items():
         ordered = np.sort(sample[np.isfinite(sample)])
         if len(ordered):
             share = np.arange(1, len(ordered) + 1) / len(ordered)
-            axes.step(ordered, share, where="post", label=name, color=COLORS.get(name))
+            label = names.get(name, name)
+            axes.step(ordered, share, where="post", label=label, color=COLORS.get(name))
     top = [np.nanquantile(sample, 0.98) for sample in values.values() if np.isfinite(sample).any()]
     axes.set_xlim(0, max(top, default=1.0) or 1.0)
     axes.set_ylim(0, 1)
@@ -80,19 +96,46 @@ def cumulative(values: dict[str, np.ndarray], x_label: str, title: str) -> Figur
     return figure
 
 
-def building(case: Case, reconstructions: Sequence[tuple[str, Reconstruction]]) -> Figure:
-    """One panel per (title, reconstruction): the mesh and the building's points from the south-west.
+def reliability_diagram(bins: Mapping[str, Sequence[Bin]], names: Mapping[str, str], title: str) -> Figure:
+    """Observed share of right values over the stated confidence, per method; the area of a dot grows with the
+    number of buildings, the diagonal is a confidence that is what it says."""
+    figure, axes = plt.subplots(figsize=(5.2, 4.2), layout="constrained")
+    axes.plot([0, 1], [0, 1], color="#999999", linewidth=1, linestyle="--")
+    for method, own in bins.items():
+        if own:
+            stated, observed = [b.stated for b in own], [b.observed for b in own]
+            color = COLORS.get(method)
+            axes.plot(stated, observed, color=color, linewidth=1.2, label=names.get(method, method))
+            most = max(b.count for b in own)
+            axes.scatter(stated, observed, s=[8 + 60 * b.count / most for b in own], color=color)
+    axes.set(xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
+    axes.set_xlabel("stated confidence")
+    axes.set_ylabel("share within 0.5 m and 5°")
+    axes.set_title(title, fontsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="lower right")
+    return figure
 
-    Parallel projection. A point's colour is its distance to the mesh, from blue to red at 1 m and more;
-    points behind a face are pale. All panels have the same scale.
+
+def building(case: Case, reconstructions: Sequence[tuple[str, Reconstruction]]) -> Figure:
+    """The building's points alone, and a panel per (title, reconstruction): the mesh with them, from the
+    south-west, two panels in a row.
+
+    Parallel projection. Alone, a point's colour is its height; over a mesh its distance to it, from blue to
+    red at 1 m and more; points behind a face are pale. All panels have the same scale.
     """
-    panels = max(len(reconstructions), 1)
-    figure, row = plt.subplots(1, panels, figsize=(3.2 * panels, 3.0), squeeze=False, layout="constrained")
-    reach = [_draw(axes, case, made) for axes, (_, made) in zip(row[0], reconstructions, strict=False)]
+    num_panels = 1 + len(reconstructions)
+    rows = -(-num_panels // 2)
+    figure, grid = plt.subplots(rows, 2, figsize=(6.0, 2.75 * rows), squeeze=False, layout="constrained")
+    panels = grid.ravel()
+    reach = [_draw_points(panels[0], case)]
+    reach += [_draw(axes, case, made) for axes, (_, made) in zip(panels[1:], reconstructions, strict=False)]
     low, high = np.min([r[0] for r in reach], axis=0), np.max([r[1] for r in reach], axis=0)
-    for axes, (title, _) in zip(row[0], reconstructions, strict=False):
+    titles = [f"Points\n{len(case.building.point_m)}", *(title for title, _ in reconstructions)]
+    for axes, title in zip(panels, titles, strict=False):
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-        axes.set_title(title, fontsize=8.5)
+        axes.set_title(title, fontsize=9)
+    for axes in panels:
         axes.set_axis_off()
     return figure
 
@@ -110,11 +153,29 @@ _LIGHT = np.array([-0.35, -0.6, 0.72])
 _BEHIND_M = 0.3
 
 
+def _shown(case: Case, origin_xy_m: Sequence[float], ground_z_m: float) -> np.ndarray:
+    """Points of the building to draw, every k-th, with x and y from an origin and z above a ground."""
+    shift = np.subtract(case.building.origin_xy_m, origin_xy_m)
+    point_m = case.building.point_m[:: -(-len(case.building.point_m) // _MAX_POINTS_SHOWN) or 1]
+    return point_m + np.array([*shift, -ground_z_m])
+
+
+def _draw_points(axes: Any, case: Case) -> tuple[np.ndarray, np.ndarray]:
+    """The points alone, coloured by height; returns their least and greatest corner."""
+    point_m = _shown(case, case.building.origin_xy_m, ground_z_m(case.building))
+    if not len(point_m):
+        return np.zeros(2), np.ones(2)
+    dots = point_m @ _VIEW.T
+    order = np.argsort(dots[:, 2])  # what is near the eye is drawn last
+    low, high = np.quantile(point_m[:, 2], [0.02, 0.98])
+    color = colormaps["viridis"](np.clip((point_m[order, 2] - low) / max(high - low, 0.1), 0, 1))
+    axes.scatter(*dots[order, :2].T, s=2.2, color=color, linewidths=0)
+    return dots[:, :2].min(axis=0), dots[:, :2].max(axis=0)
+
+
 def _draw(axes: Any, case: Case, made: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
     """Draw one panel; returns its least and greatest corner."""
-    shift = np.subtract(case.building.origin_xy_m, made.origin_xy_m)
-    point_m = case.building.point_m + np.array([*shift, -made.ground_z_m])
-    point_m = point_m[:: max(len(point_m) // _MAX_POINTS_SHOWN, 1)]
+    point_m = _shown(case, made.origin_xy_m, made.ground_z_m)
     dots = point_m @ _VIEW.T
     corner_m = made.vertex_m @ _VIEW.T
     distance = np.clip(distance_to_mesh(point_m, made.vertex_m, made.triangle), 0, 1)
@@ -124,20 +185,30 @@ def _draw(axes: Any, case: Case, made: Reconstruction) -> tuple[np.ndarray, np.n
     front = np.flatnonzero(normal @ _VIEW[2] > 1e-6)
     order = front[np.argsort(corner_m[made.triangle[front], 2].mean(axis=1))]
     creases = _creases(made.triangle, normal)
-    for rank, t in enumerate(order):
-        color = np.array(to_rgb(FACE_COLORS[FaceKind(int(made.kind[t]))]))
-        color = color * (0.65 + 0.35 * max(float(normal[t] @ _LIGHT), 0.0))
+    # painter's algorithm: each triangle is followed by its creases
+    shapes, fills, lines, widths = [], [], [], []
+    for t in order:
+        light = 0.65 + 0.35 * max(float(normal[t] @ _LIGHT), 0.0)
+        red, green, blue = (light * part for part in to_rgb(FACE_COLORS[FaceKind(int(made.kind[t]))]))
         seen = corner_m[made.triangle[t], :2]
-        axes.fill(*seen.T, facecolor=color, edgecolor=color, linewidth=0.4, zorder=2 + rank)
+        shapes.append(seen)
+        fills.append((red, green, blue, 1.0))
+        lines.append((red, green, blue, 1.0))
+        widths.append(0.4)
         for i in range(3):
             if tuple(sorted((int(made.triangle[t, i]), int(made.triangle[t, (i + 1) % 3])))) in creases:
-                ends = seen[[i, (i + 1) % 3]].T
-                axes.plot(*ends, color="#222222", linewidth=0.8, zorder=2 + rank, solid_capstyle="round")
+                shapes.append(seen[[i, (i + 1) % 3]])
+                fills.append((0.0, 0.0, 0.0, 0.0))
+                lines.append((0.13, 0.13, 0.13, 1.0))
+                widths.append(0.8)
+    axes.add_collection(
+        PolyCollection(shapes, facecolors=fills, edgecolors=lines, linewidths=widths, zorder=2)
+    )
     hidden = _hidden(dots, corner_m[made.triangle[front]])
     for chosen, alpha in ((hidden, 0.3), (~hidden, 1.0)):
         x, y = dots[chosen, :2].T
         color = colormaps["turbo"](distance[chosen])
-        axes.scatter(x, y, s=2.2, color=color, alpha=alpha, linewidths=0, zorder=3 + len(order))
+        axes.scatter(x, y, s=2.2, color=color, alpha=alpha, linewidths=0, zorder=3)
     everything = np.concatenate([dots, corner_m])[:, :2]
     return everything.min(axis=0), everything.max(axis=0)
 

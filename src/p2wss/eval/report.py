@@ -1,4 +1,4 @@
-"""``report.html``: one file that needs no other and no network."""
+"""``report.html``, one file that needs no other and no network, and its tables as CSV and LaTeX."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ import pyarrow.compute as pc
 from p2wss import io
 from p2wss.config import Eval
 from p2wss.errors import InputError
-from p2wss.eval import figures, tables
+from p2wss.eval import figures, groups, parameters, tables, texts
 from p2wss.eval.cases import LIDAR, SYNTHETIC, Case, read_manifest, read_reconstructions, test_cases
+from p2wss.eval.gallery import Gallery, Shown, counts_of_reasons
+from p2wss.eval.predict import NETWORK, REFINED
 from p2wss.eval.viewer import viewer
 from p2wss.inference import Reconstruction
 
 Key = tuple[str, str, str]
-BREAKDOWNS = {
-    "roof_type": "Roof type",
-    "num_vertices": "Footprint vertices",
-    "num_points": "Points",
-    "visible_roof_share": "Visible share of the roof",
-    "confidence": "Confidence",
-}
+# methods whose meshes stand in a picture, as far as they were run: with the points, four panels
+PICTURED = (NETWORK, REFINED, "roofer")
+PICTURED_ELSE = ("fit", "lod1")
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """All that the report shows. ``training``: records of ``metrics.jsonl`` per stage; ``provenance``: the
-    metadata that each file carries."""
+    """All that the report shows. ``parameters``: errors of Table 1. ``cpu_ms``: per building, by method and
+    data set. ``training``: records of ``metrics.jsonl`` per stage. ``provenance``: the metadata that each file
+    carries. ``scans``: tile to PNG as a data: address."""
 
     region: str
     measures: pa.Table
@@ -45,7 +44,8 @@ class Inputs:
     training: Mapping[str, Sequence[dict[str, Any]]]
     provenance: Mapping[str, dict[str, Any]]
     config: Eval
-    scans: Mapping[str, str] = field(default_factory=dict)  # tile to PNG as a data: address
+    cpu_ms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    scans: Mapping[str, str] = field(default_factory=dict)
 
 
 def dataset_names(config: Eval) -> dict[str, str]:
@@ -57,8 +57,9 @@ def read(
     region: str,
     manifest: Path,
     measures: Path,
-    parameters: Path,
+    masked: Path,
     reconstructions: Sequence[Path],
+    cpu: Sequence[Path],
     metrics: Sequence[Path],
     config: Eval,
     scans: Sequence[Path] = (),
@@ -70,39 +71,75 @@ def read(
     for path in reconstructions:
         facts = io.read_metadata(path)
         method = str(facts.get("method", path.stem))
-        runs.append(tables.Run(method, str(facts.get("status", "ok"))))
+        runs.append(tables.Run(method, str(facts.get("status", "ok")), str(facts.get("roofer", ""))))
         tables_of[method] = read_reconstructions(path)
         made_by[path.name] = facts
-    found = test_cases(read_manifest(manifest))
+    cases = {case.key: case for case in test_cases(read_manifest(manifest))}
     listed = io.read_json(manifest)
     made_by[manifest.name] = {name: value for name, value in listed.items() if name != "shards"}
     made_by[measures.name] = io.read_metadata(measures)
+    times = [io.read_json(path) for path in cpu]
     return Inputs(
         region,
         io.read_table(measures, io.MEASURES),
-        io.read_json(parameters),
+        parameters.with_reconstructions(io.read_json(masked), cases, tables_of),
         runs,
         tables_of,
-        {case.key: case for case in found},
+        cases,
         {path.parent.name: read_training(path) for path in metrics},
         made_by,
         config,
+        {time["method"]: time["cpu_ms"] for time in times},
         {path.stem: figures.png_uri(path.read_bytes()) for path in scans},
     )
 
 
+# name of the files: caption
+CAPTIONS = {
+    "table1": "Parameters: mean absolute errors on the simulated test split, ours and the paper's.",
+    "table2": "Buildings: Chamfer distance (m) and number of triangles, ours and the paper's.",
+    "table2_more": "Buildings: what the paper leaves out. Means with 95 % bootstrap intervals over buildings.",
+    "without_mesh": "Buildings without a mesh, and why.",
+    "groups": "Errors by kind of building: medians of distances, means of errors against the labels.",
+    "calibration": "Stated confidence and observed share of heights and angles within 0.5 m and 5°.",
+    "worst": "The buildings that our best variant does worst, and why.",
+}
+
+
 def documents(inputs: Inputs) -> dict[str, str]:
-    """The files of the report: ``table1.csv``, ``table2.csv`` and ``report.html``, name to text."""
-    details = tables.details(inputs.measures, inputs.config)
+    """The files of the report, name to text: ``report.html``, and each of :data:`CAPTIONS` as CSV and LaTeX."""
+    details = tables.details(inputs.measures, inputs.config, inputs.cpu_ms)
+    gallery = Gallery(inputs.cases, inputs.reconstructions, inputs.measures.to_pylist())
+    rows = _tables(inputs, details, gallery)
+    found = {"report.html": render(inputs, details, gallery)}
+    for name, caption in CAPTIONS.items():
+        found[f"{name}.csv"] = texts.to_csv(rows[name])
+        found[f"{name}.tex"] = texts.to_latex(rows[name], caption, f"tab:p2wss-{name.replace('_', '-')}")
+    return found
+
+
+def _tables(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -> dict[str, list[list[Any]]]:
+    names = dataset_names(inputs.config)
     columns = tables.columns_2(details, inputs.runs)
+    worst: list[list[Any]] = [["dataset", "tile", "building_id", "method", "points_to_mesh_m", "CD_m", "why"]]
+    for dataset in names:
+        for shown in gallery.worst(dataset, inputs.config.num_worst):
+            row = gallery.rows[dataset, shown.method][shown.key]
+            worst.append(
+                [*shown.key, shown.method, row["points_to_mesh_m"], row["chamfer_m"], shown.sentence]
+            )
     return {
-        "table1.csv": tables.to_csv(tables.table_1(inputs.parameters)),
-        "table2.csv": tables.to_csv(tables.table_2(columns, dataset_names(inputs.config))),
-        "report.html": render(inputs),
+        "table1": tables.table_1(inputs.parameters),
+        "table2": tables.table_2(columns, names),
+        "table2_more": tables.table_2_more(columns, names),
+        "without_mesh": tables.without_mesh(details, inputs.runs, names),
+        "groups": groups.table(inputs.measures, list(names)),
+        "calibration": groups.calibration_table(inputs.measures, list(names)),
+        "worst": worst,
     }
 
 
-def render(inputs: Inputs) -> str:
+def render(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -> str:
     """The HTML of the report."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("p2wss.eval"),
@@ -112,12 +149,14 @@ def render(inputs: Inputs) -> str:
         lstrip_blocks=True,
     )
     environment.filters["number"] = _number
-    details = tables.details(inputs.measures, inputs.config)
     names = dataset_names(inputs.config)
+    methods = method_names(inputs.runs)
     return environment.get_template("report.html.j2").render(
         region=inputs.region,
         names=names,
-        methods=tables.METHOD_NAMES,
+        methods=methods,
+        main=gallery.main,
+        ours=tables.OURS,
         parameters=inputs.parameters,
         settings=tables.SETTINGS_1,
         rows_1=tables.ROWS_1,
@@ -125,25 +164,38 @@ def render(inputs: Inputs) -> str:
         rows_2=_ROW_TITLES,
         columns_2=tables.columns_2(details, inputs.runs),
         paper_datasets=tables.PAPER_DATASETS,
+        means=tables.MEANS,
+        shares=tables.SHARES,
         details=details,
-        runs=inputs.runs,
-        failures=_failures(inputs.measures),
-        breakdowns=_breakdowns(inputs.measures, names),
-        distributions=_distributions(inputs, names),
+        runs=tables.ordered(inputs.runs),
+        breakdowns=_breakdowns(inputs, names, methods),
+        calibration=_calibration(inputs, names, methods),
+        distributions=_distributions(inputs, names, methods),
         training=_training(inputs.training),
-        pictures=_pictures(inputs),
+        worst=_worst(inputs, names, methods, gallery),
+        counterparts=[
+            {"about": own, "pictures": _pictures(inputs, own.shown, methods, gallery)}
+            for own in gallery.counterparts(inputs.config.num_pictures)
+        ]
+        if inputs.config.num_pictures
+        else [],
         viewer=viewer(
             inputs.cases,
             inputs.reconstructions,
             inputs.measures.to_pylist(),
             names,
-            tables.METHOD_NAMES,
-            tables.OURS,
+            methods,
+            gallery.main,
         ),
         scans=inputs.scans,
         attribution=inputs.config.attribution,
         provenance=inputs.provenance,
     )
+
+
+def method_names(runs: Sequence[tables.Run]) -> dict[str, str]:
+    """What every method is called, recorded ones as such."""
+    return tables.METHOD_NAMES | {run.method: run.name for run in runs}
 
 
 _ROW_TITLES = ("μ CD (m)", "Q1 CD (m)", "Q2 CD (m)", "Q3 CD (m)", "σ CD (m)", "μ #T", "σ #T")
@@ -172,27 +224,40 @@ def _number(value: Any, digits: int = 2) -> str:
     return f"{value:.{digits}f}"
 
 
-def _failures(measures: pa.Table) -> list[tuple[str, str, str, int]]:
-    """(data set, method, reason, buildings) of what has no mesh."""
-    lost = measures.filter(pc.is_null(measures["num_triangles"]))
-    counts: dict[tuple[str, str, str], int] = {}
-    for row in lost.select(["dataset", "method", "status"]).to_pylist():
-        key = (row["dataset"], row["method"], row["status"])
-        counts[key] = counts.get(key, 0) + 1
-    return [(*key, count) for key, count in sorted(counts.items())]
-
-
-def _breakdowns(measures: pa.Table, names: Mapping[str, str]) -> list[dict[str, Any]]:
+def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Per data set and property a table: groups, and per method the median distance from points to mesh."""
+    header, *rows = groups.table(inputs.measures, list(names))
+    records = [dict(zip(header, row, strict=True)) for row in rows]
     found = []
     for dataset in names:
-        for by, title in BREAKDOWNS.items():
-            groups = tables.breakdown(measures, dataset, by)
-            if len(groups) > 1:
-                found.append({"dataset": names[dataset], "title": title, "groups": groups})
+        for by, title in groups.BY.items():
+            own = [r for r in records if r["dataset"] == dataset and r["by"] == by]
+            if own:
+                used = [name for name in methods if any(r["method"] == name for r in own)]
+                lines = []
+                for group in dict.fromkeys(r["group"] for r in own):
+                    cells = {r["method"]: r for r in own if r["group"] == group}
+                    lines.append((group, [cells.get(name) for name in used]))
+                found.append({"dataset": dataset, "title": title, "methods": used, "lines": lines})
     return found
 
 
-def _distributions(inputs: Inputs, names: Mapping[str, str]) -> list[str]:
+def _calibration(
+    inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """Reliability diagrams of the data sets with labels, with the mean gap per method."""
+    found = []
+    for dataset, title in names.items():
+        made = {method: groups.calibration(inputs.measures, dataset, method) for method in (NETWORK, REFINED)}
+        bins = {method: own for method, (own, _) in made.items() if own}
+        if bins:
+            image = figures.data_uri(figures.reliability_diagram(bins, methods, f"{title}: confidence"))
+            gaps = [(methods[method], gap) for method, (own, gap) in made.items() if own]
+            found.append({"image": image, "gaps": gaps, "title": title})
+    return found
+
+
+def _distributions(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[str]:
     found = []
     for dataset, title in names.items():
         own = inputs.measures.filter(pc.equal(inputs.measures["dataset"], dataset))
@@ -204,11 +269,11 @@ def _distributions(inputs: Inputs, names: Mapping[str, str]) -> list[str]:
                 run.method: np.array(
                     own.filter(pc.equal(own["method"], run.method))[column].drop_null().to_pylist(), float
                 )
-                for run in inputs.runs
+                for run in tables.ordered(inputs.runs)
             }
             values = {method: sample for method, sample in values.items() if len(sample)}
             if values:
-                found.append(figures.data_uri(figures.cumulative(values, label, title)))
+                found.append(figures.data_uri(figures.cumulative(values, methods, label, title)))
     return found
 
 
@@ -247,50 +312,37 @@ def _panels(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, tuple[list
     return {title: {name: curves[name] for name in found} for title, found in groups.items() if found}
 
 
-def _pictures(inputs: Inputs) -> list[dict[str, Any]]:
-    """Groups of pictures: the best, middle and worst buildings of our method by CD, beside the baselines."""
-    measured = {
-        (row["dataset"], row["tile"], row["building_id"], row["method"]): row
-        for row in inputs.measures.to_pylist()
-    }
-    groups = []
-    for dataset, title in dataset_names(inputs.config).items():
-        ranked = sorted(
-            (
-                row
-                for key, row in measured.items()
-                if key[0] == dataset and key[3] == tables.OURS and row["chamfer_m"] is not None
-            ),
-            key=lambda row: (row["chamfer_m"], row["tile"], row["building_id"]),
-        )
-        for group, chosen in choose(len(ranked), inputs.config.num_pictures).items():
-            pictures = [_picture(inputs, measured, ranked[i]) for i in chosen]
-            if pictures:
-                groups.append({"title": f"{title}: {group}", "pictures": pictures})
-    return groups
+def _worst(
+    inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str], gallery: Gallery
+) -> list[dict[str, Any]]:
+    """Per data set the worst buildings with pictures, and how often each reason is found."""
+    found = []
+    for dataset, title in names.items():
+        shown = gallery.worst(dataset, inputs.config.num_worst)
+        if shown:
+            pictures = _pictures(inputs, shown, methods, gallery)
+            reasons = counts_of_reasons(gallery, dataset)
+            found.append({"title": title, "pictures": pictures, "reasons": reasons})
+    return found
 
 
-def _picture(inputs: Inputs, measured: Mapping[Any, dict[str, Any]], row: dict[str, Any]) -> dict[str, Any]:
-    key = (row["dataset"], row["tile"], row["building_id"])
-    panels = []
-    for method, found in inputs.reconstructions.items():
-        if method != "constant" and key in found and found[key].has_mesh:
-            own = measured[*key, method]
-            name = tables.METHOD_NAMES.get(method, method)
-            title = f"{name}\nCD {_number(own['chamfer_m'])} m, {own['num_triangles']} triangles"
-            panels.append((title, found[key]))
-    image = figures.data_uri(figures.building(inputs.cases[key], panels), 90)
-    return {"row": row, "image": image}
+def _pictures(
+    inputs: Inputs, shown: Sequence[Shown], methods: Mapping[str, str], gallery: Gallery
+) -> list[dict[str, Any]]:
+    return [_picture(inputs, own, methods, gallery) for own in shown]
 
 
-def choose(count: int, per_group: int) -> dict[str, list[int]]:
-    """Ranks of the best, the middle and the worst of ``count``, no rank twice.
-
-    >>> choose(9, 2)
-    {'best': [0, 1], 'median': [3, 4], 'worst': [7, 8]}
-    """
-    best = list(range(min(per_group, count)))
-    worst = [i for i in range(max(count - per_group, 0), count) if i not in best]
-    first = max((count - per_group) // 2, 0)
-    middle = [i for i in range(first, min(first + per_group, count)) if i not in best and i not in worst]
-    return {"best": best, "median": middle, "worst": worst}
+def _picture(inputs: Inputs, shown: Shown, methods: Mapping[str, str], gallery: Gallery) -> dict[str, Any]:
+    """A building's points, and with them our meshes and Roofer's (without it the fit's or the flat roof)."""
+    key = shown.key
+    panels: list[tuple[str, Reconstruction]] = []
+    for method in (*PICTURED, *PICTURED_ELSE):
+        made = inputs.reconstructions.get(method, {}).get(key)
+        if made is not None and made.has_mesh and len(panels) < len(PICTURED):
+            own = gallery.rows[key[0], method][key]
+            off = own["points_to_mesh_m"]
+            told = f"{own['num_triangles']} triangles, CD {_number(own['chamfer_m'])} m"
+            told += f", points {_number(off)} m" if off is not None else ""
+            panels.append((f"{methods[method]}\n{told}", made))
+    image = figures.data_uri(figures.building(inputs.cases[key], panels), 85)
+    return {"row": gallery.rows[key[0], shown.method][key], "image": image, "sentence": shown.sentence}

@@ -6,12 +6,9 @@ Nothing of it is part of this package. It reads LAZ and GeoPackage and writes Ci
 from __future__ import annotations
 
 import logging
-import shlex
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
@@ -22,7 +19,9 @@ import pyproj
 import shapely.affinity
 
 from p2wss.config import Eval
-from p2wss.eval.cases import Case
+from p2wss.eval.cases import LIDAR, Case
+from p2wss.eval.clock import CpuClock
+from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import ReadSolid
 from p2wss.inference import Reconstruction, ground_z_m, no_mesh
@@ -33,43 +32,25 @@ LOD = "2.2"
 ID_FIELD = "building_id"
 
 
-@dataclass(frozen=True)
-class Roofer:
-    """A command that can be run, and what it says of its version."""
-
-    command: Sequence[str]
-    version: str
-
-
-def find(command: str) -> Roofer | str:
-    """The configured command if it can be run, else why not: ``"not run: .."``."""
-    words = shlex.split(command)
-    if not words:
-        return "not run: eval.roofer_command is empty"
-    if shutil.which(words[0]) is None:
-        return f"not run: no program {words[0]} was found"
-    try:
-        answer = subprocess.run(
-            [words[0], "--version"], capture_output=True, text=True, timeout=60, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return f"not run: {words[0]} --version: {error}"
-    text = (answer.stdout or answer.stderr).strip().splitlines()
-    return Roofer(words, text[0] if text else "unknown version")
-
-
 def run(
-    roofer: Roofer, cases: Sequence[Case], crs: dict[str, str | None], config: Eval
+    roofer: Roofer,
+    cases: Sequence[Case],
+    crs: dict[str, str | None],
+    config: Eval,
+    clock: CpuClock | None = None,
 ) -> list[Reconstruction]:
     """One reconstruction per case, in order; Roofer runs once per data set and tile.
 
     A run that fails, or a building that it skips, gives rows without a mesh and the reason.
     """
     found: dict[tuple[str, str, str], Reconstruction] = {}
+    clock = clock or CpuClock()
     for (dataset, _tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
         members = list(group)
         with tempfile.TemporaryDirectory(prefix="p2wss-roofer-") as folder:
-            solids, reason = _run_tile(roofer, members, crs.get(dataset), Path(folder), config)
+            write_inputs(members, crs.get(dataset), Path(folder))
+            with clock.timed(dataset, len(members)):
+                solids, reason = _run_tile(roofer, members, Path(folder), config)
         for index, case in enumerate(members):
             solid = solids.get(str(index))
             found[case.key] = (
@@ -78,6 +59,31 @@ def run(
                 else no_mesh(case.building, METHOD, reason or "no mesh from Roofer")
             )
     return [found[case.key] for case in cases]
+
+
+def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, str, str], Reconstruction]:
+    """Outputs of an earlier run of Roofer, CityJSON or sequences of it, for the LiDAR cases, by their keys.
+
+    A building is found by the attribute ``building_id``, else by its name in the file. One that is not there
+    has no mesh. Empty if none is there: the files are of other buildings.
+    """
+    solids: dict[str, ReadSolid] = {}
+    for path in paths:
+        for solid in cityjson.read(path, LOD):
+            solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
+    chosen = [case for case in cases if case.dataset == LIDAR]
+    if not any(case.building.building_id in solids for case in chosen):
+        return {}
+    found = {}
+    for case in chosen:
+        own = solids.get(case.building.building_id)
+        if own is None:
+            found[case.key] = no_mesh(case.building, METHOD, "not among the recorded buildings")
+        elif len(own.triangle):
+            found[case.key] = reconstruction(case, own)
+        else:
+            found[case.key] = no_mesh(case.building, METHOD, "no mesh from Roofer")
+    return found
 
 
 def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
@@ -108,11 +114,10 @@ def _run_key(case: Case) -> tuple[str, str]:
 
 
 def _run_tile(
-    roofer: Roofer, cases: Sequence[Case], crs: str | None, folder: Path, config: Eval
+    roofer: Roofer, cases: Sequence[Case], folder: Path, config: Eval
 ) -> tuple[dict[str, ReadSolid], str | None]:
     """Solids by position of the case, and why the run gave none, if so."""
     out = folder / "out"
-    write_inputs(cases, crs, folder)
     command = [word.replace("{folder}", str(folder)) for word in roofer.command]
     command += ["--id-attribute", ID_FIELD, "--lod22"]
     command += [str(folder / "points.laz"), str(folder / "footprints.gpkg"), str(out)]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,21 +11,31 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from p2wss.config import Eval
+from p2wss.eval.baselines import RECORDED
 from p2wss.eval.cases import LIDAR, SYNTHETIC
+from p2wss.eval.predict import FIT, NETWORK, REFINED
 from p2wss.metrics.summary import Summary, summarize
 from p2wss.seeds import generator
 
-OURS = "point2wss"
-METHOD_NAMES = {OURS: "Ours", "roofer": "Roofer", "lod1": "LoD1 (flat)", "constant": "Constant"}
+# in the order of the columns
+METHOD_NAMES = {
+    "roofer": "Roofer",
+    NETWORK: "Point2WSS",
+    REFINED: "Point2WSS + refinement",
+    FIT: "Refinement only",
+    "lod1": "LoD1 (flat)",
+    "constant": "Constant",
+}
+OURS = (NETWORK, REFINED, FIT)
 
 # Queffelec et al., Point2WSS, Table 1: MAE and standard deviation
 PAPER_TABLE_1 = {"height_m": (0.23, 0.9), "angle_deg": (2.34, 5.35), "coordinate_m": (0.41, 0.93)}
 # Table 2: mean, Q1, Q2, Q3 and standard deviation of CD, mean and standard deviation of the triangles
 PAPER_TABLE_2 = {
     (SYNTHETIC, "roofer"): (1.25, 0.63, 0.95, 1.48, 1.08, 24.9, 17.1),
-    (SYNTHETIC, OURS): (1.43, 0.59, 0.95, 1.72, 1.72, 17.2, 4.8),
+    (SYNTHETIC, NETWORK): (1.43, 0.59, 0.95, 1.72, 1.72, 17.2, 4.8),
     (LIDAR, "roofer"): (0.97, 0.57, 0.73, 1.01, 0.93, 25.6, 19.2),
-    (LIDAR, OURS): (2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2),
+    (LIDAR, NETWORK): (2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2),
 }
 PAPER_DATASETS = {SYNTHETIC: "Synthetic", LIDAR: "HD LiDAR"}
 ROWS_1 = {
@@ -35,55 +43,98 @@ ROWS_1 = {
     "angle_deg": "Angles (°)",
     "coordinate_m": "Footprint (m)",
     "vertex_m": "Footprint, Euclidean (m)",
+    "height_seen_m": "Height, roof seen (m)",
+    "angle_seen_deg": "Angles, roof face seen (°)",
 }
 SETTINGS_1 = {
-    "all_masked": "Ours, all masked",
-    "all_masked_signs": "Ours, signs masked too",
-    "footprint_given": "Ours, footprint given",
+    "all_masked": "Point2WSS, all masked",
+    "all_masked_signs": "Point2WSS, signs masked too",
+    "footprint_given": "Point2WSS, footprint given",
+    "refined": "Footprint given + refinement",
+    "fitted": "Refinement only",
     "constant": "Constant predictor",
 }
 ROWS_2 = ("mu_CD", "Q1_CD", "Q2_CD", "Q3_CD", "sigma_CD", "mu_#T", "sigma_#T")
+# column of the measures: title, digits. Means with bootstrap intervals
+MEANS = {
+    "chamfer_m": ("CD (m)", 2),
+    "roof_chamfer_m": ("Roof CD (m)", 2),
+    "points_to_mesh_m": ("Points to mesh (m)", 2),
+    "height_rmse_m": ("Height RMSE (m)", 2),
+    "num_triangles": ("Triangles", 1),
+    "num_mesh_vertices": ("Vertices", 1),
+}
+SHARES = {"watertight": "Watertight (%)", "manifold": "Manifold (%)", "planar": "Planar faces (%)"}
 
 
 @dataclass(frozen=True)
 class Run:
-    """A method of the comparison and whether it was run: ``"ok"``, or ``"not run: .."``."""
+    """A method of the comparison and whether it was run: ``"ok"``, ``"recorded"`` or ``"not run: .."``.
+
+    note: what the file says of it, such as the version."""
 
     method: str
     status: str
+    note: str = ""
 
     @property
     def was_run(self) -> bool:
-        return self.status == "ok"
+        return self.status in ("ok", RECORDED)
 
-
-@dataclass(frozen=True)
-class Column:
-    """One column of Table 2: whose figures, on which data set, the seven values of :data:`ROWS_2` or None."""
-
-    dataset: str
-    method: str
-    source: str  # "paper", or "measured"
-    values: Sequence[float] | None
-    note: str = ""
+    @property
+    def name(self) -> str:
+        """What it is called, and that it is recorded if so."""
+        known = METHOD_NAMES.get(self.method, self.method)
+        return f"{known} ({RECORDED})" if self.status == RECORDED else known
 
 
 @dataclass(frozen=True)
 class Detail:
-    """What the paper does not report, of one data set and method. Shares are of the meshes."""
+    """What was measured of a method on a data set.
+
+    means: by the keys of :data:`MEANS`, over the buildings with a mesh. shares: by those of :data:`SHARES`, of
+    the meshes. reasons: status of the buildings without a mesh and how many have it. cpu_ms: per building.
+    """
 
     dataset: str
     method: str
     num_buildings: int
-    num_without_mesh: int
-    chamfer_m: Summary
-    roof_chamfer_m: Summary
-    points_to_mesh_m: Summary
-    num_triangles: Summary
-    watertight_share: float
+    reasons: Mapping[str, int]
+    means: Mapping[str, Summary]
+    shares: Mapping[str, float]
+    cpu_ms: float | None
+
+    @property
+    def num_without_mesh(self) -> int:
+        return sum(self.reasons.values())
 
 
-def table_1(parameters: dict[str, Any]) -> list[list[Any]]:
+@dataclass(frozen=True)
+class Column:
+    """One column of Table 2: whose figures, on which data set, the seven values of :data:`ROWS_2` or None, and
+    what else was measured; the paper's columns have no detail."""
+
+    dataset: str
+    method: str
+    name: str
+    source: str  # "paper", or "measured"
+    values: Sequence[float] | None
+    detail: Detail | None = None
+    note: str = ""
+
+
+def main_method(methods: Sequence[str]) -> str:
+    """Ours that is looked at closest: refined if there is such, else the network's."""
+    return next((name for name in (REFINED, NETWORK, FIT) if name in methods), NETWORK)
+
+
+def ordered(runs: Sequence[Run]) -> list[Run]:
+    """The runs in the order of the columns."""
+    names = list(METHOD_NAMES)
+    return sorted(runs, key=lambda run: names.index(run.method) if run.method in names else len(names))
+
+
+def table_1(parameters: Mapping[str, Any]) -> list[list[Any]]:
     """Header and rows: per parameter the paper's MAE and deviation, then each setting's with its count."""
     header = ["Parameter", "Paper MAE", "Paper std"]
     for name in SETTINGS_1.values():
@@ -102,39 +153,90 @@ def columns_2(details: Sequence[Detail], runs: Sequence[Run]) -> list[Column]:
     """Columns of Table 2: per data set the paper's two, then one per method; one not run has no values."""
     columns = []
     for dataset in (SYNTHETIC, LIDAR):
-        for method in ("roofer", OURS):
-            columns.append(Column(dataset, method, "paper", PAPER_TABLE_2[dataset, method]))
+        for method, name in (("roofer", "Roofer"), (NETWORK, "Ours")):
+            columns.append(Column(dataset, method, name, "paper", PAPER_TABLE_2[dataset, method]))
         found = {detail.method: detail for detail in details if detail.dataset == dataset}
-        for run in runs:
+        for run in ordered(runs):
             if run.method in found:
-                columns.append(Column(dataset, run.method, "measured", values_2(found[run.method])))
-            elif not run.was_run:
-                columns.append(Column(dataset, run.method, "measured", None, run.status))
+                own = found[run.method]
+                columns.append(Column(dataset, run.method, run.name, "measured", values_2(own), own))
+            else:
+                note = "no outputs recorded" if run.status == RECORDED else run.status
+                columns.append(
+                    Column(dataset, run.method, METHOD_NAMES.get(run.method, run.method), "measured", None, None,
+                           "not run" if note == "ok" else note)
+                )  # fmt: skip
     return columns
 
 
 def values_2(detail: Detail) -> list[float]:
     """The seven values of :data:`ROWS_2`."""
-    cd, triangles = detail.chamfer_m, detail.num_triangles
+    cd, triangles = detail.means["chamfer_m"], detail.means["num_triangles"]
     return [cd.mean, cd.q1, cd.median, cd.q3, cd.std, triangles.mean, triangles.std]
 
 
-def table_2(columns: Sequence[Column], dataset_names: dict[str, str]) -> list[list[Any]]:
+def table_2(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list[list[Any]]:
     """Header and the paper's seven rows; a column's title tells data set, source and method."""
-    header = ["Statistic"]
-    for column in columns:
-        names = PAPER_DATASETS if column.source == "paper" else dataset_names
-        source = "paper: " if column.source == "paper" else ""
-        title = f"{names[column.dataset]} / {source}{METHOD_NAMES.get(column.method, column.method)}"
-        header.append(f"{title} ({column.note})" if column.note else title)
-    rows: list[list[Any]] = [header]
+    rows: list[list[Any]] = [["Statistic", *_titles(columns, dataset_names)]]
     for i, name in enumerate(ROWS_2):
         rows.append([name, *(column.values[i] if column.values else None for column in columns)])
     return rows
 
 
-def details(measures: pa.Table, config: Eval) -> list[Detail]:
-    """Statistics per data set and method, in the order of their first rows."""
+def table_2_more(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list[list[Any]]:
+    """Header and rows beyond the paper's, only for what was measured: means with the bounds of their 95 %
+    intervals, shares of the meshes, counts of buildings, CPU time."""
+    measured = [column for column in columns if column.detail is not None]
+    known = [column.detail for column in measured if column.detail is not None]
+    rows: list[list[Any]] = [["Measure", *_titles(measured, dataset_names)]]
+    for key, (title, _) in MEANS.items():
+        rows.append([title, *(detail.means[key].mean for detail in known)])
+        rows.append([f"{title}, 95 % low", *(detail.means[key].low for detail in known)])
+        rows.append([f"{title}, 95 % high", *(detail.means[key].high for detail in known)])
+    for key, title in SHARES.items():
+        rows.append([title, *(100 * detail.shares[key] for detail in known)])
+    rows.append(["Buildings", *(detail.num_buildings for detail in known)])
+    rows.append(["Without a mesh", *(detail.num_without_mesh for detail in known)])
+    rows.append(["CPU time per building (ms)", *(detail.cpu_ms for detail in known)])
+    return rows
+
+
+def without_mesh(
+    details: Sequence[Detail], runs: Sequence[Run], dataset_names: Mapping[str, str]
+) -> list[Any]:
+    """Header and rows: data set, method, reason, buildings."""
+    names = {run.method: run.name for run in runs}
+    rows: list[list[Any]] = [["Data set", "Method", "Reason", "Buildings"]]
+    for detail in details:
+        for reason, count in sorted(detail.reasons.items()):
+            rows.append(
+                [
+                    dataset_names[detail.dataset],
+                    names.get(detail.method, detail.method),
+                    reason,
+                    count,
+                ]
+            )
+    return rows
+
+
+def _titles(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list[str]:
+    titles = []
+    for column in columns:
+        names = PAPER_DATASETS if column.source == "paper" else dataset_names
+        source = "paper: " if column.source == "paper" else ""
+        title = f"{names[column.dataset]} / {source}{column.name}"
+        titles.append(f"{title} ({column.note})" if column.note else title)
+    return titles
+
+
+def details(
+    measures: pa.Table, config: Eval, cpu_ms: Mapping[str, Mapping[str, float]] | None = None
+) -> list[Detail]:
+    """Statistics per data set and method, in the order of their first rows.
+
+    cpu_ms: milliseconds per building, by method and data set; the refined network's has the network's added.
+    """
     found = []
     keys = list(
         dict.fromkeys(zip(measures["dataset"].to_pylist(), measures["method"].to_pylist(), strict=True))
@@ -143,86 +245,38 @@ def details(measures: pa.Table, config: Eval) -> list[Detail]:
         own = measures.filter(
             pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
         )
-        watertight = [value for value in own["watertight"].to_pylist() if value is not None]
-        cd, roof, to_mesh, triangles = (
-            _summary(own, name, config, dataset, method)
-            for name in ("chamfer_m", "roof_chamfer_m", "points_to_mesh_m", "num_triangles")
-        )
+        lost = own.filter(pc.is_null(own["num_triangles"]))["status"].to_pylist()
+        reasons = {reason: lost.count(reason) for reason in dict.fromkeys(lost)}
         found.append(
             Detail(
                 dataset,
                 method,
-                num_buildings=len(own),
-                num_without_mesh=len(own) - len(watertight),
-                chamfer_m=cd,
-                roof_chamfer_m=roof,
-                points_to_mesh_m=to_mesh,
-                num_triangles=triangles,
-                watertight_share=float(np.mean(watertight)) if watertight else float("nan"),
+                len(own),
+                reasons,
+                {name: _summary(own, name, config, dataset, method) for name in MEANS},
+                {name: _share(own, name) for name in SHARES},
+                _cpu(cpu_ms or {}, dataset, method),
             )
         )
     return found
 
 
-def breakdown(
-    measures: pa.Table, dataset: str, by: str, method: str = OURS
-) -> list[tuple[str, int, float, float]]:
-    """(group, buildings with a mesh, median CD, median points-to-mesh) of a method, by a column of the
-    measures: text as it is, numbers in four groups of equal size."""
-    own = measures.filter(
-        pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
-    )
-    own = own.filter(pc.is_valid(own["chamfer_m"]))
-    values = own[by].to_pylist()
-    if not values or all(value is None for value in values):
-        return []
-    names = values if isinstance(values[0], str) else _quarters(np.array(values, float))
-    chamfer = _numbers(own, "chamfer_m")
-    to_mesh = _numbers(own, "points_to_mesh_m")
-    groups = []
-    for name in dict.fromkeys(names[i] for i in np.argsort(values, kind="stable")):
-        chosen = np.array([n == name for n in names])
-        known = to_mesh[chosen][~np.isnan(to_mesh[chosen])]
-        groups.append(
-            (
-                str(name),
-                int(chosen.sum()),
-                float(np.median(chamfer[chosen])),
-                float(np.median(known)) if len(known) else float("nan"),
-            )
-        )
-    return groups
+def _cpu(cpu_ms: Mapping[str, Mapping[str, float]], dataset: str, method: str) -> float | None:
+    steps = (NETWORK, REFINED) if method == REFINED else (method,)
+    known = [cpu_ms.get(step, {}).get(dataset) for step in steps]
+    return None if None in known else sum(value for value in known if value is not None)
 
 
-def to_csv(rows: Sequence[Sequence[Any]]) -> str:
-    """Comma-separated text; numbers with four decimals, None and NaN as empty cells."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([[_cell(value) for value in row] for row in rows])
-    return text.getvalue()
-
-
-def _cell(value: Any) -> str:
-    if value is None or (isinstance(value, float) and np.isnan(value)):
-        return ""
-    return f"{value:.4f}" if isinstance(value, float) else str(value)
+def _share(table: pa.Table, name: str) -> float:
+    known = [value for value in table[name].to_pylist() if value is not None]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def _summary(table: pa.Table, name: str, config: Eval, dataset: str, method: str) -> Summary:
     draw = generator(config.seed, "eval.bootstrap", dataset, method, name)
-    return summarize(_numbers(table, name), draw, config.num_resamples)
+    return summarize(numbers(table, name), draw, config.num_resamples)
 
 
-def _numbers(table: pa.Table, name: str) -> np.ndarray:
+def numbers(table: pa.Table, name: str) -> np.ndarray:
+    """A column as float64, NaN where it is null."""
     return np.array([np.nan if value is None else value for value in table[name].to_pylist()], float)
-
-
-def _quarters(values: np.ndarray) -> list[str]:
-    """For each value the range of its quarter, as the values in it have it."""
-    edges = np.unique(np.quantile(values, [0.25, 0.5, 0.75]))
-    group = np.searchsorted(edges, values, side="left")
-    labels = {}
-    for g in np.unique(group):
-        own = values[group == g]
-        low, high = f"{own.min():.3g}", f"{own.max():.3g}"
-        labels[g] = low if low == high else f"{low} to {high}"
-    return [labels[g] for g in group]

@@ -19,7 +19,20 @@ import trimesh
 from p2wss import cli, inference, io
 from p2wss.config import Eval, Reconstruct
 from p2wss.errors import InputError
-from p2wss.eval import baselines, cases, measure, predict, report, roofer, tables
+from p2wss.eval import (
+    baselines,
+    cases,
+    gallery,
+    groups,
+    measure,
+    parameters,
+    predict,
+    report,
+    roofer,
+    roofer_command,
+    tables,
+    texts,
+)
 
 ROOFER = Path(__file__).with_name("toy_roofer.py")
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
@@ -95,7 +108,7 @@ def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case
     # only upwards and from slopes: 0 and 90 would be clipped
     predictor = Knowing(found, wrong_m=0.25)
     rows = predict.predict(found, predictor, RECONSTRUCT)
-    errors = predict.parameter_errors(found, rows, predictor, medians)
+    errors = parameters.masked_errors(found, rows, predictor, medians)
     given, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
     assert (errors["num_buildings"], errors["num_left_out"]) == (16, 0)
     assert given["height_m"]["mean"] == pytest.approx(0.25) and given["height_m"]["std"] < 1e-5
@@ -171,40 +184,15 @@ def test_table_2_has_the_papers_rows_and_figures() -> None:
     table = tables.table_2(tables.columns_2(details, runs), report.dataset_names(CONFIG))
     assert (details[0].num_buildings, details[0].num_without_mesh) == (4, 1)
     assert [row[0] for row in table] == ["Statistic", *tables.ROWS_2]
-    ours = [row[table[0].index("Synthetic / Ours")] for row in table[1:]]
+    ours = [row[table[0].index("Synthetic / Point2WSS")] for row in table[1:]]
     expected = [7 / 3, 1.5, 2.0, 3.0, np.std([1, 2, 4]), 30, np.std([10, 20, 60])]
     assert ours == pytest.approx(expected)
     paper = [row[table[0].index("HD LiDAR / paper: Ours")] for row in table[1:]]
     assert paper == [2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2]
     not_run = next(i for i, name in enumerate(table[0]) if "not run" in name)
     assert all(row[not_run] is None for row in table[1:])
-    read = list(csv.reader(text_io.StringIO(tables.to_csv(table))))
+    read = list(csv.reader(text_io.StringIO(texts.to_csv(table))))
     assert len({len(row) for row in read}) == 1 and read[1][not_run] == ""
-
-
-def test_breakdown_groups_text_and_numbers() -> None:
-    rows = [
-        {"dataset": "lidar", "method": "point2wss", "roof_type": r, "num_points": n, "chamfer_m": float(n)}
-        for r, n in (
-            ("hip", 1),
-            ("gable", 2),
-            ("hip", 3),
-            ("gable", 4),
-            ("hip", 5),
-            ("hip", 6),
-            ("hip", 7),
-            ("hip", 8),
-        )
-    ]
-    table = measures(rows)
-    assert [g[:3] for g in tables.breakdown(table, "lidar", "roof_type")] == [
-        ("gable", 2, 3.0),
-        ("hip", 6, 5.5),
-    ]
-    assert [g[:2] for g in tables.breakdown(table, "lidar", "num_points")] == [
-        ("1 to 2", 2), ("3 to 4", 2), ("5 to 6", 2), ("7 to 8", 2)
-    ]  # fmt: skip
-    assert tables.breakdown(table, "synthetic", "roof_type") == []
 
 
 def test_roofer_is_run_and_read_back(found: list[cases.Case], tmp_path: Path) -> None:
@@ -212,8 +200,8 @@ def test_roofer_is_run_and_read_back(found: list[cases.Case], tmp_path: Path) ->
     program = tmp_path / "roofer"
     program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    tool = roofer.find(str(program))
-    assert isinstance(tool, roofer.Roofer) and tool.version == "toy 1.0"
+    tool = roofer_command.find(str(program))
+    assert isinstance(tool, roofer_command.Roofer) and tool.version == "toy 1.0"
     made = roofer.run(tool, found, {"synthetic": "EPSG:2154", "lidar": "EPSG:2154"}, CONFIG)
     for case, one in zip(found, made, strict=True):
         mesh = trimesh.Trimesh(one.vertex_m, one.triangle)
@@ -231,23 +219,15 @@ def test_roofer_that_fails_or_is_absent_makes_no_figure(
     program.write_text("#!/bin/sh\necho no memory >&2\nexit 3\n")
     program.chmod(0o755)
     manifest = cases.read_manifest(hamlet)
-    tool = roofer.Roofer([str(program)], "x")
+    tool = roofer_command.Roofer([str(program)], "x")
     made = roofer.run(tool, found[:2], manifest.crs(), CONFIG)
     assert [m.status for m in made] == ["Roofer failed with exit status 3"] * 2 and not made[0].has_mesh
     absent = Eval(roofer_command=str(tmp_path / "nothing"))
     rows, facts = baselines.baseline("roofer", found, manifest, absent, RECONSTRUCT)
-    assert rows == [] and facts["status"].startswith("not run: no program")
-    assert roofer.find("") == "not run: eval.roofer_command is empty"
+    assert rows == {} and facts["status"].startswith("not run: no program")
+    assert roofer_command.find("") == "not run: eval.roofer_command is empty"
     with pytest.raises(InputError, match="choose lod1"):
         baselines.baseline("lod2", found, manifest, CONFIG, RECONSTRUCT)
-
-
-def test_choose_never_shows_a_building_twice() -> None:
-    for count in range(14):
-        for per_group in range(6):
-            chosen = [i for ranks in report.choose(count, per_group).values() for i in ranks]
-            assert len(chosen) == len(set(chosen)) == min(count, 3 * per_group)
-            assert all(0 <= i < count for i in chosen)
 
 
 def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Path) -> None:
@@ -259,16 +239,21 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     facts = io.provenance(method="point2wss", status="ok", code="0123")
     columns = inference.columns(made, [case.dataset for case in found])
     io.write_table(tmp_path / "predictions.parquet", columns, io.RECONSTRUCTIONS, facts)
-    errors = predict.parameter_errors(found, made, predictor, cases.train_medians(manifest))
+    errors = parameters.masked_errors(found, made, predictor, cases.train_medians(manifest))
     io.write_json(tmp_path / "parameters.json", errors)
-    config = json.dumps({"eval": {"roofer_command": "", "num_pictures": 1, "lidar_name": "stand-in <LiDAR>"}})
+    config = json.dumps({"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}})
 
     def run(*arguments: object) -> None:
         assert cli.main(["eval", *map(str, arguments), "--config", config]) == 0
 
     for name in ("lod1", "constant", "roofer"):
-        run("baseline", name, hamlet, tmp_path / f"{name}.parquet")
-    rows = [tmp_path / f"{name}.parquet" for name in ("predictions", "lod1", "constant", "roofer")]
+        run("baseline", name, hamlet, tmp_path / f"{name}.parquet", tmp_path / f"{name}.json")
+    begin = ["--predictions", tmp_path / "predictions.parquet"]
+    run("refine", hamlet, tmp_path / "refined.parquet", tmp_path / "refined.json", *begin)
+    run("refine", hamlet, tmp_path / "fitted.parquet", tmp_path / "fitted.json")
+    names = ("predictions", "refined", "fitted", "lod1", "constant", "roofer")
+    rows = [tmp_path / f"{name}.parquet" for name in names]
+    cpu = [tmp_path / f"{name}.json" for name in names[1:]]
     run("measure", hamlet, tmp_path / "measures.parquet", *rows)
     training = tmp_path / "model" / "metrics.jsonl"
     (tmp_path / "0652_6862.png").write_bytes(b"\x89PNG of a scan")
@@ -277,6 +262,7 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     run(
         *("report", tmp_path, "--manifest", hamlet, "--measures", tmp_path / "measures.parquet"),
         *("--parameters", tmp_path / "parameters.json", "--reconstructions", *rows, "--metrics", training),
+        *("--cpu", *cpu),
         *("--scans", tmp_path / "0652_6862.png"),
     )
     page = (tmp_path / "report.html").read_text()

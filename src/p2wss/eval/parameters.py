@@ -1,0 +1,202 @@
+"""Table 1: errors of heights, angles and footprints against the labels of the simulated test split."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, Protocol
+
+import numpy as np
+import shapely
+
+from p2wss.eval.cases import SYNTHETIC, Case, Medians
+from p2wss.eval.measure import points_on_building
+from p2wss.eval.predict import FIT, NETWORK, REFINED
+from p2wss.inference import Building, Predictor, Reconstruction, ground_z_m
+from p2wss.metrics.absolute_error import absolute_error, vertex_error
+from p2wss.skeleton.queries import roof_points
+from p2wss.skeleton.types import Polygons
+
+Key = tuple[str, str, str]
+# an edge is seen with so many points on its roof face; one without a sloped face with so many beside it
+MIN_SEEN_POINTS = 10
+# a point is on the roof of the label within this, vertically; and beside an edge within a metre in plan
+_ON_ROOF_M, _BESIDE_M = 0.2, 1.0
+# the method behind a setting of Table 1
+SETTING_OF_METHOD = {NETWORK: "footprint_given", REFINED: "refined", FIT: "fitted"}
+
+
+class MaskedPredictor(Predictor, Protocol):
+    """The part of :class:`p2wss.model.Predictor` that Table 1 needs."""
+
+    def reconstruct_all_masked(
+        self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
+    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
+        """Heights (b,), footprints (v, 2) and angles (v,) with all numerical tokens masked."""
+        ...
+
+
+def masked_errors(
+    cases: Sequence[Case],
+    reconstructions: Sequence[Reconstruction],
+    predictor: MaskedPredictor,
+    medians: Medians,
+) -> dict[str, Any]:
+    """The content of ``parameters.json``: MAE, deviation and count per setting and parameter (Table 1).
+
+    Settings: ``all_masked`` as in the paper (signs visible), ``all_masked_signs`` (signs masked too),
+    ``footprint_given`` (what Table 2 uses), ``constant`` (the medians of the train split). Heights are
+    compared above the ground that the cloud shows, which moves the label; a constant footprint is its centre.
+    """
+    labelled = [
+        (case, found) for case, found in zip(cases, reconstructions, strict=True) if is_labelled(case)
+    ]
+    sequences = [
+        case
+        for case, found in labelled
+        if found.angle_deg is not None
+        and len(case.building.rings) == 1
+        and len(case.building.rings[0]) <= predictor.max_num_vertices
+    ]
+    settings = {
+        "all_masked": _all_masked(sequences, predictor, signs_visible=True),
+        "all_masked_signs": _all_masked(sequences, predictor, signs_visible=False),
+        "footprint_given": errors_of(labelled),
+        "constant": _errors(
+            sequences,
+            np.full(len(sequences), medians.eave_height_m),
+            [np.full(len(case.building.rings[0]), medians.angle_deg) for case in sequences],
+            [np.tile(_middle(case.building), (len(case.building.rings[0]), 1)) for case in sequences],
+        ),
+    }
+    num_buildings = sum(case.dataset == SYNTHETIC for case in cases)
+    return {
+        "settings": settings,
+        "num_buildings": num_buildings,
+        "num_left_out": num_buildings - len(sequences),
+    }
+
+
+def with_reconstructions(
+    parameters: Mapping[str, Any],
+    cases: Mapping[Key, Case],
+    reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
+) -> dict[str, Any]:
+    """``parameters`` with the settings of our variants (:data:`SETTING_OF_METHOD`) out of their meshes."""
+    labelled = {key: case for key, case in cases.items() if is_labelled(case)}
+    settings = dict(parameters["settings"])
+    for method, setting in SETTING_OF_METHOD.items():
+        found = reconstructions.get(method, {})
+        errors = errors_of([(case, found[key]) for key, case in labelled.items() if key in found])
+        if errors:
+            settings[setting] = errors
+    return {**parameters, "settings": settings}
+
+
+def is_labelled(case: Case) -> bool:
+    return case.dataset == SYNTHETIC and case.angle_deg is not None
+
+
+def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[str, float]]:
+    """Errors of height and angles over all values, and over those that the points show (:func:`seen_edges`):
+    ``height_m``, ``angle_deg``, ``height_seen_m``, ``angle_seen_deg``.
+
+    Reconstructions without values, or with other edges than the label, are left out.
+    """
+    usable = [
+        (case, made, made.angle_deg)
+        for case, made in pairs
+        if made.eave_height_m is not None
+        and made.angle_deg is not None
+        and case.angle_deg is not None
+        and len(made.angle_deg) == len(case.angle_deg)
+    ]
+    if not usable:
+        return {}
+    cases = [case for case, _, _ in usable]
+    height = np.array([made.eave_height_m for _, made, _ in usable], float)
+    angle = [angle for _, _, angle in usable]
+    errors = _errors(cases, height, angle, None)
+    seen = seen_edges(cases)
+    some = np.array([own.any() for own in seen])
+    target = np.array([target_height_m(case) for case in cases])
+    truth = np.concatenate([case.angle_deg for case in cases if case.angle_deg is not None])
+    shown = np.concatenate(seen)
+    errors["height_seen_m"] = asdict(absolute_error(height[some], target[some]))
+    errors["angle_seen_deg"] = asdict(absolute_error(np.concatenate(angle)[shown], truth[shown]))
+    return errors
+
+
+def seen_edges(cases: Sequence[Case]) -> list[np.ndarray]:
+    """Per labelled case which edges the points show: bool, one per edge over all rings.
+
+    A point counts where it is on the building and within 20 cm of the label's roof. An edge with a slope is
+    seen if its roof face has 10 such points, a gable (90 degrees) or flat edge if 10 lie within a metre of it.
+    """
+    polygons = Polygons.from_rings([list(case.building.rings) for case in cases])
+    angle = [case.angle_deg for case in cases if case.angle_deg is not None]
+    eave_z = np.array([(case.eave_height_m or 0.0) + (case.label_ground_z_m or 0.0) for case in cases])
+    point = [case.building.point_m[points_on_building(case)] for case in cases]
+    size = [len(own) for own in point]
+    index, offset = np.repeat(np.arange(len(cases)), size), np.concatenate([[0], np.cumsum(size)])
+    every = np.concatenate([*point, np.zeros((0, 3))])
+    roof = roof_points(polygons, np.concatenate(angle), eave_z, every[:, :2], index)
+    on_roof = np.abs(every[:, 2] - roof.z_m) <= _ON_ROOF_M
+    seen = []
+    for i, case in enumerate(cases):
+        own = offset[i] + np.flatnonzero(on_roof[offset[i] : offset[i + 1]])
+        count = np.bincount(roof.edge[own][roof.edge[own] >= 0], minlength=len(angle[i]))
+        slope = (angle[i] > 0) & (angle[i] < 90)
+        place = np.atleast_1d(np.asarray(shapely.points(every[own, :2])))
+        start = np.concatenate(list(case.building.rings))
+        end = np.concatenate([np.roll(ring, -1, axis=0) for ring in case.building.rings])
+        edges = np.asarray(shapely.linestrings(np.stack([start, end], axis=1)))
+        beside = (shapely.distance(edges[:, None], place[None, :]) <= _BESIDE_M).sum(axis=1)
+        seen.append(np.where(slope, count, beside) >= MIN_SEEN_POINTS)
+    return seen
+
+
+def target_height_m(case: Case) -> float:
+    """The label's eave above the ground that the cloud shows."""
+    assert case.eave_height_m is not None and case.label_ground_z_m is not None
+    return case.eave_height_m + case.label_ground_z_m - ground_z_m(case.building)
+
+
+def _all_masked(
+    cases: Sequence[Case], predictor: MaskedPredictor, signs_visible: bool
+) -> dict[str, dict[str, float]]:
+    if not cases:
+        return {}
+    height, xy, angle = predictor.reconstruct_all_masked(
+        [case.building.point_m - [0, 0, ground_z_m(case.building)] for case in cases],
+        [case.building.rings[0] for case in cases],
+        signs_visible,
+    )
+    return _errors(cases, height, angle, xy)
+
+
+def _errors(
+    cases: Sequence[Case],
+    height_m: np.ndarray,
+    angle_deg: Sequence[np.ndarray],
+    xy_m: Sequence[np.ndarray] | None,
+) -> dict[str, dict[str, float]]:
+    if not cases:
+        return {}
+    errors = {
+        "height_m": absolute_error(height_m, np.array([target_height_m(case) for case in cases])),
+        "angle_deg": absolute_error(
+            np.concatenate(list(angle_deg)),
+            np.concatenate([case.angle_deg for case in cases if case.angle_deg is not None]),
+        ),
+    }
+    if xy_m is not None:
+        predicted = np.concatenate(list(xy_m))
+        truth = np.concatenate([case.building.rings[0] for case in cases])
+        errors["coordinate_m"] = absolute_error(predicted, truth)
+        errors["vertex_m"] = vertex_error(predicted, truth)
+    return {name: asdict(error) for name, error in errors.items()}
+
+
+def _middle(building: Building) -> np.ndarray:
+    return building.point_m[:, :2].mean(axis=0)
