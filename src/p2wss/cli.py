@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from p2wss import __version__, io
-from p2wss.config import Config, load, section_json
+from p2wss.config import OUTPUT_SUFFIXES, Config, load, section_json
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 from p2wss.tiling import Bounds, tile_bounds, tiles_of_bounds
@@ -172,7 +172,12 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC")
     command.add_argument("footprints", type=Path, help="any vector file, in the CRS of the clouds")
     command.add_argument("out", type=Path, help="folder")
-    command.add_argument("--model", type=Path, default=None, help="model.safetensors; default: fit only")
+    command.add_argument(
+        "--model",
+        type=Path,
+        default=None,
+        help="model.safetensors; none: fit only; default: the weights that came with p2wss, if any",
+    )
     command.add_argument("--no-refine", action="store_true", help="leave the network's values as they are")
     command.add_argument(
         "--id-field", default=None, help="column of building ids; default: the usual names, else a number"
@@ -182,6 +187,16 @@ def _parser() -> argparse.ArgumentParser:
     )
     command.add_argument(
         "--tile", default=None, help="only the buildings of this tile, whose name the outputs get"
+    )
+    command.add_argument(
+        "--format",
+        default=None,
+        metavar="A,B,..",
+        help=f"what to write: {', '.join(OUTPUT_SUFFIXES)}; default: reconstruct.outputs of the config",
+    )
+    command.add_argument("--per-building", action="store_true", help="meshes one by one too, in a folder")
+    command.add_argument(
+        "--terrain", type=Path, default=None, help="raster of heights: meshes stand in a closed block of it"
     )
     command.add_argument("--threads", type=int, default=1)
     command.add_argument("--device", choices=DEVICES, default="auto")
@@ -726,16 +741,17 @@ def _eval_facts(config: Config, **facts: Any) -> dict[str, Any]:
 
 def reconstruct(arguments: argparse.Namespace) -> None:
     _use_threads(arguments.threads)
-    from p2wss import clouds, model, reconstruct, scenes
-    from p2wss.formats import gpkg
+    from p2wss import clouds, exports, model, reconstruct, scenes
+    from p2wss.terrain import read_terrain
 
-    config = _config(arguments)
-    if arguments.no_refine:
-        if arguments.model is None:
-            raise InputError("--no-refine needs a --model: without one, all there is is the fit")
-        unrefined = config.reconstruct.model_copy(update={"refine": False})
-        config = config.model_copy(update={"reconstruct": unrefined})
-    predictor = None if arguments.model is None else model.load(arguments.model)
+    config = _reconstruct_config(arguments)
+    weights = arguments.model or reconstruct.shipped_model()
+    if str(weights) == "none":
+        weights = None
+    if weights is None and not config.reconstruct.refine:
+        raise InputError("--no-refine needs a --model: without one, all there is is the fit")
+    predictor = None if weights is None else model.load(weights)
+    terrain, terrain_crs = (None, None) if arguments.terrain is None else read_terrain(arguments.terrain)
     read = scenes.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = scenes.clean_footprints(read, config.scenes)
     if arguments.tile is not None:
@@ -745,16 +761,40 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     crs, note = reconstruct.common_crs(cloud.crs, frame.crs, arguments.crs, names)
     if note:
         log.info("note: %s", note)
+    if terrain_crs is not None:
+        exports.check_terrain(terrain_crs, crs, arguments.terrain)
+    by = "fitted to the points alone" if weights is None else f"model {weights}"
+    log.info("%d footprints, %d points around them; %s", len(frame), len(cloud), by)
     stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
-    results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct)
+    progress = reconstruct.Progress(log.info)
+    results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct, progress)
     if arguments.tile is None:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
+    if terrain is not None and (note := exports.terrain_note(results, terrain)):
+        log.info("note: %s", note)
     made_by = section_json(config, "scenes", "reconstruct")
-    facts = io.provenance(config=made_by, code=fingerprint("reconstruct"), crs=crs.to_string())
-    io.write_text(arguments.out / f"{stem}.city.jsonl", reconstruct.city_json(results, crs))
-    io.write_bytes(arguments.out / f"{stem}.glb", reconstruct.gltf(results, crs, facts))
-    gpkg.write(arguments.out / f"{stem}.gpkg", reconstruct.table(results, crs), facts)
+    code = fingerprint("reconstruct", "exports")
+    facts = io.provenance(config=made_by, code=code, crs=crs.to_string(), model=weights and weights.name)
+    written = exports.write(arguments.out, stem, results, crs, facts, config.reconstruct, terrain)
+    log.info("%s: %s", arguments.out, ", ".join(written))
     log.info("%s", reconstruct.summary(results))
+
+
+def _reconstruct_config(arguments: argparse.Namespace) -> Config:
+    """The config with what the command line says of its section ``reconstruct``."""
+    said: dict[str, Any] = {}
+    if arguments.no_refine:
+        said["refine"] = False
+    if arguments.format is not None:
+        said["outputs"] = [name.strip() for name in arguments.format.split(",") if name.strip()]
+        unknown = [name for name in said["outputs"] if name not in OUTPUT_SUFFIXES]
+        if unknown or not said["outputs"]:
+            told = f"no format {unknown[0]}" if unknown else "names no format"
+            raise InputError(f"--format {arguments.format}: {told}; choose from {', '.join(OUTPUT_SUFFIXES)}")
+    if arguments.per_building:
+        said["per_building"] = True
+    config = _config(arguments)
+    return config.model_copy(update={"reconstruct": config.reconstruct.model_copy(update=said)})
 
 
 # --- inspect ---

@@ -328,8 +328,13 @@ def read_scene(path: str | Path) -> tuple[Any, dict[str, Any]]:
 
 def write_scene(path: str | Path, scene: Any, metadata: dict[str, Any]) -> None:
     """Write a GeoDataFrame with the columns of ``SCENE`` and a geometry as GeoParquet with ``metadata``."""
+    write_geoparquet(path, scene[[*SCENE.names, scene.geometry.name]], metadata)
+
+
+def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> None:
+    """Write a GeoDataFrame as GeoParquet (zstd) with ``metadata`` under the key ``p2wss``."""
     with atomic(path) as temporary:
-        scene[[*SCENE.names, scene.geometry.name]].to_parquet(temporary, compression="zstd")
+        frame.to_parquet(temporary, compression="zstd")
         table = pq.read_table(temporary)
         own = {METADATA_KEY: json.dumps(metadata).encode()}
         pq.write_table(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,11 @@ from p2wss.clouds import Cloud, horizontal, same_crs
 from p2wss.config import Reconstruct
 from p2wss.crops import crop_cloud
 from p2wss.errors import InputError
-from p2wss.formats.cityjson import Solid, lines
-from p2wss.formats.glb import glb
+from p2wss.formats import cityjson
+from p2wss.formats.cityjson import Solid
 from p2wss.formats.polygons import planar_surfaces
-from p2wss.inference import BUILDING_CLASS, Building, Predictor, Reconstruction
+from p2wss.inference import BUILDING_CLASS, GROUND_CLASS, Building, Predictor, Reconstruction
+from p2wss.lidar.cropping import seen_share
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.tiling import Bounds, tiles_of_points
 
@@ -31,6 +34,9 @@ METHOD = "point2wss"
 MARGIN_M = 64.0
 # points that a residual is taken over
 _MAX_RESIDUAL_POINTS = 2048
+# buildings between two reports of progress
+_BATCH = 256
+_PROGRESS_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,8 @@ class Result:
 
     status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
     residual_m: mean distance of the points on the building (class 6 inside the footprint, else all inside) to
-    the mesh; NaN without any.
+    the mesh; NaN without any. visible_share: of the footprint's 1 m cells, those with a point on the roof.
+    not_representable: fitted, and yet the residual is more than ``not_representable_m``.
     """
 
     reconstruction: Reconstruction
@@ -47,6 +54,14 @@ class Result:
     reason: str | None
     num_points: int
     residual_m: float
+    visible_share: float
+    not_representable: bool
+
+
+def shipped_model() -> Path | None:
+    """The weights that came with the package; None in a package without."""
+    path = Path(str(files("p2wss"))) / "weights" / "point2wss.safetensors"
+    return path if path.is_file() else None
 
 
 def common_crs(
@@ -93,34 +108,66 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
     return x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
 
 
+class Progress:
+    """Tells how far :func:`run` is, through ``say``, at most every ten seconds."""
+
+    def __init__(self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._say, self._clock = say, clock
+        self._start = self._last = clock()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = self._clock()
+        if now - self._last >= _PROGRESS_S and done < total:
+            self._last = now
+            left_min = (now - self._start) * (total - done) / done / 60
+            self._say(f"{done} of {total} buildings, about {left_min:.0f} min left")
+
+
 def run(
-    frame: gpd.GeoDataFrame, cloud: Cloud, predictor: Predictor | None, tile: str, config: Reconstruct
+    frame: gpd.GeoDataFrame,
+    cloud: Cloud,
+    predictor: Predictor | None,
+    tile: str,
+    config: Reconstruct,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Result]:
     """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order.
 
     By the network, then fitted to the points unless ``config.refine`` is off; without a network, fitted only.
+    progress: called now and then with the number of rows that are done, and of all.
     """
     polygons = footprints.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.buffer_m)
     origin_xy_m = footprints.origins(polygons)
-    xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
-    buildings, usable = [], []
-    for i, (name, status) in enumerate(zip(frame["building_id"], frame["status"], strict=True)):
-        rings = [ring - origin_xy_m[i] for ring in polygons.rings(i)]
-        own = cropped.of(i)
-        buildings.append(
-            Building(
-                str(name),
-                tile,
-                (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
-                rings,
-                xyz[own] - np.array([*origin_xy_m[i], 0.0]),
-                cloud.classification[own],
-                float(cropped.ground_z_m[i]),
+    names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
+    results: list[Result] = []
+    for first in range(0, len(frame), _BATCH):
+        buildings = []
+        rows = range(first, min(first + _BATCH, len(frame)))
+        for i in rows:
+            own = cropped.of(i)
+            place = [cloud.x_m[own] - origin_xy_m[i, 0], cloud.y_m[own] - origin_xy_m[i, 1], cloud.z_m[own]]
+            buildings.append(
+                Building(
+                    str(names[i]),
+                    tile,
+                    (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
+                    [ring - origin_xy_m[i] for ring in polygons.rings(i)],
+                    np.column_stack(place),
+                    cloud.classification[own],
+                    float(cropped.ground_z_m[i]),
+                )
             )
-        )
-        if status == "ok":
-            usable.append(i)
+        results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
+        progress(len(results), len(frame))
+    return results
+
+
+def _results(
+    buildings: Sequence[Building], status: Sequence[str], predictor: Predictor | None, config: Reconstruct
+) -> list[Result]:
+    """One result per building, in order; without a try where the status of the footprint is not "ok"."""
+    usable = [i for i, told in enumerate(status) if told == "ok"]
     chosen = [buildings[i] for i in usable]
     method = method_name(predictor, config)
     known = inference.reconstruct(chosen, predictor, config, METHOD) if predictor else None
@@ -130,11 +177,12 @@ def run(
     results = []
     for i, building in enumerate(buildings):
         if i in found:
-            results.append(_result(building, found[i]))
+            results.append(_result(building, found[i], config))
         else:
-            reason = frame["status"].iloc[i]
-            lost = inference.no_mesh(building, method, reason)
-            results.append(Result(lost, "none", reason, len(building.point_m), float("nan")))
+            lost = inference.no_mesh(building, method, status[i])
+            results.append(
+                Result(lost, "none", status[i], len(building.point_m), float("nan"), float("nan"), False)
+            )
     return results
 
 
@@ -170,29 +218,49 @@ def output_stem(cloud: Path) -> str:
     return cloud.stem.removesuffix(".copc")
 
 
-def _result(building: Building, made: Reconstruction) -> Result:
+def _result(building: Building, made: Reconstruction, config: Reconstruct) -> Result:
     status = "none" if not made.has_mesh else "ok" if made.status == "ok" else "flat"
     reason = None if made.status == "ok" else made.status
-    return Result(made, status, reason, len(building.point_m), _residual_m(building, made))
+    on_building = _on_building(building)
+    residual_m = _residual_m(building.point_m[on_building], made)
+    fitted = config.refine or made.method == fitting.METHOD
+    flagged = fitted and status == "ok" and residual_m > config.not_representable_m
+    share = _visible_share(building, on_building)
+    return Result(made, status, reason, len(building.point_m), residual_m, share, flagged)
 
 
-def _residual_m(building: Building, made: Reconstruction) -> float:
-    if not made.has_mesh or not len(building.point_m):
-        return float("nan")
+def _on_building(building: Building) -> np.ndarray:
+    """Mask of the points of class 6 inside the footprint, or, without any, of all inside."""
     inside = shapely.contains_xy(building.polygon, building.point_m[:, 0], building.point_m[:, 1])
     on_building = inside & (building.classification == BUILDING_CLASS)
-    point = building.point_m[on_building if on_building.any() else inside]
-    if not len(point):
+    return on_building if on_building.any() else inside
+
+
+def _residual_m(point_m: np.ndarray, made: Reconstruction) -> float:
+    if not made.has_mesh or not len(point_m):
         return float("nan")
     # every k-th point: no draw, no dependence on a seed
-    point = point[:: -(-len(point) // _MAX_RESIDUAL_POINTS)] - np.array([0, 0, made.ground_z_m])
-    return float(distance_to_mesh(point, made.vertex_m, made.triangle).mean())
+    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array([0, 0, made.ground_z_m])
+    return float(distance_to_mesh(point_m, made.vertex_m, made.triangle).mean())
+
+
+def _visible_share(building: Building, on_building: np.ndarray) -> float:
+    """As the crops' ``visible_roof_share``."""
+    seen = on_building & (building.classification != GROUND_CLASS)
+    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[seen, :2].T * 100))
+    rings = [np.asarray(ring, float) for ring in building.rings]
+    ends = np.cumsum([0, *map(len, rings)])
+    offset = np.array([0, len(x_cm)])
+    share = seen_share(
+        x_cm, y_cm, np.ones(len(x_cm), bool), offset, np.concatenate(rings), ends, np.array([0, len(rings)])
+    )
+    return float(share[0])
 
 
 def summary(results: Sequence[Result]) -> str:
     """One line: how many of each status, and why.
 
-    ``74 buildings: 72 ok, 1 flat (fewer than 10 points: 1), 1 none (no point: 1)``
+    ``74 buildings: 72 ok, 1 flat (fewer than 10 points: 1), 1 none (no point: 1); 2 of them not representable``
     """
     parts = []
     for status in ("ok", "flat", "none"):
@@ -201,7 +269,9 @@ def summary(results: Sequence[Result]) -> str:
         told = ", ".join(f"{reason}: {count}" for reason, count in sorted(reasons.items()))
         if own or status == "ok":
             parts.append(f"{len(own)} {status}" + (f" ({told})" if told else ""))
-    return f"{len(results)} buildings: " + ", ".join(parts)
+    flagged = sum(result.not_representable for result in results)
+    told = f"; {flagged} of them not representable" if flagged else ""
+    return f"{len(results)} buildings: " + ", ".join(parts) + told
 
 
 def table(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
@@ -234,6 +304,8 @@ def attributes(result: Result) -> dict[str, Any]:
         "ground_z_m": _rounded(made.ground_z_m),
         "confidence": _rounded(made.confidence),
         "residual_m": _rounded(result.residual_m),
+        "not_representable": result.not_representable,
+        "visible_share": _rounded(result.visible_share),
         "num_points": result.num_points,
         "num_parts": made.num_parts if made.has_mesh else None,
         "num_triangles": len(made.triangle),
@@ -244,20 +316,15 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else round(float(value), 3)
 
 
-def gltf(results: Sequence[Result], crs: pyproj.CRS, facts: dict[str, Any]) -> bytes:
-    """All meshes as GLB; its origin is the least corner of them all, in whole metres."""
-    made = [result.reconstruction for result in results if result.reconstruction.has_mesh]
-    meshes = [(one.building_id, vertices_m(one), one.triangle) for one in made]
-    corners = [vertex_m.min(axis=0) for _, vertex_m, _ in meshes]
-    origin_m = np.floor(np.min(corners, axis=0)) if corners else np.zeros(3)
-    return glb(meshes, origin_m, crs.to_string(), facts)
-
-
-def city_json(results: Sequence[Result], crs: pyproj.CRS) -> str:
-    """All buildings as a CityJSON text sequence, those without a mesh without geometry."""
+def city_json(results: Sequence[Result], crs: pyproj.CRS, output: str = "cityjsonseq") -> str:
+    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``; those without
+    a mesh without geometry."""
     epsg = crs.to_epsg() or horizontal(crs).to_epsg()
     ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
-    return "\n".join(lines([solid(result) for result in ordered], epsg)) + "\n"
+    solids = [solid(result) for result in ordered]
+    if output == "cityjson":
+        return cityjson.document(solids, epsg) + "\n"
+    return "\n".join(cityjson.lines(solids, epsg)) + "\n"
 
 
 def vertices_m(made: Reconstruction) -> np.ndarray:

@@ -15,11 +15,13 @@ import shapely
 import trimesh
 from test_inference import Oracle
 
-from p2wss import reconstruct, scenes
+from p2wss import exports, reconstruct, scenes
 from p2wss.clouds import Cloud, read_clouds
 from p2wss.config import Reconstruct, Scenes
 from p2wss.errors import InputError
 from p2wss.formats import gpkg
+from p2wss.formats.glb import glb
+from p2wss.formats.meshes import frame_around
 
 SHARED = Path(__file__).parents[2].parent / "shared"
 LAMBERT, RD, WGS84 = (pyproj.CRS.from_epsg(code) for code in (2154, 28992, 4326))
@@ -118,7 +120,8 @@ def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
     results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", UNREFINED)
     path = tmp_path / "a.glb"
-    path.write_bytes(reconstruct.gltf(results, LAMBERT, {"code": "x"}))
+    meshes = [exports.mesh(result) for result in results]
+    path.write_bytes(glb(meshes, frame_around(meshes, "EPSG:2154"), {"code": "x"}))
     scene = trimesh.load_scene(path)
     (mesh,) = scene.geometry.values()
     length = int.from_bytes(path.read_bytes()[12:16], "little")
@@ -135,7 +138,6 @@ def test_nothing_at_all_can_be_written() -> None:
     results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", UNREFINED)
     assert results == []
     assert len(reconstruct.city_json(results, LAMBERT).splitlines()) == 1
-    assert reconstruct.gltf(results, LAMBERT, {})[:4] == b"glTF"
     assert len(reconstruct.table(results, LAMBERT)) == 0
 
 

@@ -1,15 +1,16 @@
-"""Reconstruct. In: footprints, real LiDAR, the model. Out: per LiDAR tile CityJSON, GLB and a table of buildings."""
+"""Reconstruct. In: footprints, real LiDAR, the model. Out: per LiDAR tile the files of reconstruct.outputs, and a summary."""
+
+from p2wss.config import OUTPUT_SUFFIXES
 
 
 rule reconstruct_tile:
     input:
         footprints="<results>/fetch/footprints.gpkg",
         clouds=lidar_around,
-        model="<results>/model/model.safetensors",
+        model=weights,
     output:
-        cityjson="<results>/reconstruct/{tile}.city.jsonl",
-        glb="<results>/reconstruct/{tile}.glb",
-        table="<results>/reconstruct/{tile}.gpkg",
+        [f"<results>/reconstruct/{{tile}}{OUTPUT_SUFFIXES[name]}" for name in settings.reconstruct.outputs],
+        summary="<results>/reconstruct/{tile}.json",
     log:
         "<logs>/reconstruct/{tile}.log",
     benchmark:
@@ -21,8 +22,8 @@ rule reconstruct_tile:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct"),
-        code=fingerprint("reconstruct", "model"),
-        folder=subpath(output.cityjson, parent=True),
+        code=fingerprint("reconstruct", "exports", "model"),
+        folder=subpath(output.summary, parent=True),
     shell:
         "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model}"
         " --tile {wildcards.tile} --threads {threads} --config {params.config:q} 2> {log}"
@@ -30,4 +31,4 @@ rule reconstruct_tile:
 
 rule reconstruct:
     input:
-        expand("<results>/reconstruct/{tile}.city.jsonl", tile=settings.region.lidar_tiles),
+        expand("<results>/reconstruct/{tile}.json", tile=settings.region.lidar_tiles),

@@ -1,4 +1,4 @@
-"""CityJSON 2.0 as a text sequence (CityJSONSeq): one header line, then one feature per building.
+"""CityJSON 2.0 as a text sequence (CityJSONSeq: one header line, then one feature per building) or one document.
 
 Specifications: https://www.cityjson.org/specs/2.0.1/ and https://www.cityjson.org/cityjsonseq/ .
 """
@@ -73,6 +73,28 @@ def lines(solids: Iterable[Solid], epsg: int | None, lod: str = "2.0") -> Iterat
         yield _compact(_feature(solid, np.array(translate), lod))
     if not started:
         yield _compact(_header(translate, epsg))
+
+
+def document(solids: Sequence[Solid], epsg: int | None, lod: str = "2.0") -> str:
+    """The same as one CityJSON object."""
+    texts = map(json.loads, lines(solids, epsg, lod))
+    whole = next(texts)
+    vertices: list[list[int]] = whole["vertices"]
+    for feature in texts:
+        first = len(vertices)
+        vertices += feature["vertices"]
+        for city_object in feature["CityObjects"].values():
+            for geometry in city_object.get("geometry", []):
+                geometry["boundaries"] = [
+                    [[[vertex + first for vertex in ring] for ring in rings] for rings in shell]
+                    for shell in geometry["boundaries"]
+                ]
+        whole["CityObjects"] |= feature["CityObjects"]
+    if vertices:
+        corner = np.array(vertices) * SCALE_M + whole["transform"]["translate"]
+        extent = [*corner.min(axis=0), *corner.max(axis=0)]
+        whole.setdefault("metadata", {})["geographicalExtent"] = [round(float(v), 4) for v in extent]
+    return _compact(whole)
 
 
 def _header(translate: list[float], epsg: int | None) -> dict[str, Any]:

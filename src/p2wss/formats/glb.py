@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,35 +10,35 @@ import trimesh
 from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 
+from p2wss.formats.meshes import TERRAIN, Frame, Mesh
 
-def glb(
-    meshes: Iterable[tuple[str, np.ndarray, np.ndarray]],
-    origin_m: np.ndarray,
-    crs: str | None,
-    facts: dict[str, Any],
-) -> bytes:
-    """Bytes of a GLB with one node per mesh (name, vertices (v, 3) in the CRS, triangles (t, 3)).
+_COLORS = {"building": [205, 196, 182, 255], "terrain": [146, 158, 122, 255]}
 
-    A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with ``origin_m`` =
-    (x0, y0, z0). The extras of the asset say so, and hold ``facts`` under ``p2wss``.
+
+def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
+    """Bytes of a GLB with one node per mesh.
+
+    A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with
+    ``frame.origin_m`` = (x0, y0, z0). The extras of the asset say so, and hold ``facts`` under ``p2wss``.
     """
     scene = trimesh.Scene()
-    material = PBRMaterial(
-        name="building", baseColorFactor=[205, 196, 182, 255], metallicFactor=0.0, roughnessFactor=0.9
-    )
-    for name, vertex_m, triangle in meshes:
-        local = np.asarray(vertex_m, float) - origin_m
+    materials = {
+        name: PBRMaterial(name=name, baseColorFactor=color, metallicFactor=0.0, roughnessFactor=0.9)
+        for name, color in _COLORS.items()
+    }
+    for mesh in meshes:
+        local = np.asarray(mesh.vertex_m, float) - frame.origin_m
         up = np.column_stack([local[:, 0], local[:, 2], -local[:, 1]])
+        material = materials["terrain" if TERRAIN in mesh.kind else "building"]
         visual = trimesh.visual.TextureVisuals(material=material)
-        scene.add_geometry(
-            trimesh.Trimesh(up, triangle, visual=visual, process=False), node_name=name, geom_name=name
-        )
+        shape = trimesh.Trimesh(up, mesh.triangle, visual=visual, process=False)
+        scene.add_geometry(shape, node_name=mesh.name, geom_name=mesh.name)
 
     def with_extras(tree: dict[str, Any]) -> None:
         tree["asset"]["extras"] = {
             "p2wss": facts,
-            "crs": crs,
-            "origin_m": [float(value) for value in origin_m],
+            "crs": frame.crs,
+            "origin_m": [float(value) for value in frame.origin_m],
             "axes": "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - northing; metres",
         }
 

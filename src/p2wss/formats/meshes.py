@@ -1,0 +1,134 @@
+"""Triangle meshes for simulators: Wavefront OBJ, binary PLY and binary STL, in metres, z up, around a stated origin.
+
+Every triangle runs counter-clockwise from outside: its normal points out of the solid. Vertices stay shared, so a
+solid that is closed in memory is closed in the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2wss import __version__
+from p2wss.skeleton.types import FaceKind
+
+# kind of a terrain's triangle, after those of the kernel
+TERRAIN = max(FaceKind) + 1
+SURFACE_NAMES = {
+    FaceKind.GROUND: "ground",
+    FaceKind.WALL: "wall",
+    FaceKind.ROOF: "roof",
+    FaceKind.FLAT: "roof",
+    TERRAIN: "terrain",
+}
+AXES = "x = easting - origin_m[0], y = northing - origin_m[1], z = height - origin_m[2]; metres"
+_VERTEX = np.dtype([("xyz", "<f4", 3)])
+_PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3), ("kind", "u1"), ("mesh", "<i4")])
+_STL_FACE = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A named solid: vertex_m float64 (v, 3) in the CRS, triangle int (t, 3), kind (t,): ``FaceKind``, or
+    ``TERRAIN``."""
+
+    name: str
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Where a file's (0, 0, 0) lies: ``origin_m`` (x, y, z) in the CRS that ``crs`` names."""
+
+    origin_m: np.ndarray
+    crs: str
+
+    @property
+    def origin(self) -> str:
+        return " ".join(f"{value:.10g}" for value in self.origin_m)
+
+
+def frame_around(meshes: Sequence[Mesh], crs: str) -> Frame:
+    """The least corner of all, in whole metres: coordinates stay small enough for 32 bits."""
+    corners = [mesh.vertex_m.min(axis=0) for mesh in meshes if len(mesh.vertex_m)]
+    return Frame(np.floor(np.min(corners, axis=0)) if corners else np.zeros(3), crs)
+
+
+def obj(meshes: Sequence[Mesh], frame: Frame) -> bytes:
+    """Wavefront OBJ: one object per mesh, a material name (ground, wall, roof, terrain) per kind of surface."""
+    lines = [
+        f"# p2wss {__version__}; metres; x east, y north, z up",
+        f"# crs {frame.crs}",
+        f"# origin_m {frame.origin} (add it to every vertex)",
+    ]
+    first = 1
+    for mesh in meshes:
+        lines.append(f"o {_word(mesh.name)}")
+        lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
+        names = np.array([SURFACE_NAMES[int(kind)] for kind in mesh.kind], dtype=object)
+        for name in dict.fromkeys(names):
+            lines.append(f"usemtl {name}")
+            lines += [f"f {a} {b} {c}" for a, b, c in (mesh.triangle[names == name] + first).tolist()]
+        first += len(mesh.vertex_m)
+    return ("\n".join(lines) + "\n").encode()
+
+
+def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:
+    """Binary PLY; per face its kind and the number of its mesh, whose names stand in the comments."""
+    vertex, triangle, kind, owner = _joined(meshes, frame)
+    face = np.zeros(len(triangle), _PLY_FACE)
+    face["count"], face["vertex"], face["kind"], face["mesh"] = 3, triangle, kind, owner
+    kinds = ", ".join(f"{int(number)} {name}" for number, name in SURFACE_NAMES.items())
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment p2wss {__version__}; metres; x east, y north, z up",
+        f"comment crs {frame.crs}",
+        f"comment origin_m {frame.origin} (add it to every vertex)",
+        f"comment kind: {kinds}",
+        *(f"comment mesh {number} {_word(mesh.name)}" for number, mesh in enumerate(meshes)),
+        f"element vertex {len(vertex)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element face {len(face)}",
+        "property list uchar int vertex_indices",
+        "property uchar kind",
+        "property int mesh",
+        "end_header",
+    ]
+    return ("\n".join(header) + "\n").encode() + vertex.tobytes() + face.tobytes()
+
+
+def stl(meshes: Sequence[Mesh], frame: Frame) -> bytes:
+    """Binary STL, all meshes in one; CRS and origin in its header of 80 bytes."""
+    vertex, triangle, _, _ = _joined(meshes, frame)
+    face = np.zeros(len(triangle), _STL_FACE)
+    face["corner"] = vertex["xyz"][triangle]
+    corner = face["corner"].astype(float)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    face["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    # a header that begins with "solid" would be taken for the text format
+    header = f"p2wss metres z up origin_m {frame.origin} crs {frame.crs}".encode("ascii", "replace")[:80]
+    return header.ljust(80) + len(face).to_bytes(4, "little") + face.tobytes()
+
+
+def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (:data:`_VERTEX`), triangles, kind and number of the mesh per triangle, of all meshes."""
+    counts = np.array([len(mesh.vertex_m) for mesh in meshes], int)
+    sizes = [len(mesh.triangle) for mesh in meshes]
+    first = np.repeat(np.cumsum(counts) - counts, sizes)
+    vertex = np.zeros(counts.sum(), _VERTEX)
+    if not meshes:
+        return vertex, np.zeros((0, 3), int), np.zeros(0, np.uint8), np.zeros(0, int)
+    vertex["xyz"] = np.concatenate([mesh.vertex_m for mesh in meshes]) - frame.origin_m
+    triangle = np.concatenate([mesh.triangle for mesh in meshes]).astype(int) + first[:, None]
+    kind = np.concatenate([mesh.kind for mesh in meshes])
+    return vertex, triangle, kind, np.repeat(np.arange(len(meshes)), sizes)
+
+
+def _word(name: str) -> str:
+    """Names in these formats end at white space."""
+    return "_".join(name.split()) or "_"
