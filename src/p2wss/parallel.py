@@ -7,6 +7,7 @@ over the processes, batch norms take moments over all, and losses over pairs see
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ import numpy as np
 import torch
 import torch.distributed as dist
 from torch import Tensor, nn
+
+log = logging.getLogger("p2wss")
 
 
 def num_processes() -> int:
@@ -33,6 +36,8 @@ def processes(device: torch.device) -> Iterator[None]:
         yield
         return
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    if rank():
+        log.setLevel(logging.WARNING)  # the first process tells how far they are
     try:
         yield
     finally:
