@@ -4,6 +4,8 @@ from p2wss.eval import roofer_command
 
 # files of reconstructions: ours, then the baselines
 OURS = ["predictions", "refined", "fitted"]
+# settings that only the report reads: no mesh depends on them
+REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst")
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
 
 
@@ -43,7 +45,7 @@ rule predict:
         mem_mb=8000,
         gpu=1,
     params:
-        config=section("eval", "reconstruct"),
+        config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.predict", "model"),
     shell:
         "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters} {output.cpu}"
@@ -72,7 +74,7 @@ rule refine:
     resources:
         mem_mb=4000,
     params:
-        config=section("eval", "reconstruct"),
+        config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.predict"),
         begin=lambda wildcards, input: f"--predictions {input.predictions}" if input.predictions else "",
     shell:
@@ -98,7 +100,7 @@ rule baseline:
     resources:
         mem_mb=4000,
     params:
-        config=section("eval", "reconstruct"),
+        config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.baselines"),
         state=state,
     shell:
@@ -123,7 +125,7 @@ rule measure:
     resources:
         mem_mb=4000,
     params:
-        config=section("eval"),
+        config=section("eval", without=REPORT_ONLY),
         code=fingerprint("eval.measure"),
     shell:
         "p2wss eval measure {input.manifest} {output.measures} {input.reconstructions}"
@@ -136,6 +138,7 @@ rule eval_report:
         measures="<results>/eval/measures.parquet",
         parameters="<results>/eval/parameters.json",
         reconstructions=rules.measure.input.reconstructions,
+        cpu=expand("<results>/eval/cpu/{name}.json", name=[*OURS, *settings.eval.baselines]),
         # of weights that come from elsewhere there is no training to show
         metrics=(
             []

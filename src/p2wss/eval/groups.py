@@ -60,7 +60,7 @@ def group_of_building(measures: pa.Table, by: str) -> dict[tuple[str, str], str]
         return {}
     keys = sorted(values, key=lambda key: values[key])
     names = _quarters(np.array([values[key] for key in keys], float))
-    return dict(zip(keys, names, strict=True))
+    return dict(zip(keys, names, strict=True)) if len(set(names)) > 1 else {}
 
 
 def calibration(measures: pa.Table, dataset: str, method: str) -> tuple[list[Bin], float]:

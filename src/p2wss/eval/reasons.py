@@ -19,13 +19,13 @@ from p2wss.skeleton.types import FaceKind
 
 SPARSE_PER_M2, SPARSE_POINTS = 1.0, 50
 OCCLUDED_SHARE = 0.5
-# a roof as a whole is too high or too low where what is left after a shift is this much smaller
-_SHIFT_GAIN = 0.5
+# a roof as a whole is too high or too low where what is left after a shift is this small, and this much smaller
+_SHIFTED_M, _SHIFT_GAIN = 0.5, 0.5
 # points this near belong together
 _LINK_M = 1.0
 _MIN_CLUSTER_POINTS = 8
 _ANNEX_SHARE, _DORMER_SHARE = 0.05, 0.02
-_DORMER_MAX_SHARE = 0.3
+_DORMER_M2 = 15.0
 _EDGE_M = 0.7
 
 
@@ -67,7 +67,7 @@ def reason(case: Case, made: Reconstruction, num_parts: int = 1) -> Reason:
         )
     shift = float(np.median(above))
     spread = float(np.abs(above - shift).mean())
-    if abs(shift) > FAR_M and spread < _SHIFT_GAIN * np.abs(above).mean():
+    if abs(shift) > FAR_M and spread < min(_SHIFTED_M, _SHIFT_GAIN * np.abs(above).mean()):
         way = "low" if shift > 0 else "high"
         return Reason(
             "height error",
@@ -88,12 +88,13 @@ def reason(case: Case, made: Reconstruction, num_parts: int = 1) -> Reason:
             f"Several heights: the points ask for {num_parts} parts, the mesh has one height; "
             f"{(np.abs(above) > FAR_M).mean():.0%} of the points are more than {FAR_M:g} m off.",
         )
-    if high is not None and _DORMER_SHARE <= high.share <= _DORMER_MAX_SHARE:
+    if high is not None and high.share >= _DORMER_SHARE:
         where = "at the edge" if high.at_edge else "inside"
+        small = high.area_m2 <= _DORMER_M2
         return Reason(
-            "dormer",
-            f"Dormer or structure on the roof: {high.share:.0%} of the points ({high.area_m2:.0f} m², {where}) "
-            f"lie {high.height_m:.1f} m above the mesh.",
+            "dormer" if small else "higher part",
+            f"{'Dormer or structure on the roof' if small else 'Higher part'}: {high.share:.0%} of the points "
+            f"({high.area_m2:.0f} m², {where}) lie {high.height_m:.1f} m above the mesh.",
         )
     if case.visible_roof_share < OCCLUDED_SHARE:
         return Reason("occluded", f"Occluded: {case.visible_roof_share:.0%} of the roof has points.")
