@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tiny_network
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -18,28 +19,11 @@ from p2wss.config import Compute
 from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes
 from p2wss.nets.layers import BatchNorm
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.nets.point2wss import ModelSizes, Point2Wss
+from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.tokenizer import Tokenizer
 
 NUM = 8
 DVAE = DvaeSizes(num_patches=8, patch_size=8, patch_dim=16, token_dim=16, num_tokens=12)
-MODEL = ModelSizes(
-    dim=16,
-    num_heads=2,
-    mlp_ratio=2,
-    drop_path=0,
-    cloud_depth=1,
-    sequence_depth=1,
-    cross_depth=1,
-    patch_dim=16,
-    num_tokens=12,
-    max_vertices=6,
-    align_dim=8,
-    ground_relative=True,
-    numerical_encoding=True,
-    edge_embedding=True,
-    edge_attention=True,
-)
 
 
 def rows(x: Tensor) -> Tensor:
@@ -76,7 +60,7 @@ def model_step() -> dict[str, Tensor]:
     generator = torch.Generator().manual_seed(2)
     torch.manual_seed(0)
     tokenizer = Tokenizer(1, False)
-    module = Point2Wss(MODEL, tokenizer, 0.1)
+    module = Point2Wss(tiny_network.SIZES, tokenizer, 0.1)
     num_vertices = torch.randint(3, 7, (NUM,), generator=generator)
     num_vertices[0] = num_vertices[1] = 6  # each half is as wide as the whole
     xy = torch.randn(NUM, 6, 2, generator=generator) * 10

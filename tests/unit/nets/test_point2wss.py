@@ -6,34 +6,19 @@ import math
 from dataclasses import replace
 
 import pytest
+import tiny_network
 import torch
 from torch.nn import functional as F
 
 from p2wss.nets import tokenizer as words
 from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches, make_patches
-from p2wss.nets.point2wss import EdgeAttention, ModelSizes, Point2Wss, edge_features, inference_weights
+from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
 from p2wss.nets.tokenizer import Tokenizer
 
 from .test_tokenizer import buildings
 
-SIZES = ModelSizes(
-    dim=16,
-    num_heads=2,
-    mlp_ratio=2,
-    drop_path=0,
-    cloud_depth=1,
-    sequence_depth=1,
-    cross_depth=1,
-    patch_dim=16,
-    num_tokens=20,
-    max_vertices=12,
-    align_dim=8,
-    ground_relative=True,
-    numerical_encoding=True,
-    edge_embedding=True,
-    edge_attention=True,
-)
+SIZES = replace(tiny_network.SIZES, num_tokens=20)
 
 
 def network(**switches: object) -> Point2Wss:

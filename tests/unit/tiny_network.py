@@ -1,0 +1,21 @@
+"""Sizes of a network that learns nothing but runs in milliseconds."""
+
+from p2wss.nets.point2wss import ModelSizes
+
+SIZES = ModelSizes(
+    dim=16,
+    num_heads=2,
+    mlp_ratio=2,
+    drop_path=0,
+    cloud_depth=1,
+    sequence_depth=1,
+    cross_depth=1,
+    patch_dim=16,
+    num_tokens=12,
+    max_vertices=12,
+    align_dim=8,
+    ground_relative=True,
+    numerical_encoding=True,
+    edge_embedding=True,
+    edge_attention=True,
+)
