@@ -22,8 +22,6 @@ from p2wss.errors import InputError
 from p2wss.eval import (
     baselines,
     cases,
-    gallery,
-    groups,
     measure,
     parameters,
     predict,
@@ -241,7 +239,9 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     io.write_table(tmp_path / "predictions.parquet", columns, io.RECONSTRUCTIONS, facts)
     errors = parameters.masked_errors(found, made, predictor, cases.train_medians(manifest))
     io.write_json(tmp_path / "parameters.json", errors)
-    config = json.dumps({"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}})
+    config = json.dumps(
+        {"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
+    )
 
     def run(*arguments: object) -> None:
         assert cli.main(["eval", *map(str, arguments), "--config", config]) == 0

@@ -11,8 +11,11 @@ from scipy.spatial.distance import cdist
 from scipy.stats import kstest
 
 from p2wss.metrics.absolute_error import absolute_error, vertex_error
+from p2wss.metrics.calibration import calibration_error, reliability
 from p2wss.metrics.chamfer import chamfer_distance_m
+from p2wss.metrics.height import height_rmse_m, surface_height_m
 from p2wss.metrics.mesh_facts import mesh_facts
+from p2wss.metrics.planarity import face_of_triangle, out_of_plane_m
 from p2wss.metrics.summary import summarize
 from p2wss.metrics.surface import distance_to_mesh, sample_surface, triangle_areas
 
@@ -110,3 +113,96 @@ def test_summary_is_that_of_numpy_and_its_interval_covers() -> None:
     assert summary.low < summary.mean < summary.high
     assert summary.high - summary.low == pytest.approx(width, rel=0.25)
     assert summarize(np.array([np.nan]), draw).count == 0
+
+
+def test_two_boxes_that_touch_in_a_vertex_or_an_edge_are_no_manifold() -> None:
+    """Both are closed and oriented, edge by edge or not; only the fans at their vertices tell."""
+    one = trimesh.creation.box((2, 2, 2))
+    assert mesh_facts(one.vertices, one.faces).manifold
+    for shift, watertight in (((2, 2, 2), True), ((2, 2, 0), False)):
+        vertex = np.vstack([one.vertices, one.vertices + shift])
+        facts = mesh_facts(vertex, np.vstack([one.faces, one.faces + 8]))
+        assert facts.watertight is watertight and not facts.manifold
+        assert facts.num_vertices == (15 if watertight else 14)
+    apart = np.vstack([one.vertices, one.vertices + 5])
+    assert mesh_facts(apart, np.vstack([one.faces, one.faces + 8])).manifold
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_manifold_as_walking_round_every_vertex_finds_it(seed: int) -> None:
+    """Independent: the triangles at a vertex are a fan if a walk from one over shared edges meets them all."""
+    draw = np.random.default_rng(seed)
+    mesh = trimesh.creation.icosahedron()
+    # two vertices become one: sometimes a pinch, sometimes edges of four triangles
+    a, b = draw.choice(12, 2, replace=False)
+    triangle = np.where(mesh.faces == b, a, mesh.faces)
+    kept = [t for t in triangle.tolist() if len(set(t)) == 3]
+    edges = [tuple(sorted((t[i], t[(i + 1) % 3]))) for t in kept for i in range(3)]
+    fans = []
+    for v in {v for t in kept for v in t}:
+        own = [set(t) for t in kept if v in t]
+        reached = [own.pop()]
+        for t in reached:
+            reached += [other for other in own if len(t & other) == 2]
+            own = [other for other in own if len(t & other) != 2]
+        fans.append(not own)
+    expected = all(edges.count(edge) == 2 for edge in edges) and all(fans)
+    assert mesh_facts(mesh.vertices, np.array(kept)).manifold is expected
+
+
+def test_faces_are_neighbours_with_equal_labels() -> None:
+    # the sides of a box have two triangles each; trimesh groups them by their planes
+    label = np.round(BOX.face_normals).astype(int)
+    face = face_of_triangle(BOX.faces, label)
+    assert face.max() == 5
+    for facet in BOX.facets:
+        assert len(set(face[facet].tolist())) == 1
+    apart = np.vstack([BOX.faces, BOX.faces + 8])
+    assert face_of_triangle(apart, np.zeros((24, 1), int)).max() == 1
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-0.5, 0.5), st.integers(0, 2**32 - 1))
+def test_a_bent_square_is_out_of_plane_by_a_quarter_of_what_one_corner_is_lifted(
+    lift: float, seed: int
+) -> None:
+    square = np.array([[0.0, 0, 0], [4, 0, 0], [4, 4, lift], [0, 4, 0]])
+    turn = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))[:3, :3]
+    found = out_of_plane_m(square @ turn.T + 1000, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int))
+    # the best plane halves the error between the two diagonals: each corner is a quarter of the lift off it
+    assert found[0] == pytest.approx(abs(lift) / 4, rel=0.02, abs=1e-9)
+
+
+def test_height_over_a_mesh_is_that_of_a_ray_from_above() -> None:
+    draw = np.random.default_rng(4)
+    mesh = trimesh.util.concatenate(
+        [trimesh.creation.icosphere(2, 3.0), trimesh.creation.box((2, 9, 4), np.eye(4))]
+    )
+    xy = draw.uniform(-4, 4, (300, 2))
+    found = surface_height_m(xy, mesh.vertices, mesh.faces)
+    start = np.column_stack([xy, np.full(300, 50.0)])
+    hit, ray, _ = mesh.ray.intersects_location(start, np.tile([0.0, 0, -1], (300, 1)), multiple_hits=True)
+    expected = np.full(300, np.nan)
+    for place, i in zip(hit, ray, strict=True):
+        expected[i] = np.fmax(expected[i], place[2])
+    assert 50 < np.isnan(expected).sum() < 250
+    assert np.allclose(found, expected, atol=1e-5, equal_nan=True)
+    assert np.isnan(height_rmse_m(np.array([np.nan])))
+
+
+def test_reliability_finds_what_the_sample_was_drawn_from() -> None:
+    draw = np.random.default_rng(5)
+    confidence = draw.random(20000)
+    honest = draw.random(20000) < confidence
+    bins = reliability(confidence, honest.astype(float))
+    assert len(bins) == 10 and sum(b.count for b in bins) == 20000
+    for own in bins:
+        chosen = (confidence >= own.low) & (confidence < own.high)
+        assert (own.count, own.observed) == (chosen.sum(), pytest.approx(honest[chosen].mean()))
+    assert calibration_error(bins) < 0.02
+    modest = draw.random(20000) < np.sqrt(confidence)
+    # the mean of sqrt(c) - c over [0, 1] is 1/6
+    assert calibration_error(reliability(confidence, modest.astype(float))) == pytest.approx(1 / 6, abs=0.02)
+    assert reliability(np.array([1.0, np.nan]), np.array([1.0, 1.0]))[0].count == 1
+    assert np.isnan(calibration_error([]))
