@@ -16,6 +16,7 @@ SCANS_AND_WHAT_FOLLOWS = {
     "dvae",
     "model",
     "predict",
+    "refine",
     "baseline",
     "measure",
     "reconstruct_tile",
@@ -44,9 +45,10 @@ def test_the_report_and_its_tables_are_there(done):
     page = (folder / "report.html").read_text()
     assert "stand-in LiDAR" in page and "LiDAR HD" not in page
     assert 'src="http' not in page and 'href="http' not in page, "one self-contained file"
-    for name in ("table1.csv", "table2.csv"):
-        rows = list(csv.reader((folder / name).open()))
+    for name in ("table1", "table2", "table2_more", "groups", "calibration", "worst"):
+        rows = list(csv.reader((folder / f"{name}.csv").open()))
         assert len(rows) > 3 and len({len(row) for row in rows}) == 1
+        assert (folder / f"{name}.tex").read_text().count(r"\\") == len(rows)
 
 
 def test_every_building_has_a_row_and_every_mesh_is_closed(done):

@@ -1,0 +1,344 @@
+"""Our variants on a hamlet that is known, Table 1 by what is seen, groups, reasons, and tables as text."""
+
+from __future__ import annotations
+
+import csv
+import io as text_io
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import shapely
+
+from p2wss import inference, io
+from p2wss.config import Eval, Reconstruct
+from p2wss.eval import cases, groups, measure, parameters, predict, tables, texts
+from p2wss.eval.clock import CpuClock
+from p2wss.eval.gallery import Gallery, counts_of_reasons
+from p2wss.eval.reasons import reason
+from p2wss.eval.roof_kinds import roof_kind
+from p2wss.inference import Reconstruction
+from p2wss.metrics.height import surface_height_m
+
+CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
+
+
+@pytest.fixture(scope="module")
+def found(hamlet: Path) -> list[cases.Case]:
+    return cases.test_cases(cases.read_manifest(hamlet))
+
+
+@pytest.fixture(scope="module")
+def off(found: list[cases.Case]) -> list[Reconstruction]:
+    """A network that is 40 cm too high and takes every roof for a hip of 30 degrees."""
+    height = [(case.eave_height_m or 5.0) + 0.4 if case.dataset == cases.SYNTHETIC else 5.0 for case in found]
+    buildings = [case.building for case in found]
+    made = inference.constant(buildings, np.array(height), 30.0, RECONSTRUCT, predict.NETWORK)
+    return [replace(one, confidence=0.5) for one in made]
+
+
+@pytest.fixture(scope="module")
+def made(
+    found: list[cases.Case], off: list[Reconstruction]
+) -> dict[str, dict[tuple[str, str, str], Reconstruction]]:
+    known = {case.key: one for case, one in zip(found, off, strict=True)}
+    every = {
+        predict.NETWORK: off,
+        predict.REFINED: predict.refine(found, known, RECONSTRUCT),
+        predict.FIT: predict.refine(found, None, RECONSTRUCT),
+    }
+    return {
+        method: {case.key: one for case, one in zip(found, rows, strict=True)}
+        for method, rows in every.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def table(found: list[cases.Case], made: dict) -> pa.Table:
+    rows = list(measure.measure(found, made.values(), CONFIG))
+    columns = {name: [row[name] for row in rows] for name in io.MEASURES.names}
+    return pa.table({field.name: pa.array(columns[field.name], field.type) for field in io.MEASURES})
+
+
+def test_the_variants_are_what_their_names_say(found: list[cases.Case], made: dict) -> None:
+    for case in found[:16]:
+        network, refined, fitted = (
+            made[name][case.key] for name in (predict.NETWORK, predict.REFINED, "fit")
+        )
+        assert [one.method for one in (network, refined, fitted)] == ["point2wss", "point2wss+fit", "fit"]
+        assert refined.confidence == 0.5 and fitted.confidence is None
+        assert refined.num_parts == fitted.num_parts == 1, "one height on simulated buildings"
+        assert case.eave_height_m is not None
+        assert abs((refined.eave_height_m or 0) - case.eave_height_m) < 0.15
+        assert (network.eave_height_m or 0) - case.eave_height_m == pytest.approx(0.4, abs=1e-5)
+
+
+def test_real_buildings_may_have_parts_and_simpler_footprints() -> None:
+    own = predict.for_dataset(RECONSTRUCT, cases.LIDAR)
+    simulated = predict.for_dataset(RECONSTRUCT, cases.SYNTHETIC)
+    assert (own.max_parts, own.simplify_m) == (RECONSTRUCT.max_parts, RECONSTRUCT.simplify_m)
+    assert (simulated.max_parts, simulated.simplify_m) == (1, 0.0) and own.max_parts > 1
+
+
+def test_the_clock_counts_what_is_done_and_not_the_first_building(found: list[cases.Case]) -> None:
+    clock, calls = CpuClock(), []
+
+    def work(buildings: Sequence[inference.Building], config: Reconstruct) -> list[Reconstruction]:
+        calls.append(len(buildings))
+        sum(i * i for i in range(200_000))
+        return inference.lod1(buildings, config)
+
+    predict.by_dataset(found, work, RECONSTRUCT, clock)
+    assert calls == [1, 16, 1, 12] and clock.num_buildings == {"synthetic": 16, "lidar": 12}
+    ms = clock.ms_per_building()
+    assert 0 < ms["synthetic"] < 500 and ms["synthetic"] * 16 == pytest.approx(
+        1e3 * clock.seconds["synthetic"]
+    )
+    rows = [
+        {"dataset": "lidar", "method": m, "num_triangles": 4} for m in ("point2wss", "point2wss+fit", "fit")
+    ]
+    base = {field.name: None for field in io.MEASURES}
+    measured = pa.Table.from_pylist([base | row for row in rows], schema=io.MEASURES)
+    cpu = {"point2wss": {"lidar": 3.0}, "point2wss+fit": {"lidar": 5.0}}
+    got = {d.method: d.cpu_ms for d in tables.details(measured, CONFIG, cpu)}
+    assert got == {"point2wss": 3.0, "point2wss+fit": 8.0, "fit": None}
+
+
+def test_seen_edges_are_those_with_points_on_the_labels_roof(found: list[cases.Case]) -> None:
+    """Independent: a mesh of the label, its faces in plan, points counted by shapely."""
+    some = found[:8]
+    kept = []
+    for i, case in enumerate(some):
+        x = case.building.point_m[:, 0]
+        # points only left of the middle, or on the first 3 m of it
+        left = x < (1.0 if i % 2 else -2.0)
+        kept.append(
+            replace(
+                case,
+                building=replace(
+                    case.building,
+                    point_m=case.building.point_m[left],
+                    classification=case.building.classification[left],
+                ),
+            )
+        )
+    seen = parameters.seen_edges(kept)
+    together = np.concatenate(seen)
+    assert 0.2 < together.mean() < 0.95
+    assert all(map(np.array_equal, seen, [parameters.seen_edges([case])[0] for case in kept]))
+    for case, own in zip(kept, seen, strict=True):
+        assert case.angle_deg is not None and case.label_ground_z_m is not None
+        (mesh,) = inference.build(
+            [case.building], [case.building.rings], [case.label_ground_z_m],
+            np.array([case.eave_height_m]), [case.angle_deg], np.array([np.nan]), "label", RECONSTRUCT, [""],
+        )  # fmt: skip
+        point = case.building.point_m[measure.points_on_building(case)]
+        roof_z = surface_height_m(point[:, :2], mesh.vertex_m, mesh.triangle) + case.label_ground_z_m
+        point = point[np.abs(point[:, 2] - roof_z) < 0.2]
+        ring = case.building.rings[0]
+        for e, angle in enumerate(case.angle_deg):
+            if 0 < angle < 90:
+                own_faces = mesh.triangle[(mesh.edge == e) & (mesh.kind >= 2)]
+                plan = shapely.union_all([shapely.Polygon(mesh.vertex_m[t][:, :2]) for t in own_faces])
+                count = int(shapely.contains_xy(plan.buffer(1e-9), point[:, 0], point[:, 1]).sum())
+            else:
+                edge = shapely.LineString([ring[e], ring[(e + 1) % len(ring)]])
+                count = int((shapely.distance(edge, shapely.points(point[:, :2])) <= 1).sum())
+            assert own[e] == (count >= 10)
+
+
+def test_table_1_has_the_variants_and_what_is_seen(found: list[cases.Case], made: dict) -> None:
+    errors = parameters.with_reconstructions(
+        {"settings": {"all_masked": {}}}, {case.key: case for case in found}, made
+    )
+    settings = errors["settings"]
+    assert settings["footprint_given"]["height_m"]["mean"] == pytest.approx(0.4, abs=1e-5)
+    truth = np.concatenate([case.angle_deg for case in found[:16] if case.angle_deg is not None])
+    assert settings["footprint_given"]["angle_deg"]["mean"] == pytest.approx(
+        np.abs(truth - 30).mean(), abs=1e-4
+    )
+    assert settings["refined"]["height_m"]["mean"] < 0.05 and settings["fitted"]["height_m"]["mean"] < 0.05
+    seen = np.concatenate(parameters.seen_edges(found[:16]))
+    assert settings["refined"]["angle_seen_deg"]["count"] == seen.sum() <= len(truth)
+    rows = tables.table_1(errors)
+    assert [row[0] for row in rows[-2:]] == ["Height, roof seen (m)", "Angles, roof face seen (°)"]
+    assert (
+        rows[1][rows[0].index("Footprint given + refinement MAE")] == settings["refined"]["height_m"]["mean"]
+    )
+
+
+def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table) -> None:
+    header, *rows = groups.table(table, ["synthetic", "lidar"])
+    records = [dict(zip(header, row, strict=True)) for row in rows]
+    for dataset, size in (("synthetic", 16), ("lidar", 12)):
+        for by in {r["by"] for r in records if r["dataset"] == dataset}:
+            for method in made_methods(table):
+                own = [r for r in records if (r["dataset"], r["by"], r["method"]) == (dataset, by, method)]
+                assert sum(r["num_buildings"] for r in own) == size
+    # by hand: the median of flat roofs of one method
+    plain = table.to_pylist()
+    flat = [
+        row["points_to_mesh_m"]
+        for row in plain
+        if row["dataset"] == "synthetic" and row["method"] == "fit" and row["roof_type"] == "flat"
+    ]
+    (told,) = [
+        r
+        for r in records
+        if (r["dataset"], r["by"], r["group"], r["method"]) == ("synthetic", "kind", "flat", "fit")
+    ]
+    assert told["num_buildings"] == len(flat) == 4
+    assert told["median_points_to_mesh_m"] == pytest.approx(np.median(flat))
+    # real buildings are told by the edges of the best reconstruction, not by the network's hips
+    kinds = {r["group"] for r in records if (r["dataset"], r["by"]) == ("lidar", "kind")}
+    assert {"flat", "gable"} <= kinds
+
+
+def made_methods(table: pa.Table) -> list[str]:
+    return list(dict.fromkeys(table["method"].to_pylist()))
+
+
+def test_calibration_is_the_share_within_half_a_metre_and_five_degrees(
+    found: list[cases.Case], table: pa.Table
+) -> None:
+    """The network: heights are right (0.4 m off), angles where they are from 25 to 35 degrees."""
+    bins, gap = groups.calibration(table, "synthetic", predict.NETWORK)
+    shares = [
+        (1 + (np.abs(case.angle_deg - 30) <= 5).sum()) / (1 + len(case.angle_deg))
+        for case in found[:16]
+        if case.angle_deg is not None
+    ]
+    assert [(b.count, b.stated) for b in bins] == [(16, 0.5)]
+    assert bins[0].observed == pytest.approx(np.mean(shares)) and gap == pytest.approx(
+        abs(0.5 - np.mean(shares))
+    )
+    rows = groups.calibration_table(table, ["synthetic", "lidar"])
+    assert rows[-1][0] == "synthetic" and rows[-1][4] == 16
+
+
+SQUARE = [np.array([[0.0, 0], [8, 0], [8, 8], [0, 8]])]
+
+
+@pytest.mark.parametrize(
+    ("angle", "kind"),
+    [
+        ([0, 0, 0, 0], "flat"),
+        ([90, 90, 90, 90], "flat"),
+        ([30, 30, 31, 30], "hip"),
+        ([30, 90, 31, 90], "gable"),
+        ([90, 90, 31, 90], "shed"),
+        ([30, 0, 31, 90], "mixed"),
+    ],
+)
+def test_roof_kinds(angle: list[float], kind: str) -> None:
+    assert roof_kind(SQUARE, np.array(angle)) == kind
+    assert roof_kind(SQUARE, np.array(angle), 2) == "several heights"
+
+
+def scene(height_m: np.ndarray, mesh_height_m: float = 5.0) -> tuple[cases.Case, Reconstruction]:
+    """A flat roof of 10 m by 10 m at ``mesh_height_m``, and points every half metre at the heights given."""
+    at = np.arange(0.25, 10, 0.5)
+    x, y = (g.ravel() for g in np.meshgrid(at, at, indexing="ij"))
+    ring = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
+    point = np.column_stack([x, y, np.broadcast_to(height_m, (20, 20)).ravel()])
+    building = inference.Building("a", "t", (0.0, 0.0), [ring], point, np.full(400, 6, np.uint8), 0.0)
+    (flat,) = inference.constant([building], np.array([mesh_height_m]), 0.0, RECONSTRUCT)
+    return cases.Case(cases.LIDAR, building, 1.0, None, None, None, None), flat
+
+
+def test_reasons_are_the_ones_that_were_built_in() -> None:
+    level = np.full((20, 20), 5.0)
+    case, flat = scene(level + 1.3)
+    told = reason(case, flat)
+    assert told.kind == "height error" and "1.3 m too low" in told.sentence
+    annex = level.copy()
+    annex[:6, :10] = 2.6  # 3 m by 5 m in a corner: 15 %
+    told = reason(*scene(annex))
+    assert told.kind == "garage or annex" and "15% of the points (15 m²" in told.sentence
+    assert "2.4 m below" in told.sentence
+    dormer = level.copy()
+    dormer[8:12, 8:12] = 6.1
+    told = reason(*scene(dormer))
+    assert told.kind == "dormer" and "4% of the points (4 m², inside) lie 1.1 m above" in told.sentence
+    tower = level.copy()
+    tower[10:] = 9.0
+    assert reason(*scene(tower)).kind == "higher part"
+    assert reason(*scene(tower), num_parts=2).kind == "several heights"
+    case, flat = scene(level)
+    few = replace(case.building, point_m=case.building.point_m[:30], classification=np.full(30, 6, np.uint8))
+    assert reason(replace(case, building=few), flat).sentence.startswith(
+        "Sparse: 30 points on the building, 0.3"
+    )
+    assert reason(replace(case, visible_roof_share=0.3), flat).kind == "occluded"
+    assert reason(case, flat).kind == "walls"
+    lost = inference.no_mesh(case.building, "x", "no height")
+    assert reason(case, lost).sentence == "No mesh: no height."
+
+
+def test_the_gallery_shows_what_it_says(found: list[cases.Case], made: dict, table: pa.Table) -> None:
+    by_key = {case.key: case for case in found}
+    rows = table.to_pylist()
+    gallery = Gallery(by_key, made, rows)
+    assert gallery.main == predict.REFINED
+    worst = gallery.worst("synthetic", 5)
+    value = {
+        (r["dataset"], r["tile"], r["building_id"]): r["points_to_mesh_m"]
+        for r in rows
+        if r["method"] == predict.REFINED
+    }
+    expected = sorted((v for key, v in value.items() if key[0] == "synthetic"), reverse=True)[:5]
+    assert [value[shown.key] for shown in worst] == expected
+    assert all(shown.sentence.endswith(".") for shown in worst)
+    figures = {own.figure: own for own in gallery.counterparts(2)}
+    assert list(figures) == ["7 (1)", "7 (2)", "8", "9", "10", "11", "12", "13", "14"]
+    # the network's hip is wrong by more than 5 degrees but for the hips of 40: none has right angles
+    assert figures["7 (1)"].shown == [] and not figures["14"].shown, "no Roofer was run"
+    assert figures["11"].shown and all(shown.method == predict.REFINED for shown in figures["11"].shown)
+    assert all(count > 0 for _, count in counts_of_reasons(gallery, "synthetic"))
+
+
+HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b> ± ° ² μ σ – …"
+
+
+def test_latex_is_balanced_and_escaped() -> None:
+    rows = [["Name", "A_b", "n"], [HOSTILE, 1.23456, 7], ["x", None, float("nan")]]
+    text = texts.to_latex(rows, HOSTILE, "tab:x")
+    lines = text.splitlines()
+    body = [line for line in lines if line.endswith(r"\\")]
+    assert len(body) == 3 and all(len(re.findall(r"(?<!\\)&", line)) == 2 for line in body)
+    assert r"1.23 & 7 \\" in body[1] and body[2] == r"x & -- & -- \\"
+    assert [line for line in lines if "rule" in line] == [r"\toprule", r"\midrule", r"\bottomrule"]
+    assert re.findall(r"\\(?:begin|end)\{\w+\}", text) == [
+        r"\begin{table}", r"\begin{tabular}", r"\end{tabular}", r"\end{table}"
+    ]  # fmt: skip
+    bare = re.sub(r"\\[{}]", "", text)
+    assert bare.count("{") == bare.count("}") and text.isascii()
+    unescaped = [c for c in "#%_^~" if re.search(rf"(?<!\\){re.escape(c)}", "\n".join(body))]
+    assert unescaped == ["^"], "only within the mathematics of ° and ²"
+    assert "lrr" in text and next(csv.reader(text_io.StringIO(texts.to_csv(rows)))) == rows[0]
+
+
+def test_the_template_names_recorded_outputs_everywhere() -> None:
+    runs = [tables.Run("roofer", "recorded", "recorded outputs: a.city.jsonl"), tables.Run("fit", "ok")]
+    base = {field.name: None for field in io.MEASURES}
+    rows = [
+        {"dataset": "lidar", "method": "roofer", "num_triangles": 10, "chamfer_m": 1.0},
+        {"dataset": "lidar", "method": "roofer", "status": "no mesh from Roofer"},
+        {"dataset": "synthetic", "method": "fit", "num_triangles": 10, "chamfer_m": 1.0},
+    ]
+    measured = pa.Table.from_pylist([base | row for row in rows], schema=io.MEASURES)
+    details = tables.details(measured, CONFIG)
+    columns = tables.columns_2(details, runs)
+    names = {"synthetic": "Synthetic", "lidar": "Real"}
+    titles = tables.table_2(columns, names)[0]
+    assert "Real / Roofer (recorded)" in titles and "Synthetic / Roofer (no outputs recorded)" in titles
+    more = tables.table_2_more(columns, names)
+    assert more[0] == ["Measure", "Synthetic / Refinement only", "Real / Roofer (recorded)"]
+    counts = {row[0]: row[1:] for row in more}
+    assert counts["Buildings"] == [1, 2] and counts["Without a mesh"] == [0, 1]
+    lost = tables.without_mesh(details, runs, names)
+    assert lost[1:] == [["Real", "Roofer (recorded)", "no mesh from Roofer", 1]]
