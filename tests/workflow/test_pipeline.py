@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import zipfile
 
 import pyarrow.parquet as pq
 import pytest
@@ -49,6 +50,16 @@ def test_the_report_and_its_tables_are_there(done):
         rows = list(csv.reader((folder / f"{name}.csv").open()))
         assert len(rows) > 3 and len({len(row) for row in rows}) == 1
         assert (folder / f"{name}.tex").read_text().count(r"\\") == len(rows)
+
+
+def test_snakemakes_own_report_has_page_and_tables(done, tmp_path):
+    archive = tmp_path / "report.zip"
+    done.snakemake("eval_report", "--report", str(archive), *REDUCED)
+    with zipfile.ZipFile(archive) as content:
+        names = [name.rsplit("/", 1)[-1] for name in content.namelist()]
+        assert {"report.html", "table1.csv", "table2.csv", "table2_more.csv", "worst.csv"} <= set(names)
+        told = "".join(content.read(name).decode(errors="ignore") for name in content.namelist())
+    assert "as in Table 1 of the paper" in told, "the captions"
 
 
 def test_every_building_has_a_row_and_every_mesh_is_closed(done):

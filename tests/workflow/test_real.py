@@ -1,14 +1,18 @@
 """Real footprints and real LiDAR, where they are at hand: ../shared/data beside the checkout."""
 
+import csv
 import json
 import re
+import shutil
+import subprocess
+import sys
 
 import geopandas as gpd
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from checkout import ROOT
+from checkout import ROOT, rules_to_run
 
 DATA = ROOT.parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")
@@ -76,6 +80,42 @@ def test_real_lidar_becomes_closed_buildings(done, tmp_path):
         for city_object in feature["CityObjects"].values():
             for solid in city_object.get("geometry", []):
                 assert solid["type"] == "Solid" and _is_closed(solid["boundaries"][0])
+
+
+@pytest.mark.slow
+def test_table_2_of_a_real_data_set_with_recorded_roofer(done, project):
+    """Delft through the workflow with weights from elsewhere: all variants, and Roofer as recorded."""
+    model = done.folder / "results/mini/model/model.safetensors"
+    shutil.copy(model, project.folder / "weights.safetensors")
+    shutil.copytree(ROOT / "tests/real", project.folder / "tests/real")
+    make = [sys.executable, "tests/real/make.py", str(DATA), "resources/real"]
+    subprocess.run(make, cwd=project.folder, check=True)
+    config = yaml.safe_load((project.folder / "tests/real/delft.yaml").read_text())
+    config["model"] = {"weights": "weights.safetensors"}
+    config["eval"] |= {"num_worst": 1, "num_pictures": 0, "num_resamples": 100}
+    (project.folder / "delft.yaml").write_text(yaml.safe_dump(config))
+    target = ["eval_report", "-c2", "--configfile", "delft.yaml"]
+    project.snakemake(*target)
+    folder = project.folder / "results/delft/eval"
+    header, *rows = csv.reader((folder / "table2.csv").open())
+    mean = dict(zip(header, rows[0], strict=True))
+    # the judge of the real data gives Roofer 0.914
+    assert abs(float(mean["Delft AHN3 / Roofer (recorded)"]) - 0.914) < 0.012
+    for ours in ("Point2WSS + refinement", "Refinement only"):
+        assert float(mean[f"Delft AHN3 / {ours}"]) < 0.95 < 1.5 * float(mean["Delft AHN3 / Point2WSS"])
+    more = {row[0]: row[1:] for row in csv.reader((folder / "table2_more.csv").open())}
+    at = [i for i, title in enumerate(more["Measure"]) if title.startswith("Delft")]
+    assert {more["Buildings"][i] for i in at} == {"74"} and {more["Without a mesh"][i] for i in at} == {"0"}
+    assert {more["Manifold (%)"][i] for i in at} == {"100.0000"}
+    assert "Roofer (recorded)" in (folder / "report.html").read_text()
+    assert rules_to_run(project.snakemake("-n", *target)) == {}
+    # a Roofer that appears is run instead
+    program = project.folder / "roofer"
+    program.write_text("#!/bin/sh\necho roofer 9.9\n")
+    program.chmod(0o755)
+    config["eval"]["roofer_command"] = str(program)
+    (project.folder / "delft.yaml").write_text(yaml.safe_dump(config))
+    assert "baseline" in rules_to_run(project.snakemake("-n", *target))
 
 
 def test_another_crs_is_one_clear_line(done, tmp_path):

@@ -46,7 +46,7 @@ rule predict:
         gpu=1,
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
-        code=fingerprint("eval.predict", "model"),
+        code=fingerprint("eval.predict", "eval.parameters", "model"),
     shell:
         "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters} {output.cpu}"
         " --threads {threads} --config {params.config:q} 2> {log}"
