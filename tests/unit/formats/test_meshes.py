@@ -1,0 +1,130 @@
+"""OBJ, PLY, STL and GLB as an independent reader sees them: the same solids, closed, seen from outside."""
+
+from __future__ import annotations
+
+import struct
+from io import BytesIO
+
+import numpy as np
+import pytest
+import trimesh
+
+from p2wss import skeleton
+from p2wss.formats.glb import glb
+from p2wss.formats.meshes import Frame, Mesh, frame_around, obj, ply, stl
+from p2wss.skeleton.types import FaceKind, Polygons
+
+THERE = np.array([652000.25, 6861000.5, 103.7])
+L_SHAPE = [np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13]], float)]
+COURTYARD = [
+    np.array([[0, 0], [20, 0], [20, 20], [0, 20]], float),
+    np.array([[6, 6], [6, 14], [14, 14], [14, 6]], float),
+]
+
+
+@pytest.fixture(scope="module")
+def meshes() -> list[Mesh]:
+    """An L with gables and, 40 m east of it, a block around a courtyard."""
+    made = skeleton.build(
+        Polygons.from_rings([L_SHAPE, COURTYARD]),
+        np.array([30, 90, 30, 30, 90, 30] + [35] * 8, float),
+        np.array([5.0, 6.0]),
+    )
+    assert (made.status == 0).all()
+    result = []
+    for i, name in enumerate(("house 1", "courtyard")):
+        vertex, triangle, kind, _ = made.mesh(i)
+        result.append(Mesh(name, vertex + THERE + [40 * i, 0, 0], triangle, kind))
+    return result
+
+
+@pytest.fixture(scope="module")
+def frame(meshes: list[Mesh]) -> Frame:
+    return frame_around(meshes, "EPSG:2154")
+
+
+def test_frame_is_the_least_corner_in_whole_metres(frame: Frame) -> None:
+    assert frame.origin_m.tolist() == [652000, 6861000, 103]
+    assert frame_around([], "EPSG:2154").origin_m.tolist() == [0, 0, 0]
+
+
+def one_by_one(content: bytes, kind: str) -> dict[str, trimesh.Trimesh]:
+    """Solids by name; formats that do not keep them apart are cut into their connected pieces."""
+    if kind == "obj":
+        options = {"split_objects": True, "group_material": False}
+        return dict(trimesh.load_scene(BytesIO(content), file_type="obj", **options).geometry)
+    if kind == "glb":
+        return dict(trimesh.load_scene(BytesIO(content), file_type="glb").geometry)
+    loaded = trimesh.load_mesh(BytesIO(content), file_type=kind)
+    return {f"piece {i}": piece for i, piece in enumerate(loaded.split(only_watertight=False))}
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply", "stl", "glb"])
+def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Mesh], frame: Frame) -> None:
+    content = (
+        glb(meshes, frame, {}) if kind == "glb" else {"obj": obj, "ply": ply, "stl": stl}[kind](meshes, frame)
+    )
+    found = list(one_by_one(content, kind).values())
+    assert len(found) == len(meshes)
+    expected = sorted(trimesh.Trimesh(m.vertex_m - frame.origin_m, m.triangle).volume for m in meshes)
+    assert sorted(piece.volume for piece in found) == pytest.approx(expected, rel=1e-5)
+    for piece in found:
+        assert piece.is_watertight and piece.is_winding_consistent and piece.volume > 0
+    low = np.min([piece.bounds[0] for piece in found], axis=0)
+    high = np.max([piece.bounds[1] for piece in found], axis=0)
+    corners = np.concatenate([m.vertex_m for m in meshes]) - frame.origin_m
+    wanted = np.array([corners.min(axis=0), corners.max(axis=0)])
+    if kind == "glb":
+        # y up: x east, y height, -z north
+        wanted = np.array([wanted[0][[0, 2, 1]], wanted[1][[0, 2, 1]]])
+        wanted[:, 2] = -wanted[::-1, 2]
+    assert np.array([low, high]) == pytest.approx(wanted, abs=2e-4)
+
+
+def test_names_and_materials_in_obj(meshes: list[Mesh], frame: Frame) -> None:
+    lines = obj(meshes, frame).decode().splitlines()
+    assert [line for line in lines if line.startswith("o ")] == ["o house_1", "o courtyard"]
+    assert "# crs EPSG:2154" in lines
+    assert "# origin_m 652000 6861000 103 (add it to every vertex)" in lines
+    used: dict[str, int] = {}
+    for line in lines:
+        if line.startswith("usemtl"):
+            name = line.split()[1]
+        if line.startswith("f "):
+            used[name] = used.get(name, 0) + 1
+    kinds = np.concatenate([mesh.kind for mesh in meshes])
+    assert used["ground"] == (kinds == FaceKind.GROUND).sum()
+    assert used["wall"] == (kinds == FaceKind.WALL).sum()
+    assert used["roof"] == np.isin(kinds, (FaceKind.ROOF, FaceKind.FLAT)).sum()
+
+
+def test_ply_tells_kind_and_building_of_every_face(meshes: list[Mesh], frame: Frame) -> None:
+    content = ply(meshes, frame)
+    header = content[: content.index(b"end_header")].decode().splitlines()
+    assert "comment origin_m 652000 6861000 103 (add it to every vertex)" in header
+    assert "comment mesh 0 house_1" in header and "comment mesh 1 courtyard" in header
+    raw = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False).metadata["_ply_raw"]["face"][
+        "data"
+    ]
+    assert raw["kind"].ravel().tolist() == np.concatenate([mesh.kind for mesh in meshes]).tolist()
+    assert raw["mesh"].ravel().tolist() == [0] * len(meshes[0].triangle) + [1] * len(meshes[1].triangle)
+
+
+def test_stl_is_binary_with_unit_normals_outwards(meshes: list[Mesh], frame: Frame) -> None:
+    content = stl(meshes, frame)
+    assert not content.startswith(b"solid") and b"origin_m 652000 6861000 103 crs EPSG:2154" in content[:80]
+    (count,) = struct.unpack("<I", content[80:84])
+    assert count == sum(len(mesh.triangle) for mesh in meshes) and len(content) == 84 + 50 * count
+    record = np.frombuffer(content[84:], np.dtype("<12f4,<u2"), count)
+    values = np.array([row[0] for row in record.tolist()])
+    corner = values[:, 3:].reshape(-1, 3, 3)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    assert values[:, :3] == pytest.approx(normal, abs=1e-3)
+
+
+def test_without_meshes_the_files_are_still_files() -> None:
+    frame = frame_around([], "EPSG:2154")
+    assert stl([], frame)[80:] == bytes(4)
+    assert b"element face 0" in ply([], frame) and obj([], frame).startswith(b"# p2wss")
+    assert glb([], frame, {})[:4] == b"glTF"
