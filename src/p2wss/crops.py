@@ -22,9 +22,12 @@ from p2wss.config import Crops
 from p2wss.errors import InputError
 from p2wss.lidar.cropping import (
     count_distinct,
+    count_true,
     crop_points,
     gather_cm,
     medians,
+    own_kinds,
+    ring_medians,
     seen_share,
     walls_seen,
 )
@@ -77,39 +80,45 @@ class Cropped:
 def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cropped:
     """The points of ``cloud`` inside or within ``buffer_m`` of each polygon, which is in the cloud's CRS."""
     point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
-    return Cropped(point, inside, offset, ground_height(cloud, polygons))
+    known = (point, inside, offset) if buffer_m == _GROUND_RINGS_M[0] else None
+    return Cropped(point, inside, offset, ground_height(cloud, polygons, known))
 
 
-def ground_height(cloud: Cloud, polygons: Polygons) -> np.ndarray:
+def ground_height(
+    cloud: Cloud, polygons: Polygons, nearest: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
     """z of the ground around each polygon as the cloud tells it, float64 (num_polygons,), NaN where it does
     not.
 
     The median of the ground points (class 2) outside the footprint, at most 1 m away; if these are fewer than
     five, at most 4, 16 or 64 m away. In a cloud without any class 2, a low percentile of all points of the
-    ring.
+    ring. ``nearest``: what :func:`crop_points` tells for 1 m, if that is known.
     """
-    ground = np.flatnonzero(cloud.classification == GROUND_CLASS)
-    unclassified = not len(ground)
+    ground = cloud.classification == GROUND_CLASS
+    unclassified = not ground.any()
     if unclassified:
-        ground = np.arange(len(cloud))
-    x, y, z = cloud.x_m[ground], cloud.y_m[ground], cloud.z_m[ground]
+        ground = np.ones(len(cloud), bool)
     result = np.full(len(polygons), np.nan)
     pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
     for distance_m in _GROUND_RINGS_M:
         if not len(pending):
             break
-        point, inside, offset = crop_points(x, y, footprints.take(polygons, pending), distance_m)
-        counts = _counts(~inside, offset)
-        outside = point[~inside]
-        ring_offset = np.concatenate([[0], np.cumsum(counts)])
+        if nearest is not None and distance_m == _GROUND_RINGS_M[0] and len(pending) == len(polygons):
+            point, inside, offset = nearest
+        else:
+            point, inside, offset = crop_points(
+                cloud.x_m, cloud.y_m, footprints.take(polygons, pending), distance_m, ground
+            )
+        counts, median = ring_medians(cloud.z_m, ground, point, inside, offset)
         is_last = distance_m == _GROUND_RINGS_M[-1]
         enough = counts >= (1 if is_last else _ENOUGH_GROUND_POINTS)
         if unclassified:
             for p in np.flatnonzero(enough):
-                heights = z[outside[ring_offset[p] : ring_offset[p + 1]]]
+                pairs = slice(offset[p], offset[p + 1])
+                heights = cloud.z_m[point[pairs][~inside[pairs]]]
                 result[pending[p]] = np.percentile(heights, _LOW_PERCENTILE)
         else:
-            result[pending[enough]] = medians(z, outside, ring_offset)[enough]
+            result[pending[enough]] = median[enough]
         pending = pending[~enough]
     return result
 
@@ -165,20 +174,17 @@ def crop_scene(
 
     chosen = footprints.take(polygons, rows)
     cropped = crop_cloud(cloud, chosen, settings.buffer_m)
-    of_this = building_of_point[cropped.point] == np.repeat(rows, np.diff(cropped.offset))
-    kind = face[cropped.point] & 3
-    on_roof = of_this & ((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT))
-    on_wall = of_this & (kind == FaceKind.WALL)
+    kind = own_kinds(building_of_point, face, cropped.point, cropped.offset, rows)
+    on_roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
+    on_wall = kind == FaceKind.WALL
     kept, columns = _rows(cloud, cropped, chosen, origin[rows], on_roof, settings, left_out)
     labels = buildings.take(rows[kept])
     columns |= {name: labels[name].combine_chunks() for name in _LABELS}
     columns |= {
         "label_ground_z_m": labels["ground_z_m"].combine_chunks(),
         "split": split[rows[kept]],
-        "num_wall_points": _counts(on_wall, cropped.offset)[kept].astype(np.int32),
-        "num_walls_seen": walls_seen(
-            (face[cropped.point] >> 2) - 1, on_wall, cropped.offset, _WALL_SEEN_POINTS
-        )[kept],
+        "num_wall_points": count_true(on_wall, cropped.offset)[kept].astype(np.int32),
+        "num_walls_seen": walls_seen(face, cropped.point, on_wall, cropped.offset, _WALL_SEEN_POINTS)[kept],
     }
     return columns, left_out
 
@@ -211,7 +217,7 @@ def crop_lidar(
     classification = cloud.classification[cropped.point]
     on_roof = (classification == BUILDING_CLASS) & cropped.inside
     # a classifier may miss a building altogether: then all that is above it counts
-    missed = np.repeat(_counts(on_roof, cropped.offset) == 0, np.diff(cropped.offset))
+    missed = np.repeat(count_true(on_roof, cropped.offset) == 0, np.diff(cropped.offset))
     on_roof |= missed & cropped.inside & (classification != GROUND_CLASS)
     kept, columns = _rows(cloud, cropped, polygons, footprints.origins(polygons), on_roof, settings, left_out)
     for field in io.CROPS:
@@ -335,11 +341,6 @@ def _per_vertex(polygons: Polygons, value: np.ndarray) -> np.ndarray:
     return np.repeat(value, np.diff(polygons.vertex_offset), axis=0)
 
 
-def _counts(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """True values of ``mask`` in each slice ``offset[i]:offset[i + 1]``."""
-    return np.diff(np.concatenate([[0], np.cumsum(mask)])[offset])
-
-
 def _rows(
     cloud: Cloud,
     cropped: Cropped,
@@ -364,14 +365,15 @@ def _rows(
     usable = z_cm != _NOT_INT16  # what is 300 m above or below the rest is no part of the building
 
     reach = np.abs(local.xy_m).max(axis=1) + settings.buffer_m
-    large = _counts(reach > _REACH_M, local.vertex_offset) > 0
-    few = ~large & (_counts(usable, offset) < settings.min_points)
+    large = count_true(reach > _REACH_M, local.vertex_offset) > 0
+    few = ~large & (count_true(usable, offset) < settings.min_points)
     left_out["too-large"] += int(large.sum())
     left_out["too-few-points"] += int(few.sum())
     kept = np.flatnonzero(~(large | few))
     strip = np.zeros(len(cloud), np.uint16) if cloud.strip is None else cloud.strip
     pairs = usable & np.repeat(~(large | few), np.diff(offset))
-    num_points = _counts(usable, offset)[kept]
+    chosen = slice(None) if pairs.all() else pairs  # mostly nothing is left out, and nothing copied
+    num_points = count_true(usable, offset)[kept]
     point_offset = np.concatenate([[0], np.cumsum(num_points)])
     shape = footprints.take(local, kept)
     columns = {
@@ -379,19 +381,19 @@ def _rows(
         "origin_x_m": origin_xy_m[kept, 0],
         "origin_y_m": origin_xy_m[kept, 1],
         "origin_z_m": origin_z_m[kept],
-        "x_cm": io.ragged(x_cm[pairs], point_offset),
-        "y_cm": io.ragged(y_cm[pairs], point_offset),
-        "z_cm": io.ragged(z_cm[pairs], point_offset),
-        "classification": io.ragged(cloud.classification[cropped.point[pairs]], point_offset),
+        "x_cm": io.ragged(x_cm[chosen], point_offset),
+        "y_cm": io.ragged(y_cm[chosen], point_offset),
+        "z_cm": io.ragged(z_cm[chosen], point_offset),
+        "classification": io.ragged(cloud.classification[cropped.point[chosen]], point_offset),
         **footprints.to_columns(shape, np.zeros((len(kept), 2))),
         "ground_z_m": cropped.ground_z_m[kept],
-        "num_roof_points": _counts(on_roof & usable, offset)[kept].astype(np.int32),
+        "num_roof_points": count_true(on_roof & usable, offset)[kept].astype(np.int32),
         "num_strips": count_distinct(strip, cropped.point, offset)[kept],
         "is_truncated": num_points > settings.max_points,
         "visible_roof_share": seen_share(
-            x_cm[pairs],
-            y_cm[pairs],
-            on_roof[pairs],
+            x_cm[chosen],
+            y_cm[chosen],
+            on_roof[chosen],
             point_offset,
             shape.xy_m,
             shape.ring_offset,

@@ -20,8 +20,8 @@ from p2wss.errors import InputError
 from p2wss.lidar.caster import CHUNK_PULSES, cast
 from p2wss.lidar.clutter import Houses, clutter
 from p2wss.lidar.pulses import Box
-from p2wss.lidar.returns import Points
-from p2wss.lidar.surface import THING_KIND, Surface, encode_face, is_tree
+from p2wss.lidar.returns import Points, count_points
+from p2wss.lidar.surface import Surface, encode_face, is_tree
 from p2wss.lidar.survey import Survey, plan
 from p2wss.lidar.terrain import local_grid
 from p2wss.seeds import derive_seed, generator
@@ -208,10 +208,8 @@ def _facts(
     seed: int,
 ) -> dict[str, Any]:
     low, high = (1000 * (np.array(corner) - origin[:2]) for corner in (bounds[:2], bounds[2:]))
-    x_mm, y_mm = points.xyz_mm[:, 0], points.xyz_mm[:, 1]
-    in_tile = (x_mm >= low[0]) & (x_mm < high[0]) & (y_mm >= low[1]) & (y_mm < high[1])
+    ground, walls, roofs, trees, others, inside, first = count_points(points, low, high).tolist()
     area_m2 = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
-    kind = points.face & 3
     vertex_x, vertex_y, row = _footprint_vertices(buildings)
     bare = np.unique(
         row[np.isnan(terrain.interpolated(vertex_x, vertex_y)) & buildings["in_tile"].to_numpy()[row]]
@@ -221,13 +219,13 @@ def _facts(
         "survey": survey.parameters,
         "pulses": counts,
         "num_points": len(points.pulse),
-        "num_ground_points": int((points.face < 0).sum()),
-        "num_wall_points": int(((points.building >= 0) & (kind == FaceKind.WALL)).sum()),
-        "num_roof_points": int(((points.building >= 0) & (kind >= FaceKind.ROOF)).sum()),
-        "num_tree_points": int(is_tree(points.face).sum()),
-        "num_other_points": int(((points.building >= 0) & (kind == THING_KIND)).sum()),
-        "points_per_m2": float(in_tile.sum() / area_m2),
-        "pulses_per_m2": float((in_tile & (points.return_number == 1)).sum() / area_m2),
+        "num_ground_points": ground,
+        "num_wall_points": walls,
+        "num_roof_points": roofs,
+        "num_tree_points": trees,
+        "num_other_points": others,
+        "points_per_m2": inside / area_m2,
+        "pulses_per_m2": first / area_m2,
         "buildings_on_nodata": [buildings["building_id"][int(i)].as_py() for i in bare],
     }
 
@@ -246,8 +244,10 @@ def busiest_place(points: Points, cell_m: float = 50.0) -> np.ndarray:
 
 def classes(points: Points) -> np.ndarray:
     """LAS class per point, uint8: 2 ground, 5 vegetation, 6 building and what stands on it."""
-    above = np.where(is_tree(points.face), VEGETATION_CLASS, BUILDING_CLASS)
-    return np.where(points.face < 0, GROUND_CLASS, above).astype(np.uint8)
+    result = np.full(len(points.face), BUILDING_CLASS, np.uint8)
+    result[points.face < 0] = GROUND_CLASS
+    result[is_tree(points.face)] = VEGETATION_CLASS
+    return result
 
 
 def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from queue import SimpleQueue
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -51,35 +52,50 @@ def cast(
     """
     caster = Caster(surface)
     counts = np.zeros(len(OUTCOMES), np.int64)
-    chunks: list[Points] = []
-    # fresh memory for every chunk costs a twentieth of the cast: each thread has its own and keeps it
-    free: SimpleQueue[_Workspace] = SimpleQueue()
-    for _ in range(threads):
-        free.put(_Workspace(max(BLOCK_PULSES, chunk_pulses)))
-
-    def work(item: tuple[int, np.ndarray]) -> tuple[Points, np.ndarray]:
-        index, blocks = item
-        space = free.get()
-        try:
-            return _cast_chunk(caster, surface, strips[index], index, blocks, box, space)
-        finally:
-            free.put(space)
-
+    chunks = list(_chunks(strips, box, chunk_pulses))
+    work = iter(chunks)
+    # fresh memory costs a fifth of the cast: each thread keeps its own, and the points are written into
+    # arrays that are long enough, whose unused ends are never touched
+    points, num_points = _empty_points(sum(len(blocks) for _, blocks in chunks) * BLOCK_PULSES), 0
+    spaces = [_Workspace(max(BLOCK_PULSES, chunk_pulses)) for _ in range(threads)]
     with ThreadPoolExecutor(threads) as pool:
-        for points, outcome in pool.map(work, _chunks(strips, box, chunk_pulses)):
-            chunks.append(points)
+        running: deque[tuple[_Workspace, Future[tuple[int, np.ndarray]]]] = deque()
+
+        def start(space: _Workspace) -> None:
+            """Cast the next chunk, if there is one."""
+            for index, blocks in islice(work, 1):
+                arguments = (caster, surface, strips[index], index, blocks, box, space)
+                running.append((space, pool.submit(_cast_chunk, *arguments)))
+
+        for space in spaces:
+            start(space)
+        while running:  # the oldest first, in the order of firing
+            space, future = running.popleft()
+            kept, outcome = future.result()
+            if num_points + kept > len(points.pulse):  # several returns
+                points = _longer(points, num_points, 2 * (num_points + kept))
+            for column, part in zip(points, space.points, strict=True):
+                column[num_points : num_points + kept] = part[:kept]
+            num_points += kept
             counts += outcome
+            start(space)
     fate = {name: int(count) for name, count in zip(OUTCOMES, counts, strict=True)}
-    return _concatenate(chunks), {"cast": int(counts.sum()), **fate}
+    return Points(*(column[:num_points] for column in points)), {"cast": int(counts.sum()), **fate}
 
 
 class _Workspace:
-    """Rays and hits of one chunk of at most ``room`` pulses."""
+    """Rays, hits and points of one chunk of at most ``room`` pulses."""
 
     def __init__(self, room: int):
         self.origin, self.direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
         self.advance_m, self.pulse = np.empty(room), np.empty(room, np.int64)
         self.found = _empty_hits(room)
+        self.points = _empty_points(room)
+
+    def make_room(self, num_points: int) -> None:
+        """Have room for so many points."""
+        if num_points > len(self.points.pulse):
+            self.points = _empty_points(num_points)
 
 
 def _empty_hits(n: int) -> Hits:
@@ -102,7 +118,8 @@ def _cast_chunk(
     blocks: np.ndarray,
     box: Box,
     space: _Workspace,
-) -> tuple[Points, np.ndarray]:
+) -> tuple[int, np.ndarray]:
+    """Leave the points of some blocks in ``space``; returns how many, and the fate of the pulses."""
     n = generate(
         strip.path,
         blocks,
@@ -137,7 +154,8 @@ def _cast_chunk(
     )
     sub_found = _empty_hits(room)
     _hits(caster, surface, sub_origin, sub_direction, sub_found)
-    points, outcome = _empty_points(n + room), np.zeros(len(OUTCOMES), np.int64)
+    space.make_room(n + room)
+    outcome = np.zeros(len(OUTCOMES), np.int64)
     kept = record(
         origin,
         direction,
@@ -154,12 +172,10 @@ def _cast_chunk(
         index,
         box,
         NORMAL_QUANTILE,
-        points,
+        space.points,
         outcome,
     )
-    # few of the pulses are lost; where many are, their room is given back
-    whole = kept > 0.7 * (n + room)
-    return Points(*(column[:kept] if whole else column[:kept].copy() for column in points)), outcome
+    return kept, outcome
 
 
 def _hits(caster: Caster, surface: Surface, origin: np.ndarray, direction: np.ndarray, found: Hits) -> None:
@@ -181,13 +197,9 @@ def _empty_points(n: int) -> Points:
     )
 
 
-def _concatenate(chunks: list[Points]) -> Points:
-    """One :class:`Points` of all; a column's parts are let go before the next one is joined."""
-    if not chunks:
-        return _empty_points(0)
-    parts = [list(column) for column in zip(*chunks, strict=True)]
-    chunks.clear()
-    columns = []
-    while parts:
-        columns.append(np.concatenate(parts.pop(0)))
-    return Points(*columns)
+def _longer(points: Points, used: int, room: int) -> Points:
+    """The first ``used`` points with room for ``room``."""
+    longer = _empty_points(room)
+    for column, old in zip(longer, points, strict=True):
+        column[:used] = old[:used]
+    return longer

@@ -19,11 +19,16 @@ _MAX_CELLS = 1 << 24
 
 
 def crop_points(
-    x_m: np.ndarray, y_m: np.ndarray, polygons: Polygons, buffer_m: float
+    x_m: np.ndarray,
+    y_m: np.ndarray,
+    polygons: Polygons,
+    buffer_m: float,
+    among: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points of each polygon.
 
-    x_m, y_m: float64 (num_points,), in the frame of ``polygons``. Returns point int32 (num_pairs,), the
+    x_m, y_m: float64 (num_points,), in the frame of ``polygons``. among: bool (num_points,), which points
+    count; all without it. Returns point int32 (num_pairs,), the
     index of a point; inside bool (num_pairs,), false for a point of the ring around the polygon; offset
     int64 (num_polygons + 1,): polygon p has the pairs ``offset[p]:offset[p + 1]``, in an order that depends
     on the points and the polygons only.
@@ -36,7 +41,9 @@ def crop_points(
     cell_m = max(_CELL_M, sqrt(float(extent[0] * extent[1]) / _MAX_CELLS))
     columns, rows = (int(length / cell_m) + 1 for length in extent)
     boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, low, cell_m, float(buffer_m), columns, rows)
-    start, order, x_sorted, y_sorted = _sort_points(x_m, y_m, low, cell_m, columns, rows, boxes)
+    start, order, x_sorted, y_sorted = _sort_points(
+        x_m, y_m, low, cell_m, columns, rows, boxes, np.zeros(0, bool) if among is None else among
+    )
     return _crop(
         x_sorted,
         y_sorted,
@@ -80,9 +87,19 @@ def _cell_boxes(
 
 @njit(cache=True, nogil=True)
 def _sort_points(
-    x: np.ndarray, y: np.ndarray, low: np.ndarray, cell_m: float, columns: int, rows: int, boxes: np.ndarray
+    x: np.ndarray,
+    y: np.ndarray,
+    low: np.ndarray,
+    cell_m: float,
+    columns: int,
+    rows: int,
+    boxes: np.ndarray,
+    among: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Counting sort of the points by cell, row by row, without those of cells that no polygon needs."""
+    """Counting sort of the points by cell, row by row, without those of cells that no polygon needs.
+
+    ``among`` is bool, one per point, or empty for all.
+    """
     wanted = np.zeros((rows, columns), np.bool_)
     for p in range(len(boxes)):
         wanted[boxes[p, 2] : boxes[p, 3] + 1, boxes[p, 0] : boxes[p, 1] + 1] = True
@@ -90,6 +107,8 @@ def _sort_points(
     start = np.zeros(rows * columns + 1, np.int64)
     for i in range(len(x)):
         cell[i] = -1
+        if len(among) and not among[i]:
+            continue
         u, v = (x[i] - low[0]) / cell_m, (y[i] - low[1]) / cell_m
         if 0 <= u < columns and 0 <= v < rows and wanted[int(v), int(u)]:
             cell[i] = int(v) * columns + int(u)
@@ -215,6 +234,50 @@ def medians(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndar
 
 
 @njit(cache=True, nogil=True)
+def ring_medians(
+    value: np.ndarray, among: np.ndarray, point: np.ndarray, inside: np.ndarray, offset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the points of each polygon's ring, those ``among`` (bool, one per point): how many, int64, and the
+    median of ``value``, NaN without any (num_polygons,)."""
+    count, result = np.zeros(len(offset) - 1, np.int64), np.full(len(offset) - 1, np.nan)
+    some = np.empty(np.max(np.diff(offset)) if len(offset) > 1 else 0)
+    for p in range(len(offset) - 1):
+        n = 0
+        for k in range(offset[p], offset[p + 1]):
+            if among[point[k]] and not inside[k]:
+                some[n] = value[point[k]]
+                n += 1
+        count[p] = n
+        if n:
+            result[p] = np.median(some[:n])
+    return count, result
+
+
+@njit(cache=True, nogil=True)
+def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """True values of ``mask`` in each slice ``offset[i]:offset[i + 1]``, int64 (len(offset) - 1,)."""
+    result = np.zeros(len(offset) - 1, np.int64)
+    for i in range(len(offset) - 1):
+        for k in range(offset[i], offset[i + 1]):
+            result[i] += mask[k]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def own_kinds(
+    building: np.ndarray, face: np.ndarray, point: np.ndarray, offset: np.ndarray, row: np.ndarray
+) -> np.ndarray:
+    """Kind of face (``face & 3``) of each pair's point, uint8 (num_pairs,), 0 if it is on another building
+    than ``row[polygon]``. building, face: int32, one per point."""
+    result = np.zeros(len(point), np.uint8)
+    for p in range(len(offset) - 1):
+        for k in range(offset[p], offset[p + 1]):
+            if building[point[k]] == row[p]:
+                result[k] = face[point[k]] & 3
+    return result
+
+
+@njit(cache=True, nogil=True)
 def seen_share(
     x_cm: np.ndarray,
     y_cm: np.ndarray,
@@ -280,21 +343,23 @@ def count_distinct(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> 
 
 
 @njit(cache=True, nogil=True)
-def walls_seen(edge: np.ndarray, on_wall: np.ndarray, offset: np.ndarray, min_points: int) -> np.ndarray:
+def walls_seen(
+    face: np.ndarray, point: np.ndarray, on_wall: np.ndarray, offset: np.ndarray, min_points: int
+) -> np.ndarray:
     """Number of edges with ``min_points`` points on their wall or more, int32 (num_polygons,).
 
-    edge int32, on_wall bool (num_pairs,): the edge whose wall the point of a pair is on, and whether it is.
+    face: int32, one per point, whose edge is ``(face >> 2) - 1``; on_wall: bool (num_pairs,).
     """
     result = np.zeros(len(offset) - 1, np.int32)
     most = np.int64(0)
-    for k in range(len(edge)):
+    for k in range(len(point)):
         if on_wall[k]:
-            most = max(most, np.int64(edge[k]) + 1)
+            most = max(most, np.int64(face[point[k]] >> 2))
     count = np.zeros(most, np.int64)
     for p in range(len(offset) - 1):
         count[:] = 0
         for k in range(offset[p], offset[p + 1]):
             if on_wall[k]:
-                count[edge[k]] += 1
+                count[(face[point[k]] >> 2) - 1] += 1
         result[p] = (count >= min_points).sum()
     return result

@@ -15,13 +15,15 @@ from numba import njit
 
 from p2wss.lidar.pulses import BLOCK_PULSES, Box, StripPath
 from p2wss.lidar.randomness import normal, random_bits, uniform
-from p2wss.lidar.surface import TERRAIN_REFLECTANCE, Surface
+from p2wss.lidar.surface import TERRAIN_REFLECTANCE, THING_KIND, Surface
 from p2wss.lidar.terrain import crossing, frame_of
+from p2wss.skeleton.types import FaceKind
 
 # counts of the pulses that were cast, by what became of them
 RECORDED, NO_SURFACE, OUTSIDE, LOST = range(4)
 OUTCOMES = ("recorded", "no_surface", "outside", "lost")
 
+_WALL = int(FaceKind.WALL)
 SUB_BEAMS = 5  # of a pulse near an edge, where several echoes are wanted
 _ON_TRIANGLE_M = 0.005
 # where the surfaces under the beam's axis and under the sub-beam that was cast are further apart than this,
@@ -176,7 +178,7 @@ def split(
     for k in chosen:
         top = np.float64(origin[k, 2])
         dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
-        sx, sy, sz = _to_axis(path, pulse[k], dx, dy, dz, quantile)
+        sx, sy, sz = _to_axis(path.beam_sigma_rad, path.beam_key, pulse[k], dx, dy, dz, quantile)
         px = np.float64(origin[k, 0]) - advance_m[k] * dx
         py = np.float64(origin[k, 1]) - advance_m[k] * dy
         pz = top - advance_m[k] * dz
@@ -200,26 +202,31 @@ def split(
 
 @njit(cache=True, nogil=True, inline="always")
 def _to_axis(
-    path: StripPath, pulse: int, dx: float, dy: float, dz: float, quantile: np.ndarray
+    sigma: float, key: np.uint64, pulse: int, dx: float, dy: float, dz: float, quantile: np.ndarray
 ) -> tuple[float, float, float]:
     """What, added to the direction of a pulse's first sub-beam, gives the axis of its beam."""
-    bits = random_bits(path.beam_key, np.uint64(pulse))
-    jx = path.beam_sigma_rad * normal(bits, 0, quantile)
-    jy = path.beam_sigma_rad * normal(bits, 1, quantile)
-    jz = path.beam_sigma_rad * normal(bits, 2, quantile)
+    bits = random_bits(key, np.uint64(pulse))
+    jx = sigma * normal(bits, 0, quantile)
+    jy = sigma * normal(bits, 1, quantile)
+    jz = sigma * normal(bits, 2, quantile)
     along = jx * dx + jy * dy + jz * dz
     return along * dx - jx, along * dy - jy, along * dz - jz
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _strength(
-    found: Hits, k: int, reach: float, dx: float, dy: float, dz: float, surface: Surface, errors: Errors
-) -> float:
+    triangle: int,
+    normal: np.ndarray,
+    k: int,
+    reach: float,
+    dx: float, dy: float, dz: float,
+    reflectance_of: np.ndarray,
+    reference_range_m: float,
+) -> float:  # fmt: skip
     """Of the echo of a whole beam: reflectance * cosine of incidence * (reference range / range)^2."""
-    triangle = found.triangle[k]
-    reflectance = np.float64(surface.reflectance[triangle]) if triangle >= 0 else TERRAIN_REFLECTANCE
-    incidence = abs(found.normal[k, 0] * dx + found.normal[k, 1] * dy + found.normal[k, 2] * dz)
-    scale = errors.reference_range_m / reach
+    reflectance = np.float64(reflectance_of[triangle]) if triangle >= 0 else TERRAIN_REFLECTANCE
+    incidence = abs(normal[k, 0] * dx + normal[k, 1] * dy + normal[k, 2] * dz)
+    scale = reference_range_m / reach
     return reflectance * incidence * scale * scale
 
 
@@ -249,6 +256,14 @@ def record(
     :func:`split`. Only points over ``keep`` are written. ``outcome`` int64 (4,) counts what became of the
     pulses, see :data:`OUTCOMES`.
     """
+    # arrays are taken out of their tuples once: numba counts references each time
+    hit_triangle, hit_m, hit_normal, hit_height = found
+    sub_triangle, sub_hit_m, sub_normal, sub_height = sub_found
+    reflectance, loss_of, porous = surface.reflectance, surface.loss, surface.porous
+    building_of, face_of = surface.building, surface.face
+    xyz_mm, intensity, scan_angle, pulses, strips = points[:5]
+    return_number, num_returns, buildings, faces = points[5:]
+    sigma, reference_m = path.beam_sigma_rad, errors.reference_range_m
     n = 0
     heading_x, heading_y = cos(path.heading_rad), sin(path.heading_rad)
     num_chosen, next_chosen = len(chosen), 0
@@ -259,7 +274,7 @@ def record(
     sub_m, sub_strength, sub_row = np.empty(SUB_BEAMS), np.empty(SUB_BEAMS), np.empty(SUB_BEAMS, np.int64)
     for k in range(len(pulse)):
         is_split = next_chosen < num_chosen and chosen[next_chosen] == k
-        t = found.distance_m[k]
+        t = hit_m[k]
         if t < 0:
             outcome[NO_SURFACE] += 1
             continue
@@ -267,25 +282,32 @@ def record(
         dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
         number = np.uint64(pulse[k])
         advance = advance_m[k]
-        strength = _strength(found, k, advance + t, dx, dy, dz, surface, errors)
-        if path.beam_sigma_rad > 0:  # the point is recorded on the beam's axis, not on the sub-beam
-            sx, sy, sz = _to_axis(path, pulse[k], dx, dy, dz, quantile)
+        strength = _strength(
+            hit_triangle[k], hit_normal, k, advance + t, dx, dy, dz, reflectance, reference_m
+        )
+        if sigma > 0:  # the point is recorded on the beam's axis, not on the sub-beam
+            sx, sy, sz = _to_axis(sigma, path.beam_key, pulse[k], dx, dy, dz, quantile)
             ox, oy, oz = ox + advance * sx, oy + advance * sy, oz + advance * sz
             dx, dy, dz = dx + sx, dy + sy, dz + sz
 
         num_echoes = 1
         if not is_split:
-            echo_m[0] = _axis_distance(found, k, t, ox, oy, oz, dx, dy, dz) if path.beam_sigma_rad > 0 else t
-            echo_strength[0], echo_triangle[0] = strength, found.triangle[k]
+            echo_m[0] = (
+                _axis_distance(hit_normal, hit_height, k, t, ox, oy, oz, dx, dy, dz) if sigma > 0 else t
+            )
+            echo_strength[0], echo_triangle[0] = strength, hit_triangle[k]
         else:
             sub_m[0], sub_strength[0], sub_row[0] = t, strength / SUB_BEAMS, -1
             num_sub = 1
             for sub in range(next_chosen * (SUB_BEAMS - 1), (next_chosen + 1) * (SUB_BEAMS - 1)):
-                if sub_found.distance_m[sub] < 0:
+                if sub_hit_m[sub] < 0:
                     continue
-                reach = sub_advance_m[sub] + sub_found.distance_m[sub]
+                reach = sub_advance_m[sub] + sub_hit_m[sub]
                 x, y, z = sub_direction[sub, 0], sub_direction[sub, 1], sub_direction[sub, 2]
-                share = _strength(sub_found, sub, reach, x, y, z, surface, errors) / SUB_BEAMS
+                share = (
+                    _strength(sub_triangle[sub], sub_normal, sub, reach, x, y, z, reflectance, reference_m)
+                    / SUB_BEAMS
+                )
                 place = num_sub
                 while place > 0 and sub_m[place - 1] > reach - advance:
                     sub_m[place], sub_strength[place] = sub_m[place - 1], sub_strength[place - 1]
@@ -303,9 +325,11 @@ def record(
                     end == first
                     or sub_m[end] - sub_m[end - 1] < errors.separation_m
                     or _same_face(
-                        surface,
-                        _triangle(found, sub_found, k, sub_row[end]),
-                        _triangle(found, sub_found, k, sub_row[end - 1]),
+                        building_of,
+                        face_of,
+                        porous,
+                        _triangle(hit_triangle, sub_triangle, k, sub_row[end]),
+                        _triangle(hit_triangle, sub_triangle, k, sub_row[end - 1]),
                     )
                 ):
                     total += sub_strength[end]
@@ -316,10 +340,14 @@ def record(
                 middle = mean / total if total > 0 else sub_m[best]
                 row = sub_row[best]
                 if row < 0:
-                    echo_m[num_echoes] = _axis_distance(found, k, middle, ox, oy, oz, dx, dy, dz)
+                    echo_m[num_echoes] = _axis_distance(
+                        hit_normal, hit_height, k, middle, ox, oy, oz, dx, dy, dz
+                    )
                 else:
-                    echo_m[num_echoes] = _axis_distance(sub_found, row, middle, ox, oy, oz, dx, dy, dz)
-                echo_triangle[num_echoes] = _triangle(found, sub_found, k, row)
+                    echo_m[num_echoes] = _axis_distance(
+                        sub_normal, sub_height, row, middle, ox, oy, oz, dx, dy, dz
+                    )
+                echo_triangle[num_echoes] = _triangle(hit_triangle, sub_triangle, k, row)
                 echo_strength[num_echoes] = total
                 num_echoes += 1
                 first = end
@@ -332,8 +360,8 @@ def record(
             triangle = echo_triangle[echo]
             building, face, loss = np.int32(-1), np.int32(-1), errors.base_loss
             if triangle >= 0:
-                building, face = surface.building[triangle], surface.face[triangle]
-                loss = 1 - (1 - loss) * (1 - surface.loss[triangle])
+                building, face = building_of[triangle], face_of[triangle]
+                loss = 1 - (1 - loss) * (1 - loss_of[triangle])
             power = echo_strength[echo]
             if errors.min_intensity > 0 or loss > 0:
                 bits = random_bits(errors.loss_key, draw)
@@ -348,22 +376,47 @@ def record(
             pz = oz + t * dz + errors.offset_z_m + errors.noise_z_m * normal(bits, 2, quantile)
             if not (keep.x_min_m <= px < keep.x_max_m and keep.y_min_m <= py < keep.y_max_m):
                 continue
-            points.xyz_mm[n, 0] = np.int32(np.rint(1000 * px))
-            points.xyz_mm[n, 1] = np.int32(np.rint(1000 * py))
-            points.xyz_mm[n, 2] = np.int32(np.rint(1000 * pz))
-            points.intensity[n] = np.uint16(min(max(power, 0.0) * _FULL_SCALE, 65535.0))
+            xyz_mm[n, 0] = np.int32(np.rint(1000 * px))
+            xyz_mm[n, 1] = np.int32(np.rint(1000 * py))
+            xyz_mm[n, 2] = np.int32(np.rint(1000 * pz))
+            intensity[n] = np.uint16(min(max(power, 0.0) * _FULL_SCALE, 65535.0))
             right = heading_y * dx - heading_x * dy
-            points.scan_angle[n] = np.int16(np.rint(_arctan(-right / dz) * _PER_RAD))
-            points.pulse[n] = pulse[k]
-            points.strip[n] = np.uint16(strip)
-            points.return_number[n] = np.uint8(detected)
-            points.building[n] = building
-            points.face[n] = face
+            scan_angle[n] = np.int16(np.rint(_arctan(-right / dz) * _PER_RAD))
+            pulses[n] = pulse[k]
+            strips[n] = np.uint16(strip)
+            return_number[n] = np.uint8(detected)
+            buildings[n] = building
+            faces[n] = face
             n += 1
         for row in range(start, n):
-            points.num_returns[row] = np.uint8(detected)
+            num_returns[row] = np.uint8(detected)
         outcome[RECORDED if n > start else OUTSIDE if detected else LOST] += 1
     return n
+
+
+@njit(cache=True, nogil=True)
+def count_points(points: Points, low_mm: np.ndarray, high_mm: np.ndarray) -> np.ndarray:
+    """Numbers of points, int64 (7,): ground, walls, roofs, trees, what else is on buildings; between
+    ``low_mm`` and ``high_mm`` (2,) in x and y, and of these the first returns."""
+    result = np.zeros(7, np.int64)
+    xyz, building, face, number = points.xyz_mm, points.building, points.face, points.return_number
+    for i in range(len(face)):
+        kind = face[i] & 3
+        if face[i] < 0:
+            result[0] += 1
+        elif building[i] < 0:
+            result[3] += 1
+        elif kind == _WALL:
+            result[1] += 1
+        elif kind == THING_KIND:
+            result[4] += 1
+        else:
+            result[2] += 1
+        x, y = xyz[i, 0], xyz[i, 1]
+        if low_mm[0] <= x < high_mm[0] and low_mm[1] <= y < high_mm[1]:
+            result[5] += 1
+            result[6] += number[i] == 1
+    return result
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -378,30 +431,35 @@ def _arctan(x: float) -> float:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _triangle(found: Hits, sub_found: Hits, k: int, row: int) -> int:
+def _triangle(hit_triangle: np.ndarray, sub_triangle: np.ndarray, k: int, row: int) -> int:
     """Triangle of sub-beam ``row``, or of ray ``k`` itself for -1."""
-    return found.triangle[k] if row < 0 else sub_found.triangle[row]
+    return hit_triangle[k] if row < 0 else sub_triangle[row]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _same_face(surface: Surface, a: int, b: int) -> bool:
+def _same_face(building_of: np.ndarray, face_of: np.ndarray, porous: np.ndarray, a: int, b: int) -> bool:
     """Whether two triangles (-1: the terrain) are of one face; leaves are each their own."""
     if a == b or a < 0 or b < 0:
         return a == b
-    together = surface.building[a] == surface.building[b] and surface.face[a] == surface.face[b]
-    return together and not surface.porous[a]
+    together = building_of[a] == building_of[b] and face_of[a] == face_of[b]
+    return together and not porous[a]
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _axis_distance(
-    found: Hits, k: int, t: float, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
-) -> float:
+    normal: np.ndarray,
+    height_m: np.ndarray,
+    k: int,
+    t: float,
+    ox: float, oy: float, oz: float,
+    dx: float, dy: float, dz: float,
+) -> float:  # fmt: skip
     """Where the beam's axis meets the surface that a sub-beam met at ``t``; ``t`` where that is another
     place."""
-    nx, ny, nz = found.normal[k, 0], found.normal[k, 1], found.normal[k, 2]
+    nx, ny, nz = normal[k, 0], normal[k, 1], normal[k, 2]
     slope = nx * dx + ny * dy + nz * dz
     if slope != 0.0:
-        axis_t = (found.height_m[k] - nx * ox - ny * oy - nz * oz) / slope
+        axis_t = (height_m[k] - nx * ox - ny * oy - nz * oz) / slope
         if abs(axis_t - t) < _SAME_SURFACE_M:
             return axis_t
     return t

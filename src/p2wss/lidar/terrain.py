@@ -186,9 +186,7 @@ def _adjoin(u0: float, v0: float, u1: float, v1: float, size: int) -> bool:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _range(
-    blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size: int
-) -> tuple[float, float]:
+def _range(blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size: int) -> tuple[float, float]:
     """The lowest and the highest of the one, two or four blocks that two such places span."""
     per = 1.0 / size
     i0, j0, i1, j1 = np.uint64(v0 * per), np.uint64(u0 * per), np.uint64(v1 * per), np.uint64(u1 * per)
@@ -220,9 +218,7 @@ def _walk(
         leave = min(_exit(u, per_u, block_column, size, t), _exit(v, per_v, block_row, size, t), end)
         highest = blocks[block_row, block_column, 1]
         if z + dz * leave <= highest:
-            hit, east, south = _walk_squares(
-                height, u, v, z, du, dv, dz, max(t, (highest - z) / dz), leave
-            )
+            hit, east, south = _walk_squares(height, u, v, z, du, dv, dz, max(t, (highest - z) / dz), leave)
             if hit >= 0:
                 return hit, east, south
         t = leave
