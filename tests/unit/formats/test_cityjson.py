@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
+import cityjson_rules
 import numpy as np
 import pytest
 import trimesh
@@ -110,6 +115,63 @@ def test_header_and_features_follow_the_specification() -> None:
     assert len(geometry["semantics"]["values"][0]) == len(geometry["boundaries"][0])
     assert "geometry" not in empty["CityObjects"]["none"]
     assert empty["CityObjects"]["none"]["attributes"]["reason"] == "no point"
+
+
+def test_both_forms_keep_the_rules(tmp_path: Path) -> None:
+    solids = [solid_of(name)[0] for name in CASES]
+    solids.append(Solid("none", np.zeros((0, 3)), [], {"status": "none"}))
+    sequence = [json.loads(line) for line in cityjson.lines(solids, 2154)]
+    document = json.loads(cityjson.document(solids, 2154))
+    assert cityjson_rules.assert_sequence(sequence) == cityjson_rules.assert_document(document) == len(CASES)
+    path = tmp_path / "a.city.json"
+    path.write_text(json.dumps(document))
+    (tmp_path / "a.city.jsonl").write_text("\n".join(map(json.dumps, sequence)))
+    for one, other in zip(
+        cityjson.read(path, "2.0"), cityjson.read(tmp_path / "a.city.jsonl", "2.0"), strict=True
+    ):
+        assert one.building_id == other.building_id and one.attributes == other.attributes
+        assert one.vertex_m[one.triangle] == pytest.approx(other.vertex_m[other.triangle])
+
+
+def test_the_rules_notice_what_is_wrong() -> None:
+    def broken(change: str) -> dict[str, Any]:
+        document = json.loads(cityjson.document([solid_of("gables")[0]], 2154))
+        geometry = document["CityObjects"]["gables"]["geometry"][0]
+        shell = geometry["boundaries"][0]
+        if change == "open":
+            shell.pop(), geometry["semantics"]["values"][0].pop()
+        if change == "inside out":
+            geometry["boundaries"][0] = [[ring[::-1] for ring in rings] for rings in shell]
+        if change == "bent":
+            document["vertices"][shell[0][0][0]][2] += 5000
+        if change == "unused":
+            document["vertices"].append([1, 2, 3])
+        if change == "semantics":
+            geometry["semantics"]["values"][0][0] = 7
+        return document
+
+    cityjson_rules.assert_document(broken("nothing"))
+    for change in ("open", "inside out", "bent", "unused", "semantics"):
+        with pytest.raises(AssertionError):
+            cityjson_rules.assert_document(broken(change))
+
+
+def test_cjio_reads_both_forms(tmp_path: Path) -> None:
+    pytest.importorskip("cjio")
+    solids = [solid_of(name)[0] for name in CASES]
+    path = tmp_path / "a.city.json"
+    path.write_text(cityjson.document(solids, 2154))
+
+    def cjio(*arguments: str, stdin: str | None = None) -> str:
+        command = [sys.executable, "-c", "from cjio.cjio import cli; cli()", *arguments]
+        return subprocess.run(command, input=stdin, capture_output=True, text=True, check=True).stdout
+
+    sequence = "\n".join(cityjson.lines(solids, 2154)) + "\n"
+    for said in (cjio(str(path), "info"), cjio("stdin", "info", stdin=sequence)):
+        assert "CityJSON version = 2.0" in said and "EPSG = 2154" in said
+        assert f"Building ({len(CASES)})" in said
+    if find_spec("cjvalpy"):  # the official schema, where its validator can be installed
+        assert "valid" in cjio(str(path), "validate").lower()
 
 
 def test_a_sequence_of_nothing_is_a_header() -> None:
