@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -16,7 +17,7 @@ import shapely
 
 from p2wss import inference, io
 from p2wss.config import Eval, Reconstruct
-from p2wss.eval import cases, groups, measure, parameters, predict, tables, texts
+from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.gallery import Gallery, counts_of_reasons
 from p2wss.eval.reasons import reason
@@ -59,7 +60,11 @@ def made(
 
 @pytest.fixture(scope="module")
 def table(found: list[cases.Case], made: dict) -> pa.Table:
-    rows = list(measure.measure(found, made.values(), CONFIG))
+    return measures_of(found, list(made.values()))
+
+
+def measures_of(found: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
+    rows = list(measure.measure(found, methods, CONFIG))
     columns = {name: [row[name] for row in rows] for name in io.MEASURES.names}
     return pa.table({field.name: pa.array(columns[field.name], field.type) for field in io.MEASURES})
 
@@ -342,3 +347,43 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     assert counts["Buildings"] == [1, 2] and counts["Without a mesh"] == [0, 1]
     lost = tables.without_mesh(details, runs, names)
     assert lost[1:] == [["Real", "Roofer (recorded)", "no mesh from Roofer", 1]]
+
+
+def test_small_faces_overshoot_and_bent_faces_are_counted() -> None:
+    case, flat = scene(np.full((20, 20), 4.2))
+    row = measure.measure_building(case, flat, CONFIG)
+    assert (row["num_small_faces"], row["planar"], row["num_mesh_vertices"]) == (0, True, 8)
+    assert row["overshoot_m"] == pytest.approx(0.8) and row["roof_kind"] == "flat"
+    # the outermost row of points is 25 cm from a wall: 18 by 18 are left
+    assert row["far_share"] == pytest.approx(324 / 400)
+    assert row["height_bias_m"] == pytest.approx(-0.8) and row["density_per_m2"] == pytest.approx(4)
+    top = np.flatnonzero(flat.vertex_m[:, 2] > 1)
+    vertex = flat.vertex_m.copy()
+    vertex[top[0], 2] += 0.05  # a corner: 12 mm out of the roof's plane
+    bent = measure.measure_building(case, replace(flat, vertex_m=vertex), CONFIG)
+    assert bent["watertight"] and not bent["planar"]
+    vertex[top[0], 2] -= 0.02
+    assert measure.measure_building(case, replace(flat, vertex_m=vertex), CONFIG)["planar"]
+    # a corner cut off by 4 cm: one more wall, of 0.04 * sqrt(2) * 5 = 0.28 m2; by 3 cm: of 0.21 m2
+    for cut, expected in ((0.04, 0), (0.03, 1)):
+        ring = np.array([[0.0, 0], [10, 0], [10, 10 - cut], [10 - cut, 10], [0, 10]])
+        building = replace(case.building, rings=[ring])
+        (made,) = inference.constant(
+            [building], np.array([5.0]), 0.0, RECONSTRUCT.model_copy(update={"simplify_m": 0})
+        )
+        row = measure.measure_building(replace(case, building=building), made, CONFIG)
+        assert (row["num_small_faces"], row["num_mesh_vertices"]) == (expected, 10)
+
+
+def test_a_picture_has_the_same_bytes_each_time_and_all_panels(found: list[cases.Case], made: dict) -> None:
+    case = found[3]
+    panels = [(method, own[case.key]) for method, own in made.items()]
+    first, second = (figures.data_uri(figures.building(case, panels), 60) for _ in range(2))
+    assert first == second and len(figures.building(case, panels).axes) == 4
+    bins, _ = groups.calibration(
+        measures_of(found[:4], [made[predict.NETWORK]]), "synthetic", predict.NETWORK
+    )
+    axes = figures.reliability_diagram({predict.NETWORK: bins}, tables.METHOD_NAMES, "x").axes[0]
+    dots = axes.collections[0].get_offsets()
+    assert np.allclose(dots, [[b.stated, b.observed] for b in bins])
+    plt.close("all")
