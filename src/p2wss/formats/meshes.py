@@ -59,7 +59,7 @@ def frame_around(meshes: Sequence[Mesh], crs: str) -> Frame:
 
 
 def obj(meshes: Sequence[Mesh], frame: Frame) -> bytes:
-    """Wavefront OBJ: one object per mesh, a material name (ground, wall, roof, terrain) per kind of surface."""
+    """Wavefront OBJ: one object per mesh, its faces in the groups ground, wall, roof or terrain."""
     lines = [
         f"# p2wss {__version__}; metres; x east, y north, z up",
         f"# crs {frame.crs}",
@@ -71,7 +71,7 @@ def obj(meshes: Sequence[Mesh], frame: Frame) -> bytes:
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         names = np.array([SURFACE_NAMES[int(kind)] for kind in mesh.kind], dtype=object)
         for name in dict.fromkeys(names):
-            lines.append(f"usemtl {name}")
+            lines.append(f"g {name}")
             lines += [f"f {a} {b} {c}" for a, b, c in (mesh.triangle[names == name] + first).tolist()]
         first += len(mesh.vertex_m)
     return ("\n".join(lines) + "\n").encode()

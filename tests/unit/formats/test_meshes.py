@@ -51,7 +51,7 @@ def test_frame_is_the_least_corner_in_whole_metres(frame: Frame) -> None:
 def one_by_one(content: bytes, kind: str) -> dict[str, trimesh.Trimesh]:
     """Solids by name; formats that do not keep them apart are cut into their connected pieces."""
     if kind == "obj":
-        options = {"split_objects": True, "group_material": False}
+        options = {"split_objects": True}
         return dict(trimesh.load_scene(BytesIO(content), file_type="obj", **options).geometry)
     if kind == "glb":
         return dict(trimesh.load_scene(BytesIO(content), file_type="glb").geometry)
@@ -81,14 +81,14 @@ def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Mesh], fra
     assert np.array([low, high]) == pytest.approx(wanted, abs=2e-4)
 
 
-def test_names_and_materials_in_obj(meshes: list[Mesh], frame: Frame) -> None:
+def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
     lines = obj(meshes, frame).decode().splitlines()
     assert [line for line in lines if line.startswith("o ")] == ["o house_1", "o courtyard"]
     assert "# crs EPSG:2154" in lines
     assert "# origin_m 652000 6861000 103 (add it to every vertex)" in lines
     used: dict[str, int] = {}
     for line in lines:
-        if line.startswith("usemtl"):
+        if line.startswith("g "):
             name = line.split()[1]
         if line.startswith("f "):
             used[name] = used.get(name, 0) + 1
