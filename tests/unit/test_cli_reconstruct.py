@@ -10,9 +10,11 @@ import numpy as np
 import pyproj
 import pytest
 import shapely
+import trimesh
 from test_inference import Oracle
 
-from p2wss import cli, model
+from p2wss import cli, model, reconstruct
+from p2wss.terrain import Terrain, write_terrain
 
 BOX = shapely.box(652000, 6861000, 652010, 6861008)
 
@@ -66,10 +68,63 @@ def test_refined_with_the_model_and_without(place: Path) -> None:
     assert outs["fit"]["confidence"] is None and outs["point2wss+fit"]["confidence"] > 0
 
 
-def test_without_a_model_there_is_no_unrefined(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_model_there_is_no_unrefined(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reconstruct, "shipped_model", lambda: None)
     files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
     assert cli.main(["reconstruct", *files, "--no-refine"]) == 2
     assert "--model" in capsys.readouterr().err
+
+
+def test_weights_that_came_with_the_package_are_used(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    came = place / "point2wss.safetensors"
+    loaded: list[Path] = []
+    monkeypatch.setattr(model, "load", lambda path: loaded.append(path) or Oracle())
+    for shipped, options, method, wanted in (
+        (came, [], "point2wss+fit", [came]),
+        (came, ["--model", "none"], "fit", []),
+        (came, ["--model", str(place / "own")], "point2wss+fit", [place / "own"]),
+        (None, [], "fit", []),
+        (None, ["--model", "none"], "fit", []),
+    ):
+        loaded.clear()
+        monkeypatch.setattr(reconstruct, "shipped_model", lambda shipped=shipped: shipped)
+        files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
+        assert cli.main(["reconstruct", *files, *options]) == 0 and loaded == wanted
+        assert gpd.read_file(place / "out" / "cloud.gpkg")["method"].tolist() == [method]
+
+
+def test_shipped_weights_are_found_in_the_package() -> None:
+    found = reconstruct.shipped_model()
+    assert found is None or found.stat().st_size > 0
+    expected = Path(reconstruct.__file__).parent / "weights" / "point2wss.safetensors"
+    assert (found == expected) if expected.exists() else found is None
+
+
+def test_formats_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(place, "--format", "stl, obj", "--per-building") == 0
+    out = place / "out"
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
+        "cloud.json", "cloud.obj", "cloud.stl", "cloud/A.obj", "cloud/A.stl"
+    ]  # fmt: skip
+    capsys.readouterr()
+    assert run(place, "--format", "obj,dwg") == 2
+    assert "no format dwg; choose from cityjsonseq, cityjson, glb" in capsys.readouterr().err
+
+
+def test_a_terrain_joins_the_meshes(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    height = np.full((80, 80), 100.0, np.float32)
+    for name, crs in (("dtm.tif", "EPSG:2154"), ("rd.tif", "EPSG:28992")):
+        write_terrain(place / name, Terrain(height, 651970.0, 6861050.0, 1.0), crs, {})
+    assert run(place, "--terrain", str(place / "dtm.tif"), "--format", "glb") == 0
+    scene = trimesh.load_scene(place / "out" / "cloud.glb")
+    assert set(scene.geometry) == {"A", "terrain"} and all(m.is_watertight for m in scene.geometry.values())
+    # the house reaches below the land it stands on
+    assert scene.geometry["A"].bounds[0, 1] < scene.geometry["terrain"].bounds[1, 1]
+    capsys.readouterr()
+    assert run(place, "--terrain", str(place / "rd.tif")) == 2
+    assert "rd.tif is in Amersfoort" in capsys.readouterr().err
 
 
 def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:
