@@ -293,6 +293,13 @@ class Clutter(Section):
     )
     trees_per_building: float = Field(0.4, ge=0, le=3, description="beside walls and over roofs, on average")
     shade_share: Share = Field(0.03, description="buildings that lack the data of a wedge")
+    lower_part_share: Share = Field(
+        0.05, description="buildings with a low flat part inside their footprint, as a garage, if it fits"
+    )
+    eave_overhang_share: Share = Field(
+        0.5, description="buildings whose footprint is that of the eaves: their walls stand back"
+    )
+    eave_overhang_m: NonNegativeRange = Field((0.1, 0.7), description="how far such walls stand back")
 
 
 class Scans(Section):

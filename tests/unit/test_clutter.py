@@ -7,9 +7,19 @@ from toy_scene import TILE, TILE_SIZE_M, ground_m, house, houses, table, terrain
 
 from p2wss import scans
 from p2wss.config import Clutter, Scans
-from p2wss.lidar.surface import ANNEX, CHIMNEY, DORMER, PARAPET, RAISED_PART, SHADE, SKYLIGHT, TREE
+from p2wss.lidar.surface import (
+    ANNEX,
+    CHIMNEY,
+    DORMER,
+    LOWER_PART,
+    PARAPET,
+    RAISED_PART,
+    SHADE,
+    SKYLIGHT,
+    TREE,
+)
 
-NOTHING = dict.fromkeys(Clutter.model_fields, 0) | {"skylight_loss": (0, 0)}
+NOTHING = dict.fromkeys(Clutter.model_fields, 0) | {"skylight_loss": (0, 0), "eave_overhang_m": (0, 0)}
 EXACT = {
     "divergence_mrad": (0, 0),
     "range_noise_m": (0, 0),
@@ -70,6 +80,9 @@ def test_what_the_label_describes_keeps_its_points_and_tags():
         annex_share=1,
         trees_per_building=1,
         shade_share=1,
+        lower_part_share=1,
+        eave_overhang_share=1,
+        eave_overhang_m=(0.2, 0.4),
     )
     assert min(v for k, v in scan.facts["clutter"].items() if k != "parapet") > 3
     x, y, z = (scan.points.xyz_mm / 1000 + scan.origin_m).T
@@ -168,6 +181,76 @@ def test_skylights_and_shades_lose_points():
     assert not (panes.points.face == 4 * SKYLIGHT).any()
     shaded = survey(rows, shade_share=1).facts["pulses"]
     assert shaded["lost"] > 0.01 * shaded["cast"]
+
+
+def on_house(scan, row, number):
+    """Of the points of one house: kind, distance inwards from the edge each is on, height above its roof."""
+    own = np.flatnonzero(scan.points.building == number)
+    x, y, z = (scan.points.xyz_mm[own] / 1000 + scan.origin_m).T
+    u, v = x - row["origin_x_m"], y - row["origin_y_m"]
+    width, length = row["footprint_xy_m"][4:6]
+    inwards = np.stack([v, width - u, length - v, u])
+    face = scan.points.face[own]
+    across = np.minimum(u, width - u)
+    roof = row["ground_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
+    return face & 3, inwards[np.clip((face >> 2) - 1, 0, 3), np.arange(len(own))], z - roof
+
+
+def test_walls_stand_back_under_the_eaves_and_roofs_stay():
+    rows = houses()
+    bare, scan = survey(rows), survey(rows, eave_overhang_share=1, eave_overhang_m=(0.4, 0.4))
+    walls = [0, 0]
+    for number, row in enumerate(rows):
+        kind, inwards, above = on_house(scan, row, number)
+        np.testing.assert_allclose(inwards[kind == 1], 0.4, atol=0.002)
+        np.testing.assert_allclose(above[kind == 2], 0, atol=0.003)
+        walls[0] += (on_house(bare, row, number)[0] == 1).sum()
+        walls[1] += (kind == 1).sum()
+    # eaves hide what is just below them: 0.4 m over the tangent of the scan angle
+    assert 0.5 * walls[0] < walls[1] < 0.95 * walls[0]
+    assert scan.facts["num_roof_points"] == bare.facts["num_roof_points"]
+
+
+def test_a_wall_against_a_neighbour_stays():
+    rows = [house(652_540, 6_861_950, 10, 12, 4, 35.0, "A"), house(652_550, 6_861_950, 9, 12, 9, 40.0, "B")]
+    scan = survey(rows, eave_overhang_share=1, eave_overhang_m=(0.3, 0.3))
+    own = (scan.points.building == 1) & (scan.points.face & 3 == 1)
+    x, y = (scan.points.xyz_mm[:, :2] / 1000 + scan.origin_m[:2]).T
+    shared = own & ((scan.points.face >> 2) - 1 == 3)
+    assert shared.sum() > 10  # above the lower roof
+    np.testing.assert_allclose(x[shared], 652_550, atol=0.002)
+    north = own & ((scan.points.face >> 2) - 1 == 2)
+    np.testing.assert_allclose(y[north], 6_861_962 - 0.3, atol=0.002)
+
+
+def test_a_low_part_takes_the_place_of_the_roof_above_it():
+    rows = houses()
+    bare, scan = survey(rows), survey(rows, lower_part_share=1)
+    number, depth, above, _, _ = places(scan, rows, LOWER_PART)
+    assert 10 < len(np.unique(number)) <= scan.facts["clutter"]["lower_part"]
+    assert depth.min() > -0.022
+    assert (above > 2.199).all() and np.median(above) < 3.201
+    x, y, _ = (scan.points.xyz_mm / 1000 + scan.origin_m).T
+    kind = scan.points.face & 3
+    for name in np.unique(number):
+        row = rows[name]
+        own = np.flatnonzero((scan.points.building == name) & (scan.points.face == 4 * LOWER_PART))
+        z = scan.points.xyz_mm[own, 2] / 1000 + scan.origin_m[2] - row["ground_z_m"]
+        level = own[np.abs(z - z.min()) < 0.002]
+        assert len(level) > 20 and 2.199 < z.min() < 3.201
+        low, high = (f(np.stack([x[level], y[level]]), axis=1) for f in (np.min, np.max))
+        inside = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+        # no other part of the house is over the low roof, and no hole in it shows the ground
+        assert not (inside & (scan.points.building == name) & (kind >= 2)).any()
+        assert not (inside & (scan.points.face == -1)).any()
+        # what is left of the house is where it was
+        kinds, inwards, height = on_house(scan, row, name)
+        np.testing.assert_allclose(height[kinds == 2], 0, atol=0.003)
+        np.testing.assert_allclose(inwards[kinds == 1], 0, atol=0.002)
+    lost = bare.facts["num_roof_points"] - scan.facts["num_roof_points"]
+    assert lost > 0.1 * bare.facts["num_roof_points"]
+    # every pulse that met something still does
+    assert scan.facts["pulses"]["no_surface"] == bare.facts["pulses"]["no_surface"]
 
 
 def test_a_building_has_the_same_clutter_whatever_stands_around_it():

@@ -16,7 +16,9 @@ from numba import njit
 
 from p2wss.config import Clutter
 from p2wss.footprints import to_geometries
+from p2wss.lidar.houses import Houses, across, beside, between, chosen, edges, rectangle
 from p2wss.lidar.randomness import uniforms
+from p2wss.lidar.shell import lower_parts, stand_back
 from p2wss.lidar.surface import (
     ANNEX,
     CHIMNEY,
@@ -29,28 +31,13 @@ from p2wss.lidar.surface import (
     Surface,
     encode_thing,
 )
-from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.skeleton.types import FaceKind
 
 NAMES = ("dormer", "chimney", "raised_part", "parapet", "skylight", "annex", "tree", "shade")
 _TRIES = 4  # places that are tried for a thing that must fit on a roof face
 _MAX_DORMERS, _MAX_TREES = 3, 6
-_DRAWS = 64  # uniform draws per building and kind of thing
 _LEAF_AREA_M2 = 0.35  # a triangle stands for a clump of leaves
 _MOST_LEAVES = 2000
-
-
-class Houses(NamedTuple):
-    """The n buildings that clutter is for, in the local frame.
-
-    polygons: their footprints, empty for one without a mesh. eave_z_m, ground_z_m, base_z_m: float64 (n,).
-    key: uint64 (n,), of their random draws.
-    """
-
-    polygons: Polygons
-    eave_z_m: np.ndarray
-    ground_z_m: np.ndarray
-    base_z_m: np.ndarray
-    key: np.ndarray
 
 
 class Things(NamedTuple):
@@ -77,6 +64,9 @@ def clutter(surface: Surface, houses: Houses, shares: Clutter) -> tuple[Surface,
     Points on a thing get a face id of kind 0, see :func:`surface.encode_thing`, so they count neither as roof
     nor as wall; trees belong to no building (-1).
     """
+    surface, num_lower = lower_parts(surface, houses, shares.lower_part_share)
+    surface, num_eaves = stand_back(surface, houses, shares.eave_overhang_share, shares.eave_overhang_m)
+    counts = {"lower_part": num_lower, "eave_overhang": num_eaves}
     roofs = _roofs(surface, len(houses.key))
     makers: list[tuple[int, Callable[[], Things]]] = [
         (DORMER, lambda: _dormers(roofs, houses, shares.dormer_share)),
@@ -88,7 +78,7 @@ def clutter(surface: Surface, houses: Houses, shares: Clutter) -> tuple[Surface,
         (TREE, lambda: _trees(surface, houses, shares.trees_per_building)),
         (SHADE, lambda: _shades(roofs, houses, shares.shade_share)),
     ]
-    made, counts = [], {}
+    made = []
     for thing, make in makers:
         things = make()
         counts[NAMES[thing]] = len(np.unique(things.thing))
@@ -128,17 +118,6 @@ def _normals(corner_m: np.ndarray) -> np.ndarray:
     return normal * np.where(normal[:, 2:] < 0, -1.0, 1.0)
 
 
-def _chosen(houses: Houses, thing: int, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Buildings that have such a thing, and uniform draws for each, float64 (n, _DRAWS)."""
-    drawn = uniforms(houses.key, thing * 2**20, 1)[:, 0]
-    rows = np.flatnonzero((drawn < share) & (np.diff(houses.polygons.polygon_offset) > 0))
-    return rows, uniforms(houses.key[rows], thing * 2**20 + 1, _DRAWS)
-
-
-def _between(u: np.ndarray, low: float, high: float) -> np.ndarray:
-    return low + u * (high - low)
-
-
 class _Anchors(NamedTuple):
     """Places on roofs: row of the building, face, point (k, 3), unit uphill direction (k, 2), slope (k,)."""
 
@@ -165,10 +144,6 @@ def _anchors(roofs: _Roofs, rows: np.ndarray, u: np.ndarray) -> _Anchors:
     level = flat < 1e-9 * np.abs(normal[:, 2])
     uphill = np.where(level[:, None], [1.0, 0.0], -normal[:, :2] / np.where(level, 1, flat)[:, None])
     return _Anchors(rows, roofs.face[index], point, uphill, np.where(level, 0, flat / normal[:, 2]))
-
-
-def _across(direction: np.ndarray) -> np.ndarray:
-    return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
 
 
 @njit(cache=True)
@@ -251,14 +226,6 @@ _BOX = [(4, 5, 6), (4, 6, 7)] + [
 ]
 
 
-def _rectangle(middle: np.ndarray, along: np.ndarray, half_m: np.ndarray) -> np.ndarray:
-    """Corners (k, 4, 2): middle (k, 2), unit direction (k, 2), half length and half width (k, 2)."""
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-    a = signs[None, :, :1] * half_m[:, None, :1] * along[:, None]
-    b = signs[None, :, 1:] * half_m[:, None, 1:] * _across(along)[:, None]
-    return middle[:, None] + a + b
-
-
 def _boxes(outline: np.ndarray, low: np.ndarray, high: np.ndarray, row: np.ndarray) -> Things:
     """Blocks over outlines (k, 4, 2) from ``low`` to ``high`` (k,), without floors."""
     corner = np.empty((len(outline), 8, 3))
@@ -269,7 +236,7 @@ def _boxes(outline: np.ndarray, low: np.ndarray, high: np.ndarray, row: np.ndarr
 
 def _dormers(roofs: _Roofs, houses: Houses, share: float) -> Things:
     """Gabled dormers: a front wall on the slope, its ridge runs level into the slope."""
-    some, u = _chosen(houses, DORMER, share)
+    some, u = chosen(houses, DORMER, share)
     each = 1 + np.minimum((u[:, 0] * _MAX_DORMERS).astype(int), _MAX_DORMERS - 1)
     number = np.arange(_MAX_DORMERS)
     rows, which = (a.ravel() for a in np.broadcast_arrays(some[:, None], number[None]))
@@ -277,8 +244,8 @@ def _dormers(roofs: _Roofs, houses: Houses, share: float) -> Things:
     size = np.repeat(u[:, 1:4], _MAX_DORMERS, axis=0)[wanted]  # dormers of a house are alike
     place = u[:, 4 : 4 + 3 * _TRIES * _MAX_DORMERS].reshape(-1, 3 * _TRIES)[wanted]
     rows, which = rows[wanted], which[wanted]
-    half, high = _between(size[:, 0], 0.5, 1.1), _between(size[:, 1], 0.8, 1.4)
-    rise = half * _between(size[:, 2], 0.3, 1.0)
+    half, high = between(size[:, 0], 0.5, 1.1), between(size[:, 1], 0.8, 1.4)
+    rise = half * between(size[:, 2], 0.3, 1.0)
 
     def outline(at: _Anchors, index: np.ndarray) -> np.ndarray:
         return _dormer_corners(at, half[index], high[index], rise[index])[:, [0, 1, 5, 6, 7], :2]
@@ -302,7 +269,7 @@ def _dormers(roofs: _Roofs, houses: Houses, share: float) -> Things:
 def _dormer_corners(at: _Anchors, half: np.ndarray, high: np.ndarray, rise: np.ndarray) -> np.ndarray:
     """Bottom left and right, top left and right, gable; where left and right eaves and ridge meet the slope."""
     corner = np.empty((len(half), 8, 3))
-    side, slope = _across(at.uphill) * half[:, None], np.maximum(at.slope, 0.05)
+    side, slope = across(at.uphill) * half[:, None], np.maximum(at.slope, 0.05)
     back, ridge_back = (high / slope)[:, None], ((high + rise) / slope)[:, None]
     x = at.point_m[:, :2]
     corner[:, 0, :2] = corner[:, 2, :2] = x + side
@@ -318,12 +285,12 @@ def _dormer_corners(at: _Anchors, half: np.ndarray, high: np.ndarray, rise: np.n
 
 
 def _chimneys(roofs: _Roofs, houses: Houses, share: float) -> Things:
-    rows, u = _chosen(houses, CHIMNEY, share)
-    half = np.stack([_between(u[:, 0], 0.2, 0.5), _between(u[:, 1], 0.2, 0.4)], axis=1)
-    high = _between(u[:, 2], 0.5, 1.6)
+    rows, u = chosen(houses, CHIMNEY, share)
+    half = np.stack([between(u[:, 0], 0.2, 0.5), between(u[:, 1], 0.2, 0.4)], axis=1)
+    high = between(u[:, 2], 0.5, 1.6)
 
     def outline(at: _Anchors, index: np.ndarray) -> np.ndarray:
-        return _rectangle(at.point_m[:, :2], at.uphill, half[index])
+        return rectangle(at.point_m[:, :2], at.uphill, half[index])
 
     index, at = _fitted(roofs, rows, u[:, 3:], outline, one_face=False)
     low = at.point_m[:, 2] - at.slope - 0.2
@@ -332,11 +299,11 @@ def _chimneys(roofs: _Roofs, houses: Houses, share: float) -> Things:
 
 def _raised_parts(roofs: _Roofs, houses: Houses, share: float) -> Things:
     """Parts of another height inside the footprint: stair heads, lift houses, raised bays."""
-    rows, u = _chosen(houses, RAISED_PART, share)
-    half, high = _between(u[:, :2], 1.0, 2.2), _between(u[:, 2], 1.0, 3.0)
+    rows, u = chosen(houses, RAISED_PART, share)
+    half, high = between(u[:, :2], 1.0, 2.2), between(u[:, 2], 1.0, 3.0)
 
     def outline(at: _Anchors, index: np.ndarray) -> np.ndarray:
-        return _rectangle(at.point_m[:, :2], at.uphill, half[index])
+        return rectangle(at.point_m[:, :2], at.uphill, half[index])
 
     index, at = _fitted(roofs, rows, u[:, 3:], outline, one_face=False)
     low = at.point_m[:, 2] - 3 * at.slope - 0.5
@@ -345,94 +312,72 @@ def _raised_parts(roofs: _Roofs, houses: Houses, share: float) -> Things:
 
 def _skylights(roofs: _Roofs, houses: Houses, share: float, loss: tuple[float, float]) -> Things:
     """Panes and solar panels, 4 cm above the slope: a mirror sends most pulses elsewhere."""
-    rows, u = _chosen(houses, SKYLIGHT, share)
-    half = np.stack([_between(u[:, 0], 0.4, 1.2), _between(u[:, 1], 0.4, 2.5)], axis=1)
+    rows, u = chosen(houses, SKYLIGHT, share)
+    half = np.stack([between(u[:, 0], 0.4, 1.2), between(u[:, 1], 0.4, 2.5)], axis=1)
 
     def outline(at: _Anchors, index: np.ndarray) -> np.ndarray:
         flat = half[index] / np.stack([np.sqrt(1 + at.slope**2), np.ones(len(at.slope))], axis=1)
-        return _rectangle(at.point_m[:, :2], at.uphill, flat)
+        return rectangle(at.point_m[:, :2], at.uphill, flat)
 
     index, at = _fitted(roofs, rows, u[:, 3:], outline)
     xy = outline(at, index)
     rise = ((xy - at.point_m[:, None, :2]) * at.uphill[:, None]).sum(axis=2) * at.slope[:, None]
     corner = np.concatenate([xy, (at.point_m[:, 2:3] + rise + 0.04)[..., None]], axis=2)
     things = _things(corner, [(0, 1, 2), (0, 2, 3)], at.row)
-    lost = _between(u[index, 2], *loss)
+    lost = between(u[index, 2], *loss)
     return things._replace(loss=np.repeat(lost, 2).astype(np.float32))
 
 
 def _shades(roofs: _Roofs, houses: Houses, share: float) -> Things:
     """Missing data: a triangle high above the roof that swallows pulses, as what stood in their way would."""
-    rows, u = _chosen(houses, SHADE, share)
+    rows, u = chosen(houses, SHADE, share)
     keep = roofs.offset[rows + 1] > roofs.offset[rows]
     rows, u = rows[keep], u[keep]
     at = _anchors(roofs, rows, u[:, :3])
-    turn = 2 * np.pi * u[:, 3:4] + _between(u[:, 4:5], 0.15, 0.5) * np.array([[-1.0, 1.0]])
+    turn = 2 * np.pi * u[:, 3:4] + between(u[:, 4:5], 0.15, 0.5) * np.array([[-1.0, 1.0]])
     corner = np.repeat(at.point_m[:, None], 3, axis=1)
-    corner[:, 1:, :2] += _between(u[:, 5], 5, 15)[:, None, None] * np.stack(
+    corner[:, 1:, :2] += between(u[:, 5], 5, 15)[:, None, None] * np.stack(
         [np.cos(turn), np.sin(turn)], axis=2
     )
-    corner[:, :, 2] += _between(u[:, 6], 6, 14)[:, None]
+    corner[:, :, 2] += between(u[:, 6], 6, 14)[:, None]
     things = _things(corner, [(0, 1, 2)], at.row)
     return things._replace(loss=np.ones(len(things.loss), np.float32))
 
 
-def _edges(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
-    """Start (n, 2) and end (n, 2) of every edge, aligned with the vertices."""
-    following = np.arange(len(polygons.xy_m)) + 1
-    ends = polygons.ring_offset[1:] - 1
-    filled = np.diff(polygons.ring_offset) > 0
-    following[ends[filled]] = polygons.ring_offset[:-1][filled]
-    return polygons.xy_m, polygons.xy_m[following]
-
-
 def _parapets(roofs: _Roofs, houses: Houses, share: float) -> Things:
     """A low wall along every edge of a flat roof."""
-    rows, u = _chosen(houses, PARAPET, share)
+    rows, u = chosen(houses, PARAPET, share)
     sloped = np.concatenate([[0], np.cumsum((roofs.face & 3) == FaceKind.ROOF)])
     first, last = roofs.offset[rows], roofs.offset[rows + 1]
     flat = (last > first) & (sloped[last] == sloped[first])
-    rows, high = rows[flat], _between(u[flat, 0], 0.3, 1.0)
-    start, end = _edges(houses.polygons)
+    rows, high = rows[flat], between(u[flat, 0], 0.3, 1.0)
+    start, end = edges(houses.polygons)
     offset = houses.polygons.vertex_offset
     lengths = np.diff(offset)[rows]
     edge = np.repeat(offset[rows] - np.cumsum(lengths) + lengths, lengths) + np.arange(lengths.sum())
     owner = np.repeat(np.arange(len(rows)), lengths)
     a, b = start[edge], end[edge]
-    inwards = 0.25 * _across((b - a) / np.maximum(np.linalg.norm(b - a, axis=1), 1e-9)[:, None])
+    inwards = 0.25 * across((b - a) / np.maximum(np.linalg.norm(b - a, axis=1), 1e-9)[:, None])
     outline = np.stack([a, b, b + inwards, a + inwards], axis=1)
     low = houses.eave_z_m[rows][owner]
     things = _boxes(outline, low - 0.1, low + high[owner], rows[owner])
     return things._replace(thing=np.repeat(owner, len(_BOX)).astype(np.int32))
 
 
-def _beside(houses: Houses, rows: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Index of a random edge of each of ``rows`` (longer ones are likelier), its length, its outwards
-    normal."""
-    start, end = _edges(houses.polygons)
-    length = np.linalg.norm(end - start, axis=1)
-    before = np.concatenate([[0.0], np.cumsum(length)])
-    offset = houses.polygons.vertex_offset
-    target = before[offset[rows]] + u * (before[offset[rows + 1]] - before[offset[rows]])
-    edge = np.clip(np.searchsorted(before, target, side="right") - 1, offset[rows], offset[rows + 1] - 1)
-    along = (end - start)[edge] / np.maximum(length[edge], 1e-9)[:, None]
-    return edge, length[edge], -_across(along)
-
-
 def _annexes(houses: Houses, share: float) -> Things:
     """Garages and sheds against a wall that the footprint leaves out, lower than the eaves."""
-    rows, u = _chosen(houses, ANNEX, share)
-    edge, length, outwards = _beside(houses, rows, u[:, 0])
-    width = np.minimum(_between(u[:, 1], 2.5, 6), length)
-    depth = _between(u[:, 2], 2, 6)
-    along = _across(outwards)
+    rows, u = chosen(houses, ANNEX, share)
+    edge, length, outwards = beside(houses, rows, u[:, 0])
+    width = np.minimum(between(u[:, 1], 2.5, 6), length)
+    depth = between(u[:, 2], 2, 6)
+    along = across(outwards)
     middle = houses.polygons.xy_m[edge] + (0.5 * width + u[:, 3] * (length - width))[:, None] * along
     half = np.stack([width, depth], axis=1) / 2
     middle = middle + (half[:, 1] + 0.01)[:, None] * outwards
-    high = houses.ground_z_m[rows] + _between(u[:, 4], 2.2, 3.2)
+    high = houses.ground_z_m[rows] + between(u[:, 4], 2.2, 3.2)
     good = (length >= 2.5) & (high < houses.eave_z_m[rows] - 0.3)
-    outline = _rectangle(middle, along, half)
-    shapes = shapely.polygons(_rectangle(middle, along, np.maximum(half - 0.05, 0.1)))
+    outline = rectangle(middle, along, half)
+    shapes = shapely.polygons(rectangle(middle, along, np.maximum(half - 0.05, 0.1)))
     hit, _ = shapely.STRtree(to_geometries(houses.polygons)).query(shapes, predicate="intersects")
     good[hit] = False
     return _boxes(outline[good], houses.base_z_m[rows][good] - 1, high[good], rows[good])
@@ -448,23 +393,21 @@ def _trees(surface: Surface, houses: Houses, mean: float) -> Things:
     rows = np.repeat(np.arange(len(number)), number)
     which = np.arange(len(rows)) - np.repeat(np.cumsum(number) - number, number)
     u = draws[:, 1:].reshape(len(draws), _MAX_TREES, 8)[rows, which]
-    edge, length, outwards = _beside(houses, rows, u[:, 0])
-    radius, height = _between(u[:, 1], 1.2, 4.2), _between(u[:, 2], 4, 14)
+    edge, length, outwards = beside(houses, rows, u[:, 0])
+    radius, height = between(u[:, 1], 1.2, 4.2), between(u[:, 2], 4, 14)
     radius = np.minimum(radius, 0.45 * height)
-    away = _between(u[:, 3], 0.5, 7)
+    away = between(u[:, 3], 0.5, 7)
     xy = (
-        houses.polygons.xy_m[edge]
-        + (u[:, 4] * length)[:, None] * _across(outwards)
-        + away[:, None] * outwards
+        houses.polygons.xy_m[edge] + (u[:, 4] * length)[:, None] * across(outwards) + away[:, None] * outwards
     )
     hit, _ = shapely.STRtree(to_geometries(houses.polygons)).query(shapely.points(xy), predicate="intersects")
     free = np.ones(len(rows), bool)
     free[hit] = False
     foot = _ground(surface, xy, houses.ground_z_m[rows])
-    crown = _between(u[:, 5], 0.55, 0.85) * height  # its height
+    crown = between(u[:, 5], 0.55, 0.85) * height  # its height
     middle = np.column_stack([xy, foot + height - crown / 2])
     # foliage over a square metre of ground: 1 lets a third of the pulses through, 3 one in twenty
-    leaf_area = np.pi * radius**2 * _between(u[:, 6], 1.0, 3.0)
+    leaf_area = np.pi * radius**2 * between(u[:, 6], 1.0, 3.0)
     leaves = np.minimum(np.ceil(leaf_area / (0.5 * _LEAF_AREA_M2)), _MOST_LEAVES).astype(np.int64) // 2 + 1
     leaves[~free] = 0
     keys = houses.key[rows] + np.uint64(1) + which.astype(np.uint64)

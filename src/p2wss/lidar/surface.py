@@ -36,7 +36,7 @@ class Surface(NamedTuple):
 
 
 # what stands on, at or over a building and is no part of its label; see encode_thing
-DORMER, CHIMNEY, RAISED_PART, PARAPET, SKYLIGHT, ANNEX, TREE, SHADE = range(8)
+DORMER, CHIMNEY, RAISED_PART, PARAPET, SKYLIGHT, ANNEX, TREE, SHADE, LOWER_PART = range(9)
 THING_KIND = 0
 
 
@@ -51,7 +51,8 @@ def encode_face(kind: np.ndarray, edge: np.ndarray) -> np.ndarray:
 def encode_thing(thing: np.ndarray) -> np.ndarray:
     """Face id of what is no part of the label: ``4 * thing``, so that its kind is 0, neither roof nor wall.
 
-    ``thing = face_id >> 2``: 0 dormer, 1 chimney, 2 raised part, 3 parapet, 4 skylight, 5 annex, 6 tree.
+    ``thing = face_id >> 2``: 0 dormer, 1 chimney, 2 raised part, 3 parapet, 4 skylight, 5 annex, 6 tree,
+    8 lower part.
     """
     return (4 * np.asarray(thing)).astype(np.int32)
 
