@@ -9,14 +9,11 @@ REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "nu
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
 
 
-def recorded(wildcards):
-    """Recorded outputs of Roofer, where there is none to run."""
-    if wildcards.baseline != "roofer":
-        return []
-    try:
-        return roofer_command.recorded_files(settings.eval)
-    except InputError as error:
-        raise WorkflowError(str(error)) from None
+# outputs of an earlier Roofer, where there is none to run
+try:
+    RECORDED = roofer_command.recorded_files(settings.eval)
+except InputError as error:
+    raise WorkflowError(f"config: {error}") from None
 
 
 def state(wildcards):
@@ -87,7 +84,7 @@ rule baseline:
         manifest="<results>/crops/manifest.json",
         shards=every_tile("<results>/crops/{tile}.parquet"),
         lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
-        recorded=recorded,
+        recorded=branch(lambda wildcards: wildcards.baseline == "roofer", then=RECORDED, otherwise=[]),
     output:
         reconstructions="<results>/eval/{baseline}.parquet",
         cpu="<results>/eval/cpu/{baseline}.json",
