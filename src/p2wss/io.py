@@ -226,7 +226,7 @@ MEASURES = pa.schema(
         _field(
             "height_rmse_m",
             pa.float32(),
-            "root mean square of their heights above the roof under or over them; those beside it left out",
+            "root mean square of the heights over the roof of those 0.5 m or more inside the footprint",
             True,
         ),
         _field("height_bias_m", pa.float32(), "median of the same heights: positive = roof too low", True),

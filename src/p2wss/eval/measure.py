@@ -25,6 +25,8 @@ MIN_ROOF_POINTS = 10
 PLANAR_M = 0.01
 SMALL_FACE_M2 = 0.25
 FAR_M = 0.5
+# of the footprint's outline: nearer points may be on a wall, where a height over the roof says nothing
+INNER_M = 0.5
 # a value counts as right within these
 RIGHT_M, RIGHT_DEG = 0.5, 5.0
 _ROOF = (FaceKind.ROOF, FaceKind.FLAT)
@@ -93,9 +95,10 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
     draw = generator(config.seed, "eval.measure", building.tile, building.building_id, made.method)
     samples = sample_surface(made.vertex_m, made.triangle, config.num_samples, draw)
     row["chamfer_m"] = _finite(chamfer_distance_m(subset(case, point_m, config), samples))
-    on_building = point_m[points_on_building(case)]
-    if len(on_building) >= MIN_ROOF_POINTS:
-        row |= _roof_measures(made, on_building, config, draw)
+    chosen = points_on_building(case)
+    if chosen.sum() >= MIN_ROOF_POINTS:
+        inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[chosen], y[chosen])
+        row |= _roof_measures(made, point_m[chosen], inner, config, draw)
     return row
 
 
@@ -122,12 +125,17 @@ def _mesh_measures(made: Reconstruction) -> dict[str, Any]:
 
 
 def _roof_measures(
-    made: Reconstruction, on_building: np.ndarray, config: Eval, draw: np.random.Generator
+    made: Reconstruction,
+    on_building: np.ndarray,
+    inner: np.ndarray,
+    config: Eval,
+    draw: np.random.Generator,
 ) -> dict[str, Any]:
     roof = made.triangle[np.isin(made.kind, _ROOF)]
     roof_samples = sample_surface(made.vertex_m, roof, config.num_samples, draw)
     distance = distance_to_mesh(on_building, made.vertex_m, made.triangle)
-    above = on_building[:, 2] - surface_height_m(on_building[:, :2], made.vertex_m, made.triangle)
+    place = on_building[inner]
+    above = place[:, 2] - surface_height_m(place[:, :2], made.vertex_m, made.triangle)
     known = above[~np.isnan(above)]
     return {
         "roof_chamfer_m": _finite(chamfer_distance_m(on_building, roof_samples)),

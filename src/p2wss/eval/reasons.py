@@ -26,7 +26,7 @@ _LINK_M = 1.0
 _MIN_CLUSTER_POINTS = 8
 _ANNEX_SHARE, _DORMER_SHARE = 0.05, 0.02
 _DORMER_M2 = 15.0
-_EDGE_M = 0.7
+_EDGE_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Reason:
 
 @dataclass(frozen=True)
 class Cluster:
-    """Points together more than 0.5 m above or below the roof: their share of the points on the building,
-    median height over the roof, area in m2 of metre cells, and whether they reach the footprint's edge."""
+    """Points together more than 0.5 m above or below the roof, and from the mesh: their share of those on the
+    building, median height over the roof, area in m2 of metre cells, and whether they reach the footprint's edge."""
 
     share: float
     height_m: float
@@ -58,23 +58,27 @@ def reason(case: Case, made: Reconstruction, num_parts: int = 1) -> Reason:
         density = len(point_m) / case.building.polygon.area
         return Reason("sparse", f"Sparse: {len(point_m)} points on the building, {density:.1f} per m².")
     above = point_m[:, 2] - surface_height_m(point_m[:, :2], made.vertex_m, made.triangle)
-    beside = float(np.isnan(above).mean())
-    place, above = point_m[~np.isnan(above)], above[~np.isnan(above)]
-    off = float(distance_to_mesh(point_m, made.vertex_m, made.triangle).mean())
+    distance = distance_to_mesh(point_m, made.vertex_m, made.triangle)
+    beside, off = float(np.isnan(above).mean()), float(distance.mean())
+    known = ~np.isnan(above)
+    place, above, distance = point_m[known], above[known], distance[known]
     if beside > 0.2 or not len(above):
         return Reason(
             "footprint", f"Footprint: {beside:.0%} of the points on the building lie beside the mesh."
         )
     shift = float(np.median(above))
-    spread = float(np.abs(above - shift).mean())
-    if abs(shift) > FAR_M and spread < min(_SHIFTED_M, _SHIFT_GAIN * np.abs(above).mean()):
+    # medians: points on walls are far below the roof
+    spread = float(np.median(np.abs(above - shift)))
+    if abs(shift) > FAR_M and spread < min(_SHIFTED_M, _SHIFT_GAIN * np.median(np.abs(above))):
         way = "low" if shift > 0 else "high"
         return Reason(
             "height error",
-            f"Height error: the roof lies {abs(shift):.1f} m too {way}; moved by that it would fit to "
-            f"{spread:.2f} m.",
+            f"Height error: the roof lies {abs(shift):.1f} m too {way}; moved by that, half of the points would "
+            f"be within {spread:.2f} m of it.",
         )
-    high, low = _largest(case, place, above, made, 1), _largest(case, place, above, made, -1)
+    # what is far below the roof but near the mesh is on a wall
+    over = np.where(distance > FAR_M, above, 0.0)
+    high, low = _largest(case, place, over, made, 1), _largest(case, place, over, made, -1)
     heights = num_parts > 1 and made.num_parts == 1
     if low is not None and low.share >= _ANNEX_SHARE and low.at_edge and not (heights and low.share > 0.3):
         return Reason(
@@ -86,7 +90,7 @@ def reason(case: Case, made: Reconstruction, num_parts: int = 1) -> Reason:
         return Reason(
             "several heights",
             f"Several heights: the points ask for {num_parts} parts, the mesh has one height; "
-            f"{(np.abs(above) > FAR_M).mean():.0%} of the points are more than {FAR_M:g} m off.",
+            f"{(distance > FAR_M).mean():.0%} of the points are more than {FAR_M:g} m off.",
         )
     if high is not None and high.share >= _DORMER_SHARE:
         where = "at the edge" if high.at_edge else "inside"
@@ -98,7 +102,7 @@ def reason(case: Case, made: Reconstruction, num_parts: int = 1) -> Reason:
         )
     if case.visible_roof_share < OCCLUDED_SHARE:
         return Reason("occluded", f"Occluded: {case.visible_roof_share:.0%} of the roof has points.")
-    far = float((np.abs(above) > FAR_M).mean())
+    far = float((distance > FAR_M).mean())
     if off > 0.25:
         return Reason(
             "roof shape",
