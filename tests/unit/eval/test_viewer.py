@@ -150,6 +150,7 @@ def test_it_draws_turns_switches_and_toggles(browser: Any, path: Path) -> None:
     shown = Page(browser.new_page(viewport={"width": 1000, "height": 800}), path)
     # the worst synthetic one has both meshes
     first, name = shown.pixels(), shown.building
+    assert shown.page.locator("#viewer .ours").inner_text() == "the mesh of Ours"
     assert drawn(first) > 0.05
 
     box = shown.page.locator("#viewer canvas").bounding_box()

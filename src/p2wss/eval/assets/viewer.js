@@ -36,7 +36,10 @@
 
   const palette = decoded(data.palette, Uint8Array);
   const shown = { points: true };
-  for (const method of data.methods) shown[method.key] = method.ours;
+  for (const method of data.methods) {
+    shown[method.key] = method.ours;
+    if (method.ours) root.querySelector(".ours").textContent = `the mesh of ${method.name}`;
+  }
   let parts = new THREE.Group();
   let current = null;
 
