@@ -132,8 +132,9 @@ def lower_parts(surface: Surface, houses: Houses, share: float) -> tuple[Surface
     following = np.roll(outline, -1, axis=1)
     places = np.stack([w * outline + (1 - w) * following for w in (0.05, 0.5, 0.95)], axis=2)
     to_wall: np.ndarray = shapely.distance(shapely.boundary(shapes)[:, None, None], shapely.points(places))
-    is_wall = (to_wall < _ON_WALL_M).all(axis=2)
-    good &= (is_wall | (to_wall > 2 * _ON_WALL_M).all(axis=2)).all(axis=1)
+    is_wall = np.all(to_wall < _ON_WALL_M, axis=2)
+    is_apart = np.all(to_wall > 2 * _ON_WALL_M, axis=2)
+    good &= np.all(is_wall | is_apart, axis=1)
 
     side = following - outline
     normal = -across(side / np.maximum(np.linalg.norm(side, axis=2), 1e-9)[..., None])

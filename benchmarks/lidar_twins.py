@@ -1,0 +1,129 @@
+"""Real places, scanned again by the simulator: the same footprints, terrain, flight lines and densities.
+
+Clouds of different flights differ most by the angle from which they see walls. Here that is the same, so what
+differs is the model's. Used by lidar.py.
+"""
+
+from __future__ import annotations
+
+from math import radians
+from pathlib import Path
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyarrow as pa
+import rasterio
+import shapely
+
+from p2wss import crops, footprints, io, scans
+from p2wss.buildings import build_scene
+from p2wss.clouds import Cloud
+from p2wss.config import Buildings, Clutter, Scans
+from p2wss.lidar.caster import cast
+from p2wss.lidar.clutter import clutter
+from p2wss.lidar.pulses import PARALLEL, Box
+from p2wss.lidar.survey import Strip, plan
+from p2wss.terrain import Terrain
+
+_ROOF_DEG = 30.0  # of every edge; the metrics look at walls and eaves
+_LENGTH_M = 600.0  # of a flight line
+
+
+def twin(
+    laz: Path, dtm: Path, cloud: Cloud, shapes: np.ndarray, things: Clutter
+) -> tuple[Cloud, np.ndarray, float]:
+    """(simulated cloud, returns per pulse, mean angle off nadir in degrees) of the place of ``cloud``.
+
+    Each building is a hip roof of 30 degrees on its footprint, whose eaves are where the real roof points
+    begin (their lowest twentieth).
+    """
+    buildings = _buildings(cloud, shapes)
+    with rasterio.open(dtm) as raster:
+        height = raster.read(1).astype(np.float32)
+        height[height == raster.nodata] = np.nan
+        terrain = Terrain(height, raster.bounds.left, raster.bounds.top, raster.res[0])
+    low, high = (np.array([f(cloud.x_m), f(cloud.y_m)]) for f in (np.min, np.max))
+    origin = np.floor([*(low + high) / 2, np.nanmedian(height)])
+    settings = Scans(preset="hd", density_per_m2=10, density_spread=0, attitude_deg=(0, 0), clutter=things)
+    surface = scans._surface(buildings, terrain, origin, settings)
+    surface, _ = clutter(surface, scans._houses(buildings, origin, 0), things)
+    z_low, z_high = surface.z_range_m()
+    box = Box(*(low - origin[:2]), *(high - origin[:2]), z_low - 0.1, z_high + 0.1)
+    flown, angles = _flown(laz, origin, box, plan(settings, 0, box, box).strips[0])
+    points, _ = cast(surface, flown, box)
+    x, y, z = (points.xyz_mm[:, i] / 1000 + origin[i] for i in range(3))
+    simulated = Cloud(x, y, z, scans.classes(points), None, points.strip)
+    return simulated, points.num_returns, float(np.abs(angles).mean())
+
+
+def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
+    cropped = crops.crop_cloud(cloud, footprints.to_polygons(shapes), 0.0)
+    rows, eave_m = [], []
+    for row in range(len(shapes)):
+        own = cropped.of(row)
+        above = cloud.z_m[own] - cropped.ground_z_m[row]
+        high = (above > 2) & (cloud.classification[own] != 5)
+        if high.sum() >= 50:
+            rows.append(row)
+            eave_m.append(np.percentile(above[high], 5))
+    ground = cropped.ground_z_m[rows]
+    rings = [[shape.exterior, *shape.interiors] for shape in shapes[rows]]
+    frame = gpd.GeoDataFrame(
+        {
+            "building_id": [f"B{row}" for row in rows],
+            "tile": "twin",
+            "in_tile": True,
+            "status": "ok",
+            "eave_height_m": np.float32(eave_m),
+            "eave_height_source": "hauteur",
+            "ground_z_m": ground,
+            "base_z_m": ground - 1,
+            "roof_type": "hip",
+            "angle_deg": [[_ROOF_DEG] * sum(len(ring.coords) - 1 for ring in some) for some in rings],
+        },
+        geometry=[shapely.geometry.polygon.orient(shape) for shape in shapes[rows]],
+        crs=2154,
+    )
+    columns = build_scene(frame, Buildings())
+    return pa.table({f.name: pa.array(columns[f.name], f.type) for f in io.BUILDINGS}, schema=io.BUILDINGS)
+
+
+def _flown(laz: Path, origin: np.ndarray, box: Box, model: Strip) -> tuple[list[Strip], np.ndarray]:
+    """The strips of a file as the scan angles of its points tell them, and the angle of each point, degrees.
+
+    The tangent of the angle grows with the distance to the right of the track: by one per altitude.
+    """
+    las = laspy.read(laz)
+    fine = "scan_angle" in las.point_format.dimension_names
+    angle_deg = np.asarray(las.scan_angle) * 0.006 if fine else np.asarray(las.scan_angle_rank).astype(float)
+    strips = []
+    for number in np.unique(las.point_source_id):
+        own = np.asarray(las.point_source_id) == number
+        xy = np.stack([las.x[own] - origin[0], las.y[own] - origin[1]], axis=1)
+        tangent = np.tan(np.radians(angle_deg[own]))
+        slope = np.linalg.lstsq(np.column_stack([xy, np.ones(len(xy))]), tangent, rcond=None)[0]
+        altitude_m = float(1 / np.hypot(*slope[:2]))
+        right, middle = slope[:2] * altitude_m, slope[2]
+        ahead = np.array([-right[1], right[0]])
+        start = -middle * altitude_m * right - ahead * _LENGTH_M / 2
+        area_m2 = (box.x_max_m - box.x_min_m) * (box.y_max_m - box.y_min_m)
+        density = (np.asarray(las.return_number)[own] == 1).sum() / area_m2
+        half_angle = radians(max(30.0, float(np.abs(angle_deg[own]).max()) + 1))
+        speed = model.path.speed_m_per_s
+        turn = np.array([ahead[0], -ahead[1], 0, ahead[1], ahead[0], 0, 0, 0, 1])
+        path = model.path._replace(
+            pattern=PARALLEL,
+            half_angle_rad=half_angle,
+            altitude_m=altitude_m,
+            start_x_m=float(start[0]),
+            start_y_m=float(start[1]),
+            heading_rad=float(np.arctan2(ahead[1], ahead[0])),
+            duration_s=_LENGTH_M / speed,
+            # of all the angles swept, the place gets those of its own distance from the track
+            pulse_rate_hz=float(density * speed * 2 * half_angle * altitude_m * (1 + middle**2)),
+            scan_rate_hz=float(np.sqrt(density) * speed),
+            knots=np.tile(np.concatenate([np.zeros(3), turn]), (int(_LENGTH_M / speed / 0.05) + 3, 1)),
+        )
+        strips.append(Strip(path, model.errors._replace(reference_range_m=altitude_m), 0.0))
+    return strips, angle_deg
