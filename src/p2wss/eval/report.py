@@ -225,9 +225,11 @@ def _number(value: Any, digits: int = 2) -> str:
 
 
 def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Per data set and property a table: groups, and per method the median distance from points to mesh."""
+    """Per data set and property a table: groups, and per method the median distance from points to mesh, with
+    labels also the mean errors of height and angles of our best variant."""
     header, *rows = groups.table(inputs.measures, list(names))
     records = [dict(zip(header, row, strict=True)) for row in rows]
+    main = tables.main_method(list(inputs.reconstructions))
     found = []
     for dataset in names:
         for by, title in groups.BY.items():
@@ -237,8 +239,17 @@ def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, 
                 lines = []
                 for group in dict.fromkeys(r["group"] for r in own):
                     cells = {r["method"]: r for r in own if r["group"] == group}
-                    lines.append((group, [cells.get(name) for name in used]))
-                found.append({"dataset": dataset, "title": title, "methods": used, "lines": lines})
+                    lines.append((group, [cells.get(name) for name in used], cells.get(main)))
+                labelled = any(r["mean_height_error_m"] is not None for r in own)
+                found.append(
+                    {
+                        "dataset": dataset,
+                        "title": title,
+                        "methods": used,
+                        "lines": lines,
+                        "labelled": labelled,
+                    }
+                )
     return found
 
 
