@@ -57,6 +57,25 @@ def twin(
     return simulated, points.num_returns, float(np.abs(angles).mean())
 
 
+def wall_depths_m(cloud: Cloud, shapes: np.ndarray) -> np.ndarray:
+    """How far inside their footprint's edge the points below the eaves are, up to 1 m, float64 (n,).
+
+    Below the eaves: 1 m above the ground or more, 0.7 m below the lowest twentieth of the roof's points.
+    """
+    cropped = crops.crop_cloud(cloud, footprints.to_polygons(shapes), 0.0)
+    depths = [np.zeros(0)]
+    for row, shape in enumerate(shapes):
+        own = cropped.of(row)
+        above = cloud.z_m[own] - cropped.ground_z_m[row]
+        solid = cloud.classification[own] != 5
+        roof = (above > 2) & solid
+        if roof.sum() >= 50:
+            low = own[(above > 1) & (above < np.percentile(above[roof], 5) - 0.7) & solid]
+            depths.append(shapely.distance(shape.boundary, shapely.points(cloud.x_m[low], cloud.y_m[low])))
+    joined = np.concatenate(depths)
+    return joined[joined < 1]
+
+
 def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
     cropped = crops.crop_cloud(cloud, footprints.to_polygons(shapes), 0.0)
     rows, eave_m = [], []

@@ -62,6 +62,27 @@ def test_first_crossing_is_that_of_all_triangles(rough_m):
     assert hits > 200
 
 
+def test_rays_over_many_blocks_find_the_same():
+    # a hill in rolling ground: slanted rays pass several regions of 64 squares, steep ones stay in a square
+    rng = np.random.default_rng(2)
+    v, u = np.mgrid[:150, :200]
+    height = 3 * np.sin(u / 20) * np.cos(v / 15) + 40 * np.exp(-((u - 110) ** 2 + (v - 70) ** 2) / 800)
+    height = (height + rng.normal(0, 0.03, height.shape)).astype(np.float32)
+    height[100:104, 30:34] = np.nan
+    grid = local_grid(height, 0.0, 150.0, 1.0, np.zeros(3))
+    triangles = triangles_of(grid)
+    hits = 0
+    for angle_deg in (2, 20, 45, 75):
+        for _ in range(12):
+            origin = np.array([*rng.uniform(0, 200, 1), *rng.uniform(0, 150, 1), 60.0])
+            turn, angle = rng.uniform(0, 7), np.radians(angle_deg)
+            direction = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), -np.cos(angle)])
+            expected = nearest_hit(triangles, origin, direction)
+            assert first_crossing(grid, *origin, *direction, np.inf)[0] == pytest.approx(expected, abs=1e-6)
+            hits += expected > 0
+    assert hits > 25
+
+
 def test_no_terrain_where_there_is_no_data():
     height = np.full((10, 10), 5.0, np.float32)
     height[5, 5] = np.nan
