@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
@@ -19,12 +19,22 @@ from p2wss.inference import (
     no_mesh,
     transfer_angles,
 )
+from p2wss.refine.belief import believed
 from p2wss.refine.one_height import MIN_NUM_POINTS, Effort, Fitter, Limits, OneHeight
-from p2wss.refine.parts import Cutting, fit_parts, main_frame
+from p2wss.refine.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.refine.points import roof_points
 from p2wss.refine.solid import union
 
 METHOD = "fit"
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """What decides between roofs; `docs/reconstruct.md` says how the defaults were chosen."""
+
+    effort: Effort = field(default_factory=lambda: Effort(num_points=300))
+    limits: Limits = field(default_factory=Limits)
+    cutting: Cutting = field(default_factory=Cutting)
 
 
 @dataclass(frozen=True)
@@ -42,21 +52,27 @@ def fit(
     config: Reconstruct,
     known: Sequence[Reconstruction] | None = None,
     method: str = METHOD,
+    thresholds: Thresholds = Thresholds(),
 ) -> list[Reconstruction]:
     """One reconstruction per building, in order: the parametric building nearest to the points on its roof, or
     up to ``config.max_parts`` of them side by side as one solid.
 
-    ``known``: the network's reconstructions of the same buildings; each is where a search begins, and it stays
-    where the points are too few, nothing better is found or the kernel rejects what is found. Deterministic.
+    ``known``: the network's reconstructions of the same buildings; each is where a search begins and, the more
+    so the fewer the points, what it is drawn to. It stays where the points are too few, nothing better is found
+    or the kernel rejects what is found. What has no closed union is fitted with fewer parts. Deterministic.
     """
-    fitter = Fitter(Limits(max_roof_height_m=config.max_roof_height_m))
+    fitter = Fitter(replace(thresholds.limits, max_roof_height_m=config.max_roof_height_m))
     starts = [None] * len(buildings) if known is None else list(known)
     result = []
     for building, start in zip(buildings, starts, strict=True):
-        found = _fit(fitter, building, start, config, config.max_parts)
-        made = _mesh(building, found, start, method, config)
-        if not made.has_mesh and len(found.parts) > 1:
-            made = _mesh(building, _fit(fitter, building, start, config, 1), start, method, config)
+        max_parts = config.max_parts
+        while True:
+            cutting = replace(thresholds.cutting, max_parts=max_parts)
+            found = _fit(fitter, building, start, config, thresholds.effort, cutting)
+            made = _mesh(building, found, start, method, config)
+            if made.has_mesh or len(found.parts) < 2:
+                break
+            max_parts = len(found.parts) - 1
         if not made.has_mesh and start is not None and start.has_mesh:
             made = replace(start, method=method)
         result.append(made)
@@ -64,7 +80,12 @@ def fit(
 
 
 def _fit(
-    fitter: Fitter, building: Building, start: Reconstruction | None, config: Reconstruct, max_parts: int
+    fitter: Fitter,
+    building: Building,
+    start: Reconstruction | None,
+    config: Reconstruct,
+    effort: Effort,
+    cutting: Cutting,
 ) -> _Found:
     rings = mesh_footprint(building, config)
     rotation = main_frame(rings)
@@ -79,14 +100,17 @@ def _fit(
         return _Found(rings, rotation, [], f"fewer than {MIN_NUM_POINTS} points on the roof")
     point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
     turned = [ring @ rotation for ring in rings]
-    guess = start.angle_deg if start is not None and start.has_mesh else None
-    guesses = [] if guess is None else [guess]
-    parts = fit_parts(fitter, turned, point_m, Effort(), Cutting(max_parts=max_parts), guesses)
-    if start is not None and guess is not None and start.eave_height_m is not None and len(parts) == 1:
-        before = OneHeight(turned, guess, start.eave_height_m + ground, np.inf, np.inf, len(point_m))
-        if fitter.loss(before, point_m) < fitter.loss(parts[0], point_m):
-            parts = [before]
-    return _Found(rings, rotation, parts, "" if parts else "no roof found")
+    if start is None or not start.has_mesh or start.angle_deg is None or start.eave_height_m is None:
+        parts = fit_parts(fitter, turned, point_m, effort, cutting, [], believed(turned, len(point_m)))
+        return _Found(rings, rotation, parts, "" if parts else "no roof found")
+    guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
+    prior = believed(turned, len(point_m), guess, eave_z_m)
+    parts = fit_parts(fitter, turned, point_m, effort, cutting, [guess], prior)
+    before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
+    before = replace(before, loss_m=fitter.loss(before, point_m, prior))
+    if not parts or cost_m([before], cutting) < cost_m(parts, cutting):
+        parts = [before]
+    return _Found(rings, rotation, parts, "")
 
 
 def _mesh(

@@ -9,14 +9,20 @@ from p2wss.skeleton.compiled import entry, inner
 _STEP_M, _BIN_M = 0.25, 1.2
 # points this far from a line tell the height on either side
 _NEAR_M, _FAR_M = 0.1, 0.9
+# both grow where a point has more room than this to itself
+_DENSE_M = 0.4
 _MOST_M = 2.0
 _MARGIN_M = 0.8
 _LEAST_SCORE_M2 = 0.25
 _APART_M = 0.7
+_MOST_LINES, _MOST_CORNERS = 3, 3
+# corners this near to a jump are looked at with it
+_CORNER_M, _MARGIN_AT_CORNERS_M = 0.3, 0.9
 
 
 @inner
-def _quantile(ordered, count, share):
+def quantile(ordered, count, share):
+    """Of the first ``count`` values, which are in order."""
     place = share * (count - 1)
     low = int(place)
     high = min(low + 1, count - 1)
@@ -30,7 +36,9 @@ def jump_scores(along, across, z, lines, low_m, high_m):
 
     along, across, z: float64 (m,), coordinates of points. low_m, high_m: extent of the polygon in ``across``.
     """
-    num_bins = max(1, int((high_m - low_m) / _BIN_M))
+    room_m = np.sqrt((high_m - low_m) * (along.max() - along.min()) / len(z))
+    stretch = max(1.0, room_m / _DENSE_M)
+    num_bins = max(1, int((high_m - low_m) / (_BIN_M * stretch)))
     width = (high_m - low_m) / num_bins
     strip = np.empty(len(z), np.int64)
     for k in range(len(z)):
@@ -44,35 +52,65 @@ def jump_scores(along, across, z, lines, low_m, high_m):
             left, right = 0, 0
             for k in order[first[b] : first[b + 1]]:
                 offset = along[k] - lines[i]
-                if -_FAR_M < offset < -_NEAR_M:
+                if -_FAR_M * stretch < offset < -_NEAR_M:
                     before[left] = z[k]
                     left += 1
-                elif _NEAR_M < offset < _FAR_M:
+                elif _NEAR_M < offset < _FAR_M * stretch:
                     after[right] = z[k]
                     right += 1
             if left < 3 or right < 3:
                 continue
             before[:left].sort()
             after[:right].sort()
-            jump = abs(_quantile(before, left, 0.5) - _quantile(after, right, 0.5))
-            spread = _quantile(before, left, 0.9) - _quantile(before, left, 0.1)
-            spread += _quantile(after, right, 0.9) - _quantile(after, right, 0.1)
+            jump = abs(quantile(before, left, 0.5) - quantile(after, right, 0.5))
+            spread = quantile(before, left, 0.9) - quantile(before, left, 0.1)
+            spread += quantile(after, right, 0.9) - quantile(after, right, 0.1)
             score[i] += min(max(jump - 0.5 * spread, 0.0), _MOST_M) * width
     return score
 
 
-def jump_lines(xy_m: np.ndarray, point_m: np.ndarray, axis: int, most: int) -> list[float]:
-    """At most ``most`` positions along ``axis``, the clearest jump first, at least 0.7 m apart."""
-    low, high = xy_m.min(axis=0), xy_m.max(axis=0)
-    lines = np.arange(low[axis] + _MARGIN_M, high[axis] - _MARGIN_M, _STEP_M)
-    if not len(lines) or not len(point_m):
-        return []
-    along, across, z = (np.ascontiguousarray(point_m[:, k]) for k in (axis, 1 - axis, 2))
-    score = jump_scores(along, across, z, lines, float(low[1 - axis]), float(high[1 - axis]))
-    chosen: list[float] = []
-    for i in np.argsort(-score, kind="stable").tolist():
-        if score[i] <= _LEAST_SCORE_M2 or len(chosen) == most:
-            break
-        if all(abs(lines[i] - other) >= _APART_M for other in chosen):
-            chosen.append(float(lines[i]))
-    return chosen
+@entry
+def candidates(xy_m, x, y, z):
+    """(axis, position) of cuts worth a try: at most three of the clearest jumps per axis, at least 0.7 m
+    apart, and three corners."""
+    axes, positions = (
+        np.empty(2 * (_MOST_LINES + _MOST_CORNERS), np.int64),
+        np.empty(2 * (_MOST_LINES + _MOST_CORNERS)),
+    )
+    count = 0
+    for axis in range(2):
+        corners = np.sort(xy_m[:, axis])
+        low, high = corners[0], corners[-1]
+        first = count
+        num_lines = int(np.ceil((high - low - 2 * _MARGIN_M) / _STEP_M))
+        if num_lines > 0:
+            lines = low + _MARGIN_M + _STEP_M * np.arange(num_lines)
+            across = xy_m[:, 1 - axis]
+            score = jump_scores(
+                x if axis == 0 else y, y if axis == 0 else x, z, lines, across.min(), across.max()
+            )
+            for i in np.argsort(-score, kind="mergesort"):
+                if score[i] <= _LEAST_SCORE_M2 or count == first + _MOST_LINES:
+                    break
+                if _apart(positions[first:count], lines[i], _APART_M):
+                    axes[count], positions[count] = axis, lines[i]
+                    count += 1
+        num_corners, jumps_end = 0, count
+        for i in range(len(corners)):
+            if num_corners == _MOST_CORNERS or corners[i] >= high - _MARGIN_AT_CORNERS_M:
+                break
+            if corners[i] <= low + _MARGIN_AT_CORNERS_M or (i > 0 and corners[i] - corners[i - 1] < 1e-6):
+                continue
+            if _apart(positions[first:jumps_end], corners[i], _CORNER_M):
+                axes[count], positions[count] = axis, corners[i]
+                count += 1
+                num_corners += 1
+    return axes[:count], positions[:count]
+
+
+@entry
+def _apart(positions, position, least_m):
+    for other in positions:  # noqa: SIM110 - compiled
+        if abs(other - position) < least_m:
+            return False
+    return True

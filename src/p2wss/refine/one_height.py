@@ -8,36 +8,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from p2wss.refine.points import even_order, every_kth
-from p2wss.refine.search import polish, search
+from p2wss.refine.roof import fit_roof, improved_roof, tidy_roof
 from p2wss.refine.solve import IMPOSSIBLE
-from p2wss.refine.starts import Edges, edges, starts
-from p2wss.refine.work import FitWork, Problem, fit_work
+from p2wss.refine.work import NO_PRIOR, FitWork, Prior, Settings, fit_work
 
 # fewer points show no roof
 MIN_NUM_POINTS = 3
-_FLAT_TOP_QUANTILES = (0.6, 0.8, 0.93)
-_LOW_QUANTILE = 0.05
-_STEEP_DEG = 58.0
-_LAST_ROUNDS = 6
-# with less loss no flat top is looked for; one that starts worse than the roof without by this is left
-_GOOD_ENOUGH_M, _TOP_WORTH_M = 0.06, 0.05
-# above these the search is cut short, and left to the starts
-_MANY_EDGES, _TOO_MANY_EDGES = 40, 120
-_NEARLY_GABLE_DEG = 60.0
-# heights of flat tops that are worth a try
-_LOWEST_TOP_M = 0.4
 
 
 @dataclass(frozen=True)
 class Effort:
     """How much a fit may cost. num_search_points: of the search; num_points: of the last rounds.
-    num_descents: starts whose classes are searched, max_rounds: over the edges, each."""
+    num_followed: starts that are improved; num_descents: of these, whose classes are searched; max_rounds: over
+    the edges, each, one less with roofs cut flat."""
 
     num_search_points: int = 64
-    num_points: int = 300
+    num_points: int = 200
+    num_followed: int = 5
     num_descents: int = 1
     max_rounds: int = 2
-    with_sheds: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,7 +50,7 @@ class Limits:
 class OneHeight:
     """A fitted building. rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or
     5 to 75. eave_z_m: in the heights of the points. top_m: height of a flat cut above the eave, infinity for
-    none. loss_m: mean over the points of min(|distance to the roof|, cap)."""
+    none. loss_m: mean over the points of min(|distance to the roof|, cap), and what a prior adds."""
 
     rings: Sequence[np.ndarray]
     angle_deg: np.ndarray
@@ -93,16 +82,28 @@ class Fitter:
         point_m: np.ndarray,
         effort: Effort,
         guesses: Sequence[np.ndarray] = (),
+        prior: Prior = NO_PRIOR,
     ) -> OneHeight | None:
-        """The best building over the polygon for points (m, 3) inside it, in the frame of the rings, in any
-        order. ``guesses``: angles per edge to begin with, beside a few simple roofs. None: fewer than three
-        points, or a polygon that the kernel refuses. Deterministic.
+        """The best building over the polygon for points (m, 3) inside it, in the frame of the rings, in the
+        order of :func:`p2wss.refine.points.even_order`. ``guesses``: angles per edge to begin with, beside a
+        few simple roofs. None: fewer than three points, or a polygon that the kernel refuses. Deterministic.
 
-        The loss is never above that of a flat roof or of a guess with its best height, all angles whole.
+        The loss is never above that of a flat roof or of a guess with its best height.
         """
         if len(point_m) < MIN_NUM_POINTS:
             return None
-        return Fit(self, rings, point_m[even_order(point_m)], effort).run(guesses)
+        xy_m, ring_offset = flat_rings(rings)
+        rows = np.array(guesses, np.float64).reshape(-1, len(xy_m))
+        loss, eave, top, angle = fit_roof(
+            xy_m,
+            ring_offset,
+            *self._points(point_m, effort),
+            rows,
+            self.work(len(xy_m), len(point_m)),
+            self.settings(effort),
+            prior,
+        )
+        return None if loss >= IMPOSSIBLE else OneHeight(rings, angle, eave, top, loss, len(point_m))
 
     def fit_whole(
         self,
@@ -110,158 +111,82 @@ class Fitter:
         point_m: np.ndarray,
         effort: Effort,
         guesses: Sequence[np.ndarray] = (),
+        prior: Prior = NO_PRIOR,
     ) -> OneHeight | None:
-        """As :meth:`fit`, then whole degrees where that costs little."""
-        if len(point_m) < MIN_NUM_POINTS:
-            return None
-        fit = Fit(self, rings, point_m[even_order(point_m)], effort)
-        found = fit.run(guesses)
-        return None if found is None else fit.tidy(found)
+        """As :meth:`fit` with points in any order, then whole degrees where that costs little."""
+        point_m = point_m[even_order(point_m)]
+        found = self.fit(rings, point_m, effort, guesses, prior)
+        return None if found is None else self.tidied(found, point_m, effort, prior)
 
-    def tidied(self, found: OneHeight, point_m: np.ndarray, effort: Effort) -> OneHeight:
-        """An earlier result with whole degrees where that costs little."""
-        return Fit(self, found.rings, point_m[even_order(point_m)], effort).tidy(found)
+    def tidied(
+        self, found: OneHeight, point_m: np.ndarray, effort: Effort, prior: Prior = NO_PRIOR
+    ) -> OneHeight:
+        """An earlier result with whole degrees where that costs little; points in even order."""
+        xy_m, ring_offset = flat_rings(found.rings)
+        loss, eave, top, angle = tidy_roof(
+            xy_m,
+            ring_offset,
+            *self._points(point_m, effort),
+            found.angle_deg,
+            found.eave_z_m,
+            found.top_m,
+            self.work(len(xy_m), len(point_m)),
+            self.settings(effort),
+            prior,
+        )
+        return replace(found, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss)
 
-    def loss(self, one: OneHeight, point_m: np.ndarray) -> float:
+    def loss(self, one: OneHeight, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
         """Loss of a given building on points (m, 3)."""
-        fit = Fit(self, one.rings, point_m, Effort(num_points=len(point_m)))
-        return fit.polished(one.angle_deg, one.eave_z_m, one.top_m, num_rounds=0).loss_m
+        xy_m, ring_offset = flat_rings(one.rings)
+        every = Effort(num_points=len(point_m))
+        return improved_roof(
+            xy_m,
+            ring_offset,
+            *self._points(point_m, every),
+            np.array(one.angle_deg, np.float64),
+            float(one.eave_z_m),
+            float(one.top_m),
+            0,
+            self.work(len(xy_m), len(point_m)),
+            self.settings(every),
+            prior,
+        )
+
+    def settings(self, effort: Effort) -> Settings:
+        """Effort and limits as compiled code takes them."""
+        limits = self.limits
+        return Settings(
+            effort.num_search_points,
+            effort.num_followed,
+            effort.num_descents,
+            effort.max_rounds,
+            limits.flat_top,
+            float(limits.cap_m),
+            float(limits.max_roof_height_m),
+            float(limits.top_gain_m),
+            float(limits.class_gain_m),
+            float(limits.rounding_m),
+        )
 
     def work(self, num_edges: int, num_points: int) -> FitWork:
+        """Work arrays that are large enough."""
         if num_edges > len(self._work.tangent) or num_points > len(self._work.face):
             grown = fit_work(max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face)))
             grown.num_evaluations[:] = self._work.num_evaluations
             self._work = grown
         return self._work
 
+    @staticmethod
+    def _points(point_m: np.ndarray, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        chosen = point_m[every_kth(len(point_m), effort.num_points)].T
+        x, y, z = np.ascontiguousarray(chosen, np.float64)
+        return x, y, z
 
-class Fit:
-    """One polygon with its points, in an even order, for the fits of one :class:`Fitter`."""
 
-    def __init__(
-        self, fitter: Fitter, rings: Sequence[np.ndarray], point_m: np.ndarray, effort: Effort
-    ) -> None:
-        self.limits, self.rings = fitter.limits, rings
-        self.xy_m = np.ascontiguousarray(np.concatenate(list(rings)), np.float64)
-        # the search grows with the cube of the number of edges
-        if len(self.xy_m) > _MANY_EDGES:
-            effort = replace(effort, max_rounds=min(effort.max_rounds, 1))
-        if len(self.xy_m) > _TOO_MANY_EDGES:
-            effort = replace(effort, num_descents=0)
-        self.effort = effort
-        self.ring_offset = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])]).astype(np.int64)
-        self.edges: Edges = edges(rings)
-        self.few = self._problem(point_m[every_kth(len(point_m), effort.num_search_points)])
-        self.all = self._problem(point_m[every_kth(len(point_m), effort.num_points)])
-        self.num_points = len(point_m)
-        self.work = fitter.work(len(self.xy_m), max(len(self.all.x), len(self.few.x)))
-        self.class_gain_m = fitter.limits.class_gain_m * max(1.0, 150.0 / len(self.few.x))
-
-    def _problem(self, point_m: np.ndarray) -> Problem:
-        x, y = (np.ascontiguousarray(point_m[:, k] - self.xy_m[0, k]) for k in range(2))
-        direction, limits = self.edges.direction, self.limits
-        return Problem(
-            len(self.xy_m),
-            len(self.rings),
-            x,
-            y,
-            np.ascontiguousarray(point_m[:, 2], np.float64),
-            direction,
-            self.edges.num_directions,
-            direction,
-            self.edges.num_directions,
-            limits.cap_m,
-            limits.max_roof_height_m,
-        )
-
-    def run(self, guesses: Sequence[np.ndarray]) -> OneHeight | None:
-        rows = starts(self.edges, guesses, self.effort.with_sheds)
-        found = self._search(rows, np.full(len(rows), np.inf), self.effort.max_rounds, IMPOSSIBLE)
-        if found.loss_m >= IMPOSSIBLE:
-            return None
-        if self.limits.flat_top and found.loss_m > _GOOD_ENOUGH_M:
-            found = self._with_flat_top(found)
-        if self.effort.num_points > len(self.few.x) or self.effort.num_descents == 0:
-            found = self.polished(found.angle_deg, found.eave_z_m, found.top_m, num_rounds=_LAST_ROUNDS)
-        return found
-
-    def _search(
-        self, start_deg: np.ndarray, start_top_m: np.ndarray, max_rounds: int, descend_below_m: float
-    ) -> OneHeight:
-        loss, eave, top = search(
-            self.xy_m,
-            self.ring_offset,
-            self.few,
-            self.work,
-            start_deg,
-            start_top_m,
-            self.effort.num_descents,
-            max_rounds,
-            self.class_gain_m,
-            descend_below_m,
-        )
-        return OneHeight(self.rings, start_deg[0].copy(), eave, top, loss, self.num_points)
-
-    def polished(
-        self,
-        angle_deg: np.ndarray,
-        eave_m: float,
-        top_m: float,
-        num_rounds: int,
-        from_median: bool = False,
-        free_angles: bool = True,
-    ) -> OneHeight:
-        angle = np.array(angle_deg, np.float64)
-        loss, eave, top = polish(
-            self.xy_m,
-            self.ring_offset,
-            self.all,
-            self.work,
-            angle,
-            float(eave_m),
-            float(top_m),
-            from_median,
-            free_angles,
-            num_rounds,
-        )
-        return OneHeight(self.rings, angle, eave, top, loss, self.num_points)
-
-    def _with_flat_top(self, found: OneHeight) -> OneHeight:
-        """The same roof, steeper ones and a hip cut flat, at a few heights that the points suggest."""
-        low, *tops = np.quantile(self.few.z, (_LOW_QUANTILE, *_FLAT_TOP_QUANTILES))
-        # a flat roof may have taken the height of the top
-        rise = np.array(tops) - min(found.eave_z_m, low)
-        rise = rise[rise > _LOWEST_TOP_M]
-        if not len(rise) or not len(self.few.x):
-            return found
-        slopes = (found.angle_deg > 0) & (found.angle_deg < 90)
-        roofs = [found.angle_deg, np.where(slopes, _STEEP_DEG, found.angle_deg), np.full(len(slopes), 55.0)]
-        rows = np.repeat(np.array(roofs), len(rise), axis=0)
-        cut = self._search(rows, np.tile(rise, len(roofs)), 1, found.loss_m + _TOP_WORTH_M)
-        return cut if cut.loss_m < found.loss_m - self.limits.top_gain_m else found
-
-    def rounded(self, found: OneHeight) -> OneHeight:
-        """Whole degrees, heights fitted again, unless that costs too much."""
-        whole = np.round(found.angle_deg)
-        if np.array_equal(whole, found.angle_deg):
-            return found
-        made = self.polished(whole, found.eave_z_m, found.top_m, num_rounds=3, free_angles=False)
-        return made if made.loss_m <= found.loss_m + self.limits.rounding_m else found
-
-    def tidy(self, found: OneHeight) -> OneHeight:
-        """Whole degrees where that costs little; a roof as good as flat has only 0 degree edges."""
-        here = self.polished(found.angle_deg, found.eave_z_m, found.top_m, num_rounds=0)
-        zero = np.zeros(len(found.angle_deg))
-        flat = self.polished(zero, found.eave_z_m, np.inf, num_rounds=3, from_median=True)
-        if flat.loss_m <= here.loss_m + self.class_gain_m:
-            return flat
-        for direction in range(self.edges.num_directions):
-            # the end of a gable roof: hardly a point tells a steep face from an upright one
-            own = self.edges.direction == direction
-            steep = own & (here.angle_deg > _NEARLY_GABLE_DEG) & (here.angle_deg < 90)
-            if steep.any():
-                upright = np.where(steep, 90.0, here.angle_deg)
-                gable = self.polished(upright, here.eave_z_m, here.top_m, num_rounds=3)
-                if gable.loss_m <= here.loss_m + self.class_gain_m:
-                    here = gable
-        return self.rounded(here)
+def flat_rings(rings: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(vertices (n, 2), offsets of the rings) for compiled code."""
+    xy_m = np.ascontiguousarray(np.concatenate(list(rings)), np.float64)
+    offset = np.zeros(len(rings) + 1, np.int64)
+    np.cumsum([len(ring) for ring in rings], out=offset[1:])
+    return xy_m, offset

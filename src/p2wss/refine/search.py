@@ -6,16 +6,17 @@ import numpy as np
 
 from p2wss.refine.solve import IMPOSSIBLE, evaluate, improve
 from p2wss.skeleton.compiled import entry, inner
-from p2wss.skeleton.footprint import load_footprint
-from p2wss.skeleton.status import Status
 
-_OK = int(Status.OK)
 _ALTERNATIVES_DEG = (0.0, 90.0, 18.0, 38.0, 57.0)
 _NUM_CLASSES = 2  # of the alternatives, those that are no slope
-_ROUNDS_FIRST, _ROUNDS_CANDIDATE, _ROUNDS_LAST = 4, 3, 8
+_ROUNDS_FIRST, _ROUNDS_NEXT, _ROUNDS_CANDIDATE, _ROUNDS_LAST = 1, 3, 3, 8
+# starts that a first round leaves this much worse than the best are left
+_FOLLOW_M = 0.2
 # a candidate within this of the present loss gets a second look with its height freed
-_SECOND_LOOK_M = 0.15
-_HOPELESS_M = 0.3
+_SECOND_LOOK_M = 0.05
+_HOPELESS_M = 0.12
+# residuals that no better roof would lower
+_NOISE_M = 0.04
 
 
 @inner
@@ -35,7 +36,7 @@ def _propose(problem, angle_deg, unit, alternative, proposed):
             return False
         if alternative >= _NUM_CLASSES:
             for e in range(n):
-                if problem.angle_group[e] == problem.angle_group[unit] and _is_slope(proposed[e]):
+                if problem.direction[e] == problem.direction[unit] and _is_slope(proposed[e]):
                     proposed[e] = angle
         proposed[unit] = angle
         return True
@@ -49,6 +50,26 @@ def _propose(problem, angle_deg, unit, alternative, proposed):
 
 
 @inner
+def set_excess(problem, work):
+    """What of the loss a better roof might lower at most: written to ``work.excess`` for the face of each
+    edge; returns (of all faces, of what is no edge's). Faces and residuals: of the last evaluation."""
+    for e in range(problem.num_edges):
+        work.excess[e] = 0.0
+    total, other = 0.0, 0.0
+    m = len(problem.z)
+    for k in range(m):
+        r = abs(work.residual[k])
+        more = (min(r, problem.cap_m) if r == r else problem.cap_m) - _NOISE_M
+        if more > 0.0:
+            total += more / m
+            if work.face[k] >= 0:
+                work.excess[work.face[k]] += more / m
+            else:
+                other += more / m
+    return total, other
+
+
+@inner
 def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     """Change edges and directions while that lowers the loss by more than ``tolerance``; ``angle_deg`` is
     changed in place. Returns (loss, eave, top)."""
@@ -56,7 +77,16 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     proposed, best = work.trial[1], work.trial[2]
     for _ in range(max_rounds):
         changed = False
+        evaluate(problem, work, angle_deg, eave, top)
+        total, other = set_excess(problem, work)
         for unit in range(n + problem.num_directions):
+            if total < tolerance:
+                break
+            if unit < n:
+                edge = work.skeleton.edge[unit]
+                near = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
+                if near < tolerance:
+                    continue
             best_loss, best_eave, best_top = loss - tolerance, eave, top
             found = False
             for alternative in range(len(_ALTERNATIVES_DEG)):
@@ -77,37 +107,42 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                 loss, eave, top, changed = best_loss, best_eave, best_top, True
                 for e in range(n):
                     angle_deg[e] = best[e]
+                evaluate(problem, work, angle_deg, eave, top)
+                total, other = set_excess(problem, work)
         if not changed:
             break
     return loss, eave, top
 
 
 @entry
-def search(
-    xy_m, ring_offset, problem, work, start_deg, start_top_m, num_descents, max_rounds, tolerance, descend_below
-):  # fmt: skip
-    """The best roof from the starts: a row of (loss, eave, top) and its angles are written to row 0 of
-    ``start_deg``. All starts are improved; the best ``num_descents`` that differ descend.
+def search(problem, work, settings, start_deg, start_top_m, max_rounds, tolerance, descend_below):
+    """The best roof from the starts: (loss, eave, top, row), its angles in that row of ``start_deg``.
 
-    xy_m, ring_offset: the polygon. start_deg: (num_starts, num_edges), overwritten. start_top_m:
-    (num_starts,). tolerance: metres of loss that a change of class has to gain. descend_below: only starts
-    with less loss than this descend.
+    All starts are tried, the best ``settings.num_followed`` improved, and the best ``settings.num_descents``
+    of those that differ descend. The footprint has been loaded into ``work.skeleton.edge``.
+
+    start_deg: (num_starts, num_edges), overwritten. start_top_m: (num_starts,). tolerance: metres of loss that
+    a change of class has to gain. descend_below: only starts with less loss than this descend.
     """
-    status, _ = load_footprint(xy_m, ring_offset, 0, problem.num_rings, work.skeleton.edge)
-    if status != _OK:
-        return IMPOSSIBLE, 0.0, np.inf
     k = len(start_deg)
     losses, eaves, tops = np.full(k, IMPOSSIBLE), np.zeros(k), start_top_m.copy()
     for i in range(k):
         losses[i], eaves[i], tops[i] = improve(
             problem, work, start_deg[i], 0.0, tops[i], _ROUNDS_FIRST, True, True, IMPOSSIBLE
         )
-    order = np.argsort(losses)
+    order = np.argsort(losses, kind="mergesort")
+    follow_below = losses[order[0]] + _FOLLOW_M
+    for i in order[: settings.num_followed]:
+        if losses[i] < min(follow_below, IMPOSSIBLE):
+            losses[i], eaves[i], tops[i] = improve(
+                problem, work, start_deg[i], eaves[i], tops[i], _ROUNDS_NEXT, False, True, IMPOSSIBLE
+            )
+    order = np.argsort(losses, kind="mergesort")
     best = order[0]
     best_loss, best_eave, best_top = losses[best], eaves[best], tops[best]
     used, last = 0, -1.0
     for i in order:
-        if used >= num_descents or losses[i] >= descend_below:
+        if used >= settings.num_descents or losses[i] >= descend_below:
             break
         if abs(losses[i] - last) < 1e-3:
             continue
@@ -122,18 +157,4 @@ def search(
         best_loss, best_eave, best_top = improve(
             problem, work, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True, IMPOSSIBLE
         )
-    for e in range(problem.num_edges):
-        start_deg[0, e] = start_deg[best, e]
-    return best_loss, best_eave, best_top
-
-
-@entry
-def polish(xy_m, ring_offset, problem, work, angle_deg, eave, top, from_median, free_angles, num_rounds):
-    """Improve one roof without changing a class; ``angle_deg`` is changed in place. Returns
-    (loss, eave, top)."""
-    status, _ = load_footprint(xy_m, ring_offset, 0, problem.num_rings, work.skeleton.edge)
-    if status != _OK:
-        return IMPOSSIBLE, eave, top
-    if num_rounds == 0:
-        return evaluate(problem, work, angle_deg, eave, top), eave, top
-    return improve(problem, work, angle_deg, eave, top, num_rounds, from_median, free_angles, IMPOSSIBLE)
+    return best_loss, best_eave, best_top, best

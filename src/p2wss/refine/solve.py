@@ -18,8 +18,12 @@ IMPOSSIBLE = 1e9  # loss of a roof that the kernel refuses
 # a residual below this has full weight: about the noise of airborne LiDAR
 _NOISE_M = 0.05
 _MIN_ANGLE_DEG, _MAX_ANGLE_DEG = 5.0, 75.0
-_MIN_TOP_M = 0.3
+_MIN_TOP_M = 0.8
+# how far a step may leave the present roof without a reason
 _PRIOR_EAVE, _PRIOR_SLOPE = 1e-3, 0.5
+# of a prior
+_MOST_OFF_DEG, _MOST_OFF_M = 20.0, 3.0
+_LEAST_OFF_DEG, _LEAST_OFF_M = 1.0, 0.1
 _DEGREE = np.pi / 180.0
 
 
@@ -43,7 +47,27 @@ def evaluate(problem, work, angle_deg, eave_m, top_m):
     for e in range(problem.num_edges):
         angle = angle_deg[e]
         work.tangent[e] = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
-    return _loss(problem, work, eave_m)
+    return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
+
+
+@inner
+def prior_cost_m(problem, angle_deg, eave_m):
+    """What the prior holds against a roof, in metres of loss."""
+    prior = problem.prior
+    cost = 0.0
+    if len(prior.slope_deg) > 0:
+        for e in range(problem.num_edges):
+            angle = angle_deg[e]
+            if angle == 0.0:
+                cost += prior.class_cost_m[e, 0]
+            elif angle == 90.0:
+                cost += prior.class_cost_m[e, 1]
+            else:
+                off = min(abs(angle - prior.slope_deg[e]), _MOST_OFF_DEG)
+                cost += prior.class_cost_m[e, 2] + prior.degree_cost_m * off
+    if len(prior.eave_z_m) > 0:
+        cost += prior.eave_cost * min(abs(eave_m - prior.eave_z_m[0]), _MOST_OFF_M)
+    return cost
 
 
 @inner
@@ -128,11 +152,32 @@ def _solve_positive(matrix, right_side, size):
 
 
 @inner
+def _add_prior(problem, work, angle_deg, eave_m, num_groups):
+    """The costs of the prior, reweighted as the residuals are."""
+    prior, a, b = problem.prior, work.matrix, work.right_side
+    # the loss is a mean, the equations are a sum
+    m = len(problem.z)
+    if len(prior.eave_z_m) > 0:
+        w = m * prior.eave_cost / max(abs(eave_m - prior.eave_z_m[0]), _LEAST_OFF_M)
+        a[0, 0] += w
+        b[0] += w * prior.eave_z_m[0]
+    if num_groups > 0 and len(prior.slope_deg) > 0:
+        for e in range(problem.num_edges):
+            if work.tangent[e] > 0.0:
+                per_tangent = 1.0 / (_DEGREE * (1.0 + work.tangent[e] ** 2))
+                off = max(abs(angle_deg[e] - prior.slope_deg[e]), _LEAST_OFF_DEG)
+                w = m * prior.degree_cost_m * per_tangent * per_tangent / off
+                g = 2 + problem.direction[e]
+                a[g, g] += w
+                b[g] += w * np.tan(prior.slope_deg[e] * _DEGREE)
+
+
+@inner
 def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles):
     """One weighted step from the faces and residuals in ``work``: new angles in ``work.solved``; returns
     (eave, top)."""
     n = problem.num_edges
-    groups = problem.num_angle_groups if free_angles else 0
+    groups = problem.num_directions if free_angles else 0
     size = groups + 2
     a, b = work.matrix, work.right_side
     for i in range(size):
@@ -144,8 +189,8 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
         work.group_tangent[g], work.group_count[g] = 0.0, 0.0
     for e in range(n):
         if groups > 0 and work.tangent[e] > 0.0:
-            work.group_tangent[problem.angle_group[e]] += work.tangent[e]
-            work.group_count[problem.angle_group[e]] += 1.0
+            work.group_tangent[problem.direction[e]] += work.tangent[e]
+            work.group_count[problem.direction[e]] += 1.0
     for k in range(len(problem.z)):
         f = work.face[k]
         size_of_residual = abs(work.residual[k])
@@ -165,7 +210,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
             w /= 1.0 + t * t
             a[0, 0] += w
             if groups > 0:
-                g = 2 + problem.angle_group[f]
+                g = 2 + problem.direction[f]
                 a[g, 0] += w * d
                 a[g, g] += w * d * d
                 b[0] += w * z
@@ -176,6 +221,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
     b[0] += _PRIOR_EAVE * eave_m
     a[1, 1] += _PRIOR_EAVE
     b[1] += _PRIOR_EAVE * (eave_m + top_m) if has_top else 0.0
+    _add_prior(problem, work, angle_deg, eave_m, groups)
     for g in range(groups):
         a[2 + g, 2 + g] += _PRIOR_SLOPE
         if work.group_count[g] > 0:
@@ -184,7 +230,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
     for e in range(n):
         work.solved[e] = angle_deg[e]
         if groups > 0 and work.tangent[e] > 0.0:
-            angle = np.arctan(b[2 + problem.angle_group[e]]) / _DEGREE
+            angle = np.arctan(b[2 + problem.direction[e]]) / _DEGREE
             work.solved[e] = min(max(angle, _MIN_ANGLE_DEG), _MAX_ANGLE_DEG)
     return b[0], max(b[1] - b[0], _MIN_TOP_M) if has_top else top_m
 
@@ -201,7 +247,7 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
         return loss, eave_m, top_m
     if from_median:
         eave_m = _median_eave(problem, work)
-        loss = _loss(problem, work, eave_m)
+        loss = _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
     n = problem.num_edges
     trial = work.trial[0]
     for number in range(num_rounds):

@@ -2,48 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
 import numpy as np
 
 from p2wss.skeleton.compiled import entry
 
 # edges that differ by less face the same way
 _SAME_DIRECTION_DEG = 12.0
-HIP_DEG, _SHED_DEG, _LOW_DEG = 42.0, 20.0, 18.0
+HIP_DEG, _LOW_DEG = 42.0, 18.0
 
 
-@dataclass(frozen=True)
-class Edges:
-    """Edges of a polygon over all its rings. direction: int64, equal where edges face the same way; axis:
-    int64, equal where they are parallel; both counted from the one with the greatest total length. bearing_rad:
-    of each edge. length_m: of each edge."""
-
-    direction: np.ndarray
-    axis: np.ndarray
-    bearing_rad: np.ndarray
-    length_m: np.ndarray
-
-    @property
-    def num_directions(self) -> int:
-        return int(self.direction.max()) + 1
-
-    @property
-    def num_axes(self) -> int:
-        return int(self.axis.max()) + 1
-
-
-def edges(rings: Sequence[np.ndarray]) -> Edges:
-    """Lengths and groups of the edges of ``rings``, each (n, 2)."""
-    xy_m = np.concatenate(list(rings))
-    along = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - xy_m
-    length = np.hypot(along[:, 0], along[:, 1])
-    bearing = np.arctan2(along[:, 1], along[:, 0])
+@entry
+def edge_groups(xy_m, ring_offset):
+    """(direction, axis, bearing, length) of the edges of rings. direction: int64, equal where edges face the
+    same way; axis: int64, equal where they are parallel; both counted from the one with the greatest total
+    length. bearing: radians. length: metres."""
+    n = len(xy_m)
+    bearing, length = np.empty(n), np.empty(n)
+    for ring in range(len(ring_offset) - 1):
+        for i in range(ring_offset[ring], ring_offset[ring + 1]):
+            j = i + 1 if i + 1 < ring_offset[ring + 1] else ring_offset[ring]
+            x, y = xy_m[j, 0] - xy_m[i, 0], xy_m[j, 1] - xy_m[i, 1]
+            bearing[i], length[i] = np.arctan2(y, x), np.hypot(x, y)
     # a length decides by its millimetres only, so that rounding does not
-    order = np.argsort(-np.round(length, 3), kind="stable")
-    bearing_deg = np.degrees(bearing)
-    return Edges(
+    order = np.argsort(-np.round(length * 1000.0), kind="mergesort")
+    bearing_deg = bearing * (180.0 / np.pi)
+    return (
         _groups(bearing_deg, length, order, 360.0),
         _groups(bearing_deg, length, order, 180.0),
         bearing,
@@ -77,24 +60,28 @@ def _groups(bearing_deg, length, order, period_deg):
     return result
 
 
-def starts(own: Edges, guesses: Sequence[np.ndarray], with_sheds: bool) -> np.ndarray:
-    """Angles to begin with, (num_starts, num_edges): the guesses, a hip roof, a gable roof along either main
-    axis, flat, and if wanted a shed roof down each main direction.
+@entry
+def start_angles(direction, axis, guesses):
+    """Angles to begin with, (num_starts, num_edges): the ``guesses`` (num_guesses, num_edges), a hip roof, a
+    gable roof along either main axis, and flat.
 
     A guess with 0 degree edges comes a second time with slopes for them, because a search does not find its
     way out of what they flatten.
     """
-    n = len(own.direction)
-    rows = []
-    for guess in guesses:
-        rows.append(np.asarray(guess, float))
-        if (guess == 0).any():
-            rows.append(np.where(guess == 0, _LOW_DEG, guess))
-    rows.append(np.full(n, HIP_DEG))
-    rows += [np.where(own.axis == axis, HIP_DEG, 90.0) for axis in range(min(own.num_axes, 2))]
-    rows.append(np.zeros(n))
-    if with_sheds:
-        rows += [
-            np.where(own.direction == down, _SHED_DEG, 90.0) for down in range(min(own.num_directions, 4))
-        ]
-    return np.array(rows)
+    n = len(direction)
+    num_axes = min(axis.max() + 1, 2)
+    rows = np.zeros((2 * len(guesses) + 2 + num_axes, n))
+    count = 0
+    for g in range(len(guesses)):
+        rows[count] = guesses[g]
+        count += 1
+        if (guesses[g] == 0.0).any():
+            for e in range(n):
+                rows[count, e] = _LOW_DEG if guesses[g, e] == 0.0 else guesses[g, e]
+            count += 1
+    rows[count] = HIP_DEG
+    for a in range(num_axes):
+        for e in range(n):
+            rows[count + 1 + a, e] = HIP_DEG if axis[e] == a else 90.0
+    # the flat one is what is left: zeros
+    return rows[: count + 2 + num_axes]

@@ -12,13 +12,47 @@ from p2wss.skeleton.records import SkeletonWork, skeleton_work
 _NUM_ROWS = 4
 
 
+class Settings(NamedTuple):
+    """How a roof is sought, as compiled code takes it; :class:`p2wss.refine.one_height.Limits` and ``Effort``
+    say what each means."""
+
+    num_search_points: int
+    num_followed: int
+    num_descents: int
+    max_rounds: int
+    flat_top: bool
+    cap_m: float
+    max_roof_height_m: float
+    top_gain_m: float
+    class_gain_m: float
+    rounding_m: float
+
+
+class Prior(NamedTuple):
+    """What is believed of a roof before its points: the cost, in metres of loss, of what it may be. Empty
+    arrays: nothing.
+
+    class_cost_m: float64 (n, 3), of each edge: 0 degrees, 90 degrees and a slope. slope_deg: float64 (n,), the
+    usual one. degree_cost_m: of each degree that a slope is off, up to 20. eave_z_m: float64 (1,). eave_cost: of each
+    metre that the eave is off, up to 3.
+    """
+
+    class_cost_m: np.ndarray
+    slope_deg: np.ndarray
+    degree_cost_m: float
+    eave_z_m: np.ndarray
+    eave_cost: float
+
+
+NO_PRIOR = Prior(np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros(0), 0.0)
+
+
 class Problem(NamedTuple):
     """One polygon with its points, as compiled code takes it.
 
     num_edges, num_rings: of the polygon. x, y, z: float64 (m,), x and y relative to its first vertex.
-    direction: int64 (num_edges,), which edges face the same way: 0 to num_directions - 1. angle_group: int64
-    (num_edges,), edges of one group share their slope. cap_m: residuals count up to this. max_roof_height_m:
-    above the eave.
+    direction: int64 (num_edges,), which edges face the same way and so share their slope: 0 to
+    num_directions - 1. cap_m: residuals count up to this. max_roof_height_m: above the eave.
     """
 
     num_edges: int
@@ -28,16 +62,15 @@ class Problem(NamedTuple):
     z: np.ndarray
     direction: np.ndarray
     num_directions: int
-    angle_group: np.ndarray
-    num_angle_groups: int
     cap_m: float
     max_roof_height_m: float
+    prior: Prior
 
 
 class FitWork(NamedTuple):
     """Arrays for polygons of up to ``max_edges`` edges with up to ``max_points`` points.
 
-    trial, best, unit: rows of angles of nested searches. num_evaluations: int64 (1,), counts roofs looked at.
+    trial: rows of angles of nested searches. num_evaluations: int64 (1,), counts roofs looked at.
     """
 
     skeleton: SkeletonWork
@@ -52,6 +85,7 @@ class FitWork(NamedTuple):
     matrix: np.ndarray
     right_side: np.ndarray
     solved: np.ndarray
+    excess: np.ndarray
     trial: np.ndarray
     num_evaluations: np.ndarray
 
@@ -72,6 +106,7 @@ def fit_work(max_edges: int, max_points: int) -> FitWork:
         matrix=np.zeros((size, size)),
         right_side=np.zeros(size),
         solved=np.zeros(max_edges),
+        excess=np.zeros(max_edges),
         trial=np.zeros((_NUM_ROWS, max_edges)),
         num_evaluations=np.zeros(1, np.int64),
     )

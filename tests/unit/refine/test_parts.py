@@ -8,7 +8,7 @@ from test_one_height import sample
 
 from p2wss.formats.polygons import planar_surfaces
 from p2wss.refine.one_height import Effort, Fitter, Limits, OneHeight
-from p2wss.refine.parts import Cutting, fit_parts, main_frame
+from p2wss.refine.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.refine.solid import is_closed, union
 from p2wss.skeleton import FaceKind
 
@@ -49,7 +49,16 @@ def test_parts_are_not_worse_than_one_height() -> None:
     fitter = Fitter(Limits())
     single = fit_parts(fitter, [BOTH], point_m, Effort(), Cutting(max_parts=1))
     parts = fit_parts(fitter, [BOTH], point_m, Effort(), Cutting())
-    assert sum(part.total_loss_m for part in parts) <= sum(part.total_loss_m for part in single)
+    assert len(parts) == 2
+    # what a part costs included
+    assert cost_m(parts, Cutting()) < cost_m(single, Cutting())
+    assert cost_m(parts, Cutting(gain_m=0.5)) == pytest.approx(sum(p.total_loss_m for p in parts) + 0.5 * 750)
+
+
+def test_a_handful_of_points_is_no_reason_to_cut() -> None:
+    point_m = house_with_annex(0.3)[::50]
+    few = fit_parts(Fitter(Limits()), [BOTH], point_m, Effort(), Cutting(cost_m=100.0))
+    assert len(few) == 1
 
 
 @pytest.mark.parametrize(
