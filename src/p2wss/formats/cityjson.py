@@ -116,13 +116,18 @@ def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
     )
     stored, index = np.unique(vertex, axis=0, return_inverse=True)
     index = index.reshape(-1)
-    shell, kinds = [], []
+    shell: list[list[list[int]]] = []
+    kinds = []
     for surface in solid.surfaces:
         rings = [_without_repeats(index[np.asarray(ring)]) for ring in surface.rings]
         rings = [ring for ring in rings if len(ring) >= 3]
         if rings:
             shell.append(rings)
             kinds.append(SURFACE_TYPE[FaceKind(surface.kind)])
+    # a vertex amid triangles of one plane is in no ring
+    used = sorted({vertex for rings in shell for ring in rings for vertex in ring})
+    number = {vertex: position for position, vertex in enumerate(used)}
+    shell = [[[number[vertex] for vertex in ring] for ring in rings] for rings in shell]
     building: dict[str, Any] = {"type": "Building", "attributes": solid.attributes}
     if shell:
         types = sorted(set(kinds))
@@ -141,7 +146,7 @@ def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
         "type": "CityJSONFeature",
         "id": solid.building_id,
         "CityObjects": {solid.building_id: building},
-        "vertices": stored.tolist() if shell else [],
+        "vertices": stored[used].tolist(),
     }
 
 

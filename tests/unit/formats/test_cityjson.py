@@ -133,6 +133,20 @@ def test_both_forms_keep_the_rules(tmp_path: Path) -> None:
         assert one.vertex_m[one.triangle] == pytest.approx(other.vertex_m[other.triangle])
 
 
+def test_a_vertex_within_a_face_is_not_stored() -> None:
+    """A flat roof of four triangles around a middle, which only the triangles need."""
+    corner = np.array([[x, y, z] for z in (0, 3) for x, y in ((0, 0), (4, 0), (4, 4), (0, 4))], float)
+    vertex = np.vstack([corner, [2, 2, 3]])
+    triangle = [[4, 5, 8], [5, 6, 8], [6, 7, 8], [7, 4, 8], [0, 2, 1], [0, 3, 2]]
+    triangle += [[a, b, b + 4] for a, b in ((0, 1), (1, 2), (2, 3), (3, 0))]
+    triangle += [[a, b + 4, a + 4] for a, b in ((0, 1), (1, 2), (2, 3), (3, 0))]
+    kind = np.array([3] * 4 + [0] * 2 + [1] * 8)
+    edge = np.array([-1] * 6 + [0, 1, 2, 3] * 2)
+    surfaces = planar_surfaces(vertex, np.array(triangle), kind, edge)
+    document = json.loads(cityjson.document([Solid("a", vertex, surfaces)], 2154))
+    assert len(document["vertices"]) == 8 and cityjson_rules.assert_document(document) == 1
+
+
 def test_the_rules_notice_what_is_wrong() -> None:
     def broken(change: str) -> dict[str, Any]:
         document = json.loads(cityjson.document([solid_of("gables")[0]], 2154))
