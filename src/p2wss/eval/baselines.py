@@ -66,7 +66,7 @@ def _constant(
     """Every building with the median height and the median angle of the train split."""
     medians = train_medians(manifest)
     if not np.isfinite(medians.eave_height_m):
-        return {}, {"status": "not run: the manifest has no train split"}
+        return {}, {"status": "not run: no building has a label"}
     rows = by_dataset(
         cases,
         lambda buildings, own: inference.constant(

@@ -16,6 +16,7 @@ from p2wss.skeleton import FaceKind, Polygons, Status
 _COPLANAR_M = 4e-3
 _ON_CUT_M = 1e-6
 _WELD_M = 1e-4
+_SHORT_EDGE_M = 1e-2
 # how much higher each further part is, and what a surface may move by when slivers are taken out
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
 _UPRIGHT_NZ = 0.05
@@ -41,13 +42,23 @@ def union(
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly
     coplanar. Parts that meet in a single edge only are no manifold: then some are raised by a few centimetres.
+    An edge of millimetres is where readers that merge near vertices tear a solid open: the first attempt
+    without one is taken, if there is any.
     """
+    found = None
     for step_m, simplify_m in _ATTEMPTS_M:
         raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
         mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m)
         if mesh is not None and is_closed(mesh.vertex_m, mesh.triangle):
-            return mesh
-    return None
+            if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
+                return mesh
+            found = found or mesh
+    return found
+
+
+def _shortest_edge_m(mesh: Mesh) -> float:
+    corner_m = mesh.vertex_m[mesh.triangle]
+    return float(np.linalg.norm(corner_m - np.roll(corner_m, 1, axis=1), axis=2).min())
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:

@@ -101,6 +101,18 @@ def test_medians_are_of_the_train_split_above_the_clouds_ground(hamlet: Path) ->
     assert medians.angle_deg == np.median(np.concatenate([row["angle_deg"] for row in train]))
 
 
+def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path: Path) -> None:
+    rows = io.read_table(hamlet.parent / "a.parquet", io.CROPS).to_pylist()
+    for row in rows:
+        row["split"] = "test"
+    columns = {name: [row[name] for row in rows] for name in io.CROPS.names}
+    io.write_table(tmp_path / "t.parquet", columns, io.CROPS, {})
+    manifest = cases.Manifest([(tmp_path / "t.parquet", "synthetic")])
+    medians = cases.train_medians(manifest)
+    assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in rows]))
+    assert np.isnan(cases.train_medians(cases.Manifest([])).angle_deg)
+
+
 def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case]) -> None:
     medians = cases.train_medians(cases.read_manifest(hamlet))
     # only upwards and from slopes: 0 and 90 would be clipped
