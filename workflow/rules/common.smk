@@ -6,6 +6,7 @@ from snakemake.exceptions import WorkflowError
 
 from p2wss.config import ablated, load, section_json
 from p2wss.errors import InputError
+from p2wss.eval import roofer_command
 from p2wss.provenance import fingerprint
 from p2wss.tiling import TILE_PATTERN, neighbours
 
@@ -61,7 +62,17 @@ def drawn_town(path):
     return path if settings.fetch.source == "folder" and str(path).startswith("resources/towns/") else []
 
 
+def baseline_state(wildcards):
+    """What a baseline is made with besides this code: another version of Roofer makes it anew."""
+    return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""
+
+
 lidar_around = around("<results>/fetch/lidar/{tile}.laz")
 delivered_around = around("<resources>/lidar/{tile}.laz")
 weights = settings.model.weights or "<results>/model/model.safetensors"
 downloads = f"resources/ign/{settings.region.vintage}/downloads"
+# outputs of an earlier Roofer, where there is none to run
+try:
+    RECORDED = roofer_command.recorded_files(settings.eval)
+except InputError as error:
+    raise WorkflowError(f"config: {error}") from None

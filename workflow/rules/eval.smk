@@ -1,24 +1,10 @@
 """Eval. In: crops, model, metrics. Out: reconstructions by every method, their measures, the report with its tables."""
 
-from p2wss.eval import roofer_command
-
 # files of reconstructions: ours, then the baselines
 OURS = ["predictions", "refined", "fitted"]
 # settings that only the report reads: no mesh depends on them
 REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst")
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
-
-
-# outputs of an earlier Roofer, where there is none to run
-try:
-    RECORDED = roofer_command.recorded_files(settings.eval)
-except InputError as error:
-    raise WorkflowError(f"config: {error}") from None
-
-
-def state(wildcards):
-    """What a baseline is made with besides this code: another version of Roofer makes it anew."""
-    return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""
 
 
 rule predict:
@@ -99,7 +85,7 @@ rule baseline:
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.baselines"),
-        state=state,
+        state=baseline_state,
     shell:
         "p2wss eval baseline {wildcards.baseline} {input.manifest} {output.reconstructions} {output.cpu}"
         " --config {params.config:q} 2> {log}"
