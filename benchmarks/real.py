@@ -177,7 +177,7 @@ def main() -> None:
     if arguments.model is not None:
         from p2wss import model
 
-        predictor = model.load(arguments.model)
+        predictor = model.load(arguments.model).of_views(1)  # as p2wss reconstruct does
     figures: dict[str, Any] = {}
     if arguments.sensitivity:
         figures = thresholds.table(arguments.synthetic, read(arguments.data, "delft", Config()))

@@ -751,6 +751,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     if weights is None and not config.reconstruct.refine:
         raise InputError("--no-refine needs a --model: without one, all there is is the fit")
     predictor = None if weights is None else model.load(weights)
+    if predictor is not None and config.reconstruct.refine:
+        predictor = predictor.of_views(1)
     terrain, terrain_crs = (None, None) if arguments.terrain is None else read_terrain(arguments.terrain)
     read = scenes.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = scenes.clean_footprints(read, config.scenes)

@@ -282,6 +282,11 @@ class Predictor:
         self._max_num_vertices = max_num_vertices
         self._batch_size = INFERENCE_BATCH[self.device.type]
 
+    def of_views(self, num_rotations: int) -> Predictor:
+        """The same network, asked for so many views: one is enough for a start that is fitted afterwards."""
+        decode = self.decode.model_copy(update={"num_rotations": num_rotations})
+        return Predictor(self.module, decode, self.dvae_config, self._max_num_vertices, self.limits)
+
     @property
     def max_num_vertices(self) -> int:
         """Largest number of vertices of an exterior ring."""
