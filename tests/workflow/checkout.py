@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PARTS = ["Snakefile", "workflow", "profiles", "config", "envs", "src", "tests/mini"]
+PARTS = ["Snakefile", "workflow", "profiles", "config", "envs", "models", "src", "tests/mini"]
 
 
 class Project:

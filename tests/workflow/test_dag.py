@@ -7,7 +7,8 @@ from checkout import ROOT, rules_to_run
 
 
 def test_the_miniature_plans_every_rule(project):
-    jobs = rules_to_run(project.snakemake("-n", "all", "ablation"))
+    town = "resources/towns/1/bdtopo/BDTOPO_mini.gpkg"
+    jobs = rules_to_run(project.snakemake("-n", "all", "ablation", town))
     text = "".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     with_output = re.findall(r"^(?:rule|checkpoint) (\w+):\n(?:    .*\n|\n)*?    output:", text, re.M)
     assert len(with_output) > 12
@@ -16,6 +17,12 @@ def test_the_miniature_plans_every_rule(project):
 
 def test_the_ablation_is_no_part_of_the_report(project):
     assert not {"ablation", "ablation_model"} & set(rules_to_run(project.snakemake("-n")))
+
+
+def test_trained_weights_are_used_as_they_are_and_the_town_of_the_config_is_drawn(project):
+    jobs = rules_to_run(project.snakemake("-n", "eval_report", "--configfile", "config/shipped.yaml"))
+    assert not {"dvae", "model"} & set(jobs)
+    assert (jobs["draw_town"], jobs["cut_scene"], jobs["predict"]) == (1, 2, 1)
 
 
 def test_a_stage_is_a_target(project):
