@@ -36,6 +36,7 @@ NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh", "tri": "triangl
 BARS = {
     "one height": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
     "parts": {"cd": 0.90, "roof": 0.30, "p2m": 0.15, "tri": 44, "cpu_ms": 18},
+    "parts and dormers": {"cd": 0.88, "roof": 0.25, "p2m": 0.12, "tri": 50},
     "parts, 10 % of the points": {"roof": 0.6},
 }
 FEW = (10, 20, 40, 80, 200)
@@ -139,7 +140,11 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
     for name in SETS:
         buildings = read(arguments.data, name, Config())
         ids = sorted(building.building_id for building in buildings)
-        variants = {"one height": (buildings, 1), "parts": (buildings, config.max_parts)}
+        variants = {
+            "one height": (buildings, 1),
+            "parts": (buildings, config.max_parts),
+            "parts and dormers": (buildings, config.max_parts),
+        }
         if name == "delft":
             tenth = [thinned(b, max(1, round(len(b.point_m) * 0.1))) for b in buildings]
             variants["parts, 10 % of the points"] = (tenth, config.max_parts)
@@ -151,7 +156,8 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
         for network in [None] if predictor is None else [None, predictor]:
             fitted(buildings[:2], config, network)  # compiles
             for variant, (chosen, max_parts) in variants.items():
-                own = config.model_copy(update={"max_parts": max_parts})
+                dormers = variant == "parts and dormers"
+                own = config.model_copy(update={"max_parts": max_parts, "dormers": dormers})
                 made, cpu_ms = fitted(chosen, own, network)
                 rows = judged(made, name, arguments)
                 bars = BARS.get(variant, {}) if name == "delft" else {}

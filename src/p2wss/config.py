@@ -684,6 +684,9 @@ class Reconstruct(Section):
     max_parts: int = Field(
         4, ge=1, le=16, description="heights of one building at most; 1 = the paper's model"
     )
+    dormers: bool = Field(
+        False, description="box dormers and small boxes that rise out of a fitted roof, up to four each"
+    )
     not_representable_m: float = Field(
         0.25, gt=0, description="a fitted building whose points are further off in the mean is flagged"
     )

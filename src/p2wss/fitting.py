@@ -20,12 +20,15 @@ from p2wss.inference import (
     transfer_angles,
 )
 from p2wss.refine.belief import believed
+from p2wss.refine.dormers import Boxes, add_boxes, on_boxes
 from p2wss.refine.one_height import MIN_NUM_POINTS, Effort, Fitter, Limits, OneHeight
 from p2wss.refine.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.refine.points import roof_points
-from p2wss.refine.solid import union
+from p2wss.refine.solid import Mesh, is_sound, union
 
 METHOD = "fit"
+# boxes are looked for with this share of what they have to gain before the roof is fitted without their points
+_LOOSE = 0.5
 
 
 @dataclass(frozen=True)
@@ -35,16 +38,19 @@ class Thresholds:
     effort: Effort = field(default_factory=lambda: Effort(num_points=300))
     limits: Limits = field(default_factory=Limits)
     cutting: Cutting = field(default_factory=Cutting)
+    boxes: Boxes = field(default_factory=Boxes)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """What the points say of a building: its parts in the frame ``xy @ rotation``, or why there are none."""
+    """What the points say of a building: its parts in the frame ``xy @ rotation``, with the points there on the
+    roof, or why there are none."""
 
     rings: Sequence[np.ndarray]
     rotation: np.ndarray
     parts: Sequence[OneHeight]
     refused: str
+    point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def fit(
@@ -59,24 +65,40 @@ def fit(
 
     ``known``: the network's reconstructions of the same buildings; each is where a search begins and, the more
     so the fewer the points, what it is drawn to. It stays where the points are too few, nothing better is found
-    or the kernel rejects what is found. What has no closed union is fitted with fewer parts. Deterministic.
+    or the kernel rejects what is found. What has no closed union is fitted with fewer parts. With
+    ``config.dormers`` boxes that the points show above the roof are added to the solid. Deterministic.
     """
     fitter = Fitter(replace(thresholds.limits, max_roof_height_m=config.max_roof_height_m))
     starts = [None] * len(buildings) if known is None else list(known)
     result = []
     for building, start in zip(buildings, starts, strict=True):
-        max_parts = config.max_parts
-        while True:
-            cutting = replace(thresholds.cutting, max_parts=max_parts)
-            found = _fit(fitter, building, start, config, thresholds.effort, cutting)
-            made = _mesh(building, found, start, method, config)
-            if made.has_mesh or len(found.parts) < 2:
-                break
-            max_parts = len(found.parts) - 1
+        made, found = _plain(fitter, building, start, method, config, thresholds)
+        if config.dormers and made.has_mesh:
+            made = _with_dormers(fitter, building, start, method, config, thresholds, made, found)
         if not made.has_mesh and start is not None and start.has_mesh:
             made = replace(start, method=method)
         result.append(made)
     return result
+
+
+def _plain(
+    fitter: Fitter,
+    building: Building,
+    start: Reconstruction | None,
+    method: str,
+    config: Reconstruct,
+    thresholds: Thresholds,
+    boxes: Sequence[OneHeight] = (),
+) -> tuple[Reconstruction, _Found]:
+    """The building without the points on ``boxes``, of so many parts as have a closed union."""
+    max_parts = config.max_parts
+    while True:
+        cutting = replace(thresholds.cutting, max_parts=max_parts)
+        found = _fit(fitter, building, start, config, thresholds.effort, cutting, boxes)
+        made = _mesh(building, found, start, method, config)
+        if made.has_mesh or len(found.parts) < 2:
+            return made, found
+        max_parts = len(found.parts) - 1
 
 
 def _fit(
@@ -86,6 +108,7 @@ def _fit(
     config: Reconstruct,
     effort: Effort,
     cutting: Cutting,
+    boxes: Sequence[OneHeight],
 ) -> _Found:
     rings = mesh_footprint(building, config)
     rotation = main_frame(rings)
@@ -99,10 +122,11 @@ def _fit(
     if len(point_m) < MIN_NUM_POINTS:
         return _Found(rings, rotation, [], f"fewer than {MIN_NUM_POINTS} points on the roof")
     point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
+    every_point_m, point_m = point_m, point_m[~on_boxes(boxes, point_m)]
     turned = [ring @ rotation for ring in rings]
     if start is None or not start.has_mesh or start.angle_deg is None or start.eave_height_m is None:
         parts = fit_parts(fitter, turned, point_m, effort, cutting, [], believed(turned, len(point_m)))
-        return _Found(rings, rotation, parts, "" if parts else "no roof found")
+        return _Found(rings, rotation, parts, "" if parts else "no roof found", every_point_m)
     guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
     prior = believed(turned, len(point_m), guess, eave_z_m)
     parts = fit_parts(fitter, turned, point_m, effort, cutting, [guess], prior)
@@ -110,7 +134,7 @@ def _fit(
     before = replace(before, loss_m=fitter.loss(before, point_m, prior))
     if not parts or cost_m([before], cutting) < cost_m(parts, cutting):
         parts = [before]
-    return _Found(rings, rotation, parts, "")
+    return _Found(rings, rotation, parts, "", every_point_m)
 
 
 def _mesh(
@@ -152,3 +176,64 @@ def _mesh(
         mesh.plane,
         len(found.parts),
     )
+
+
+def _with_dormers(
+    fitter: Fitter,
+    building: Building,
+    start: Reconstruction | None,
+    method: str,
+    config: Reconstruct,
+    thresholds: Thresholds,
+    made: Reconstruction,
+    found: _Found,
+) -> Reconstruction:
+    """The building with the boxes that its points show above its roof, as many as have a closed union with it.
+
+    A roof that was fitted to the points of the boxes too lies too high: it is also fitted without them."""
+    least = thresholds.boxes.least_gain_m(len(found.point_m))
+
+    def boxed(made: Reconstruction, found: _Found, share: float) -> tuple[float, list[OneHeight]]:
+        turned = np.column_stack(
+            [made.vertex_m[:, :2] @ found.rotation, made.vertex_m[:, 2] + made.ground_z_m]
+        )
+        loss, boxes = add_boxes(
+            found.parts, turned, made.triangle, found.point_m, share * least, thresholds.boxes
+        )
+        cut = thresholds.cutting.least_gain_m(len(found.point_m))
+        return loss + len(boxes) * least + (len(found.parts) - 1) * cut, boxes
+
+    cost, boxes = boxed(made, found, 1.0)
+    candidates = [(made, found, boxes)]
+    _, loose = boxed(made, found, _LOOSE)
+    if loose:
+        again = _plain(fitter, building, start, method, config, thresholds, loose)
+        if again[0].has_mesh:
+            new_cost, new_boxes = boxed(*again, 1.0)
+            if new_cost < cost:
+                candidates.insert(0, (*again, new_boxes))
+    for one, its_found, its_boxes in candidates:
+        mesh = _union_with(its_found.parts, its_boxes, one.ground_z_m, config)
+        if mesh is not None:
+            vertex_m = np.column_stack([mesh.vertex_m[:, :2] @ found.rotation.T, mesh.vertex_m[:, 2]])
+            return replace(one, vertex_m=vertex_m, triangle=mesh.triangle, kind=mesh.kind, edge=mesh.plane)
+    return made
+
+
+def _union_with(
+    parts: Sequence[OneHeight], boxes: Sequence[OneHeight], ground_z_m: float, config: Reconstruct
+) -> Mesh | None:
+    """The union with all boxes or, if that is not sound, with those that it is sound with one after the other;
+    None: with no box."""
+    heights = (ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
+    if not boxes:
+        return None
+    mesh = union([*parts, *boxes], *heights)
+    if mesh is not None and is_sound(mesh):
+        return mesh
+    kept, best = list(parts), None
+    for box in boxes:
+        mesh = union([*kept, box], *heights)
+        if mesh is not None and is_sound(mesh):
+            kept, best = [*kept, box], mesh
+    return best

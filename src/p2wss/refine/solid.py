@@ -61,6 +61,14 @@ def _shortest_edge_m(mesh: Mesh) -> float:
     return float(np.linalg.norm(corner_m - np.roll(corner_m, 1, axis=1), axis=2).min())
 
 
+def is_sound(mesh: Mesh) -> bool:
+    """Whether readers that round and triangulate faces anew will find it closed: no edge of millimetres, no
+    vertex within a straight edge."""
+    pairs = np.unique(np.column_stack([mesh.triangle.ravel(), np.repeat(mesh.plane, 3)]), axis=0)
+    num_planes = np.bincount(pairs[:, 0], minlength=len(mesh.vertex_m))
+    return _shortest_edge_m(mesh) >= _SHORT_EDGE_M and bool((num_planes >= 3).all())
+
+
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     """Whether every edge has exactly two triangles, in opposite directions, once vertices that files cannot
     tell apart are one."""
