@@ -190,9 +190,12 @@ def _on_footprint(
         nearest = lines[side % 2][np.argmin(np.abs(lines[side % 2] - bounds[side]))]
         if abs(nearest - bounds[side]) < _TO_CUT_M:
             bounds[side] = nearest
-        strip = list(bounds)
+    # a side that has moved beyond the wall must not make the next side's strip look outside
+    own = list(bounds)
+    for side in range(4):
+        strip = list(own)
         strip[side] += -_TO_WALL_M if side < 2 else _TO_WALL_M
-        strip[(side + 2) % 4] = bounds[side]
+        strip[(side + 2) % 4] = own[side]
         beyond = shapely.box(*strip)
         if beyond.intersection(footprint).area < 0.9 * beyond.area:
             bounds[side] = strip[side]
