@@ -57,7 +57,7 @@ def test_files_named_after_the_cloud(place: Path) -> None:
 
 def test_refined_with_the_model_and_without(place: Path) -> None:
     outs = {}
-    for name, options in {"point2wss+fit": ["--model", "m"], "fit": []}.items():
+    for name, options in {"point2wss+fit": ["--model", "m"], "fit": ["--model", "none"]}.items():
         files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", name)]
         assert cli.main(["reconstruct", *files, *options]) == 0
         (outs[name],) = gpd.read_file(place / name / "cloud.gpkg").to_dict("records")
@@ -66,6 +66,13 @@ def test_refined_with_the_model_and_without(place: Path) -> None:
     assert outs["fit"]["angle_deg"] == outs["point2wss+fit"]["angle_deg"] == "0 0 0 0"
     assert outs["fit"]["residual_m"] < 0.01
     assert outs["fit"]["confidence"] is None and outs["point2wss+fit"]["confidence"] > 0
+
+
+def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    oracle = Oracle()
+    monkeypatch.setattr(model, "load", lambda path: oracle)
+    assert run(place, "--no-refine") == 0 and oracle.num_views == 4
+    assert run(place) == 0 and oracle.num_views == 1
 
 
 def test_without_a_model_there_is_no_unrefined(

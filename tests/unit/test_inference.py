@@ -35,6 +35,11 @@ class Oracle:
         self.slope_deg = slope_deg
         self.max_num_vertices = max_num_vertices
         self.seen: list[Sequence[np.ndarray]] = []
+        self.num_views = 4
+
+    def of_views(self, num_views: int) -> Oracle:
+        self.num_views = num_views
+        return self
 
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Answer:
         self.seen += rings
