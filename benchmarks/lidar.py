@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -33,6 +32,7 @@ import shapely
 import trimesh
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+from figures import Figures, peak_mib
 from lidar_twins import twin, wall_depths_m
 from scipy.spatial import cKDTree
 
@@ -200,7 +200,6 @@ def whole_scene(
         "points": facts["num_points"],
         "scan": kept,
         "cloud": cloud,
-        "peak_gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
     }
 
 
@@ -326,11 +325,11 @@ def one_scene(num: int, size_m: float) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         warm_up(Path(folder))
         start, cpu = time.perf_counter(), time.process_time()
-        result = whole_scene(buildings, terrain, size_m, Path(folder))
+        whole_scene(buildings, terrain, size_m, Path(folder))
         return {
             "wall_s": time.perf_counter() - start,
             "cpu_s": time.process_time() - cpu,
-            "peak_gb": result["peak_gb"],
+            "peak_gb": peak_mib() / 1024,
         }
 
 
@@ -485,7 +484,7 @@ def simulated_clouds(size_m: float) -> dict[str, list[float]]:
     return rows
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
@@ -494,20 +493,19 @@ def main() -> None:
     num, size_m = (312, 250.0) if arguments.quick else (5000, TILE_SIZE_M)
     if arguments.one:
         print(json.dumps(one_scene(num, size_m)))
-        return
+        return 0
 
+    figures = Figures()
     buildings, terrain = make_buildings(num, size_m), make_terrain(size_m)
     with tempfile.TemporaryDirectory() as folder:
         warm_up(Path(folder))
         result = whole_scene(buildings, terrain, size_m, Path(folder), keep_scan=True)
         steps = result["steps"]
         print(f"{result['pulses']:,} pulses, {result['points']:,} points, preset hd without clutter")
-        print(f"{'step':<30}{'CPU s':>8}{'bar':>8}")
         for name, bar in BARS.items():
-            print(f"{name:<30}{steps[name]:>8.2f}{bar:>8.1f}  {'met' if steps[name] <= bar else 'MISSED'}")
-        print(f"  of the whole: simulated {result['simulated']:.2f}, cropped {result['cropped']:.2f}")
-        cast_rate = result["pulses"] / steps["cast"] / 1e6
-        print(f"cast: {cast_rate:.1f} M rays per CPU-second (bar 4.5)")
+            figures.at_most(f"{name}, CPU s", steps[name], bar)
+        print(f"of the whole: simulated {result['simulated']:.2f} CPU s, cropped {result['cropped']:.2f}")
+        figures.at_least("cast, M rays per CPU-second", result["pulses"] / steps["cast"] / 1e6, 4.5)
 
         # the file between the stages is no step of the bar
         start = time.process_time()
@@ -520,16 +518,15 @@ def main() -> None:
 
     cloud = result["cloud"][0]
     crop_ratio, crop_same = peers_of_the_crop(buildings, cloud, min(len(cloud), 500_000))
-    print(f"crop: {crop_ratio:.1f} times as fast as shapely dwithin (bar 8), same result: {crop_same}")
+    figures.at_least("crop, times the speed of shapely dwithin", crop_ratio, 8)
+    figures.at_least("crop, the same result", crop_same, 1)
     del result, cloud
     embreex_ratio, trimesh_ratio, tree_ratio, rates = peers_of_the_cast(
         buildings, terrain, size_m, 100_000 if arguments.quick else 1_000_000
     )
-    print(f"cast against embreex alone on the same rays: {embreex_ratio:.0%} (bar 85 %)")
-    print(
-        f"cast against trimesh intersects_location: {trimesh_ratio:.1f} times, with the building of trees "
-        f"{tree_ratio:.1f} (bar 10); M rays/s {rates}"
-    )
+    print(f"M rays per CPU-second: {rates}; trees and rays, times trimesh's: {tree_ratio:.1f}")
+    figures.at_least("cast, share of the speed of embreex alone", embreex_ratio, 0.85)
+    figures.at_least("cast, times the speed of trimesh intersects_location", trimesh_ratio, 10)
 
     for name, changes in (
         ("clutter", {"clutter": Clutter()}),
@@ -540,37 +537,21 @@ def main() -> None:
         print(f"simulated with {name}, in no bar: {time.process_time() - start:.2f} s")
 
     pair = two_at_once(arguments.quick)
-    for kind, about in (("wall", "bar 1.25, on a machine that does nothing else"), ("cpu", "no bar")):
+    for kind in ("wall", "cpu"):
         one, two = pair[f"{kind}_one_s"], pair[f"{kind}_two_s"]
-        print(f"{kind} time: one scene {one:.1f} s, two at once {two:.1f} s: {two / one:.2f} times ({about})")
-    print(f"peak memory of a process: {pair['peak_gb']:.2f} GB (bar 1.5)")
+        print(f"{kind} time: one scene {one:.1f} s, two at once {two:.1f} s: {two / one:.2f} times")
+    # means something on a machine that does nothing else
+    figures.at_most(
+        "two scenes at once, times the wall time of one", pair["wall_two_s"] / pair["wall_one_s"], 1.25
+    )
+    figures.at_most("peak memory of one scene, GB", pair["peak_gb"], 1.5)
 
     print(f"\n{'realism':<34}" + "".join(f"{name:>14}" for name in COLUMNS))
     table = simulated_clouds(250.0) | real_clouds(arguments.data)
     for name, row in table.items():
         print(f"{name:<34}" + "".join(f"{value:>14.3f}" for value in row))
-    print(
-        json.dumps(
-            {
-                "steps_cpu_s": {name: round(seconds, 3) for name, seconds in steps.items()},
-                "bars_cpu_s": BARS,
-                "cast_mrays_per_cpu_s": round(cast_rate, 2),
-                "cast_to_embreex": round(embreex_ratio, 3),
-                "cast_to_trimesh": round(trimesh_ratio, 1),
-                "cast_and_tree_to_trimesh": round(tree_ratio, 1),
-                "crop_to_shapely": round(crop_ratio, 1),
-                "crop_same": crop_same,
-                "two_at_once": {name: round(value, 3) for name, value in pair.items()},
-                "peak_gb": round(pair["peak_gb"], 3),
-                "laz_cpu_s": {"written": round(written, 2), "read": round(read, 2)},
-                "realism": {
-                    name: dict(zip(COLUMNS, np.round(row, 4).tolist(), strict=True))
-                    for name, row in table.items()
-                },
-            }
-        )
-    )
+    return figures.end()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import os
 import subprocess
 import sys
@@ -23,6 +22,7 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "unit" / "skeleton"))
+from figures import Figures, cpu_seconds  # noqa: E402
 from numba import njit  # noqa: E402
 from sfcgal import sfcgal_volumes  # noqa: E402
 from skeleton_samples import REGIMES, sample_angles, sample_footprints  # noqa: E402
@@ -51,16 +51,6 @@ for call, more in ((faces, ()), (lines, ()), (roof_points, (np.ones((1, 2)), np.
     print(call.__name__, time.process_time() - start)
 """
 REAL = ("olemps_bdtopo/BATIMENT.shp", "delft_ahn3/footprints.gpkg", "bresse_ign/footprints.gpkg")
-
-
-def cpu_seconds(call, repeats: int = 3) -> float:
-    """Least CPU time of a few calls."""
-    best = np.inf
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        best = min(best, time.process_time() - start)
-    return best
 
 
 def speed(num: int) -> float:
@@ -324,26 +314,19 @@ def main() -> int:
     parser.add_argument("--real", type=Path, default=ROOT.parent / "shared" / "data")
     options = parser.parse_args()
 
-    figures: dict[str, dict[str, object]] = {}
-
-    def bar(name: str, value: float | None, limit: float, at_least: bool) -> None:
-        if value is not None:
-            ok = value >= limit if at_least else value <= limit
-            figures[name] = {"value": round(value, 5), "bar": limit, "ok": bool(ok)}
-
+    figures = Figures()
     clean(sample_footprints(2, 0))  # loads the machine code
-    bar("buildings_per_s_core", speed(options.num), 10_000, True)
-    bar("ratio_to_sfcgal", against_sfcgal(min(options.num, 500)), 40, True)
-    bar("ratio_to_compas_cgal", against_compas(min(options.num, 500)), 1, True)
+    figures.at_least("buildings_per_s_core", speed(options.num), 10_000)
+    figures.at_least("ratio_to_sfcgal", against_sfcgal(min(options.num, 500)), 40)
+    figures.at_least("ratio_to_compas_cgal", against_compas(min(options.num, 500)), 1)
     triangles_by_edges(options.num)
-    bar("ms_for_1000_edges", scaling(), 1000, False)
-    bar("us_per_refinement_evaluation", refinement(), 5, False)
+    figures.at_most("ms_for_1000_edges", scaling(), 1000)
+    figures.at_most("us_per_refinement_evaluation", refinement(), 5)
     real = real_footprints(options.real)
-    bar("sensitive_share", sensitivity(options.num, real), 0.001, False)
-    bar("real_rejected_share", rejects(options.num, real), 0.005, False)
-    bar("first_use_s", first_use(), 30, False)
-    print(json.dumps(figures))
-    return 0 if all(figure["ok"] for figure in figures.values()) else 1
+    figures.at_most("sensitive_share", sensitivity(options.num, real), 0.001)
+    figures.at_most("real_rejected_share", rejects(options.num, real), 0.005)
+    figures.at_most("first_use_s", first_use(), 30)
+    return figures.end()
 
 
 if __name__ == "__main__":

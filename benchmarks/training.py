@@ -24,6 +24,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
+from figures import Figures, cpu_seconds, peak_mib
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -120,17 +121,6 @@ def plain(vae: DiscreteVae) -> DiscreteVae:
 # --- measuring ---
 
 
-def cpu_seconds(call: Callable[[], object], repeats: int) -> float:
-    """Least CPU time of a few calls, after one that does not count."""
-    call()
-    best = np.inf
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        best = min(best, time.process_time() - start)
-    return best
-
-
 @contextmanager
 def no_buckets() -> Iterator[None]:
     """Batches of any lengths, padded to the longest building of all."""
@@ -204,12 +194,6 @@ def inference(config: Config, num: int) -> dict[str, float]:
     return {"per_s": num / took, "peak_mib": peak_mib()}
 
 
-def peak_mib() -> float:
-    """The most memory that this process held. Not getrusage's: that begins with what the parent held."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
-
-
 def in_fresh_process(config: str, num: int) -> dict[str, float]:
     command = [sys.executable, __file__, "--config", config, "--inference", str(num)]
     output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -232,18 +216,10 @@ def main() -> int:
         return 0
     buildings = town(options.num)
     device = torch.device("cpu")
-    figures: dict[str, dict[str, object]] = {}
-
-    def bar(name: str, value: float, limit: float, at_least: bool) -> None:
-        ok = value >= limit if at_least else value <= limit
-        figures[name] = {"value": round(value, 4), "bar": limit, "ok": bool(ok)}
-        print(
-            f"{name:<38}{value:>12.4g}{'>=' if at_least else '<=':>5} {limit:<10g}{'ok' if ok else 'MISSED'}"
-        )
-
+    figures = Figures()
     with tempfile.TemporaryDirectory() as folder:
         rate, batch_s = loading(buildings, config, Path(folder))
-    bar("clouds per s and core from the cache", rate, 50_000, True)
+    figures.at_least("clouds per s and core from the cache", rate, 50_000)
 
     torch.manual_seed(0)
     vae = DiscreteVae(dvae.sizes(config.dvae))
@@ -267,7 +243,7 @@ def main() -> int:
     dvae.patches_of = real
     size = config.dvae.optimiser.batch_size
     print(f"dvae   {1 / ours:.3f} steps/s of {size} clouds, reference {1 / theirs:.3f}")
-    bar("dvae steps/s over the reference", theirs / ours, 3, True)
+    figures.at_least("dvae steps/s over the reference", theirs / ours, 3)
 
     tokenizer = model.make_tokenizer(config.model)
 
@@ -298,8 +274,8 @@ def main() -> int:
         dvae.patches_of = real
     size = config.model.optimiser.batch_size
     print(f"model  {1 / ours:.3f} steps/s of {size} buildings, reference {1 / theirs:.3f}")
-    bar("model steps/s over the reference", theirs / ours, 3, True)
-    bar("loader's share of a training step", batch_s / ours, 0.05, False)
+    figures.at_least("model steps/s over the reference", theirs / ours, 3)
+    figures.at_most("loader's share of a training step", batch_s / ours, 0.05)
 
     # each in a fresh process, or the peak would be that of training
     few, many = (in_fresh_process(options.config, num) for num in (options.num // 16, options.num // 4))
@@ -307,10 +283,9 @@ def main() -> int:
         f"inference, one view: {many['per_s']:.0f} buildings per CPU second; peak memory "
         f"{few['peak_mib']:.0f} MiB for {options.num // 16}, {many['peak_mib']:.0f} for four times as many"
     )
-    bar("buildings/s of inference, two cores", 2 * many["per_s"], 200, True)
-    bar("MiB more for four times the buildings", many["peak_mib"] - few["peak_mib"], 200, False)
-    print(json.dumps(figures))
-    return 0 if all(figure["ok"] for figure in figures.values()) else 1
+    figures.at_least("buildings/s of inference, two cores", 2 * many["per_s"], 200)
+    figures.at_most("MiB more for four times the buildings", many["peak_mib"] - few["peak_mib"], 200)
+    return figures.end()
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numba import njit
 
 from p2wss.config import Clutter
 from p2wss.footprints import to_geometries
@@ -31,6 +30,7 @@ from p2wss.lidar.surface import (
     Surface,
     encode_thing,
 )
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
 NAMES = ("dormer", "chimney", "raised_part", "parapet", "skylight", "annex", "tree", "shade")
@@ -146,7 +146,7 @@ def _anchors(roofs: _Roofs, rows: np.ndarray, u: np.ndarray) -> _Anchors:
     return _Anchors(rows, roofs.face[index], point, uphill, np.where(level, 0, flat / normal[:, 2]))
 
 
-@njit(cache=True)
+@entry
 def _on_roof(
     xy: np.ndarray,
     row: np.ndarray,

@@ -10,8 +10,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
+from p2wss.skeleton.compiled import entry, inlined
 from p2wss.skeleton.types import Polygons
 
 _CELL_M = 4.0
@@ -60,7 +60,7 @@ def crop_points(
     )
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _cell_boxes(
     xy: np.ndarray,
     vertex_offset: np.ndarray,
@@ -85,7 +85,7 @@ def _cell_boxes(
     return boxes
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _sort_points(
     x: np.ndarray,
     y: np.ndarray,
@@ -126,7 +126,7 @@ def _sort_points(
     return start, order, x_sorted, y_sorted
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _crop(
     x: np.ndarray,
     y: np.ndarray,
@@ -178,7 +178,7 @@ def _crop(
     return point[:n].copy(), inside[:n].copy(), offset
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _locate(px: float, py: float, edge: np.ndarray, num_edges: int, buffer_m: float) -> tuple[bool, bool]:
     """Whether the point is inside (even-odd rule), and whether it is within the buffer of an edge."""
     inside, near = False, False
@@ -195,7 +195,7 @@ def _locate(px: float, py: float, edge: np.ndarray, num_edges: int, buffer_m: fl
     return inside, near
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _distance(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Distance from a point to a segment, in the operations of GEOS (``Distance::pointToSegment``)."""
     length2 = (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
@@ -209,7 +209,7 @@ def _distance(px: float, py: float, ax: float, ay: float, bx: float, by: float) 
     return abs(((ay - py) * (bx - ax) - (ax - px) * (by - ay)) / length2) * sqrt(length2)
 
 
-@njit(cache=True, nogil=True)
+@entry
 def gather_cm(value_m: np.ndarray, point: np.ndarray, offset: np.ndarray, origin_m: np.ndarray) -> np.ndarray:
     """``value_m[point] - origin`` of each pair's polygon, in whole centimetres, int16 (num_pairs,).
 
@@ -223,7 +223,7 @@ def gather_cm(value_m: np.ndarray, point: np.ndarray, offset: np.ndarray, origin
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def medians(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Median of ``value[point]`` per polygon, NaN for a polygon without points."""
     result = np.full(len(offset) - 1, np.nan)
@@ -233,7 +233,7 @@ def medians(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndar
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def ring_medians(
     value: np.ndarray, among: np.ndarray, point: np.ndarray, inside: np.ndarray, offset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -253,7 +253,7 @@ def ring_medians(
     return count, result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """True values of ``mask`` in each slice ``offset[i]:offset[i + 1]``, int64 (len(offset) - 1,)."""
     result = np.zeros(len(offset) - 1, np.int64)
@@ -263,7 +263,7 @@ def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def own_kinds(
     building: np.ndarray, face: np.ndarray, point: np.ndarray, offset: np.ndarray, row: np.ndarray
 ) -> np.ndarray:
@@ -277,7 +277,7 @@ def own_kinds(
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def seen_share(
     x_cm: np.ndarray,
     y_cm: np.ndarray,
@@ -328,7 +328,7 @@ def seen_share(
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def count_distinct(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """How many values each polygon's points have, int32 (num_polygons,). value: uint16, one per point."""
     result = np.zeros(len(offset) - 1, np.int32)
@@ -342,7 +342,7 @@ def count_distinct(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> 
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def walls_seen(
     face: np.ndarray, point: np.ndarray, on_wall: np.ndarray, offset: np.ndarray, min_points: int
 ) -> np.ndarray:

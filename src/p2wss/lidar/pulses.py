@@ -12,9 +12,9 @@ from math import cos, floor, pi, sin, tan
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from p2wss.lidar.randomness import normal, random_bits
+from p2wss.skeleton.compiled import entry, inlined
 
 BLOCK_PULSES = 32
 CONICAL, PARALLEL, CROSS_FIRE, OSCILLATING = range(4)
@@ -65,7 +65,7 @@ class Box(NamedTuple):
     z_max_m: float
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _platform(path: StripPath, t: float, place: np.ndarray) -> None:
     """Write drift (3) and rotation matrix (9) of the platform at time ``t`` into ``place``."""
     position = min(max(t / path.knot_interval_s, 0.0), len(path.knots) - 1.000001)
@@ -75,7 +75,7 @@ def _platform(path: StripPath, t: float, place: np.ndarray) -> None:
         place[i] = path.knots[k, i] + w * (path.knots[k + 1, i] - path.knots[k, i])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _mirror_rad(path: StripPath, turns: float) -> float:
     """Angle of the beam around the cone's axis (CONICAL), else off nadir; ``turns`` is a fraction of one
     turn."""
@@ -86,7 +86,7 @@ def _mirror_rad(path: StripPath, turns: float) -> float:
     return path.half_angle_rad * (2 * turns - 1)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _direction(path: StripPath, cosine: float, sine: float, pulse: int) -> tuple[float, float, float]:
     """Unit direction in the scanner's frame, x forward, y left, z up, of a mirror angle."""
     if path.pattern == CONICAL:
@@ -97,7 +97,7 @@ def _direction(path: StripPath, cosine: float, sine: float, pulse: int) -> tuple
     return 0.0, sine, -cosine
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _beam(path: StripPath, t: float, pulse: int) -> tuple[float, float, float]:
     """Unit direction in the scanner's frame at time ``t``."""
     turns = t * path.scan_rate_hz + path.scan_phase
@@ -105,7 +105,7 @@ def _beam(path: StripPath, t: float, pulse: int) -> tuple[float, float, float]:
     return _direction(path, cos(angle), sin(angle), pulse)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _rotate(p: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         p[3] * x + p[4] * y + p[5] * z,
@@ -114,7 +114,7 @@ def _rotate(p: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, 
     )
 
 
-@njit(cache=True, nogil=True)
+@entry
 def time_over(path: StripPath, box: Box, interval_s: float) -> float:
     """Seconds during which the strip's spot on the plane z = 0 is inside ``box``; sampled about every
     ``interval_s``."""
@@ -136,7 +136,7 @@ def time_over(path: StripPath, box: Box, interval_s: float) -> float:
     return hits * interval_s
 
 
-@njit(cache=True, nogil=True)
+@entry
 def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
     """Blocks of pulses (int64, ascending) that may pass over ``box``: all that do, and few that do not."""
     kept = np.empty(num_blocks, np.int64)
@@ -182,7 +182,7 @@ def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
     return kept[:n].copy()
 
 
-@njit(cache=True, nogil=True)
+@entry
 def generate(
     path: StripPath,
     blocks: np.ndarray,

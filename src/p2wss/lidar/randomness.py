@@ -10,8 +10,9 @@ per hash, ten times cheaper than Box-Muller; they end at 3.67 standard deviation
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.special import ndtri
+
+from p2wss.skeleton.compiled import entry, inlined
 
 # float32 (4096,): entry i is the standard normal quantile of (i + 1/2) / 4096
 NORMAL_QUANTILE = ndtri((np.arange(4096) + 0.5) / 4096).astype(np.float32)
@@ -25,7 +26,7 @@ _LOW_12 = np.uint64(0xFFF)
 _S11 = np.uint64(11)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def random_bits(key: np.uint64, counter: np.uint64) -> np.uint64:
     """64 random bits: draw number ``counter`` of the stream ``key``."""
     z = key + (counter + _ONE) * _GOLDEN
@@ -34,7 +35,7 @@ def random_bits(key: np.uint64, counter: np.uint64) -> np.uint64:
     return z ^ (z >> _S31)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def normal(bits: np.uint64, which: int, quantile: np.ndarray) -> float:
     """Standard normal deviate number ``which`` (0 to 3) of ``bits``, each from its own 12 bits.
 
@@ -44,13 +45,13 @@ def normal(bits: np.uint64, which: int, quantile: np.ndarray) -> float:
     return np.float64(quantile[np.int64((bits >> np.uint64(16 * which)) & _LOW_12)])
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def uniform(bits: np.uint64) -> float:
     """Uniform deviate in [0, 1) from the upper 53 of ``bits``."""
     return np.float64(bits >> _S11) * 1.1102230246251565e-16
 
 
-@njit(cache=True, nogil=True)
+@entry
 def uniforms(key: np.ndarray, first: int, count: int) -> np.ndarray:
     """Draws ``first`` to ``first + count`` of each stream, float64 (len(key), count). key: uint64 (n,)."""
     result = np.empty((len(key), count))

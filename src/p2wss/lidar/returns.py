@@ -11,12 +11,12 @@ from math import cos, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from p2wss.lidar.pulses import BLOCK_PULSES, Box, StripPath
 from p2wss.lidar.randomness import normal, random_bits, uniform
 from p2wss.lidar.surface import TERRAIN_REFLECTANCE, THING_KIND, Surface
 from p2wss.lidar.terrain import crossing, frame_of
+from p2wss.skeleton.compiled import entry, inlined
 from p2wss.skeleton.types import FaceKind
 
 # counts of the pulses that were cast, by what became of them
@@ -92,7 +92,7 @@ class Points(NamedTuple):
     face: np.ndarray
 
 
-@njit(cache=True, nogil=True)
+@entry
 def locate(origin: np.ndarray, direction: np.ndarray, hit: np.ndarray, surface: Surface, found: Hits) -> None:
     """Fill in ``found``: the exact first hit of each ray on the triangle ``hit`` (int32 (n,), -1 none) or the
     terrain."""
@@ -118,7 +118,7 @@ def locate(origin: np.ndarray, direction: np.ndarray, hit: np.ndarray, surface: 
         found_normal[k, 0], found_normal[k, 1], found_normal[k, 2] = nx, ny, nz
 
 
-@njit(cache=True, nogil=True)
+@entry
 def near_edges(
     origin: np.ndarray,
     direction: np.ndarray,
@@ -158,7 +158,7 @@ def near_edges(
     return chosen[:n].copy()
 
 
-@njit(cache=True, nogil=True)
+@entry
 def split(
     origin: np.ndarray,
     direction: np.ndarray,
@@ -200,7 +200,7 @@ def split(
             row += 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _to_axis(
     sigma: float, key: np.uint64, pulse: int, dx: float, dy: float, dz: float, quantile: np.ndarray
 ) -> tuple[float, float, float]:
@@ -213,7 +213,7 @@ def _to_axis(
     return along * dx - jx, along * dy - jy, along * dz - jz
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _strength(
     triangle: int,
     normal: np.ndarray,
@@ -230,7 +230,7 @@ def _strength(
     return reflectance * incidence * scale * scale
 
 
-@njit(cache=True, nogil=True)
+@entry
 def record(
     origin: np.ndarray,
     direction: np.ndarray,
@@ -394,7 +394,7 @@ def record(
     return n
 
 
-@njit(cache=True, nogil=True)
+@entry
 def count_points(points: Points, low_mm: np.ndarray, high_mm: np.ndarray) -> np.ndarray:
     """Numbers of points, int64 (7,): ground, walls, roofs, trees, what else is on buildings; between
     ``low_mm`` and ``high_mm`` (2,) in x and y, and of these the first returns."""
@@ -419,7 +419,7 @@ def count_points(points: Points, low_mm: np.ndarray, high_mm: np.ndarray) -> np.
     return result
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _arctan(x: float) -> float:
     """Arc tangent to 1e-5 (Abramowitz, Stegun 1964, 4.4.49), a tenth of a scan angle's unit."""
     y = 1 / x if abs(x) > 1 else x
@@ -430,13 +430,13 @@ def _arctan(x: float) -> float:
     return angle
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _triangle(hit_triangle: np.ndarray, sub_triangle: np.ndarray, k: int, row: int) -> int:
     """Triangle of sub-beam ``row``, or of ray ``k`` itself for -1."""
     return hit_triangle[k] if row < 0 else sub_triangle[row]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _same_face(building_of: np.ndarray, face_of: np.ndarray, porous: np.ndarray, a: int, b: int) -> bool:
     """Whether two triangles (-1: the terrain) are of one face; leaves are each their own."""
     if a == b or a < 0 or b < 0:
@@ -445,7 +445,7 @@ def _same_face(building_of: np.ndarray, face_of: np.ndarray, porous: np.ndarray,
     return together and not porous[a]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _axis_distance(
     normal: np.ndarray,
     height_m: np.ndarray,
@@ -465,7 +465,7 @@ def _axis_distance(
     return t
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _on_triangle(
     vertex: np.ndarray,
     triangles: np.ndarray,
@@ -502,7 +502,7 @@ def _on_triangle(
     return t, nx, ny, nz, nx * ax + ny * ay + nz * az
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _inside_edge(
     ax: float, ay: float, az: float,
     ex: float, ey: float, ez: float,

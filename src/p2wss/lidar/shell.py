@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numba import njit
 
 from p2wss.footprints import to_geometries
 from p2wss.lidar.houses import Houses, across, beside, between, chosen, edges, rectangle
 from p2wss.lidar.surface import LOWER_PART, Surface, encode_thing
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
 _OVERHANG = 16  # number of the random stream; things count from 0
@@ -177,7 +177,7 @@ def _cut(surface: Surface, cuts: _Cuts, outline: np.ndarray) -> Surface:
     )
 
 
-@njit(cache=True)
+@entry
 def _clip_all(
     corner: np.ndarray, number: np.ndarray, is_roof: np.ndarray, cuts: _Cuts
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -223,7 +223,7 @@ def _clip_all(
     return pieces[:num_pieces], source[:num_pieces], walls[:num_walls], wall_cut[:num_walls]
 
 
-@njit(cache=True)
+@entry
 def _half(
     polygon: np.ndarray, count: int, nx: float, ny: float, nz: float, limit: float, out: np.ndarray
 ) -> int:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from p2wss.skeleton.compiled import entry, inlined
 
 
 class TerrainGrid(NamedTuple):
@@ -66,7 +67,7 @@ def local_grid(
     )
 
 
-@njit(cache=True)
+@entry
 def _ranges(height: np.ndarray, size: int) -> np.ndarray:
     """Lowest and highest centre of every block of ``size`` squares, float32 (.., .., 2)."""
     rows, columns = height.shape
@@ -86,7 +87,7 @@ def _ranges(height: np.ndarray, size: int) -> np.ndarray:
     return result
 
 
-@njit(cache=True, nogil=True)
+@entry
 def first_crossing(
     grid: TerrainGrid, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, limit: float
 ) -> tuple[float, float, float]:
@@ -109,7 +110,7 @@ def first_crossing(
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def frame_of(grid: TerrainGrid) -> GridFrame:
     """What :func:`crossing` needs beside the arrays."""
     return GridFrame(
@@ -123,7 +124,7 @@ def frame_of(grid: TerrainGrid) -> GridFrame:
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def crossing(
     frame: GridFrame,
     height: np.ndarray,
@@ -178,14 +179,14 @@ def crossing(
     return hit, east * frame.per_cell, -south * frame.per_cell
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _adjoin(u0: float, v0: float, u1: float, v1: float, size: int) -> bool:
     """Whether two places are in the same block of ``size`` squares or in neighbouring ones."""
     per = 1.0 / size
     return abs(int(u0 * per) - int(u1 * per)) <= 1 and abs(int(v0 * per) - int(v1 * per)) <= 1
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _range(blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size: int) -> tuple[float, float]:
     """The lowest and the highest of the one, two or four blocks that two such places span."""
     per = 1.0 / size
@@ -195,7 +196,7 @@ def _range(blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size:
     return np.float64(low), np.float64(high)
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _walk(
     height: np.ndarray,
     blocks: np.ndarray,
@@ -225,7 +226,7 @@ def _walk(
     return -1.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
+@entry
 def _walk_squares(
     height: np.ndarray,
     u: float, v: float, z: float,
@@ -248,14 +249,14 @@ def _walk_squares(
     return -1.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _clip(u: float, per_u: float, high: float, start: float, end: float) -> tuple[float, float]:
     """The part of the ray from ``start`` to ``end`` on the grid, 0 to ``high``; empty if start >= end."""
     a, b = -u * per_u, (high - u) * per_u
     return max(start, min(a, b)), min(end, max(a, b))
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _place(u: float, du: float, size: int, count: int) -> int:
     """Number of the interval of ``size`` that a ray at ``u`` enters; at a border, the one it goes into."""
     # rounding may leave u just short of the border that the ray is about to cross
@@ -263,14 +264,14 @@ def _place(u: float, du: float, size: int, count: int) -> int:
     return min(max(int(ahead * (1.0 / size)), 0), count - 1)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _exit(u: float, per_u: float, place: int, size: int, t: float) -> float:
     """Where the ray leaves the interval number ``place``, always a little after ``t``."""
     border = (place + 1) * size if per_u > 0 else place * size
     return max((border - u) * per_u, t + 1e-9)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@inlined
 def _cross_square(
     height: np.ndarray,
     row: int,

@@ -71,3 +71,5 @@ entry = _compiled()
 # called from compiled code only: without the wrappers for Python and without counting references to arrays it
 # compiles faster; such a function cannot make arrays
 inner = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
+# a few lines that numba puts in place of their call
+inlined = _compiled(inline="always")
