@@ -124,11 +124,11 @@ def _fit(
     point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
     every_point_m, point_m = point_m, point_m[~on_boxes(boxes, point_m)]
     turned = [ring @ rotation for ring in rings]
-    if start is None or not start.has_mesh or start.angle_deg is None or start.eave_height_m is None:
+    if start is None or start.angle_deg is None or start.eave_height_m is None or not start.has_mesh:
         parts = fit_parts(fitter, turned, point_m, effort, cutting, [], believed(turned, len(point_m)))
         return _Found(rings, rotation, parts, "" if parts else "no roof found", every_point_m)
     guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
-    prior = believed(turned, len(point_m), guess, eave_z_m)
+    prior = believed(turned, len(point_m), guess, start.class_probability, eave_z_m)
     parts = fit_parts(fitter, turned, point_m, effort, cutting, [guess], prior)
     before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
     before = replace(before, loss_m=fitter.loss(before, point_m, prior))

@@ -51,7 +51,8 @@ class Reconstruction:
     (0, 3) and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``.
 
     num_parts: with a height each. Of several, ``eave_height_m`` is that of the largest, ``angle_deg`` those of
-    the parts along the footprint, and ``edge`` numbers the planes instead of the edges."""
+    the parts along the footprint, and ``edge`` numbers the planes instead of the edges. class_probability: of a
+    network, (edges, 3): that each edge has 0 degrees, 90 degrees or a slope."""
 
     building_id: str
     tile: str
@@ -68,6 +69,7 @@ class Reconstruction:
     kind: np.ndarray
     edge: np.ndarray
     num_parts: int = 1
+    class_probability: np.ndarray | None = None
 
     @property
     def has_mesh(self) -> bool:
@@ -76,13 +78,17 @@ class Reconstruction:
 
 class Parameters(Protocol):
     """Decoded parameters of b buildings: heights above ground (b,), an array of angles per building with a
-    value per edge over all rings, confidence (b,) from 0 to 1. NaN: the network cannot take the footprint."""
+    value per edge over all rings, another (edges, 3) with the probabilities of 0 degrees, 90 degrees and a slope,
+    confidence (b,) from 0 to 1. NaN: the network cannot take the footprint."""
 
     @property
     def eave_height_m(self) -> np.ndarray: ...
 
     @property
     def angle_deg(self) -> Sequence[np.ndarray]: ...
+
+    @property
+    def class_probability(self) -> Sequence[np.ndarray]: ...
 
     @property
     def confidence(self) -> np.ndarray: ...
@@ -115,6 +121,7 @@ def reconstruct(
     height = np.full(len(buildings), np.nan)
     confidence = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in meshed]
+    odds: list[np.ndarray | None] = [None] * len(buildings)
     refused = ["" if len(b.point_m) else NO_POINT for b in buildings]
     enough = []
     for i, building in enumerate(buildings):
@@ -131,9 +138,11 @@ def reconstruct(
                 height[i] = max(float(decoded.eave_height_m[k]), config.min_eave_height_m)
                 confidence[i] = decoded.confidence[k]
                 angle[i] = kernel_angles(transfer_angles(seen[i], decoded.angle_deg[k], meshed[i]))
+                odds[i] = transfer_angles(seen[i], decoded.class_probability[k], meshed[i])
             else:
                 refused[i] = "footprint too large for the network"
-    return build(buildings, meshed, ground, height, angle, confidence, method, config, refused)
+    made = build(buildings, meshed, ground, height, angle, confidence, method, config, refused)
+    return [replace(one, class_probability=own) for one, own in zip(made, odds, strict=True)]
 
 
 def with_fallback(
@@ -234,8 +243,8 @@ def kernel_angles(angle_deg: np.ndarray) -> np.ndarray:
 def transfer_angles(
     known: Sequence[np.ndarray], angle_deg: np.ndarray, wanted: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Angles of the edges of ``known`` (rings, a value per edge) for those of ``wanted``: the same building
-    with more or fewer vertices.
+    """Angles of the edges of ``known`` (rings, a value or a row per edge) for those of ``wanted``: the same
+    building with more or fewer vertices.
 
     Each edge takes the angle of the nearest edge (between their middles and the segment) that faces within 45
     degrees of its own direction; where none does, of the nearest one.

@@ -251,13 +251,15 @@ class Prediction:
     """Decoded parameters of a batch of b buildings.
 
     eave_height_m: float (b,), gutter above ground. angle_deg: per building one value per edge over all rings,
-    in the order of the rings given. confidence: float (b,), the probability that the height is within 0.5 m
+    in the order of the rings given; class_probability: (.., 3) likewise, of 0 degrees, of 90 degrees and of a
+    slope. confidence: float (b,), the probability that the height is within 0.5 m
     and, on average over the edges, an angle within 5 degrees: the mean of the two. A footprint too large for
     the number format has NaN everywhere and confidence 0.
     """
 
     eave_height_m: np.ndarray
     angle_deg: list[np.ndarray]
+    class_probability: list[np.ndarray]
     confidence: np.ndarray
 
 
@@ -296,22 +298,26 @@ class Predictor:
         """Heights and angles from clouds (n, 3), z above the ground, and the rings of their footprints.
 
         x and y of cloud and rings share any local frame; the first ring is the exterior, counter-clockwise,
-        without a repeated first vertex. Edges of courtyards get the median slope of the exterior's (paper,
-        section 4.3: a sequence has one ring). Raises ``ValueError`` for an empty cloud or too many vertices.
+        without a repeated first vertex. Edges of courtyards get the median slope of the exterior's and even
+        odds of the classes (paper, section 4.3: a sequence has one ring).
+
+        Raises ``ValueError`` for an empty cloud or too many vertices.
         """
         exterior = [np.asarray(r[0], np.float32) for r in rings]
         self._check(points_m, exterior)
         height = np.full(len(points_m), np.nan)
         confidence = np.zeros(len(points_m))
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
+        odds = [np.full((len(own), 3), 1 / 3) for own in angle]
         for index, batch in self._batches(points_m, exterior):
-            heights, angles, sure = self._decode(batch)
+            heights, angles, classes, sure = self._decode(batch)
             for row, i in enumerate(index):
                 height[i], confidence[i] = heights[row], sure[row]
                 own = angles[row, : len(exterior[i])]
+                odds[i][: len(own)] = classes[row, : len(own)]
                 angle[i][: len(own)] = own
                 angle[i][len(own) :] = _courtyard_angle(own)
-        return Prediction(height, angle, confidence)
+        return Prediction(height, angle, odds, confidence)
 
     def reconstruct_all_masked(
         self,
@@ -345,7 +351,7 @@ class Predictor:
         for first in range(0, len(index), self._batch_size):
             rows = index[first : first + self._batch_size]
             batch = augment.centre(buildings.batch(rows, self.dvae_config.num_points, None))
-            height, angle, _ = self._decode(batch)
+            height, angle, _, _ = self._decode(batch)
             inside = np.arange(angle.shape[1]) < batch.num_vertices.numpy()[:, None]
             heights.append(height - batch.height.numpy())
             angles.append((angle - batch.angle.numpy())[inside])
@@ -399,8 +405,9 @@ class Predictor:
         )
 
     @torch.no_grad()
-    def _decode(self, batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Heights (b,) m, angles (b, n) degrees and confidence (b,) of a centred batch, footprint given.
+    def _decode(self, batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Heights (b,) m, angles (b, n) degrees, probabilities of their classes (b, n, 3) and confidence (b,) of
+        a centred batch, footprint given.
 
         The probabilities of ``num_rotations`` views are averaged before anything is decided.
         """
@@ -430,6 +437,7 @@ class Predictor:
         return (
             (height * unit).cpu().numpy(),
             angle.double().cpu().numpy(),
+            decoding.class_probability(angles).double().cpu().numpy(),
             ((sure_height + sure_angle) / 2).cpu().numpy(),
         )
 

@@ -11,6 +11,7 @@ import shapely
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tiny_network import sure_of
 
 from p2wss import inference
 from p2wss.config import Reconstruct
@@ -26,6 +27,10 @@ class Answer:
     eave_height_m: np.ndarray
     angle_deg: list[np.ndarray]
     confidence: np.ndarray
+
+    @property
+    def class_probability(self) -> list[np.ndarray]:
+        return [sure_of(own) for own in self.angle_deg]
 
 
 class Oracle:

@@ -143,6 +143,19 @@ def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: Buildin
         assert np.array_equal(a, b[:4]) and len(b) == 8
         slopes = a[a < 90]
         assert (b[4:] == np.median(slopes if len(slopes) else a)).all()
+    for a, b in zip(plain.class_probability, pierced.class_probability, strict=True):
+        assert np.array_equal(a, b[:4]) and np.allclose(b[4:], 1 / 3)
+
+
+def test_probabilities_of_classes_are_those_of_the_angles(predictor: Predictor, labelled: Buildings) -> None:
+    clouds, rings = inputs(labelled)
+    found = predictor.predict(clouds, rings)
+    odds, angle = np.concatenate(found.class_probability), np.concatenate(found.angle_deg)
+    assert np.allclose(odds.sum(axis=1), 1) and (odds >= 0).all()
+    # the median of a distribution has at least half of it at or below, and at or above
+    assert (odds[angle == 0, 0] >= 0.5 - 1e-6).all() and (odds[angle == 90, 1] >= 0.5 - 1e-6).all()
+    slope = (angle > 0) & (angle < 90)
+    assert (odds[slope][:, :2] <= 0.5 + 1e-6).all()
 
 
 def test_a_footprint_beyond_the_number_format_has_no_prediction(

@@ -1,5 +1,7 @@
 """Sizes of a network that learns nothing but runs in milliseconds."""
 
+import numpy as np
+
 from p2wss.nets.point2wss import ModelSizes
 
 SIZES = ModelSizes(
@@ -19,3 +21,9 @@ SIZES = ModelSizes(
     edge_embedding=True,
     edge_attention=True,
 )
+
+
+def sure_of(angle_deg: np.ndarray) -> np.ndarray:
+    """Probabilities (edges, 3) of 0 degrees, 90 degrees and a slope of a network that has no doubt."""
+    kind = np.where(angle_deg == 0, 0, np.where(angle_deg == 90, 1, 2))
+    return np.eye(3)[kind]

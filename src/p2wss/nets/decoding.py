@@ -51,6 +51,12 @@ def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
     return torch.where(total > 0, kept / total.clamp_min(1e-30), allowed / allowed.sum())
 
 
+def class_probability(distribution: Tensor) -> Tensor:
+    """(..., 3): of 0 degrees, of 90 degrees and of a slope, from probabilities of angles (..., 100)."""
+    flat, upright = distribution[..., 0], distribution[..., 90]
+    return torch.stack([flat, upright, (distribution.sum(-1) - flat - upright).clamp_min(0)], -1)
+
+
 def decode(distribution: Tensor, mode: Mode) -> Tensor:
     """int64 (...): most probable value, or smallest value with half of the mass below or at it."""
     if mode == "argmax":

@@ -35,6 +35,7 @@ class Limits:
 
     cap_m: residuals count up to this. flat_top: try roofs that are cut flat. top_gain_m: that this must gain.
     class_gain_m: that another class for an edge must gain, with 150 points; with fewer proportionally more.
+    own_slope_gain_m: that different slopes of edges that face the same way must gain.
     rounding_m: that whole degrees and equal angles for edges that face the same way may cost.
     """
 
@@ -43,6 +44,7 @@ class Limits:
     max_roof_height_m: float = 12.0
     top_gain_m: float = 0.01
     class_gain_m: float = 0.002
+    own_slope_gain_m: float = 0.006
     rounding_m: float = 0.01
 
 
@@ -166,6 +168,7 @@ class Fitter:
             float(limits.max_roof_height_m),
             float(limits.top_gain_m),
             float(limits.class_gain_m),
+            float(limits.own_slope_gain_m),
             float(limits.rounding_m),
         )
 

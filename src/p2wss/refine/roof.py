@@ -21,8 +21,8 @@ _LAST_ROUNDS, _TIDY_ROUNDS = 5, 3
 _GOOD_ENOUGH_M, _TOP_WORTH_M = 0.06, 0.05
 # heights of flat tops that are worth a try
 _LOWEST_TOP_M = 1.0
-# narrower slopes below a flat top are hits on the walls
-_LEAST_SLOPE_WIDTH_M = 0.8
+# narrower slopes are hits on the walls: not below a flat top, and gables at this cost
+_LEAST_SLOPE_WIDTH_M, _WALL_HITS_M = 0.8, 0.04
 _DEGREE = np.pi / 180.0
 # above these the search is cut short, and left to the starts
 _MANY_EDGES, _TOO_MANY_EDGES = 40, 120
@@ -101,7 +101,7 @@ def with_flat_top(settings, flat_top):
     return Settings(
         settings.num_search_points, settings.num_followed, settings.num_descents, settings.max_rounds,
         flat_top and settings.flat_top, settings.cap_m, settings.max_roof_height_m, settings.top_gain_m,
-        settings.class_gain_m, settings.rounding_m,
+        settings.class_gain_m, settings.own_slope_gain_m, settings.rounding_m,
     )  # fmt: skip
 
 
@@ -204,22 +204,41 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     if new_loss <= loss + tolerance:
         return new_loss, new_eave, new_top, trial
     for d in range(problem.num_directions):
-        # the end of a gable roof: hardly a point tells a steep face from an upright one
-        changed = False
+        # the end of a gable roof: hardly a point tells a steep face from an upright one, and hits on a wall that
+        # stands back below its eave look like one
+        changed, depth_m = False, 0.0
+        evaluate(problem, work, angle, eave, top)
         for e in range(n):
             trial[e] = angle[e]
             if direction[e] == d and _NEARLY_GABLE_DEG < angle[e] < 90.0:
                 trial[e] = 90.0
                 changed = True
+                for k in range(len(problem.z)):
+                    if work.face[k] == e:
+                        depth_m = max(depth_m, work.distance[k])
         if changed:
             new_loss, new_eave, new_top = improve(
                 problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
             )
-            if new_loss <= loss + max(tolerance, settings.rounding_m):
+            allowed_m = _WALL_HITS_M if depth_m < _LEAST_SLOPE_WIDTH_M else settings.rounding_m
+            if new_loss <= loss + max(tolerance, allowed_m):
                 loss, eave, top = new_loss, new_eave, new_top
                 for e in range(n):
                     angle[e] = trial[e]
     loss, eave, top = _flip_gables(problem, work, angle, trial, loss, eave, top, 0.5 * tolerance)
+    if problem.num_directions < n and loss > settings.own_slope_gain_m:
+        # edges that face the same way with slopes of their own
+        least_gain_m = max(tolerance, settings.own_slope_gain_m)
+        freed = _problem(xy_m, ring_offset, x, y, z, len(z), np.arange(n), settings, prior)
+        own = angle.copy()
+        new_loss, new_eave, new_top = improve(
+            freed, work, own, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+        )
+        new_loss, new_eave, new_top = _flip_gables(
+            freed, work, own, trial, new_loss, new_eave, new_top, least_gain_m
+        )
+        if new_loss < loss - least_gain_m:
+            loss, eave, top, angle = new_loss, new_eave, new_top, own
     changed = False
     for e in range(n):
         trial[e] = np.round(angle[e])

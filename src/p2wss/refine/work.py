@@ -25,6 +25,7 @@ class Settings(NamedTuple):
     max_roof_height_m: float
     top_gain_m: float
     class_gain_m: float
+    own_slope_gain_m: float
     rounding_m: float
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import trimesh
+from tiny_network import sure_of
 
 from p2wss import cli, inference, io
 from p2wss.config import Eval, Reconstruct
@@ -39,6 +40,7 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
 class Answer:
     def __init__(self, height: np.ndarray, angle: list[np.ndarray]) -> None:
         self.eave_height_m, self.angle_deg, self.confidence = height, angle, np.full(len(height), 0.5)
+        self.class_probability = [sure_of(own) for own in angle]
 
 
 class Knowing:

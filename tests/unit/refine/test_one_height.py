@@ -75,6 +75,29 @@ def test_outliers_do_not_move_the_roof():
     assert found.eave_z_m == pytest.approx(6.0, abs=0.08)
 
 
+def test_hits_on_a_wall_that_stands_back_are_no_steep_roof():
+    point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
+    rng = np.random.default_rng(1)
+    wall_m = np.column_stack([np.full(20, 10.6), rng.uniform(1, 6, 20), rng.uniform(4.5, 7.0, 20)])
+    found = Fitter(Limits()).fit_whole([RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
+    np.testing.assert_allclose(found.angle_deg, [35, 90, 35, 90], atol=1)
+
+
+def test_a_steep_end_that_is_as_wide_as_a_roof_stays():
+    point_m = sample([OUTER], [45, 63, 45, 63], 6.0, 600, noise_m=0.03)
+    found = Fitter(Limits()).fit_whole([OUTER], point_m, Effort(num_points=600))
+    np.testing.assert_allclose(found.angle_deg, [45, 63, 45, 63], atol=2)
+
+
+def test_edges_that_face_the_same_way_have_their_own_slopes_where_the_points_show_it():
+    angle_deg = [40, 90, 25, 40, 45, 40]
+    point_m = sample([ELL], angle_deg, 6.0, 400, noise_m=0.03)
+    found = Fitter(Limits()).fit_whole([ELL], point_m, Effort(num_points=400))
+    np.testing.assert_allclose(found.angle_deg, angle_deg, atol=1)
+    together = Fitter(Limits(own_slope_gain_m=1.0)).fit_whole([ELL], point_m, Effort(num_points=400))
+    assert together.loss_m > found.loss_m + 0.02
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_never_worse_than_the_guess_or_a_flat_roof(seed):
     rng = np.random.default_rng(seed)
@@ -99,15 +122,19 @@ def test_same_result_whatever_the_order_of_the_points_and_earlier_fits():
     assert first.eave_z_m == again.eave_z_m
 
 
+# probabilities of 0 degrees, 90 degrees and a slope
+SURE_GABLE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] * 2)
+
+
 def test_a_network_decides_where_points_are_few_and_gives_way_to_many():
     """Points of a gable along x; the network took it for one along y, two degrees and 0.2 m off."""
     said = np.array([90, 37, 90, 37.0])
     many = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 400, noise_m=0.03)
     few = np.array([[5.5, 3.5, 8.4], [5.4, 3.4, 8.4], [5.6, 3.6, 8.4]])
     fitter = Fitter(Limits())
-    prior = believed([RECTANGLE], len(few), said, 6.2)
+    prior = believed([RECTANGLE], len(few), said, SURE_GABLE, 6.2)
     assert fitter.fit_whole([RECTANGLE], few, Effort(), [said], prior).angle_deg.tolist() == said.tolist()
-    prior = believed([RECTANGLE], len(many), said, 6.2)
+    prior = believed([RECTANGLE], len(many), said, SURE_GABLE, 6.2)
     found = fitter.fit_whole([RECTANGLE], many, Effort(), [said], prior)
     np.testing.assert_allclose(found.angle_deg, [35, 90, 35, 90], atol=1)
 
@@ -116,10 +143,11 @@ def test_the_prior_is_part_of_the_loss():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 50)
     fitter = Fitter(Limits())
     found = fitter.fit_whole([RECTANGLE], point_m, Effort())
-    prior = believed([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), 6.0 + 2.0)
+    odds = np.array([[0.01, 0.01, 0.98], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98], [0.01, 0.09, 0.9]])
+    prior = believed([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), odds, 6.0 + 2.0)
     more = fitter.loss(found, point_m, prior) - fitter.loss(found, point_m)
-    # one class wrong and the eave 2 m off
-    assert more == pytest.approx((0.3 + 2 * 0.3) / 50, rel=0.1)
+    # a class ten times less probable and the eave 2 m off
+    assert more == pytest.approx((np.log(10) * 0.05 + 2 * 0.3) / 50 + np.log(10) * 0.002 + 2 * 0.01, rel=0.05)
 
 
 def test_too_few_points_are_no_roof():
