@@ -35,22 +35,10 @@ _LOOSE = 0.5
 class Thresholds:
     """What decides between roofs; `docs/reconstruct.md` says how the defaults were chosen."""
 
-    effort: Effort = field(default_factory=lambda: Effort(num_points=300))
+    effort: Effort = field(default_factory=Effort)
     limits: Limits = field(default_factory=Limits)
     cutting: Cutting = field(default_factory=Cutting)
     boxes: Boxes = field(default_factory=Boxes)
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What the points say of a building: its parts in the frame ``xy @ rotation``, with the points there on the
-    roof, or why there are none."""
-
-    rings: Sequence[np.ndarray]
-    rotation: np.ndarray
-    parts: Sequence[OneHeight]
-    refused: str
-    point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def fit(
@@ -72,152 +60,157 @@ def fit(
     starts = [None] * len(buildings) if known is None else list(known)
     result = []
     for building, start in zip(buildings, starts, strict=True):
-        made, found = _plain(fitter, building, start, method, config, thresholds)
+        one = _One(building, start, config, method, thresholds, fitter)
+        made, found = one.fit()
         if config.dormers and made.has_mesh:
-            made = _with_dormers(fitter, building, start, method, config, thresholds, made, found)
+            made = one.with_boxes(made, found)
         if not made.has_mesh and start is not None and start.has_mesh:
             made = replace(start, method=method)
         result.append(made)
     return result
 
 
-def _plain(
-    fitter: Fitter,
-    building: Building,
-    start: Reconstruction | None,
-    method: str,
-    config: Reconstruct,
-    thresholds: Thresholds,
-    boxes: Sequence[OneHeight] = (),
-) -> tuple[Reconstruction, _Found]:
-    """The building without the points on ``boxes``, of so many parts as have a closed union."""
-    max_parts = config.max_parts
-    while True:
-        cutting = replace(thresholds.cutting, max_parts=max_parts)
-        found = _fit(fitter, building, start, config, thresholds.effort, cutting, boxes)
-        made = _mesh(building, found, start, method, config)
-        if made.has_mesh or len(found.parts) < 2:
-            return made, found
-        max_parts = len(found.parts) - 1
+@dataclass(frozen=True)
+class _Found:
+    """What the points say of a building: its parts in the frame ``xy @ rotation``, with the points there on the
+    roof, or why there are none."""
+
+    rings: Sequence[np.ndarray]
+    rotation: np.ndarray
+    parts: Sequence[OneHeight]
+    refused: str
+    point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def placed(self, vertex_m: np.ndarray) -> np.ndarray:
+        """Vertices (v, 3) of that frame in the building's own."""
+        return np.column_stack([vertex_m[:, :2] @ self.rotation.T, vertex_m[:, 2]])
 
 
-def _fit(
-    fitter: Fitter,
-    building: Building,
-    start: Reconstruction | None,
-    config: Reconstruct,
-    effort: Effort,
-    cutting: Cutting,
-    boxes: Sequence[OneHeight],
-) -> _Found:
-    rings = mesh_footprint(building, config)
-    rotation = main_frame(rings)
-    if not len(building.point_m):
-        return _Found(rings, rotation, [], NO_POINT)
-    if len(building.point_m) < config.min_num_points:
-        return _Found(rings, rotation, [], f"fewer than {config.min_num_points} points")
-    ground = ground_z_m(building)
-    polygon = shapely.Polygon(rings[0], rings[1:])
-    point_m = roof_points(polygon, building.point_m, building.classification, ground)
-    if len(point_m) < MIN_NUM_POINTS:
-        return _Found(rings, rotation, [], f"fewer than {MIN_NUM_POINTS} points on the roof")
-    point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
-    every_point_m, point_m = point_m, point_m[~on_boxes(boxes, point_m)]
-    turned = [ring @ rotation for ring in rings]
-    if start is None or start.angle_deg is None or start.eave_height_m is None or not start.has_mesh:
-        parts = fit_parts(fitter, turned, point_m, effort, cutting, [], believed(turned, len(point_m)))
-        return _Found(rings, rotation, parts, "" if parts else "no roof found", every_point_m)
-    guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
-    prior = believed(turned, len(point_m), guess, start.class_probability, eave_z_m)
-    parts = fit_parts(fitter, turned, point_m, effort, cutting, [guess], prior)
-    before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
-    before = replace(before, loss_m=fitter.loss(before, point_m, prior))
-    if not parts or cost_m([before], cutting) < cost_m(parts, cutting):
-        parts = [before]
-    return _Found(rings, rotation, parts, "", every_point_m)
+@dataclass(frozen=True)
+class _One:
+    """One building to fit."""
 
+    building: Building
+    start: Reconstruction | None
+    config: Reconstruct
+    method: str
+    thresholds: Thresholds
+    fitter: Fitter
 
-def _mesh(
-    building: Building, found: _Found, start: Reconstruction | None, method: str, config: Reconstruct
-) -> Reconstruction:
-    """The row of the building. Of several parts it tells the eave height of the largest and, for each edge of
-    the footprint, the angle of the part there."""
-    if not found.parts:
-        return no_mesh(building, method, found.refused)
-    ground = ground_z_m(building)
-    largest = max(found.parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
-    height = max(largest.eave_z_m - ground, config.min_eave_height_m)
-    confidence = np.nan if start is None or start.confidence is None else start.confidence
-    if len(found.parts) == 1:
-        (one,) = build(
-            [building], [found.rings], [ground], np.array([height]), [largest.angle_deg],
-            np.array([confidence]), method, config, [""], largest.top_m,
-        )  # fmt: skip
-        return one
-    mesh = union(found.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
-    if mesh is None:
-        return no_mesh(building, method, "no closed union of its parts")
-    part_rings = [ring @ found.rotation.T for part in found.parts for ring in part.rings]
-    part_angles = np.concatenate([part.angle_deg for part in found.parts])
-    return Reconstruction(
-        building.building_id,
-        building.tile,
-        method,
-        "ok",
-        building.origin_xy_m,
-        ground,
-        found.rings,
-        height,
-        transfer_angles(part_rings, part_angles, found.rings),
-        None if np.isnan(confidence) else float(confidence),
-        np.column_stack([mesh.vertex_m[:, :2] @ found.rotation.T, mesh.vertex_m[:, 2]]),
-        mesh.triangle,
-        mesh.kind,
-        mesh.plane,
-        len(found.parts),
-    )
+    def fit(self, boxes: Sequence[OneHeight] = ()) -> tuple[Reconstruction, _Found]:
+        """The building without the points on ``boxes``, of so many parts as have a closed union."""
+        max_parts = self.config.max_parts
+        while True:
+            found = self._found(replace(self.thresholds.cutting, max_parts=max_parts), boxes)
+            made = self._meshed(found)
+            if made.has_mesh or len(found.parts) < 2:
+                return made, found
+            max_parts = len(found.parts) - 1
 
+    def with_boxes(self, made: Reconstruction, found: _Found) -> Reconstruction:
+        """The building with the boxes that its points show above its roof, as many as have a closed union with it.
 
-def _with_dormers(
-    fitter: Fitter,
-    building: Building,
-    start: Reconstruction | None,
-    method: str,
-    config: Reconstruct,
-    thresholds: Thresholds,
-    made: Reconstruction,
-    found: _Found,
-) -> Reconstruction:
-    """The building with the boxes that its points show above its roof, as many as have a closed union with it.
+        A roof that was fitted to the points of the boxes too lies too high: it is also fitted without them."""
+        cost, boxes = self._boxed(made, found)
+        candidates = [(made, found, boxes)]
+        _, loose = self._boxed(made, found, _LOOSE)
+        if loose:
+            again = self.fit(loose)
+            if again[0].has_mesh:
+                new_cost, new_boxes = self._boxed(*again)
+                if new_cost < cost:
+                    candidates.insert(0, (*again, new_boxes))
+        for one, its_found, its_boxes in candidates:
+            mesh = _union_with(its_found.parts, its_boxes, one.ground_z_m, self.config)
+            if mesh is not None:
+                vertex_m = found.placed(mesh.vertex_m)
+                return replace(
+                    one, vertex_m=vertex_m, triangle=mesh.triangle, kind=mesh.kind, edge=mesh.plane
+                )
+        return made
 
-    A roof that was fitted to the points of the boxes too lies too high: it is also fitted without them."""
-    least = thresholds.boxes.least_gain_m(len(found.point_m))
+    def _found(self, cutting: Cutting, boxes: Sequence[OneHeight]) -> _Found:
+        building, config, start, effort = self.building, self.config, self.start, self.thresholds.effort
+        rings = mesh_footprint(building, config)
+        rotation = main_frame(rings)
+        if not len(building.point_m):
+            return _Found(rings, rotation, [], NO_POINT)
+        if len(building.point_m) < config.min_num_points:
+            return _Found(rings, rotation, [], f"fewer than {config.min_num_points} points")
+        ground = ground_z_m(building)
+        polygon = shapely.Polygon(rings[0], rings[1:])
+        point_m = roof_points(polygon, building.point_m, building.classification, ground)
+        if len(point_m) < MIN_NUM_POINTS:
+            return _Found(rings, rotation, [], f"fewer than {MIN_NUM_POINTS} points on the roof")
+        point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
+        every_point_m, point_m = point_m, point_m[~on_boxes(boxes, point_m)]
+        turned = [ring @ rotation for ring in rings]
+        if start is None or start.angle_deg is None or start.eave_height_m is None or not start.has_mesh:
+            prior = believed(turned, len(point_m))
+            parts = fit_parts(self.fitter, turned, point_m, effort, cutting, [], prior)
+            return _Found(rings, rotation, parts, "" if parts else "no roof found", every_point_m)
+        guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
+        prior = believed(turned, len(point_m), guess, start.class_probability, eave_z_m)
+        parts = fit_parts(self.fitter, turned, point_m, effort, cutting, [guess], prior)
+        before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
+        before = replace(before, loss_m=self.fitter.loss(before, point_m, prior))
+        if not parts or cost_m([before], cutting) < cost_m(parts, cutting):
+            parts = [before]
+        return _Found(rings, rotation, parts, "", every_point_m)
 
-    def boxed(made: Reconstruction, found: _Found, share: float) -> tuple[float, list[OneHeight]]:
+    def _meshed(self, found: _Found) -> Reconstruction:
+        """The row of the building. Of several parts it tells the eave height of the largest and, for each edge
+        of the footprint, the angle of the part there."""
+        building, config, start = self.building, self.config, self.start
+        if not found.parts:
+            return no_mesh(building, self.method, found.refused)
+        ground = ground_z_m(building)
+        largest = max(found.parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
+        height = max(largest.eave_z_m - ground, config.min_eave_height_m)
+        confidence = np.nan if start is None or start.confidence is None else start.confidence
+        if len(found.parts) == 1:
+            (one,) = build(
+                [building], [found.rings], [ground], np.array([height]), [largest.angle_deg],
+                np.array([confidence]), self.method, config, [""], largest.top_m,
+            )  # fmt: skip
+            return one
+        mesh = union(found.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
+        if mesh is None:
+            return no_mesh(building, self.method, "no closed union of its parts")
+        part_rings = [ring @ found.rotation.T for part in found.parts for ring in part.rings]
+        part_angles = np.concatenate([part.angle_deg for part in found.parts])
+        return Reconstruction(
+            building.building_id,
+            building.tile,
+            self.method,
+            "ok",
+            building.origin_xy_m,
+            ground,
+            found.rings,
+            height,
+            transfer_angles(part_rings, part_angles, found.rings),
+            None if np.isnan(confidence) else float(confidence),
+            found.placed(mesh.vertex_m),
+            mesh.triangle,
+            mesh.kind,
+            mesh.plane,
+            len(found.parts),
+        )
+
+    def _boxed(
+        self, made: Reconstruction, found: _Found, share: float = 1.0
+    ) -> tuple[float, list[OneHeight]]:
+        """(cost of all with the boxes, the boxes) that gain this share of what they have to."""
+        thresholds, num_points = self.thresholds, len(found.point_m)
+        least = thresholds.boxes.least_gain_m(num_points)
         turned = np.column_stack(
             [made.vertex_m[:, :2] @ found.rotation, made.vertex_m[:, 2] + made.ground_z_m]
         )
         loss, boxes = add_boxes(
             found.parts, turned, made.triangle, found.point_m, share * least, thresholds.boxes
         )
-        cut = thresholds.cutting.least_gain_m(len(found.point_m))
+        cut = thresholds.cutting.least_gain_m(num_points)
         return loss + len(boxes) * least + (len(found.parts) - 1) * cut, boxes
-
-    cost, boxes = boxed(made, found, 1.0)
-    candidates = [(made, found, boxes)]
-    _, loose = boxed(made, found, _LOOSE)
-    if loose:
-        again = _plain(fitter, building, start, method, config, thresholds, loose)
-        if again[0].has_mesh:
-            new_cost, new_boxes = boxed(*again, 1.0)
-            if new_cost < cost:
-                candidates.insert(0, (*again, new_boxes))
-    for one, its_found, its_boxes in candidates:
-        mesh = _union_with(its_found.parts, its_boxes, one.ground_z_m, config)
-        if mesh is not None:
-            vertex_m = np.column_stack([mesh.vertex_m[:, :2] @ found.rotation.T, mesh.vertex_m[:, 2]])
-            return replace(one, vertex_m=vertex_m, triangle=mesh.triangle, kind=mesh.kind, edge=mesh.plane)
-    return made
 
 
 def _union_with(

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
-from p2wss.refine.one_height import OneHeight
+from p2wss.refine.one_height import Gain, OneHeight
 
 _CELL_M = 0.8
 _NUM_ROUNDS = 6
@@ -28,25 +28,18 @@ _TO_CUT_M = 0.15
 
 
 @dataclass(frozen=True)
-class Boxes:
+class Boxes(Gain):
     """max_boxes: of one building. above_m: what a point has to be above the roof by to be where a search
-    begins. gain_m: metres of loss, mean over all points of the building, that a box must gain; cost_m: and so
-    much in sum. least_points: above the roof in a box. Areas in m2; largest_share: of the footprint."""
+    begins. least_points: above the roof in a box. Areas in m2; largest_share: of the footprint."""
 
     max_boxes: int = 4
     above_m: float = 0.4
-    gain_m: float = 0.012
-    cost_m: float = 1.0
     cap_m: float = 1.0
     least_points: int = 5
     least_width_m: float = 0.8
     least_area_m2: float = 1.0
     largest_area_m2: float = 40.0
     largest_share: float = 0.5
-
-    def least_gain_m(self, num_points: int) -> float:
-        """What a box on a building with so many points must lower its loss by, in sum."""
-        return max(self.gain_m * num_points, self.cost_m)
 
 
 def add_boxes(
@@ -82,7 +75,6 @@ def add_boxes(
         raised = inside & (roof_z < top)
         found.append(OneHeight([ring], np.zeros(len(ring)), top, np.inf, best_gain, int(inside.sum())))
         roof_z, slant = np.where(raised, top, roof_z), np.where(raised, 1.0, slant)
-    return found
 
 
 def on_boxes(boxes: Sequence[OneHeight], point_m: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ class Effort:
     the edges, each, one less with roofs cut flat."""
 
     num_search_points: int = 64
-    num_points: int = 200
+    num_points: int = 300
     num_followed: int = 5
     num_descents: int = 1
     max_rounds: int = 2
@@ -64,6 +64,19 @@ class OneHeight:
     @property
     def total_loss_m(self) -> float:
         return self.loss_m * self.num_points
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What one more part or box must lower the loss by. gain_m: in the mean over all points of the building;
+    cost_m: and at least so much in sum, however few points there are."""
+
+    gain_m: float = 0.012
+    cost_m: float = 1.0
+
+    def least_gain_m(self, num_points: int) -> float:
+        """In sum, on a building with so many points."""
+        return max(self.gain_m * num_points, self.cost_m)
 
 
 class Fitter:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from p2wss.refine.cutting import inherited_angles, side_of_cut
-from p2wss.refine.one_height import Effort, Fitter, OneHeight, flat_rings
+from p2wss.refine.one_height import Effort, Fitter, Gain, OneHeight, flat_rings
 from p2wss.refine.points import even_order
 from p2wss.refine.screen import best_cut
 from p2wss.refine.solve import IMPOSSIBLE
@@ -25,20 +25,13 @@ _HOPEFUL = 0.5
 
 
 @dataclass(frozen=True)
-class Cutting:
-    """max_parts: of one building. gain_m: metres of loss, mean over all its points, that one more part must
-    gain; gain_share: and that share of the loss of what it cuts; cost_m: and so much in sum, however few points
-    there are. least_points: of a part."""
+class Cutting(Gain):
+    """max_parts: of one building. gain_share: share of the loss of what it cuts that one more part must gain too.
+    least_points: of a part."""
 
     max_parts: int = 4
-    gain_m: float = 0.012
     gain_share: float = 0.1
-    cost_m: float = 1.0
     least_points: int = 6
-
-    def least_gain_m(self, num_points: int) -> float:
-        """What one more part of a building with so many points must lower its loss by, in sum."""
-        return max(self.gain_m * num_points, self.cost_m)
 
 
 @dataclass(frozen=True)

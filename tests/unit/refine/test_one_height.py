@@ -78,7 +78,7 @@ def test_outliers_do_not_move_the_roof():
 def test_hits_on_a_wall_that_stands_back_are_no_steep_roof():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
     rng = np.random.default_rng(1)
-    wall_m = np.column_stack([np.full(20, 10.6), rng.uniform(1, 6, 20), rng.uniform(4.5, 7.0, 20)])
+    wall_m = np.column_stack([np.full(20, 10.6), rng.uniform(2, 5, 20), rng.uniform(6.5, 8.0, 20)])
     found = Fitter(Limits()).fit_whole([RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
     np.testing.assert_allclose(found.angle_deg, [35, 90, 35, 90], atol=1)
 
