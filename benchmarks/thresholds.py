@@ -25,7 +25,11 @@ VARIED: dict[str, dict[str, tuple[float, ...]]] = {
         "gain_share": (0.05, 0.1, 0.15, 0.25),
         "cost_m": (0.5, 1.0, 2.0),
     },
-    "limits": {"class_gain_m": (0.001, 0.002, 0.004), "top_gain_m": (0.005, 0.01, 0.02)},
+    "limits": {
+        "class_gain_m": (0.001, 0.002, 0.004),
+        "own_slope_gain_m": (0.003, 0.006, 0.012),
+        "top_gain_m": (0.005, 0.01, 0.02),
+    },
     "effort": {"num_followed": (3, 5, 9), "num_search_points": (48, 64, 96)},
 }
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from p2wss import dataset, model
 from p2wss.compute import DeviceName
+from p2wss.eval import cases
 
 HEADER = (
     "variant",
@@ -38,16 +39,15 @@ class Row:
 
 
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> list[Row]:
-    """One row per model; a model is named by its folder. The constants are medians of the train split.
+    """One row per model; a model is named by its folder. The constants: :func:`p2wss.eval.cases.train_medians`.
 
     Raises :class:`InputError` for an unusable manifest or model.
     """
+    constant = cases.train_medians(cases.read_manifest(manifest))
     rows = []
     for path in paths:
         predictor = model.load(path, device)
-        limits = predictor.limits
-        train = dataset.load(manifest, ["train"], limits, labelled=True, lidar=False)
-        test = dataset.load(manifest, ["test"], limits, labelled=True, lidar=False)
+        test = dataset.load(manifest, ["test"], predictor.limits, labelled=True, lidar=False)
         height, angle = (np.abs(error) for error in predictor.errors(test, np.arange(len(test))))
         rows.append(
             Row(
@@ -55,10 +55,10 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
                 len(test),
                 float(height.mean()),
                 float(height.std()),
-                float(np.abs(test.height_m - np.median(train.height_m)).mean()),
+                float(np.abs(test.height_m - constant.eave_height_m).mean()),
                 float(angle.mean()),
                 float(angle.std()),
-                float(np.abs(test.angle_deg - np.median(train.angle_deg)).mean()),
+                float(np.abs(test.angle_deg - constant.angle_deg).mean()),
             )
         )
     return rows

@@ -70,6 +70,8 @@ def baseline_state(wildcards):
 lidar_around = around("<results>/fetch/lidar/{tile}.laz")
 delivered_around = around("<resources>/lidar/{tile}.laz")
 weights = settings.model.weights or "<results>/model/model.safetensors"
+if settings.model.weights and not os.path.isfile(settings.model.weights):
+    raise WorkflowError(f"config: model.weights: {settings.model.weights}: no such file")
 downloads = f"resources/ign/{settings.region.vintage}/downloads"
 # outputs of an earlier Roofer, where there is none to run
 try:
