@@ -16,7 +16,7 @@ from p2wss.refine.work import Prior
 _USUAL_DEG, _USUAL_DEGREE_COST_M = 38.0, 0.003
 # against a network: a class of an edge e times less probable than the likeliest, a degree, a metre of the eave;
 # metres of distance in the sum over the points, and in their mean
-_CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST = (0.05, 0.002), (0.02, 0.0005), (0.3, 0.01)
+_CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST = (0.0125, 0.002), (0.005, 0.0005), (0.075, 0.01)
 # how sure of a class a network is at most
 _LEAST_PROBABILITY = 1e-3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import dist
 from operator import mul, sub
 
 import manifold3d
@@ -43,7 +44,8 @@ def union(
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly
     coplanar. Parts that meet in a single edge only are no manifold: then some are raised by a few centimetres.
-    The first attempt that is sound (:func:`is_sound`) is taken, if there is any.
+    The first attempt that is sound (:func:`is_sound`) is taken; if there is none, the first, with the ends of its
+    edges of millimetres as one vertex where that makes it sound.
     """
     found = None
     for step_m, simplify_m in _ATTEMPTS_M:
@@ -53,6 +55,11 @@ def union(
             if is_sound(mesh):
                 return mesh
             found = found or mesh
+    if found is not None:
+        kept, corner = _collapsed(found.vertex_m, found.triangle, found.plane, _SHORT_EDGE_M)
+        merged = _with_used(found.vertex_m, corner, found.kind[kept], found.plane[kept])
+        if is_closed(merged.vertex_m, merged.triangle) and is_sound(merged):
+            return merged
     return found
 
 
@@ -110,31 +117,39 @@ def _union(
     vertex_m = np.array(out.vert_properties, float)[:, :3]
     triangle = np.array(out.tri_verts, np.int32)
     kind, plane = _planes(vertex_m, triangle)
-    kept, corners = _without_straight(vertex_m, triangle, plane)
-    used, index = np.unique(corners, return_inverse=True)
-    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind[kept], plane[kept])
+    kept, corner = _collapsed(vertex_m, triangle, plane)
+    return _with_used(vertex_m, corner, kind[kept], plane[kept])
 
 
-def _without_straight(
-    vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray
+def _with_used(vertex_m: np.ndarray, corner: np.ndarray, kind: np.ndarray, plane: np.ndarray) -> Mesh:
+    """The mesh of triangles ``corner`` (t, 3) without the vertices that none of them uses."""
+    used, index = np.unique(corner, return_inverse=True)
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind, plane)
+
+
+def _collapsed(
+    vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray, short_m: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Which triangles stay (indices), and their corners, once vertices that only two planes share, and so lie
-    within a straight edge, have moved to an end of that edge."""
+    within a straight edge, have moved to an end of that edge; and others along edges below ``short_m``."""
     rows, place = dict(enumerate(triangle.tolist())), vertex_m.tolist()
+    normal_of = _plane_normals(vertex_m, triangle, plane)
     around: dict[int, set[int]] = {}
     for t, corners in rows.items():
         for v in corners:
             around.setdefault(v, set()).add(t)
     for v in sorted(around):
-        if len({int(plane[t]) for t in around[v]}) != 2:
-            continue
         planes_of: dict[int, set[int]] = {}
         for t in around[v]:
             for w in rows[t]:
                 if w != v:
                     planes_of.setdefault(w, set()).add(int(plane[t]))
-        for end in sorted(w for w, own in planes_of.items() if len(own) == 2):
-            if _can_move(place, rows, around, v, end):
+        is_straight = len({int(plane[t]) for t in around[v]}) == 2
+        for end in sorted(planes_of):
+            along = is_straight and len(planes_of[end]) == 2
+            if not along and dist(place[v], place[end]) >= short_m:
+                continue
+            if _can_move(place, rows, around, normal_of, v, end):
                 for t in around.pop(v):
                     if end in rows[t]:
                         for w in rows.pop(t):
@@ -147,8 +162,22 @@ def _without_straight(
     return np.array(list(rows), int), np.array(list(rows.values()), int)
 
 
+def _plane_normals(vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray) -> list[list[float]]:
+    """Of the plane of each triangle, by area: that of a sliver tells nothing."""
+    corner = vertex_m[triangle]
+    own = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.zeros((plane.max() + 1, 3))
+    np.add.at(total, plane, own)
+    return total[plane].tolist()
+
+
 def _can_move(
-    place: list[list[float]], rows: dict[int, list[int]], around: dict[int, set[int]], v: int, end: int
+    place: list[list[float]],
+    rows: dict[int, list[int]],
+    around: dict[int, set[int]],
+    normal_of: list[list[float]],
+    v: int,
+    end: int,
 ) -> bool:
     """Whether the mesh stays a manifold, and no triangle turns over, if ``v`` moves to ``end``."""
     neighbours = [{w for t in around[u] for w in rows[t]} - {v, end} for u in (v, end)]
@@ -156,9 +185,8 @@ def _can_move(
         return False
     for t in around[v]:
         if end not in rows[t]:
-            before = _normal(*(place[w] for w in rows[t]))
             after = _normal(*(place[end if w == v else w] for w in rows[t]))
-            if sum(x * x for x in after) < 1e-12 or sum(map(mul, after, before)) < 0:
+            if sum(x * x for x in after) < 1e-12 or sum(map(mul, after, normal_of[t])) < 0:
                 return False
     return True
 

@@ -9,7 +9,7 @@ from test_one_height import sample
 from p2wss.formats.polygons import planar_surfaces
 from p2wss.refine.one_height import Effort, Fitter, Limits, OneHeight
 from p2wss.refine.parts import Cutting, cost_m, fit_parts, main_frame
-from p2wss.refine.solid import is_closed, union
+from p2wss.refine.solid import is_closed, is_sound, union
 from p2wss.skeleton import FaceKind
 
 HOUSE = np.array([[0, 0], [9, 0], [9, 8], [0, 8.0]])
@@ -90,6 +90,24 @@ def test_coplanar_faces_of_parts_are_one() -> None:
     assert (len(mesh.vertex_m), len(mesh.triangle)) == (8, 12)
     faces = planar_surfaces(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane)
     assert sorted(face.kind for face in faces) == sorted([0, 1, 1, 1, 1, 3])
+
+
+def test_an_edge_of_millimetres_is_closed_up_without_folding_a_face() -> None:
+    """Two parts of a real house whose ridges end within 3 mm of each other."""
+    west = np.array([[15.95, 5.29], [0, 5.13], [2.06, 0.09], [15.95, 0]])
+    east = [[15.95, 0], [19.14, -0.02], [19.07, 5.18], [21.88, 5.16], [21.82, 9.73], [15.95, 9.76]]
+    east += [[16.01, 5.29], [15.95, 5.29]]
+    parts = [
+        one(west, [41, 69, 39, 52], 6.156),
+        one(np.array(east), [54.4, 90, 54.4, 30.7, 90, 28.5, 55.1, 90], 4.919),
+    ]
+    mesh = union(parts, 0.0, 1.0, 12.0)
+    assert mesh is not None and is_closed(mesh.vertex_m, mesh.triangle) and is_sound(mesh)
+    corner = mesh.vertex_m[mesh.triangle]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    for plane in np.unique(mesh.plane):
+        own = normal[mesh.plane == plane]
+        assert (own @ own.sum(axis=0) > 0).all()
 
 
 def test_is_closed_notices_a_hole_and_a_flipped_triangle() -> None:
