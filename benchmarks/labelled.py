@@ -118,8 +118,9 @@ def causes(found: list[Error]) -> dict[str, float]:
             if seen and off > 0:
                 key = f"degrees, {names[true]} as {names[got]}"
                 shares[key] = shares.get(key, 0.0) + float(off) / total
-    metres = sum(abs(e.height_m) for e in found) or 1.0
-    for e in found:
+    known = [e for e in found if np.isfinite(e.height_m)]
+    metres = sum(abs(e.height_m) for e in known) or 1.0
+    for e in known:
         wrong = not _class_right(e)[e.seen].all()
         cluttered = e.clutter > _CLUTTER_SHARE
         key = "metres, " + ("class wrong" if wrong else "cluttered" if cluttered else "else")

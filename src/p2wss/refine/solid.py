@@ -44,22 +44,21 @@ def union(
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly
     coplanar. Parts that meet in a single edge only are no manifold: then some are raised by a few centimetres.
-    The first attempt that is sound (:func:`is_sound`) is taken; if there is none, the first, with the ends of its
-    edges of millimetres as one vertex where that makes it sound.
+    An edge of millimetres is where readers that merge near vertices tear a solid open: the first attempt without
+    one is taken, or with its ends as one vertex; if there is none, the first.
     """
     found = None
     for step_m, simplify_m in _ATTEMPTS_M:
         raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
         mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m)
-        if mesh is not None and is_closed(mesh.vertex_m, mesh.triangle):
-            if is_sound(mesh):
-                return mesh
-            found = found or mesh
-    if found is not None:
-        kept, corner = _collapsed(found.vertex_m, found.triangle, found.plane, _SHORT_EDGE_M)
-        merged = _with_used(found.vertex_m, corner, found.kind[kept], found.plane[kept])
-        if is_closed(merged.vertex_m, merged.triangle) and is_sound(merged):
+        if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
+            continue
+        if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
+            return mesh
+        merged = _collapsed(mesh, _SHORT_EDGE_M)
+        if _shortest_edge_m(merged) >= _SHORT_EDGE_M and is_closed(merged.vertex_m, merged.triangle):
             return merged
+        found = found or mesh
     return found
 
 
@@ -117,21 +116,13 @@ def _union(
     vertex_m = np.array(out.vert_properties, float)[:, :3]
     triangle = np.array(out.tri_verts, np.int32)
     kind, plane = _planes(vertex_m, triangle)
-    kept, corner = _collapsed(vertex_m, triangle, plane)
-    return _with_used(vertex_m, corner, kind[kept], plane[kept])
+    return _collapsed(Mesh(vertex_m, triangle, kind, plane))
 
 
-def _with_used(vertex_m: np.ndarray, corner: np.ndarray, kind: np.ndarray, plane: np.ndarray) -> Mesh:
-    """The mesh of triangles ``corner`` (t, 3) without the vertices that none of them uses."""
-    used, index = np.unique(corner, return_inverse=True)
-    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind, plane)
-
-
-def _collapsed(
-    vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray, short_m: float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which triangles stay (indices), and their corners, once vertices that only two planes share, and so lie
-    within a straight edge, have moved to an end of that edge; and others along edges below ``short_m``."""
+def _collapsed(mesh: Mesh, short_m: float = 0.0) -> Mesh:
+    """The mesh once vertices that only two planes share, and so lie within a straight edge, have moved to an end
+    of that edge; and others along edges below ``short_m``."""
+    vertex_m, triangle, plane = mesh.vertex_m, mesh.triangle, mesh.plane
     rows, place = dict(enumerate(triangle.tolist())), vertex_m.tolist()
     normal_of = _plane_normals(vertex_m, triangle, plane)
     around: dict[int, set[int]] = {}
@@ -159,7 +150,9 @@ def _collapsed(
                         rows[t] = [end if w == v else w for w in rows[t]]
                         around[end].add(t)
                 break
-    return np.array(list(rows), int), np.array(list(rows.values()), int)
+    kept = np.array(list(rows), int)
+    used, index = np.unique(np.array(list(rows.values()), int), return_inverse=True)
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), mesh.kind[kept], plane[kept])
 
 
 def _plane_normals(vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray) -> list[list[float]]:

@@ -147,7 +147,9 @@ def test_the_prior_is_part_of_the_loss():
     prior = believed([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), odds, 6.0 + 2.0)
     more = fitter.loss(found, point_m, prior) - fitter.loss(found, point_m)
     # a class ten times less probable and the eave 2 m off
-    assert more == pytest.approx((np.log(10) * 0.0125 + 2 * 0.075) / 50 + np.log(10) * 0.002 + 2 * 0.01, rel=0.05)
+    assert more == pytest.approx(
+        (np.log(10) * 0.0125 + 2 * 0.075) / 50 + np.log(10) * 0.002 + 2 * 0.01, rel=0.05
+    )
 
 
 def test_too_few_points_are_no_roof():
