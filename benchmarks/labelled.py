@@ -1,7 +1,6 @@
 """Refinement on simulated buildings, whose eave and angles are known: errors beside their bars, and why.
 
-An edge is seen if ten points or more lie on its sloped face, in the true roof or in the one found: a wall under
-a flat roof is the same with 0 and with 90 degrees. Points: class 6 inside the footprint.
+Which edges are seen: :func:`p2wss.eval.parameters.seen_edges`.
 """
 
 from __future__ import annotations
@@ -11,17 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 
 from p2wss import fitting, inference, skeleton
 from p2wss.config import Config, Reconstruct
-from p2wss.eval import cases, predict
+from p2wss.eval import cases, parameters, predict
 from p2wss.eval.cases import SYNTHETIC, Case
-from p2wss.inference import BUILDING_CLASS, Reconstruction
+from p2wss.eval.measure import points_on_building
+from p2wss.inference import Reconstruction
 from p2wss.skeleton.types import Polygons
 
 BARS = {"height_mae_m": 0.05, "angle_mae_deg": 0.5}
-_SEEN_POINTS = 10
 _CLUTTER_M, _CLUTTER_SHARE = 0.3, 0.1
 
 
@@ -50,27 +48,27 @@ def config() -> Reconstruct:
 
 
 def errors(labelled: list[Case], made: list[Reconstruction]) -> list[Error]:
-    return [_error(case, found) for case, found in zip(labelled, made, strict=True)]
+    # without an answer only the label tells what there is to see
+    told = [
+        case.angle_deg if one.angle_deg is None else one.angle_deg
+        for case, one in zip(labelled, made, strict=True)
+    ]
+    seen = parameters.seen_edges(labelled, told)
+    return [_error(case, found, own) for case, found, own in zip(labelled, made, seen, strict=True)]
 
 
-def _error(case: Case, found: Reconstruction) -> Error:
+def _error(case: Case, found: Reconstruction, seen: np.ndarray) -> Error:
     building, true_deg = case.building, case.angle_deg
     assert true_deg is not None and case.eave_height_m is not None and case.label_ground_z_m is not None
     eave_z_m = case.eave_height_m + case.label_ground_z_m
-    inside = shapely.contains_xy(building.polygon, building.point_m[:, 0], building.point_m[:, 1])
-    point_m = building.point_m[inside & (building.classification == BUILDING_CLASS)]
-    polygons, index = Polygons.from_rings([list(building.rings)]), np.zeros(len(point_m), int)
-    xy = point_m[:, :2]
-    roof = skeleton.roof_points(polygons, true_deg, eave_z_m, xy, index)
-    on_face = np.bincount(roof.face[roof.face >= 0], minlength=len(true_deg))
-    if found.angle_deg is not None:
-        own = skeleton.roof_points(polygons, found.angle_deg, 0.0, xy, index).face
-        on_face = np.maximum(on_face, np.bincount(own[own >= 0], minlength=len(true_deg)))
+    point_m = building.point_m[points_on_building(case)]
+    polygons = Polygons.from_rings([list(building.rings)])
+    roof = skeleton.roof_points(polygons, true_deg, eave_z_m, point_m[:, :2], np.zeros(len(point_m), int))
     clutter = np.abs(point_m[:, 2] - roof.z_m) > _CLUTTER_M
     height, angle = found.eave_height_m, found.angle_deg
     return Error(
         case,
-        on_face >= _SEEN_POINTS,
+        seen,
         np.nan if height is None else height + found.ground_z_m - eave_z_m,
         np.full(len(true_deg), np.nan) if angle is None else angle - true_deg,
         np.full(len(true_deg), np.nan) if angle is None else angle,

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from typing import Any, Protocol
 
 import numpy as np
-import shapely
 
 from p2wss.eval.cases import SYNTHETIC, Case, Medians
 from p2wss.eval.measure import points_on_building
@@ -18,10 +17,8 @@ from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import Polygons
 
 Key = tuple[str, str, str]
-# an edge is seen with so many points on its roof face; one without a sloped face with so many beside it
+# a roof is seen with so many points on it, an edge with so many over its sloped face
 MIN_SEEN_POINTS = 10
-# a point is on the roof of the label within this, vertically; and beside an edge within a metre in plan
-_ON_ROOF_M, _BESIDE_M = 0.2, 1.0
 # the method behind a setting of Table 1
 SETTING_OF_METHOD = {NETWORK: "footprint_given", REFINED: "refined", FIT: "fitted"}
 
@@ -117,8 +114,8 @@ def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[st
     height = np.array([made.eave_height_m for _, made, _ in usable], float)
     angle = [angle for _, _, angle in usable]
     errors = _errors(cases, height, angle, None)
-    seen = seen_edges(cases)
-    some = np.array([own.any() for own in seen])
+    seen = seen_edges(cases, angle)
+    some = np.array([points_on_building(case).sum() >= MIN_SEEN_POINTS for case in cases])
     target = np.array([target_height_m(case) for case in cases])
     truth = np.concatenate([case.angle_deg for case in cases if case.angle_deg is not None])
     shown = np.concatenate(seen)
@@ -127,33 +124,26 @@ def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[st
     return errors
 
 
-def seen_edges(cases: Sequence[Case]) -> list[np.ndarray]:
-    """Per labelled case which edges the points show: bool, one per edge over all rings.
+def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Per labelled case which edges the points show, if a method tells the angles ``angle_deg``: bool, one per edge
+    over all rings.
 
-    A point counts where it is on the building and within 20 cm of the label's roof. An edge with a slope is
-    seen if its roof face has 10 such points, a gable (90 degrees) or flat edge if 10 lie within a metre of it.
+    An edge is seen if ten points on the building lie over its sloped face, in the roof of the label or in that of
+    the method. A gable that is found as such has no face, and a wall under a flat roof is the same with 0 and with
+    90 degrees: these do not count.
     """
     polygons = Polygons.from_rings([list(case.building.rings) for case in cases])
-    angle = [case.angle_deg for case in cases if case.angle_deg is not None]
-    eave_z = np.array([(case.eave_height_m or 0.0) + (case.label_ground_z_m or 0.0) for case in cases])
-    point = [case.building.point_m[points_on_building(case)] for case in cases]
-    size = [len(own) for own in point]
-    index, offset = np.repeat(np.arange(len(cases)), size), np.concatenate([[0], np.cumsum(size)])
-    every = np.concatenate([*point, np.zeros((0, 3))])
-    roof = roof_points(polygons, np.concatenate(angle), eave_z, every[:, :2], index)
-    on_roof = np.abs(every[:, 2] - roof.z_m) <= _ON_ROOF_M
-    seen = []
-    for i, case in enumerate(cases):
-        own = offset[i] + np.flatnonzero(on_roof[offset[i] : offset[i + 1]])
-        count = np.bincount(roof.edge[own][roof.edge[own] >= 0], minlength=len(angle[i]))
-        slope = (angle[i] > 0) & (angle[i] < 90)
-        place = np.atleast_1d(np.asarray(shapely.points(every[own, :2])))
-        start = np.concatenate(list(case.building.rings))
-        end = np.concatenate([np.roll(ring, -1, axis=0) for ring in case.building.rings])
-        edges = np.asarray(shapely.linestrings(np.stack([start, end], axis=1)))
-        beside = (shapely.distance(edges[:, None], place[None, :]) <= _BESIDE_M).sum(axis=1)
-        seen.append(np.where(slope, count, beside) >= MIN_SEEN_POINTS)
-    return seen
+    point = [case.building.point_m[points_on_building(case), :2] for case in cases]
+    index = np.repeat(np.arange(len(cases)), [len(own) for own in point])
+    xy = np.concatenate([*point, np.zeros((0, 2))])
+    first = np.concatenate([[0], np.cumsum([len(own) for own in angle_deg])])
+    count = np.zeros(first[-1], int)
+    truth = [case.angle_deg for case in cases if case.angle_deg is not None]
+    for angles in (truth, angle_deg):
+        roof = roof_points(polygons, np.concatenate(list(angles)), 0.0, xy, index)
+        over = roof.edge >= 0
+        np.maximum(count, np.bincount(first[index[over]] + roof.edge[over], minlength=first[-1]), out=count)
+    return np.split(count >= MIN_SEEN_POINTS, first[1:-1])
 
 
 def target_height_m(case: Case) -> float:
