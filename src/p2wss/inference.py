@@ -282,6 +282,9 @@ def columns(reconstructions: Sequence[Reconstruction], dataset: str | Sequence[s
         **footprints.to_columns(Polygons.from_rings([list(r.rings) for r in rows]), np.zeros((len(rows), 2))),
         "eave_height_m": [r.eave_height_m for r in rows],
         "angle_deg": [r.angle_deg for r in rows],
+        "class_probability": [
+            None if r.class_probability is None else r.class_probability.ravel() for r in rows
+        ],
         "confidence": [r.confidence for r in rows],
         "num_parts": [r.num_parts for r in rows],
         "vertex_xyz_m": [r.vertex_m.ravel() for r in rows],

@@ -167,6 +167,12 @@ RECONSTRUCTIONS = pa.schema(
         _field("eave_height_m", pa.float32(), "gutter above ground_z_m; null for a method without one", True),
         _field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without", True),
         _field(
+            "class_probability",
+            pa.list_(pa.float32()),
+            "of a network, per edge three: of 0 degrees, of 90 degrees, of a slope; else null",
+            True,
+        ),
+        _field(
             "confidence",
             pa.float32(),
             "probability of the decoded values, mean over height and angles; null where unknown",

@@ -170,7 +170,14 @@ def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstructio
     polygons = footprints.from_columns(table)
     lists = {
         name: io.list_column(table, name)
-        for name in ("angle_deg", "vertex_xyz_m", "triangle", "triangle_kind", "triangle_edge")
+        for name in (
+            "angle_deg",
+            "class_probability",
+            "vertex_xyz_m",
+            "triangle",
+            "triangle_kind",
+            "triangle_edge",
+        )
     }
 
     def own(name: str, i: int) -> np.ndarray:
@@ -209,6 +216,7 @@ def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstructio
             own("triangle_kind", i),
             own("triangle_edge", i),
             row["num_parts"],
+            odds.reshape(-1, 3).astype(float) if len(odds := own("class_probability", i)) else None,
         )
         for i, row in enumerate(plain)
     }

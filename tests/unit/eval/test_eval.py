@@ -9,6 +9,7 @@ import re
 import stat
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -161,6 +162,8 @@ def test_measures_do_not_depend_on_order_or_on_the_rest(found: list[cases.Case])
 def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Path) -> None:
     made = predict.by_dataset(found, inference.lod1, RECONSTRUCT)
     made[3] = inference.no_mesh(found[3].building, "lod1", "lost")
+    odds = np.random.default_rng(0).dirichlet([1, 1, 1], sum(map(len, made[4].rings)))
+    made[4] = replace(made[4], class_probability=odds)
     path = tmp_path / "r.parquet"
     io.write_table(path, inference.columns(made, [c.dataset for c in found]), io.RECONSTRUCTIONS, {})
     back = cases.read_reconstructions(path)
@@ -170,6 +173,10 @@ def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Pat
         assert np.array_equal(before.triangle, after.triangle) and np.array_equal(before.kind, after.kind)
         assert (before.status, before.ground_z_m) == (after.status, after.ground_z_m)
         assert all(map(np.array_equal, before.rings, after.rings))
+        if before.class_probability is None:
+            assert after.class_probability is None
+        else:
+            assert np.allclose(before.class_probability, after.class_probability, atol=1e-6)
     row = measure.measure_building(found[3], back[found[3].key], CONFIG)
     assert row["status"] == "lost" and row["chamfer_m"] is None and row["watertight"] is None
 
