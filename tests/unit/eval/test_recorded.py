@@ -82,12 +82,15 @@ def test_every_building_measures_as_the_judge_says(rows: list[dict]) -> None:
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
     judged = {row["id"]: row for row in json.loads(done.stdout)["rows"]}
     assert len(judged) == len(rows)
+    off_m: list[float] = []
     for row in rows:
         other = judged[row["building_id"]]
         assert row["num_triangles"] == other["tri"] and row["watertight"] == other["watertight"]
-        # two draws of 2048 samples, and footprints cleaned to 20 cm
-        assert row["chamfer_m"] == pytest.approx(other["cd"], abs=0.12)
-        assert row["roof_chamfer_m"] == pytest.approx(other["roof"], abs=0.03)
+        # two draws of 2048 samples
+        assert row["chamfer_m"] == pytest.approx(other["cd"], abs=0.06)
+        off_m.append(abs(row["roof_chamfer_m"] - other["roof"]))
+    # at one house the cleaned footprint leaves out points that the judge counts
+    assert sorted(off_m)[-2] < 0.01 and max(off_m) < 0.04
 
 
 @needs_data
