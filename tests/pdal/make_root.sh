@@ -4,6 +4,7 @@
 # Prints a command for fetch.prepare.pdal_command, or why there is none.
 # tests/pdal/make_root.sh [FOLDER]      default: ~/.cache/p2wss-test/bullseye-pdal (450 MB, about a minute)
 set -euo pipefail
+PATH=$PATH:/usr/sbin:/sbin  # chroot
 root=${1:-${XDG_CACHE_HOME:-$HOME/.cache}/p2wss-test/bullseye-pdal}
 skip() { echo "no PDAL for the tests: $*" >&2; exit 3; }
 

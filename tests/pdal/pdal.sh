@@ -2,6 +2,7 @@
 # `pdal` as if it were installed: runs the one of make_root.sh on a copy of the current folder.
 # tests/pdal/pdal.sh ROOT pdal-arguments..
 set -euo pipefail
+PATH=$PATH:/usr/sbin:/sbin  # chroot
 root=$1
 shift
 work=$(mktemp -d "$root/tmp/work.XXXXXX")
