@@ -155,7 +155,7 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
                     config.max_parts,
                 )
         for network in [None] if predictor is None else [None, predictor]:
-            fitted(buildings[:2], config, network)  # compiles
+            fitted(buildings, config, network)  # loads what is compiled, also what few buildings need
             for variant, (chosen, max_parts) in variants.items():
                 dormers = variant == "parts and dormers"
                 own = config.model_copy(update={"max_parts": max_parts, "dormers": dormers})
