@@ -8,9 +8,11 @@ shards (:func:`load`), or a tensor in the memory of a GPU (:class:`ResidentBuild
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,11 +23,15 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numba import njit
+from torch import Tensor
 
 from p2wss import io, parallel
 from p2wss.errors import InputError
-from p2wss.nets.augment import Batch
+from p2wss.nets.augment import UNKNOWN, Batch
+from p2wss.nets.patches import patch_index
 from p2wss.seeds import generator
+
+log = logging.getLogger("p2wss")
 
 _CLOUD_COLUMNS = ["split", "num_points", "origin_z_m", "x_cm", "y_cm", "z_cm", "ground_z_m"]
 _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_ground_z_m", "angle_deg"]
@@ -33,6 +39,9 @@ _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_groun
 _GROUND_QUANTILE = 0.02
 # batches are sorted by length within a window of so many, so that little of them is padding
 _BUCKET_WINDOW = 8
+# clouds whose patches are found together
+_PATCH_BATCH = 128
+_PROGRESS_EVERY_S = 10.0
 # names the layout of the decoded files: other numbers are decoded anew
 _CACHE_VERSION = 1
 _MASK = (1 << 64) - 1
@@ -74,6 +83,8 @@ class Buildings:
     where the crop has none, :func:`ground_from_points`. xy_m: float32 (num_vertices, 2), local exterior
     rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i
     leaves vertex i. height_m: float32 (n,), gutter above ``ground_z_m``. num_left_out: per reason.
+    folder: from which the arrays are mapped, if they are. patch_index: int16 (n, g, k), see
+    :func:`with_patches`.
 
     Without labels (``labelled=False``) the rings are empty and the heights NaN.
     """
@@ -86,6 +97,8 @@ class Buildings:
     angle_deg: np.ndarray
     height_m: np.ndarray
     num_left_out: dict[str, int]
+    folder: Path | None = None
+    patch_index: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.point_offset) - 1
@@ -110,6 +123,7 @@ class Buildings:
             xy=torch.from_numpy(xy),
             angle=torch.from_numpy(angle),
             num_vertices=torch.from_numpy(num_vertices),
+            patch_index=None if self.patch_index is None else torch.from_numpy(self.patch_index[index]),
         )
 
     def rings(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -131,6 +145,9 @@ class ResidentBuildings:
         self._buildings = buildings
         self._device = device
         self._points_cm = torch.from_numpy(np.array(buildings.points_cm)).to(device)
+        self._patch_index: Tensor | None = None
+        if buildings.patch_index is not None:
+            self._patch_index = torch.from_numpy(np.array(buildings.patch_index)).to(device)
 
     def __len__(self) -> int:
         return len(self._buildings)
@@ -166,6 +183,9 @@ class ResidentBuildings:
             xy=xy.to(device),
             angle=angle.to(device),
             num_vertices=num_vertices.to(device),
+            patch_index=None
+            if self._patch_index is None
+            else self._patch_index[torch.from_numpy(index).to(device)],
         )
 
 
@@ -320,14 +340,15 @@ def _join(parts: list[Buildings], points_cm: np.ndarray | None) -> Buildings:
     if points_cm is None:
         points_cm = np.concatenate([np.zeros((0, 3), np.int16), *(part.points_cm for part in parts)])
     empty = {"xy_m": np.zeros((0, 2), np.float32)}
+    flat: dict[str, Any] = {
+        name: np.concatenate(
+            [empty.get(name, np.zeros(0, np.float32)), *(getattr(part, name) for part in parts)]
+        )
+        for name in _FLAT
+    }
     return Buildings(
         points_cm=points_cm,
-        **{
-            name: np.concatenate(
-                [empty.get(name, np.zeros(0, np.float32)), *(getattr(part, name) for part in parts)]
-            )
-            for name in _FLAT
-        },
+        **flat,
         point_offset=_offsets([np.diff(part.point_offset) for part in parts]),
         vertex_offset=_offsets([np.diff(part.vertex_offset) for part in parts]),
         num_left_out={},
@@ -372,7 +393,59 @@ def _open_cache(folder: Path) -> Buildings:
         left_out = json.loads((folder / "left_out.json").read_text())
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{folder}: not readable ({error}); delete it") from error
-    return Buildings(points_cm=points, **arrays, num_left_out=left_out)
+    return Buildings(points_cm=points, **arrays, num_left_out=left_out, folder=folder)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """How clouds become patches."""
+
+    num_points: int
+    num_patches: int
+    patch_size: int
+
+
+def with_patches(buildings: Buildings, cut: Cut, device: torch.device) -> Buildings:
+    """The same buildings with the patches of every cloud that no batch thins (``cut.num_points``).
+
+    They are found once and kept in one file beside the decoded clouds, whole or not at all; several processes
+    wait for the first one to write it. Buildings without a folder keep them in memory. Raises
+    :class:`InputError` for a file that cannot be written or read.
+    """
+    shape = (len(buildings), cut.num_patches, cut.patch_size)
+    if buildings.folder is None:
+        found = np.empty(shape, np.int16)
+        _find_patches(buildings, cut, device, found)
+        return replace(buildings, patch_index=found)
+    path = buildings.folder / f"patches-{cut.num_points}-{cut.num_patches}x{cut.patch_size}.i16"
+    if parallel.rank() == 0 and not path.is_file():
+        with io.atomic(path) as temporary:
+            mapped = np.memmap(temporary, np.int16, "w+", shape=shape)
+            _find_patches(buildings, cut, device, mapped)
+            mapped.flush()
+    parallel.barrier()
+    try:
+        mapped = np.memmap(path, np.int16, "r", shape=shape)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not readable ({error}); delete it") from error
+    return replace(buildings, patch_index=mapped.view(np.ndarray))
+
+
+def _find_patches(buildings: Buildings, cut: Cut, device: torch.device, found: np.ndarray) -> None:
+    """Fill ``found`` (n, g, k), ``UNKNOWN`` for clouds that are thinned."""
+    count = np.diff(buildings.point_offset)
+    # clouds of like size together, little of a batch is padding
+    order = np.argsort(count, kind="stable")
+    whole = order[count[order] <= min(cut.num_points, np.iinfo(np.int16).max)]
+    found[order[len(whole) :]] = UNKNOWN
+    shown = time.monotonic()
+    for first in range(0, len(whole), _PATCH_BATCH):
+        index = whole[first : first + _PATCH_BATCH]
+        batch = buildings.batch(index, cut.num_points, None).to(device)
+        found[index] = patch_index(batch.points, batch.valid, cut.num_patches, cut.patch_size).cpu().numpy()
+        if time.monotonic() - shown > _PROGRESS_EVERY_S:
+            shown = time.monotonic()
+            log.info("patches: %d of %d clouds", first + len(index), len(whole))
 
 
 def describe(buildings: Buildings) -> str:

@@ -17,7 +17,7 @@ from p2wss.errors import InputError
 from p2wss.nets import augment
 from p2wss.nets.augment import Batch
 from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes, kl_weight, temperature
-from p2wss.nets.patches import Patches, make_patches
+from p2wss.nets.patches import Patches, cut_patches, make_patches, patch_index
 from p2wss.seeds import derive_seed
 
 log = logging.getLogger("p2wss")
@@ -41,6 +41,8 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
     with parallel.processes(device):
         cache = training.cache_folder(checkpoints)
         buildings = dataset.load(manifest, ["train"], limits, False, config.use_lidar, cache)
+        cut = dataset.Cut(config.num_points, config.num_patches, config.patch_size)
+        buildings = dataset.with_patches(buildings, cut, device)
         log.info("dvae: train: %s", dataset.describe(buildings))
         held_out = dataset.load(manifest, ["val"], limits, False, False, cache)
         torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
@@ -73,7 +75,14 @@ def sizes(config: DvaeConfig) -> DvaeSizes:
 
 def patches_of(batch: Batch, num_patches: int, patch_size: int) -> Patches:
     """Patches in network units of a centred batch in metres."""
-    return make_patches(batch.points * SCALE, batch.valid, num_patches, patch_size)
+    points = batch.points * SCALE
+    if batch.patch_index is None:
+        return make_patches(points, batch.valid, num_patches, patch_size)
+    index = batch.patch_index.long()
+    (rows,) = torch.nonzero(index[:, 0, 0] == augment.UNKNOWN, as_tuple=True)
+    if len(rows):
+        index[rows] = patch_index(points[rows], batch.valid[rows], num_patches, patch_size)
+    return cut_patches(points, index)
 
 
 class _Task:

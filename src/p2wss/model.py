@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from p2wss import compute, dataset, dvae, io, parallel, training
 from p2wss.compute import DeviceName
-from p2wss.config import Decoding
+from p2wss.config import Augmentation, Decoding
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
 from p2wss.dataset import Buildings, Limits, Order, ResidentBuildings, Source
@@ -54,6 +54,9 @@ def train(
         cache = training.cache_folder(checkpoints)
         buildings = dataset.load(manifest, ["train"], limits, True, False, cache)
         held_out = dataset.load(manifest, ["val"], limits, True, False, cache)
+        if keeps_patches(config.augmentation):
+            cut = dataset.Cut(dvae_config.num_points, dvae_config.num_patches, dvae_config.patch_size)
+            buildings = dataset.with_patches(buildings, cut, device)
         log.info("model: train: %s", dataset.describe(buildings))
         log.info("model: val: %s", dataset.describe(held_out))
         torch.manual_seed(derive_seed(config.seed, "model", "weights"))
@@ -229,6 +232,11 @@ class _Task:
         }
 
 
+def keeps_patches(change: Augmentation) -> bool:
+    """Whether the same points make a patch however a building is changed: it is turned and scaled only."""
+    return change.keep_points == (1, 1) and not (change.occlusion_share or change.lift_m or change.jitter_m)
+
+
 def augmented(batch: Batch, config: ModelConfig, min_points: int) -> Batch:
     """The random changes of the config, the paper's rotation among them; the result is centred."""
     change = config.augmentation
@@ -378,7 +386,7 @@ class Predictor:
                 yield index, batch
             elif fits.any():
                 rows = torch.from_numpy(fits)
-                yield index[fits], Batch(**{name: value[rows] for name, value in vars(batch).items()})
+                yield index[fits], batch[rows]
 
     def _batch(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> Batch:
         num_points = self.dvae_config.num_points

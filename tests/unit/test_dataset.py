@@ -11,8 +11,10 @@ import torch
 import toy_crops
 
 from p2wss import dataset, io
-from p2wss.dataset import Limits, Order
+from p2wss.dataset import Cut, Limits, Order
 from p2wss.errors import InputError
+from p2wss.nets.augment import UNKNOWN
+from p2wss.nets.patches import patch_index
 
 LIMITS = Limits(min_points=64, max_vertices=8, max_length_m=70)
 
@@ -141,7 +143,7 @@ def test_the_decoded_files_are_found_again_and_hold_the_same(
         patch.setattr(dataset, "_read", lambda *_: pytest.fail("decoded again"))
         second = dataset.load(manifest, *arguments, cache=tmp_path)
     for name in vars(plain):
-        if name != "num_left_out":
+        if name not in ("num_left_out", "folder"):
             assert np.array_equal(getattr(plain, name), getattr(first, name))
             assert np.array_equal(getattr(plain, name), getattr(second, name))
     assert plain.num_left_out == second.num_left_out
@@ -173,8 +175,57 @@ def test_thinning_keeps_every_point_equally_often_and_in_order() -> None:
     assert dataset.thin(10, 20).tolist() == list(range(10))
 
 
+def test_patches_are_found_once_and_only_of_clouds_that_are_not_thinned(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cpu = torch.device("cpu")
+    train = dataset.load(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
+    size = np.diff(train.point_offset)
+    cut = Cut(int(np.median(size)), 6, 8)
+    whole = size <= cut.num_points
+    assert 0 < whole.sum() < len(train)
+    monkeypatch.setattr(dataset, "_PATCH_BATCH", 4)
+    first = dataset.with_patches(train, cut, cpu)
+    monkeypatch.setattr(dataset, "_find_patches", lambda *_: pytest.fail("found again"))
+    second = dataset.with_patches(train, cut, cpu)
+    monkeypatch.undo()
+    in_memory = dataset.with_patches(
+        dataset.load(manifest, ["train"], LIMITS, True, False), cut, torch.device("cpu")
+    )
+    assert first.patch_index is not None and first.patch_index.dtype == np.int16
+    assert np.array_equal(first.patch_index, second.patch_index)
+    assert np.array_equal(first.patch_index, in_memory.patch_index)
+    assert (first.patch_index[~whole] == UNKNOWN).all()
+    index = np.array([np.flatnonzero(whole)[-1], np.flatnonzero(~whole)[0]])
+    batch = first.batch(index, cut.num_points, 7)
+    expected = patch_index(batch.points[:1], batch.valid[:1], 6, 8)
+    assert batch.patch_index is not None and torch.equal(batch.patch_index[:1].long(), expected)
+
+
+def test_an_interrupted_search_for_patches_leaves_nothing(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train = dataset.load(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+
+    def dies(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(dataset, "patch_index", dies)
+    with pytest.raises(KeyboardInterrupt):
+        dataset.with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
+    assert sorted(tmp_path.rglob("*")) == before
+    monkeypatch.undo()
+    found = dataset.with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
+    assert found.folder is not None
+    next(found.folder.glob("patches-*")).write_bytes(b"cut off")
+    with pytest.raises(InputError, match=r"patches-1000000-4x8\.i16: not readable .*; delete it"):
+        dataset.with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
+
+
 def test_resident_clouds_give_the_same_batches(manifest: Path) -> None:
     train = dataset.load(manifest, ["train"], LIMITS, labelled=True, lidar=False)
+    train = dataset.with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
     resident = dataset.ResidentBuildings(train, torch.device("cpu"))
     index = np.array([5, 1, 9])
     for seed in (None, 4):

@@ -9,7 +9,7 @@ import pytest
 import torch
 import toy_crops
 
-from p2wss import cli, dvae, training
+from p2wss import cli, dataset, dvae, training
 from p2wss.config import load
 from p2wss.errors import InputError
 
@@ -53,6 +53,24 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(manifest: 
     ]
     assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
     assert not torch.equal(states[0]["codebook"], states[2]["codebook"])
+
+
+def test_losses_are_the_same_with_patches_that_were_found_before(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "METRICS_EVERY_STEPS", 1)
+    # about half of the clouds are thinned
+    config = load({"dvae": SMALL | {"num_points": 1400, "optimiser": {"num_steps": 6, "batch_size": 8}}}).dvae
+    losses = []
+    for name in ("kept", "computed"):
+        dvae.train(manifest, config, tmp_path / name, "x")
+        records = map(json.loads, training.read_metrics(tmp_path / name).splitlines())
+        losses.append([record["loss"] for record in records if "loss" in record])
+        monkeypatch.setattr(dataset, "with_patches", lambda buildings, *_: buildings)
+    assert len(list(tmp_path.glob("kept/clouds/*/patches-1400-8x8.i16"))) == 1
+    assert not list(tmp_path.glob("computed/clouds/*/patches*"))
+    # rounding decides where two points are equally far
+    assert losses[0] == pytest.approx(losses[1], rel=0.02)
 
 
 def test_a_collapsed_codebook_is_refused(

@@ -200,6 +200,15 @@ def test_files_of_another_kind_are_refused(folder: Path) -> None:
         model.load(folder / "d.safetensors")
 
 
+def test_patches_are_kept_where_no_augmentation_changes_the_shape_of_a_cloud() -> None:
+    assert model.keeps_patches(load(Path(__file__).parents[2] / "config" / "paper.yaml").model.augmentation)
+    off = {"keep_points": [1, 1], "occlusion_share": 0, "lift_m": 0, "jitter_m": 0}
+    assert model.keeps_patches(load({"model": {"augmentation": off}}).model.augmentation)
+    for name in off:
+        one_on = {key: value for key, value in off.items() if key != name}
+        assert not model.keeps_patches(load({"model": {"augmentation": one_on}}).model.augmentation)
+
+
 def test_the_papers_preset_is_a_valid_override() -> None:
     paper = load(Path(__file__).parents[2] / "config" / "paper.yaml").model
     assert paper.dim == 384 and paper.masking.random_ratio == (0.3, 0.3)

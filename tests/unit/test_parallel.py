@@ -14,8 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss import parallel, training
+from p2wss import dataset, parallel, training
 from p2wss.config import Compute
+from p2wss.dataset import Buildings
 from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes
 from p2wss.nets.layers import BatchNorm
 from p2wss.nets.patches import Patches, make_patches
@@ -104,8 +105,24 @@ def train_line(folder: Path) -> dict[str, Tensor]:
     return dict(training.train(Line(), plan, folder, {}).state_dict())
 
 
+def patches_beside_clouds(folder: Path) -> dict[str, Tensor]:
+    """Patches that the first process writes and all read."""
+    points = np.random.default_rng(0).integers(-900, 900, (200, 3)).astype(np.int16)
+    flat = np.zeros(2, np.float32)
+    offset = np.array([0, 90, 200])
+    clouds = Buildings(points, offset, flat, np.zeros((0, 2)), offset * 0, flat[:0], flat, {}, folder)
+    found = dataset.with_patches(clouds, dataset.Cut(128, 8, 8), torch.device("cpu")).patch_index
+    assert found is not None
+    return {"patch_index": parallel.average(torch.from_numpy(found.astype(np.float32)))}
+
+
 def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
-    return {"dvae": dvae_step(), "model": model_step(), "line": train_line(folder)}
+    return {
+        "dvae": dvae_step(),
+        "model": model_step(),
+        "line": train_line(folder),
+        "patches": patches_beside_clouds(folder),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +139,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("part", ["dvae", "model", "line"])
+@pytest.mark.parametrize("part", ["dvae", "model", "line", "patches"])
 def test_losses_gradients_and_statistics_are_those_of_one_process(found: Path, part: str) -> None:
     one, two = (torch.load(found / count / "found.pt")[part] for count in "12")
     assert one.keys() == two.keys()

@@ -10,6 +10,9 @@ from torch import Tensor
 
 from p2wss.nets.tokenizer import mirror_rings
 
+# fills the rows of a patch_index that are to be computed: no index, and no ~index of 32,767 points
+UNKNOWN = -(2**15)
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -18,6 +21,8 @@ class Batch:
     points: float32 (b, p, 3). valid: bool (b, p). ground_z: float32 (b,), ground estimated from the cloud.
     height: float32 (b,), gutter above ground_z. xy: float32 (b, n, 2), exterior ring, counter-clockwise.
     angle: float32 (b, n), degrees, of the edge that leaves each vertex. num_vertices: int64 (b,).
+    patch_index: int16 (b, g, k), :func:`~p2wss.nets.patches.patch_index` of the clouds where it is known, and
+    ``UNKNOWN`` in the rows where it is not. What changes a cloud's shape or its points drops it.
     """
 
     points: Tensor
@@ -27,9 +32,13 @@ class Batch:
     xy: Tensor
     angle: Tensor
     num_vertices: Tensor
+    patch_index: Tensor | None = None
 
     def to(self, device: torch.device) -> Batch:
-        return Batch(**{name: value.to(device) for name, value in vars(self).items()})
+        return Batch(**{name: value.to(device) for name, value in vars(self).items() if value is not None})
+
+    def __getitem__(self, rows: Tensor) -> Batch:
+        return Batch(**{name: value[rows] for name, value in vars(self).items() if value is not None})
 
 
 def centre(batch: Batch) -> Batch:
@@ -85,7 +94,7 @@ def scale_randomly(batch: Batch, ratio: tuple[float, float]) -> Batch:
 def jitter(batch: Batch, sigma_m: float) -> Batch:
     """Gaussian noise on the valid points."""
     noise = torch.randn_like(batch.points) * sigma_m
-    return replace(batch, points=batch.points + noise * batch.valid[..., None])
+    return replace(batch, points=batch.points + noise * batch.valid[..., None], patch_index=None)
 
 
 def lift_randomly(batch: Batch, lift_m: float) -> Batch:
@@ -98,9 +107,8 @@ def lift_randomly(batch: Batch, lift_m: float) -> Batch:
     lift = torch.maximum(lift, -batch.height / 3)
     above = batch.points[..., 2] - batch.ground_z[:, None] > batch.height[:, None] / 2
     z = batch.points[..., 2] + lift[:, None] * (above & batch.valid)
-    return replace(
-        batch, points=torch.cat([batch.points[..., :2], z[..., None]], -1), height=batch.height + lift
-    )
+    points = torch.cat([batch.points[..., :2], z[..., None]], -1)
+    return replace(batch, points=points, height=batch.height + lift, patch_index=None)
 
 
 def occlude_randomly(batch: Batch, share: float, at_least: int) -> Batch:
@@ -119,7 +127,7 @@ def occlude_randomly(batch: Batch, share: float, at_least: int) -> Batch:
     hidden = along > from_apex.norm(dim=-1) * torch.cos(half_width)[:, None]
     kept = batch.valid & ~hidden
     chosen &= kept.sum(1) >= at_least
-    return replace(batch, valid=torch.where(chosen[:, None], kept, batch.valid))
+    return replace(batch, valid=torch.where(chosen[:, None], kept, batch.valid), patch_index=None)
 
 
 def drop_points_randomly(batch: Batch, keep: tuple[float, float], at_least: int) -> Batch:
@@ -129,4 +137,4 @@ def drop_points_randomly(batch: Batch, keep: tuple[float, float], at_least: int)
     share = low + (high - low) * torch.rand(len(batch.points), 1, device=device)
     count = (share * batch.valid.sum(1, keepdim=True)).clamp(min=at_least)
     rank = torch.rand(batch.valid.shape, device=device).masked_fill(~batch.valid, 2).argsort(1).argsort(1)
-    return replace(batch, valid=batch.valid & (rank < count))
+    return replace(batch, valid=batch.valid & (rank < count), patch_index=None)

@@ -73,10 +73,26 @@ def squared_distance(a: Tensor, b: Tensor) -> Tensor:
     return total
 
 
-def make_patches(points: Tensor, valid: Tensor, num_patches: int, patch_size: int) -> Patches:
-    """Cut clouds (b, p, 3) into patches; ``valid`` (b, p) is false for padding."""
+def patch_index(points: Tensor, valid: Tensor, num_patches: int, patch_size: int) -> Tensor:
+    """int64 (b, g, k): the points of each patch, one at its centre first; ``~index`` if it repeats another.
+
+    ``points`` (b, p, 3), ``valid`` (b, p). Turning, mirroring, scaling and moving a cloud does not change it.
+    """
     chosen, distinct = farthest_points(points, valid, num_patches)
     centre = points.gather(1, chosen[..., None].expand(-1, -1, 3))
     index = nearest_points(points, valid, centre, patch_size)
+    return torch.where(distinct[..., None], index, ~index)
+
+
+def cut_patches(points: Tensor, index: Tensor) -> Patches:
+    """The patches of clouds (b, p, 3) that :func:`patch_index` (b, g, k) chose."""
+    distinct = index[..., 0] >= 0
+    index = torch.where(distinct[..., None], index, ~index)
     neighbours = points.gather(1, index.flatten(1)[..., None].expand(-1, -1, 3)).unflatten(1, index.shape[1:])
+    centre = neighbours[:, :, 0]
     return Patches(centre, neighbours - centre[:, :, None], distinct)
+
+
+def make_patches(points: Tensor, valid: Tensor, num_patches: int, patch_size: int) -> Patches:
+    """Cut clouds (b, p, 3) into patches; ``valid`` (b, p) is false for padding."""
+    return cut_patches(points, patch_index(points, valid, num_patches, patch_size))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import torch
 
 from p2wss.nets import augment
 from p2wss.nets.augment import Batch
+from p2wss.nets.patches import Patches, cut_patches, make_patches, patch_index
 
 from .test_tokenizer import buildings
 
@@ -48,6 +50,29 @@ def test_rings_stay_on_their_points(change: object) -> None:
     after = change(before)  # type: ignore[operator]
     rings_follow(before, after)
     assert not torch.equal(after.points, before.points)
+
+
+def test_known_patches_outlive_what_moves_a_cloud_as_a_whole_and_nothing_else() -> None:
+    torch.manual_seed(0)
+    before = batch()
+    index = patch_index(before.points, before.valid, 8, 8)
+    known = replace(before, patch_index=index.to(torch.int16))
+    after = augment.scale_randomly(augment.mirror_randomly(augment.rotate_randomly(known)), (0.5, 2))
+    after = augment.centre(after)
+    assert after.patch_index is not None
+    ours, computed = (cut_patches(after.points, after.patch_index.long()), patches_of(after))
+    assert torch.allclose(ours.points, computed.points) and torch.equal(ours.valid, computed.valid)
+    for changed in (
+        augment.lift_randomly(known, 3),
+        augment.jitter(known, 0.1),
+        augment.occlude_randomly(known, 1.0, 4),
+        augment.drop_points_randomly(known, (0.5, 0.5), 4),
+    ):
+        assert changed.patch_index is None
+
+
+def patches_of(known: Batch) -> Patches:
+    return make_patches(known.points, known.valid, 8, 8)
 
 
 def test_centre_ignores_padding() -> None:
