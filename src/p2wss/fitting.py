@@ -58,10 +58,15 @@ def fit(
     """
     fitter = Fitter(replace(thresholds.limits, max_roof_height_m=config.max_roof_height_m))
     starts = [None] * len(buildings) if known is None else list(known)
+    ones = [
+        _One(building, start, config, method, thresholds, fitter)
+        for building, start in zip(buildings, starts, strict=True)
+    ]
+    founds = [one.found(config.max_parts) for one in ones]
     result = []
-    for building, start in zip(buildings, starts, strict=True):
-        one = _One(building, start, config, method, thresholds, fitter)
-        made, found = one.fit()
+    for one, found, single in zip(ones, founds, _of_one_part(ones, founds), strict=True):
+        made, found = (single, found) if single is not None else one.meshed(found)
+        start = one.start
         if config.dormers and made.has_mesh:
             made = one.with_boxes(made, found)
         if not made.has_mesh and start is not None and start.has_mesh:
@@ -99,13 +104,19 @@ class _One:
 
     def fit(self, boxes: Sequence[OneHeight] = ()) -> tuple[Reconstruction, _Found]:
         """The building without the points on ``boxes``, of so many parts as have a closed union."""
-        max_parts = self.config.max_parts
+        return self.meshed(self.found(self.config.max_parts, boxes), boxes)
+
+    def meshed(self, found: _Found, boxes: Sequence[OneHeight] = ()) -> tuple[Reconstruction, _Found]:
+        """As :meth:`fit` from what was found at first."""
         while True:
-            found = self._found(replace(self.thresholds.cutting, max_parts=max_parts), boxes)
             made = self._meshed(found)
             if made.has_mesh or len(found.parts) < 2:
                 return made, found
-            max_parts = len(found.parts) - 1
+            found = self.found(len(found.parts) - 1, boxes)
+
+    def confidence(self, found: _Found) -> float | None:
+        """From 0 to 1, or none."""
+        return None if self.start is None else self.start.confidence
 
     def with_boxes(self, made: Reconstruction, found: _Found) -> Reconstruction:
         """The building with the boxes that its points show above its roof, as many as have a closed union with it.
@@ -129,8 +140,10 @@ class _One:
                 )
         return made
 
-    def _found(self, cutting: Cutting, boxes: Sequence[OneHeight]) -> _Found:
+    def found(self, max_parts: int, boxes: Sequence[OneHeight] = ()) -> _Found:
+        """At most so many parts, from the points that are not on ``boxes``."""
         building, config, start, effort = self.building, self.config, self.start, self.thresholds.effort
+        cutting = replace(self.thresholds.cutting, max_parts=max_parts)
         rings = mesh_footprint(building, config)
         rotation = main_frame(rings)
         if not len(building.point_m):
@@ -161,19 +174,15 @@ class _One:
     def _meshed(self, found: _Found) -> Reconstruction:
         """The row of the building. Of several parts it tells the eave height of the largest and, for each edge
         of the footprint, the angle of the part there."""
-        building, config, start = self.building, self.config, self.start
+        building, config = self.building, self.config
         if not found.parts:
             return no_mesh(building, self.method, found.refused)
+        (single,) = _of_one_part([self], [found])
+        if single is not None:
+            return single
         ground = ground_z_m(building)
         largest = max(found.parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         height = max(largest.eave_z_m - ground, config.min_eave_height_m)
-        confidence = np.nan if start is None or start.confidence is None else start.confidence
-        if len(found.parts) == 1:
-            (one,) = build(
-                [building], [found.rings], [ground], np.array([height]), [largest.angle_deg],
-                np.array([confidence]), self.method, config, [""], largest.top_m,
-            )  # fmt: skip
-            return one
         mesh = union(found.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
         if mesh is None:
             return no_mesh(building, self.method, "no closed union of its parts")
@@ -189,7 +198,7 @@ class _One:
             found.rings,
             height,
             transfer_angles(part_rings, part_angles, found.rings),
-            None if np.isnan(confidence) else float(confidence),
+            self.confidence(found),
             found.placed(mesh.vertex_m),
             mesh.triangle,
             mesh.kind,
@@ -211,6 +220,33 @@ class _One:
         )
         cut = thresholds.cutting.least_gain_m(num_points)
         return loss + len(boxes) * least + (len(found.parts) - 1) * cut, boxes
+
+
+def _of_one_part(ones: Sequence[_One], founds: Sequence[_Found]) -> list[Reconstruction | None]:
+    """The rows of buildings of one part, all by one call of the kernel; None for others."""
+    result: list[Reconstruction | None] = [None] * len(ones)
+    chosen = [i for i, found in enumerate(founds) if len(found.parts) == 1]
+    if not chosen:
+        return result
+    config, parts = ones[0].config, [founds[i].parts[0] for i in chosen]
+    ground = [ground_z_m(ones[i].building) for i in chosen]
+    height = np.array([part.eave_z_m for part in parts]) - ground
+    told = [ones[i].confidence(founds[i]) for i in chosen]
+    made = build(
+        [ones[i].building for i in chosen],
+        [founds[i].rings for i in chosen],
+        ground,
+        np.maximum(height, config.min_eave_height_m),
+        [part.angle_deg for part in parts],
+        np.array([np.nan if confidence is None else confidence for confidence in told]),
+        ones[0].method,
+        config,
+        [""] * len(chosen),
+        np.array([part.top_m for part in parts]),
+    )
+    for i, one in zip(chosen, made, strict=True):
+        result[i] = one
+    return result
 
 
 def _union_with(

@@ -173,6 +173,7 @@ class Fitter:
         limits = self.limits
         return Settings(
             effort.num_search_points,
+            effort.num_points,
             effort.num_followed,
             effort.num_descents,
             effort.max_rounds,

@@ -7,21 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from p2wss.refine.cutting import inherited_angles, side_of_cut
 from p2wss.refine.one_height import Effort, Fitter, Gain, OneHeight, flat_rings
 from p2wss.refine.points import even_order
-from p2wss.refine.screen import best_cut
-from p2wss.refine.solve import IMPOSSIBLE
+from p2wss.refine.screen import split_roof
 from p2wss.refine.starts import edge_groups
 from p2wss.refine.work import NO_PRIOR, Prior
 
 _NOISE_M = 0.03
 _SCREEN = Effort(num_search_points=40, num_descents=0)
-# a cut whose quick fit gains less than this share of what it has to is given up
-_HOPEFUL = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,6 +33,8 @@ class Cutting(Gain):
 
 @dataclass(frozen=True)
 class _Part:
+    """point_m: (3, m), as compiled code takes them."""
+
     point_m: np.ndarray
     fit: OneHeight
 
@@ -73,7 +72,7 @@ def fit_parts(
     if whole is None:
         return []
     # the prior is of the whole building: parts are compared without
-    parts = [_Part(point_m, replace(whole, loss_m=fitter.loss(whole, point_m)))]
+    parts = [_Part(np.ascontiguousarray(point_m.T), replace(whole, loss_m=fitter.loss(whole, point_m)))]
     splits: list[_Split | None] = [None]
     tried = [False]
     least = cutting.least_gain_m(len(point_m))
@@ -89,9 +88,9 @@ def fit_parts(
         splits[i : i + 1] = [None, None]
         tried[i : i + 1] = [False, False]
     beliefs = prior if len(parts) == 1 else NO_PRIOR
-    tidied = [fitter.tidied(part.fit, part.point_m, effort, beliefs) for part in parts]
+    tidied = [fitter.tidied(part.fit, part.point_m.T, effort, beliefs) for part in parts]
     return [
-        replace(fit, loss_m=fitter.loss(fit, part.point_m, beliefs))
+        replace(fit, loss_m=fitter.loss(fit, part.point_m.T, beliefs))
         for fit, part in zip(tidied, parts, strict=True)
     ]
 
@@ -103,30 +102,42 @@ def cost_m(parts: Sequence[OneHeight], cutting: Cutting) -> float:
 
 
 def _best_split(fitter: Fitter, part: _Part, least: float, effort: Effort, cutting: Cutting) -> _Split | None:
-    loss, count = part.fit.total_loss_m, len(part.point_m)
+    loss, count = part.fit.total_loss_m, part.point_m.shape[1]
     if loss - _NOISE_M * count < least or count < 2 * cutting.least_points:
         return None
     least = max(least, cutting.gain_share * loss)
     xy_m, offset = flat_rings(part.fit.rings)
-    x, y, z = np.ascontiguousarray(part.point_m.T)
-    angle = part.fit.angle_deg
-    work = fitter.work(2 * len(xy_m), count)
-    screen = fitter.settings(_SCREEN)
-    cost, axis, position = best_cut(
-        xy_m, offset, angle, x, y, z, cutting.least_points, work, screen, NO_PRIOR
+    axis, position, low, high = split_roof(
+        xy_m,
+        offset,
+        part.fit.angle_deg,
+        *part.point_m,
+        loss,
+        least,
+        cutting.least_points,
+        fitter.work(2 * len(xy_m), count),
+        fitter.settings(_SCREEN),
+        fitter.settings(replace(effort, max_rounds=1)),
+        NO_PRIOR,
     )
-    if cost >= IMPOSSIBLE or loss - cost < _HOPEFUL * least:
+    if axis < 0:
         return None
-    quick = replace(effort, max_rounds=1)
-    sides = []
-    for is_high in (False, True):
-        side_xy, side_offset = side_of_cut(xy_m, offset, axis, position, is_high)
-        own = (part.point_m[:, axis] >= position) == is_high
-        guess = inherited_angles(xy_m, offset, angle, side_xy, side_offset, axis, position, 90.0)
-        rings = np.split(side_xy, side_offset[1:-1])
-        fit = fitter.fit(rings, part.point_m[own], quick, [guess])
-        if fit is None:
-            return None
-        sides.append(_Part(part.point_m[own], fit))
+    is_high = part.point_m[axis] >= position
+    sides = _side(part, ~is_high, *low), _side(part, is_high, *high)
     gain = loss - sides[0].fit.total_loss_m - sides[1].fit.total_loss_m
-    return _Split(gain, (sides[0], sides[1])) if gain >= least else None
+    return _Split(gain, sides) if gain >= least else None
+
+
+def _side(
+    part: _Part,
+    own: np.ndarray,
+    loss_m: float,
+    eave_z_m: float,
+    top_m: float,
+    angle_deg: np.ndarray,
+    xy_m: np.ndarray,
+    offset: np.ndarray,
+) -> _Part:
+    point_m = np.compress(own, part.point_m, axis=1)
+    rings = [xy_m[first:last] for first, last in pairwise(offset.tolist())]
+    return _Part(point_m, OneHeight(rings, angle_deg, eave_z_m, top_m, loss_m, point_m.shape[1]))

@@ -38,7 +38,10 @@ def even_order(point_m: np.ndarray) -> np.ndarray:
     them is an even sample."""
     cell = np.floor((point_m[:, :2] - point_m[:, :2].min(axis=0)) / _CELL_M).astype(np.uint64)
     code = _spread(cell[:, 0]) | (_spread(cell[:, 1]) << np.uint64(1))
-    return np.lexsort((point_m[:, 2], point_m[:, 1], point_m[:, 0], code))
+    x, y, z = point_m.T
+    order = np.lexsort((x, code))
+    tie = (code[order[1:]] == code[order[:-1]]) & (x[order[1:]] == x[order[:-1]])
+    return np.lexsort((z, y, x, code)) if tie.any() else order
 
 
 def every_kth(num_points: int, wanted: int) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.refine.envelope import inward_distances
 from p2wss.refine.jumps import quantile
 from p2wss.refine.search import search, set_excess
 from p2wss.refine.solve import IMPOSSIBLE, evaluate, improve
@@ -47,17 +48,19 @@ def every_kth_row(values, wanted):
 
 @entry
 def _problem(xy_m, ring_offset, x, y, z, wanted, direction, settings, prior):
+    own_x, own_y = every_kth_row(x, wanted) - xy_m[0, 0], every_kth_row(y, wanted) - xy_m[0, 1]
     return Problem(
         len(xy_m),
         len(ring_offset) - 1,
-        every_kth_row(x, wanted) - xy_m[0, 0],
-        every_kth_row(y, wanted) - xy_m[0, 1],
+        own_x,
+        own_y,
         every_kth_row(z, wanted) - 0.0,
         direction,
         direction.max() + 1,
         settings.cap_m,
         settings.max_roof_height_m,
         prior,
+        inward_distances(xy_m, ring_offset, own_x, own_y),
     )
 
 
@@ -99,9 +102,9 @@ def _slope_width_m(angle_deg, top_m):
 def with_flat_top(settings, flat_top):
     """The same settings with or without roofs that are cut flat."""
     return Settings(
-        settings.num_search_points, settings.num_followed, settings.num_descents, settings.max_rounds,
-        flat_top and settings.flat_top, settings.cap_m, settings.max_roof_height_m, settings.top_gain_m,
-        settings.class_gain_m, settings.own_slope_gain_m, settings.rounding_m,
+        settings.num_search_points, settings.num_points, settings.num_followed, settings.num_descents,
+        settings.max_rounds, flat_top and settings.flat_top, settings.cap_m, settings.max_roof_height_m,
+        settings.top_gain_m, settings.class_gain_m, settings.own_slope_gain_m, settings.rounding_m,
     )  # fmt: skip
 
 

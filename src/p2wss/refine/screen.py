@@ -1,4 +1,5 @@
-"""The cut through a part that promises most, found with few points and without a search of classes."""
+"""The cut through a part that promises most, found with few points and without a search of classes, and the roofs
+on either side of it."""
 
 from __future__ import annotations
 
@@ -18,6 +19,10 @@ _SHIFTS_M = np.array([-0.25, -0.12, 0.12, 0.25])
 _SHIFT_ROUNDS = 2
 # a cut through a corner of the footprint is preferred at this ratio of losses
 _OFF_CORNER = 1.02
+# a cut that a quick look gives less than this share of what it has to gain is given up
+_HOPEFUL = 0.5
+# of a side
+_FEWEST_POINTS = 3
 
 
 @entry
@@ -46,7 +51,7 @@ def best_cut(xy_m, ring_offset, angle_deg, x, y, z, least_points, work, settings
     points, somewhat more than that of a full search. Cost ``IMPOSSIBLE``: there is none.
 
     xy_m, ring_offset, angle_deg: the part and its roof. x, y, z: its points, evenly ordered. least_points: on
-    either side. settings: of the fits there.
+    either side. settings: of the fits there. A cut whose one side alone costs too much is left at that.
     """
     m = len(z)
     least_clearance = clearance_m(xy_m, ring_offset, work)
@@ -56,33 +61,85 @@ def best_cut(xy_m, ring_offset, angle_deg, x, y, z, least_points, work, settings
     axes, positions = candidates(xy_m, x, y, z)
     order, most = np.arange(len(axes)), len(axes)
     costs = np.full(len(axes), IMPOSSIBLE)
+    best = -1
+    best_low = best_high = (IMPOSSIBLE, 0.0, np.inf, angle_deg, xy_m, ring_offset)
     for flat_top in (False, True):
         own = with_flat_top(settings, flat_top)
+        # what costs more is no finalist or, of them, not the best
+        ratio, least_cost = 1.0 if flat_top else _FINALIST_RATIO, IMPOSSIBLE
+        best = -1
         for c in order[:most]:
-            costs[c] = 0.0
+            costs[c] = IMPOSSIBLE
             num_low = _count_below(x if axes[c] == 0 else y, positions[c])
-            for is_high in (False, True):
-                count = m - num_low if is_high else num_low
-                if count < least_points or costs[c] >= IMPOSSIBLE:
-                    costs[c] = IMPOSSIBLE
-                    continue
-                loss, _, _, _, _, _ = _fit_side(
-                    xy_m, ring_offset, angle_deg, points, axes[c], positions[c], is_high, least_clearance,
-                    work, own, prior,
-                )  # fmt: skip
-                costs[c] = costs[c] + loss * count if loss < IMPOSSIBLE else IMPOSSIBLE
+            if min(num_low, m - num_low) < least_points:
+                continue
+            low = _fit_side(
+                xy_m, ring_offset, angle_deg, points, axes[c], positions[c], False, least_clearance, work, own,
+                prior,
+            )  # fmt: skip
+            if low[0] >= IMPOSSIBLE or low[0] * num_low > ratio * least_cost:
+                continue
+            high = _fit_side(
+                xy_m, ring_offset, angle_deg, points, axes[c], positions[c], True, least_clearance, work, own,
+                prior,
+            )  # fmt: skip
+            if high[0] >= IMPOSSIBLE:
+                continue
+            costs[c] = low[0] * num_low + high[0] * (m - num_low)
+            if costs[c] < least_cost:
+                best, least_cost, best_low, best_high = c, costs[c], low, high
         order = np.argsort(costs, kind="mergesort")
         most = min(most, _MOST_FINALISTS)
         while most > 0 and costs[order[most - 1]] > min(_FINALIST_RATIO * costs[order[0]], 0.5 * IMPOSSIBLE):
             most -= 1
-    if most == 0:
+    if best < 0:
         return IMPOSSIBLE, 0, 0.0
-    c = order[0]
     place = _best_place(
-        xy_m, ring_offset, angle_deg, points, x if axes[c] == 0 else y, axes[c], positions[c],
+        xy_m, ring_offset, best_low, best_high, points, x if axes[best] == 0 else y, axes[best], positions[best],
         least_points, least_clearance, work, settings, prior,
     )  # fmt: skip
-    return costs[c], axes[c], place
+    return costs[best], axes[best], place
+
+
+@entry
+def _roof_of_side(xy_m, ring_offset, angle_deg, x, y, z, axis, position, is_high, work, settings, prior):
+    """(loss per point, eave, top, angles, vertices, offsets) of one side of a cut, searched in full."""
+    side_xy, side_offset = side_of_cut(xy_m, ring_offset, axis, position, is_high)
+    own = np.flatnonzero(((x if axis == 0 else y) >= position) == is_high)
+    if len(own) < _FEWEST_POINTS:
+        return IMPOSSIBLE, 0.0, np.inf, angle_deg, side_xy, side_offset
+    guess = inherited_angles(xy_m, ring_offset, angle_deg, side_xy, side_offset, axis, position, 90.0)
+    most = settings.num_points
+    loss, eave, top, angle = fit_roof(
+        side_xy, side_offset, every_kth_row(x[own], most), every_kth_row(y[own], most),
+        every_kth_row(z[own], most), guess.reshape(1, -1), work, settings, prior,
+    )  # fmt: skip
+    return loss, eave, top, angle, side_xy, side_offset
+
+
+@entry
+def split_roof(
+    xy_m, ring_offset, angle_deg, x, y, z, loss, least_gain, least_points, work, screen, settings, prior
+):  # fmt: skip
+    """(axis, position, low side, high side) of the best cut through a part, if a quick look promises half of
+    ``least_gain``; axis -1: there is none. Of a side: (loss per point, eave, top, angles, vertices, offsets).
+
+    Arguments: of :func:`best_cut`. loss: summed over all points of the part, as ``least_gain``. screen, settings:
+    of the quick fits and of those of the sides.
+    """
+    cost, axis, position = best_cut(xy_m, ring_offset, angle_deg, x, y, z, least_points, work, screen, prior)
+    low = (IMPOSSIBLE, 0.0, np.inf, angle_deg, xy_m, ring_offset)
+    if cost >= IMPOSSIBLE or loss - cost < _HOPEFUL * least_gain:
+        return -1, position, low, low
+    low = _roof_of_side(
+        xy_m, ring_offset, angle_deg, x, y, z, axis, position, False, work, settings, prior
+    )  # fmt: skip
+    high = _roof_of_side(
+        xy_m, ring_offset, angle_deg, x, y, z, axis, position, True, work, settings, prior
+    )  # fmt: skip
+    if low[0] >= IMPOSSIBLE or high[0] >= IMPOSSIBLE:
+        return -1, position, low, high
+    return axis, position, low, high
 
 
 @entry
@@ -114,26 +171,15 @@ def _angle_on_cut(xy_m, ring_offset, angle_deg, axis, position):
 
 @entry
 def _best_place(
-    xy_m, ring_offset, angle_deg, points, along, axis, position, least_points, least_clearance_m, work, settings, prior
+    xy_m, ring_offset, low, high, points, along, axis, position, least_points, least_clearance_m, work, settings, prior
 ):  # fmt: skip
-    """Where near ``position`` the cut is best, while the roofs on either side stay much the same."""
+    """Where near ``position`` the cut is best, while the roofs on either side stay much the same: ``low`` and
+    ``high``, as :func:`_fit_side` has them."""
     places = _places_near(xy_m, axis, position)
     costs = np.zeros(len(places))
     most = 2 * settings.num_search_points
     for is_high in (False, True):
-        _, eave, top, side_deg, side_xy, side_offset = _fit_side(
-            xy_m,
-            ring_offset,
-            angle_deg,
-            points,
-            axis,
-            position,
-            is_high,
-            least_clearance_m,
-            work,
-            settings,
-            prior,
-        )
+        _, eave, top, side_deg, side_xy, side_offset = high if is_high else low
         on_cut = _angle_on_cut(side_xy, side_offset, side_deg, axis, position)
         for k in range(len(places)):
             place = places[k]

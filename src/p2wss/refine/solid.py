@@ -12,17 +12,13 @@ import numpy as np
 
 from p2wss import skeleton
 from p2wss.refine.one_height import OneHeight
-from p2wss.skeleton import FaceKind, Polygons, Status
+from p2wss.refine.planes import face_planes, neighbours, planes_at, snapped
+from p2wss.skeleton import Polygons, Status
 
-# vertices this near to a plane lie in it
-_COPLANAR_M = 4e-3
-_ON_CUT_M = 1e-6
 _WELD_M = 1e-4
 _SHORT_EDGE_M = 1e-2
 # how much higher each further part is, and what a surface may move by when slivers are taken out
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
-_UPRIGHT_NZ = 0.05
-_LEVEL_NZ = 0.9999
 
 
 @dataclass(frozen=True)
@@ -70,21 +66,29 @@ def _shortest_edge_m(mesh: Mesh) -> float:
 def is_sound(mesh: Mesh) -> bool:
     """Whether readers that round and triangulate faces anew will find it closed: no edge of millimetres, no
     vertex within a straight edge."""
-    pairs = np.unique(np.column_stack([mesh.triangle.ravel(), np.repeat(mesh.plane, 3)]), axis=0)
-    num_planes = np.bincount(pairs[:, 0], minlength=len(mesh.vertex_m))
+    num_planes = planes_at(mesh.triangle, mesh.plane, len(mesh.vertex_m))
     return _shortest_edge_m(mesh) >= _SHORT_EDGE_M and bool((num_planes >= 3).all())
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     """Whether every edge has exactly two triangles, in opposite directions, once vertices that files cannot
     tell apart are one."""
-    _, welded = np.unique(np.round(vertex_m / _WELD_M).astype(np.int64), axis=0, return_inverse=True)
-    corner = welded.reshape(-1)[triangle]
+    corner = _welded(vertex_m)[triangle]
     corner = corner[(corner != np.roll(corner, 1, axis=1)).all(axis=1)]
     size = len(vertex_m)
     start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
     forward, back = np.sort(start * size + end), np.sort(end * size + start)
     return bool(len(forward) and (np.diff(forward) > 0).all() and np.array_equal(forward, back))
+
+
+def _welded(vertex_m: np.ndarray) -> np.ndarray:
+    """Per vertex the number of the place, to a tenth of a millimetre, that it shares with others."""
+    place = np.round(vertex_m / _WELD_M).astype(np.int64)
+    order = np.lexsort(place.T)
+    ordered = place[order]
+    number = np.zeros(len(order), np.int64)
+    number[order[1:]] = np.cumsum((ordered[1:] != ordered[:-1]).any(axis=1))
+    return number
 
 
 def _union(
@@ -105,18 +109,18 @@ def _union(
     solids = []
     for i, part in enumerate(parts):
         vertex_m, triangle, _, _ = made.mesh(i)
-        vertex_m = _snapped(vertex_m, np.concatenate(list(part.rings)))
-        mesh = manifold3d.Mesh64(np.ascontiguousarray(vertex_m), triangle.astype(np.uint64))
+        vertex_m = snapped(vertex_m, np.concatenate(list(part.rings)))
+        mesh = manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64))
         solids.append(manifold3d.Manifold(mesh))
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     whole = whole.as_original().simplify(simplify_m)
     if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
         return None
     out = whole.to_mesh64()
-    vertex_m = np.array(out.vert_properties, float)[:, :3]
+    vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
     triangle = np.array(out.tri_verts, np.int32)
-    kind, plane = _planes(vertex_m, triangle)
-    return _collapsed(Mesh(vertex_m, triangle, kind, plane))
+    mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
+    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else _collapsed(mesh)
 
 
 def _collapsed(mesh: Mesh, short_m: float = 0.0) -> Mesh:
@@ -173,8 +177,8 @@ def _can_move(
     end: int,
 ) -> bool:
     """Whether the mesh stays a manifold, and no triangle turns over, if ``v`` moves to ``end``."""
-    neighbours = [{w for t in around[u] for w in rows[t]} - {v, end} for u in (v, end)]
-    if len(neighbours[0] & neighbours[1]) != 2:
+    near_v, near_end = ({w for t in around[u] for w in rows[t]} - {v, end} for u in (v, end))
+    if len(near_v & near_end) != 2:
         return False
     for t in around[v]:
         if end not in rows[t]:
@@ -188,55 +192,3 @@ def _normal(a: list[float], b: list[float], c: list[float]) -> tuple[float, floa
     """Of a triangle; of three vertices numpy would take ten times as long."""
     (ux, uy, uz), (vx, vy, vz) = map(sub, b, a), map(sub, c, a)
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-
-
-def _snapped(vertex_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
-    """Vertices over the footprint's corners and lines with exactly their coordinates."""
-    vertex_m = vertex_m.copy()
-    for axis in (0, 1):
-        lines = np.unique(corner_m[:, axis])
-        place = np.clip(np.searchsorted(lines, vertex_m[:, axis] - _ON_CUT_M), 0, len(lines) - 1)
-        near = np.abs(lines[place] - vertex_m[:, axis]) < _ON_CUT_M
-        vertex_m[near, axis] = lines[place[near]]
-    return vertex_m
-
-
-def _planes(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Kind and plane of every triangle, grown from the largest ones, whose normals can be trusted."""
-    corner = vertex_m[triangle]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(normal, axis=1)
-    normal /= np.maximum(area, 1e-12)[:, None]
-    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    is_sliver = area < 2 * _COPLANAR_M * longest
-    half = {}
-    for t, (a, b, c) in enumerate(triangle.tolist()):
-        half[a, b] = half[b, c] = half[c, a] = t
-    kind = np.zeros(len(triangle), np.uint8)
-    plane = np.full(len(triangle), -1, np.int32)
-    for number, seed in enumerate(np.argsort(-area, kind="stable").tolist()):
-        if plane[seed] >= 0:
-            continue
-        unit, offset = normal[seed], normal[seed] @ corner[seed].mean(axis=0)
-        in_plane = np.abs(corner @ unit - offset).max(axis=1) < _COPLANAR_M
-        in_plane &= is_sliver | (normal @ unit > 0.99)
-        pending = [seed]
-        plane[seed] = number
-        while pending:
-            t = pending.pop()
-            kind[t] = _kind(unit)
-            a, b, c = triangle[t].tolist()
-            for pair in ((b, a), (c, b), (a, c)):
-                other = half[pair]
-                if plane[other] < 0 and in_plane[other]:
-                    plane[other] = number
-                    pending.append(other)
-    return kind, plane
-
-
-def _kind(normal: np.ndarray) -> int:
-    if abs(normal[2]) < _UPRIGHT_NZ:
-        return int(FaceKind.WALL)
-    if normal[2] < 0:
-        return int(FaceKind.GROUND)
-    return int(FaceKind.FLAT if normal[2] > _LEVEL_NZ else FaceKind.ROOF)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.refine.envelope import lower_envelope
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.footprint import set_angles
 from p2wss.skeleton.queries import CUT, OUTSIDE, assign
@@ -35,18 +36,27 @@ def evaluate(problem, work, angle_deg, eave_m, top_m):
     Leaves face, distance and residual of every point in ``work``; the residual outside the roof is NaN.
     """
     work.num_evaluations[0] += 1
-    if set_angles(work.skeleton.edge, problem.num_edges, angle_deg) != _OK:
-        return IMPOSSIBLE
-    m = len(problem.x)
-    status = assign(
-        problem.num_edges, problem.num_rings, min(top_m, problem.max_roof_height_m), work.skeleton, work.query,
-        problem.x, problem.y, work.face[:m], work.distance[:m],
-    )  # fmt: skip
-    if status != _OK:
-        return IMPOSSIBLE
     for e in range(problem.num_edges):
         angle = angle_deg[e]
-        work.tangent[e] = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
+        t = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
+        work.tangent[e], work.cosine[e] = t, 1.0 / np.sqrt(1.0 + t * t)
+    m = len(problem.x)
+    top = min(top_m, problem.max_roof_height_m)
+    face, distance, rise = work.face[:m], work.distance[:m], work.rise[:m]
+    if len(problem.inward_m) > 0:
+        if not lower_envelope(problem.inward_m, angle_deg, work.tangent, top, face, distance, rise):
+            return IMPOSSIBLE
+    else:
+        if set_angles(work.skeleton.edge, problem.num_edges, angle_deg) != _OK:
+            return IMPOSSIBLE
+        status = assign(
+            problem.num_edges, problem.num_rings, top, work.skeleton, work.query, problem.x, problem.y, face,
+            distance,
+        )  # fmt: skip
+        if status != _OK:
+            return IMPOSSIBLE
+        for k in range(m):
+            rise[k] = work.tangent[face[k]] * distance[k] if face[k] >= 0 else distance[k]
     return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
 
 
@@ -79,11 +89,9 @@ def _loss(problem, work, eave_m):
             work.residual[k] = np.nan
             total += problem.cap_m
             continue
+        r = eave_m + work.rise[k] - problem.z[k]
         if f >= 0:
-            t = work.tangent[f]
-            r = (eave_m + t * work.distance[k] - problem.z[k]) / np.sqrt(1.0 + t * t)
-        else:
-            r = eave_m + work.distance[k] - problem.z[k]
+            r *= work.cosine[f]
         work.residual[k] = r
         total += min(abs(r), problem.cap_m)
     return total / max(len(problem.z), 1)
@@ -96,8 +104,7 @@ def _median_eave(problem, work):
     for k in range(len(problem.z)):
         f = work.face[k]
         if f != OUTSIDE:
-            rise = work.distance[k] * work.tangent[f] if f >= 0 else work.distance[k]
-            work.sorted[count] = problem.z[k] - rise
+            work.sorted[count] = problem.z[k] - work.rise[k]
             count += 1
     return _select(work.sorted, count, count // 2) if count > 0 else 0.0
 
@@ -207,7 +214,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
             b[0] += w * (z - work.distance[k])
         else:
             t, d = work.tangent[f], work.distance[k]
-            w /= 1.0 + t * t
+            w *= work.cosine[f] * work.cosine[f]
             a[0, 0] += w
             if groups > 0:
                 g = 2 + problem.direction[f]

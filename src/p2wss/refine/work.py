@@ -17,6 +17,7 @@ class Settings(NamedTuple):
     say what each means."""
 
     num_search_points: int
+    num_points: int
     num_followed: int
     num_descents: int
     max_rounds: int
@@ -53,7 +54,8 @@ class Problem(NamedTuple):
 
     num_edges, num_rings: of the polygon. x, y, z: float64 (m,), x and y relative to its first vertex.
     direction: int64 (num_edges,), which edges face the same way and so share their slope: 0 to
-    num_directions - 1. cap_m: residuals count up to this. max_roof_height_m: above the eave.
+    num_directions - 1. cap_m: residuals count up to this. max_roof_height_m: above the eave. inward_m: float64
+    (num_edges + 1, m) of a convex polygon, :func:`p2wss.refine.envelope.inward_distances`; else (0, 0).
     """
 
     num_edges: int
@@ -66,21 +68,25 @@ class Problem(NamedTuple):
     cap_m: float
     max_roof_height_m: float
     prior: Prior
+    inward_m: np.ndarray
 
 
 class FitWork(NamedTuple):
     """Arrays for polygons of up to ``max_edges`` edges with up to ``max_points`` points.
 
-    trial: rows of angles of nested searches. num_evaluations: int64 (1,), counts roofs looked at.
+    rise: of the roof above the eave, over each point. cosine: of each edge's slope. trial: rows of angles of nested
+    searches. num_evaluations: int64 (1,), counts roofs looked at.
     """
 
     skeleton: SkeletonWork
     query: QueryWork
     face: np.ndarray
     distance: np.ndarray
+    rise: np.ndarray
     residual: np.ndarray
     sorted: np.ndarray
     tangent: np.ndarray
+    cosine: np.ndarray
     group_tangent: np.ndarray
     group_count: np.ndarray
     matrix: np.ndarray
@@ -99,9 +105,11 @@ def fit_work(max_edges: int, max_points: int) -> FitWork:
         query=query_work(max_edges),
         face=np.zeros(max_points, np.int64),
         distance=np.zeros(max_points),
+        rise=np.zeros(max_points),
         residual=np.zeros(max_points),
         sorted=np.zeros(max_points),
         tangent=np.zeros(max_edges),
+        cosine=np.zeros(max_edges),
         group_tangent=np.zeros(max_edges),
         group_count=np.zeros(max_edges),
         matrix=np.zeros((size, size)),

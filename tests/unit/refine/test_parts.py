@@ -126,3 +126,17 @@ def test_main_frame_is_that_of_the_edges() -> None:
     level = turned @ main_frame([turned])
     along = np.abs(np.roll(level, -1, axis=0) - level)
     assert along.min(axis=1) == pytest.approx(0, abs=1e-9)
+
+
+def test_triangles_are_grouped_by_the_planes_they_lie_in() -> None:
+    mesh = union([one(HOUSE, [90, 40, 90, 40], 6.0), one(ANNEX, [0] * 4, 3.0)], 0.0, 2.0, 12.0)
+    assert mesh is not None
+    same = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
+    flat = same.face_adjacency[same.face_adjacency_angles < 1e-3]
+    groups = trimesh.graph.connected_components(flat, nodes=np.arange(len(mesh.triangle)))
+    assert sorted(map(sorted, groups)) == sorted(
+        np.flatnonzero(mesh.plane == plane).tolist() for plane in np.unique(mesh.plane)
+    )
+    up = same.face_normals[:, 2]
+    expected = np.where(np.abs(up) < 0.01, FaceKind.WALL, np.where(up < 0, FaceKind.GROUND, FaceKind.ROOF))
+    assert np.array_equal(mesh.kind, np.where(up > 0.9999, FaceKind.FLAT, expected))

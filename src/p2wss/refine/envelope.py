@@ -1,0 +1,82 @@
+"""The roof over a convex polygon without its skeleton: over every point the lowest of the planes of its slopes.
+
+A wavefront that starts convex stays the intersection of the half-planes behind its edges: one that falls behind the
+corner of its neighbours never comes back. So the kernel's roof is the lower envelope of the planes, cut at the
+greatest height; one 0 degree edge sweeps everything, and with 90 degree edges only the roof is flat.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.footprint import MAX_SLOPE_DEG, MIN_SLOPE_DEG
+from p2wss.skeleton.queries import CUT, FLAT, OUTSIDE
+
+# sine of the turn below which a corner is reflex, as in the kernel
+_REFLEX = -1e-9
+# a point that is outside by no more than rounding is on the boundary
+_OUTSIDE_M = -1e-9
+
+
+@entry
+def inward_distances(xy_m, ring_offset, x, y):
+    """Metres from the line of each edge to points, positive inwards, and in one more row the least of them;
+    (0, 0) unless the polygon is convex. x, y: relative to its first vertex."""
+    n, m = len(xy_m), len(x)
+    if len(ring_offset) != 2:
+        return np.zeros((0, 0))
+    dir_x, dir_y = np.empty(n), np.empty(n)
+    for i in range(n):
+        j = i + 1 if i + 1 < n else 0
+        dx, dy = xy_m[j, 0] - xy_m[i, 0], xy_m[j, 1] - xy_m[i, 1]
+        length = np.hypot(dx, dy)
+        dir_x[i], dir_y[i] = dx / length, dy / length
+    for i in range(n):
+        j = i + 1 if i + 1 < n else 0
+        if not dir_x[i] * dir_y[j] - dir_y[i] * dir_x[j] >= _REFLEX:
+            return np.zeros((0, 0))
+    result = np.empty((n + 1, m))
+    result[n] = np.inf
+    for i in range(n):
+        start_x, start_y = xy_m[i, 0] - xy_m[0, 0], xy_m[i, 1] - xy_m[0, 1]
+        for k in range(m):
+            result[i, k] = (y[k] - start_y) * dir_x[i] - (x[k] - start_x) * dir_y[i]
+            result[n, k] = min(result[n, k], result[i, k])
+    return result
+
+
+@inner
+def lower_envelope(inward_m, angle_deg, tangent, max_roof_height_m, face, distance, rise):
+    """As :func:`p2wss.skeleton.queries.assign`, from :func:`inward_distances`. tangent: of the angles, 0 for 0 and
+    90 degrees. rise: float64, written: height of the roof above the eave. False: an angle that the kernel refuses."""
+    n, m = len(inward_m) - 1, inward_m.shape[1]
+    is_flat, has_slope = False, False
+    for e in range(n):
+        angle = angle_deg[e]
+        if angle == 0.0:
+            is_flat = True
+        elif angle != 90.0:
+            if not MIN_SLOPE_DEG <= angle <= MAX_SLOPE_DEG:
+                return False
+            has_slope = True
+    if is_flat or not has_slope:
+        for k in range(m):
+            face[k], distance[k], rise[k] = FLAT, 0.0, 0.0
+    else:
+        for k in range(m):
+            face[k], rise[k] = CUT, max_roof_height_m
+        for e in range(n):
+            t = tangent[e]
+            if t > 0.0:
+                for k in range(m):
+                    height = t * inward_m[e, k]
+                    is_lower = height < rise[k]
+                    rise[k] = height if is_lower else rise[k]
+                    face[k] = e if is_lower else face[k]
+        for k in range(m):
+            distance[k] = inward_m[face[k], k] if face[k] >= 0 else max_roof_height_m
+    for k in range(m):
+        if inward_m[n, k] < _OUTSIDE_M:
+            face[k], distance[k], rise[k] = OUTSIDE, 0.0, 0.0
+    return True

@@ -1,0 +1,126 @@
+"""Which triangles of a closed mesh lie in one plane, as compiled code."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.types import FaceKind
+
+# vertices this near to a plane lie in it
+_COPLANAR_M = 4e-3
+_SAME_WAY = 0.99
+# and this near to a line of the footprint on it
+_ON_LINE_M = 1e-6
+_UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
+_WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
+_ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
+
+
+@entry
+def neighbours(triangle):
+    """(t, 3): the triangle across each side, which runs from a corner to the next; -1 for none."""
+    num = len(triangle)
+    size = np.int64(triangle.max()) + 1
+    forward, back = np.empty(3 * num, np.int64), np.empty(3 * num, np.int64)
+    for t in range(num):
+        for k in range(3):
+            a, b = np.int64(triangle[t, k]), np.int64(triangle[t, (k + 1) % 3])
+            forward[3 * t + k], back[3 * t + k] = a * size + b, b * size + a
+    order = np.argsort(forward, kind="mergesort")
+    place = np.searchsorted(forward[order], back)
+    result = np.full((num, 3), -1)
+    for s in range(3 * num):
+        if place[s] < 3 * num and forward[order[place[s]]] == back[s]:
+            result[s // 3, s % 3] = order[place[s]] // 3
+    return result
+
+
+@entry
+def face_planes(vertex_m, triangle, beside):
+    """(kind uint8, plane int32) of every triangle, grown from the largest ones, whose normals can be trusted.
+    beside: :func:`neighbours`."""
+    num = len(triangle)
+    normal, area, is_sliver = np.empty((num, 3)), np.empty(num), np.empty(num, np.bool_)
+    for t in range(num):
+        a, b, c = vertex_m[triangle[t, 0]], vertex_m[triangle[t, 1]], vertex_m[triangle[t, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        area[t] = np.sqrt(nx * nx + ny * ny + nz * nz)
+        length = max(area[t], 1e-12)
+        normal[t, 0], normal[t, 1], normal[t, 2] = nx / length, ny / length, nz / length
+        wx, wy, wz = c[0] - b[0], c[1] - b[1], c[2] - b[2]
+        longest2 = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz)
+        is_sliver[t] = area[t] < 2 * _COPLANAR_M * np.sqrt(longest2)
+    kind, plane = np.zeros(num, np.uint8), np.full(num, -1, np.int32)
+    pending = np.empty(num, np.int64)
+    number = -1
+    for seed in np.argsort(-area, kind="mergesort"):
+        number += 1
+        if plane[seed] >= 0:
+            continue
+        x, y, z = normal[seed, 0], normal[seed, 1], normal[seed, 2]
+        offset = 0.0
+        for k in range(3):
+            corner = vertex_m[triangle[seed, k]]
+            offset += (x * corner[0] + y * corner[1] + z * corner[2]) / 3.0
+        if abs(z) < _UPRIGHT_NZ:
+            of_plane = _WALL
+        elif z < 0:
+            of_plane = _GROUND
+        else:
+            of_plane = _FLAT if z > _LEVEL_NZ else _ROOF
+        plane[seed], kind[seed] = number, of_plane
+        pending[0], left = seed, 1
+        while left > 0:
+            left -= 1
+            t = pending[left]
+            for k in range(3):
+                other = beside[t, k]
+                if other < 0 or plane[other] >= 0:
+                    continue
+                along = normal[other, 0] * x + normal[other, 1] * y + normal[other, 2] * z
+                if not (is_sliver[other] or along > _SAME_WAY):
+                    continue
+                in_plane = True
+                for m in range(3):
+                    corner = vertex_m[triangle[other, m]]
+                    if abs(corner[0] * x + corner[1] * y + corner[2] * z - offset) >= _COPLANAR_M:
+                        in_plane = False
+                if in_plane:
+                    plane[other], kind[other] = number, of_plane
+                    pending[left] = other
+                    left += 1
+    return kind, plane
+
+
+@entry
+def snapped(vertex_m, corner_m):
+    """Vertices (v, 3) over the footprint's corners and lines with exactly their coordinates."""
+    result = vertex_m.copy()
+    for axis in range(2):
+        for v in range(len(result)):
+            nearest = _ON_LINE_M
+            for corner in corner_m:
+                off = abs(corner[axis] - vertex_m[v, axis])
+                if off < nearest:
+                    nearest, result[v, axis] = off, corner[axis]
+    return result
+
+
+@entry
+def planes_at(triangle, plane, num_vertices):
+    """int64 (num_vertices,): how many planes meet at each vertex, at most three."""
+    count, near = np.zeros(num_vertices, np.int64), np.full((num_vertices, 3), -1)
+    for t in range(len(triangle)):
+        for k in range(3):
+            v = triangle[t, k]
+            is_new = True
+            for i in range(min(count[v], 3)):
+                if near[v, i] == plane[t]:
+                    is_new = False
+            if is_new and count[v] < 3:
+                near[v, count[v]] = plane[t]
+                count[v] += 1
+    return count
