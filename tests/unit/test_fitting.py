@@ -89,6 +89,18 @@ def test_without_a_closed_union_there_are_fewer_parts(monkeypatch):
     assert made.has_mesh and made.num_parts == 1 and is_closed(made.vertex_m, made.triangle)
 
 
+def test_a_building_is_the_same_whatever_is_fitted_beside_it():
+    cases = [one_gable(), house_and_annex(), building(np.zeros((0, 3))), one_gable(40), house_and_annex(30)]
+    known = [None if i % 2 else network(case, GABLE, 5.0) for i, case in enumerate(cases)]
+    together = fitting.fit(cases[::-1], CONFIG, known[::-1])[::-1]
+    for case, start, made in zip(cases, known, together, strict=True):
+        (alone,) = fitting.fit([case], CONFIG, [start])
+        assert (alone.status, alone.num_parts, alone.eave_height_m) == (
+            made.status, made.num_parts, made.eave_height_m,
+        )  # fmt: skip
+        assert np.array_equal(alone.vertex_m, made.vertex_m) and np.array_equal(alone.triangle, made.triangle)
+
+
 @pytest.mark.parametrize("num_points", [1, 2, 3, 5, 9, 10, 12, 20, 40, 80, 300])
 @pytest.mark.parametrize("has_network", [False, True])
 def test_every_number_of_points_gives_a_closed_solid(num_points, has_network):
