@@ -35,8 +35,10 @@ from p2wss.seeds import derive_seed
 
 log = logging.getLogger("p2wss")
 
-# on a CPU the points of a batch should fit into the cache: 16 is half as fast again as 64
+# on a CPU what lies between two layers should fit into the cache: 64 take a tenth longer
 INFERENCE_BATCH = {"cpu": 16, "cuda": 256}
+# longest ring of such a batch over its shortest
+PADDED_VERTICES = 1.25
 
 
 def train(
@@ -324,7 +326,8 @@ class Predictor:
                 own = angles[row, : len(exterior[i])]
                 odds[i][: len(own)] = classes[row, : len(own)]
                 angle[i][: len(own)] = own
-                angle[i][len(own) :] = _courtyard_angle(own)
+                if len(rings[i]) > 1:
+                    angle[i][len(own) :] = _courtyard_angle(own)
         return Prediction(height, angle, odds, confidence)
 
     def reconstruct_all_masked(
@@ -355,15 +358,27 @@ class Predictor:
 
     def errors(self, buildings: Buildings, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed errors, footprint given, of labelled buildings: heights (n,) m, angles (edges,) degrees."""
-        heights, angles = [], []
-        for first in range(0, len(index), self._batch_size):
-            rows = index[first : first + self._batch_size]
-            batch = augment.centre(buildings.batch(rows, self.dvae_config.num_points, None))
+        heights = np.empty(len(index), np.float32)
+        angles = [np.empty(0)] * len(index)
+        for own in self._alike(np.diff(buildings.point_offset)[index], buildings.num_vertices[index]):
+            batch = augment.centre(buildings.batch(index[own], self.dvae_config.num_points, None))
             height, angle, _, _ = self._decode(batch)
-            inside = np.arange(angle.shape[1]) < batch.num_vertices.numpy()[:, None]
-            heights.append(height - batch.height.numpy())
-            angles.append((angle - batch.angle.numpy())[inside])
-        return np.concatenate(heights), np.concatenate(angles)
+            heights[own] = height - batch.height.numpy()
+            wrong = angle - batch.angle.numpy()
+            for row, i in enumerate(own):
+                angles[i] = wrong[row, : batch.num_vertices[row]]
+        return heights, np.concatenate(angles)
+
+    def _alike(self, num_points: np.ndarray, num_vertices: np.ndarray) -> Iterator[np.ndarray]:
+        """Indices (n,) of all buildings, by batches of similar sizes: hardly any of a batch is padding."""
+        order = np.lexsort([np.minimum(num_points, self.dvae_config.num_points), num_vertices])
+        vertices = num_vertices[order]
+        first = 0
+        while first < len(order):
+            longer = int(np.searchsorted(vertices, PADDED_VERTICES * vertices[first], "right"))
+            last = min(longer, first + self._batch_size)
+            yield order[first:last]
+            first = last
 
     def _check(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> None:
         for i, (points, ring) in enumerate(zip(points_m, exterior, strict=True)):
@@ -375,10 +390,8 @@ class Predictor:
     def _batches(
         self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]
     ) -> Iterator[tuple[np.ndarray, Batch]]:
-        """Centred batches of similar length; buildings that the number format cannot hold are left out."""
-        order = np.argsort([len(ring) for ring in exterior], kind="stable")
-        for first in range(0, len(order), self._batch_size):
-            index = order[first : first + self._batch_size]
+        """Centred batches of similar sizes; buildings that the number format cannot hold are left out."""
+        for index in self._alike(np.array([*map(len, points_m)]), np.array([*map(len, exterior)])):
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
             reach = batch.xy.norm(dim=-1).amax(1) * 10**self.tokenizer.coord_decimals
             fits = reach.numpy() < self.tokenizer.max_coord
@@ -412,7 +425,7 @@ class Predictor:
             )
         )
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def _decode(self, batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Heights (b,) m, angles (b, n) degrees, probabilities of their classes (b, n, 3) and confidence (b,) of
         a centred batch, footprint given.
@@ -423,16 +436,16 @@ class Predictor:
         batch = batch.to(self.device)
         patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
         heights = angles = torch.zeros((), device=self.device)
+        asked = tokenizer.asked(batch.xy.shape[1]).to(self.device)
         for view in range(decode.num_rotations):
             turned, seen = _turned(batch, patches, 2 * math.pi * view / decode.num_rotations)
             parameters, start = tokenizer.canonical(
                 tokenizer.quantise(turned.height, turned.xy, turned.angle, turned.num_vertices)
             )
             tokens, _ = tokenizer.masked(parameters)
-            logits = self._logits(tokens, turned, seen)
-            heights = heights + self._height_distribution(logits)
+            height, angle = self._distributions(self._logits(tokens, turned, seen, asked))
+            heights = heights + height
             back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
-            angle = self._angle_distribution(logits)
             angles = angles + angle.gather(1, back[..., None].expand_as(angle))
         heights = heights / decode.num_rotations
         angles = decoding.constrain(angles, decoding.angle_support(decode.angle_support).to(self.device))
@@ -449,7 +462,7 @@ class Predictor:
             ((sure_height + sure_angle) / 2).cpu().numpy(),
         )
 
-    @torch.no_grad()
+    @torch.inference_mode()
     def _decode_all(self, batch: Batch, signs_visible: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Heights (b,) m, vertices (b, n, 2) m and angles (b, n) degrees of a centred batch, all masked."""
         tokenizer, mode = self.tokenizer, self.decode.mode
@@ -462,8 +475,8 @@ class Predictor:
         tokens = tokens.masked_fill(hidden, words.MASK)
         patches = dvae.patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
         logits = self._logits(tokens, batch, patches)
-        height = decoding.decode(self._height_distribution(logits), mode)
-        angle = self._angle_distribution(logits)
+        heights, angle = self._distributions(logits[:, tokenizer.asked(batch.xy.shape[1]).to(self.device)])
+        height = decoding.decode(heights, mode)
         angle = decoding.constrain(angle, decoding.angle_support(self.decode.angle_support).to(self.device))
         signs, block_logits = tokenizer.blocks(tokens), tokenizer.blocks(logits)
         axes = []
@@ -483,18 +496,20 @@ class Predictor:
             decoding.decode(angle, mode).gather(1, back).double().cpu().numpy(),
         )
 
-    def _logits(self, tokens: Tensor, batch: Batch, patches: Patches) -> Tensor:
+    def _logits(self, tokens: Tensor, batch: Batch, patches: Patches, asked: Tensor | None = None) -> Tensor:
         ground_z = batch.ground_z * dvae.SCALE
         cloud, valid = self.module.cloud_features(patches, ground_z)
-        return self.module.restore(tokens, batch.num_vertices, patches, ground_z, cloud, valid)
+        return self.module.restore(tokens, batch.num_vertices, patches, ground_z, cloud, valid, asked)
 
-    def _height_distribution(self, logits: Tensor) -> Tensor:
-        digits = logits[:, 2 : self.tokenizer.header_length]
-        return decoding.number_distribution(digits, self.tokenizer, self.tokenizer.height_places)
-
-    def _angle_distribution(self, logits: Tensor) -> Tensor:
-        digits = self.tokenizer.blocks(logits)[..., self.tokenizer.angle_slot :, :]
-        return decoding.number_distribution(digits, self.tokenizer, self.tokenizer.angle_places)
+    def _distributions(self, logits: Tensor) -> tuple[Tensor, Tensor]:
+        """Of the heights (b, 10^k) and of the angles (b, n, 100), from logits at ``Tokenizer.asked``."""
+        tokenizer = self.tokenizer
+        height, angle = logits.tensor_split([len(tokenizer.height_places)], 1)
+        digits = angle.unflatten(1, (-1, len(tokenizer.angle_places)))
+        return (
+            decoding.number_distribution(height, tokenizer, tokenizer.height_places),
+            decoding.number_distribution(digits, tokenizer, tokenizer.angle_places),
+        )
 
 
 def _turned(batch: Batch, patches: Patches, theta: float) -> tuple[Batch, Patches]:

@@ -135,6 +135,25 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
     assert np.array_equal(np.concatenate(found.angle_deg) - labelled.angle_deg, angle)
 
 
+def test_errors_come_in_the_order_asked_for(predictor: Predictor, labelled: Buildings) -> None:
+    order = np.random.default_rng(0).permutation(len(labelled))
+    height, angle = predictor.errors(labelled, np.arange(len(labelled)))
+    shuffled_height, shuffled_angle = predictor.errors(labelled, order)
+    assert np.allclose(height[order], shuffled_height, atol=0.011)
+    assert np.array_equal(angle.reshape(-1, 4)[order], shuffled_angle.reshape(-1, 4))
+
+
+def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predictor) -> None:
+    rng = np.random.default_rng(0)
+    num_points, num_vertices = rng.integers(10, 3000, 200), rng.integers(3, 17, 200)
+    batches = list(predictor._alike(num_points, num_vertices))
+    assert sorted(np.concatenate(batches)) == list(range(200))
+    for batch in batches:
+        assert len(batch) <= model.INFERENCE_BATCH["cpu"]
+        assert num_vertices[batch].max() <= 1.25 * num_vertices[batch].min()
+    assert len(batches) < 25
+
+
 def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: Buildings) -> None:
     clouds, rings = inputs(labelled)
     hole = np.array([[0, 0], [0, 1], [1, 1], [1, 0.0]])

@@ -20,6 +20,8 @@ from p2wss.nets.patches import Patches, squared_distance
 NUM_NEIGHBOURS = 4
 NORM_GROUPS = 4
 SEED_RADIUS = 0.05
+# patches that a CPU embeds at once at inference: the features of their points should stay in its second cache
+PATCHES_AT_ONCE = 32
 
 
 class MiniPointNet(nn.Module):
@@ -47,6 +49,28 @@ class MiniPointNet(nn.Module):
         x = self.third_point(x).view(-1, k, self.third_point.out_features) + self.third_patch(patch)[:, None]
         x = self.fourth(F.relu(self.third_norm(x.flatten(0, 1))))
         return x.view(batch, groups, k, -1).amax(2)
+
+    def infer(self, points: Tensor) -> Tensor:
+        """What :meth:`forward` says in evaluation mode, to rounding, in less than half of the time; no gradients.
+
+        Norms are absorbed by the layers before them, ``third_point`` by ``second``, as nothing stands between
+        the two, and what is the same for all points of a patch is added to their maximum.
+        """
+        scale, shift = self.first_norm.scale_and_shift()
+        first, first_bias = self.first.weight * scale[:, None], self.first.bias * scale + shift
+        scale, shift = self.third_norm.scale_and_shift()
+        third = self.third_point.weight @ self.second.weight * scale[:, None]
+        third_patch = self.third_patch.weight * scale[:, None]
+        second_bias = self.second.bias
+        third_bias = (self.third_point(second_bias) + self.third_patch(second_bias)) * scale + shift
+        found = []
+        at_once = PATCHES_AT_ONCE if points.device.type == "cpu" else points.shape[:2].numel()
+        for part in points.flatten(0, 1).split(at_once):
+            x = F.linear(part, first, first_bias).relu_()
+            patch = F.linear(x, self.second.weight).amax(1)
+            x = F.linear(x, third).add_(F.linear(patch, third_patch, third_bias)[:, None]).relu_()
+            found.append(F.linear(x, self.fourth.weight).amax(1))
+        return torch.cat(found).view(*points.shape[:2], -1) + self.fourth.bias
 
 
 class EdgeConvolution(nn.Module):

@@ -28,6 +28,11 @@ class BatchNorm(nn.BatchNorm1d):
         scale = self.weight * torch.rsqrt(var + self.eps)
         return (rows * scale + (self.bias - mean * scale)).to(x.dtype)
 
+    def scale_and_shift(self) -> tuple[Tensor, Tensor]:
+        """The norm of evaluation, ``x * scale + shift``, each (channels,): what a neighbouring layer can absorb."""
+        scale = self.weight * torch.rsqrt(self.get_buffer("running_var") + self.eps)
+        return scale, self.bias - self.get_buffer("running_mean") * scale
+
 
 class PlaceLinear(nn.Linear):
     """A linear layer that reads coordinates: in float32 under autocast, too.

@@ -28,38 +28,35 @@ class Patches:
         return Patches(self.centre[rows], self.points[rows], self.valid[rows])
 
 
-def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Tensor, Tensor]:
+def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Tensor, Tensor, Tensor]:
     """Farthest point sampling from the first valid point on.
 
     ``points`` (b, p, 3), ``valid`` (b, p) with at least one true per row. Returns int64 (b, num_centres)
-    indices and bool (b, num_centres): false once every valid point coincides with a chosen one.
+    indices, bool (b, num_centres), false once every valid point coincides with a chosen one, and the squared
+    distances (b, num_centres, p) of all points from each chosen one, infinite for padding.
     """
-    batch = torch.arange(len(points), device=points.device)
     # planar copies: contiguous rows make each step a few fused passes
-    x, y, z = (points[..., axis].contiguous() for axis in range(3))
-    distance = torch.where(valid, torch.inf, -1.0).to(points.dtype)
-    chosen = torch.empty(len(points), num_centres, dtype=torch.int64, device=points.device)
-    distinct = torch.empty(len(points), num_centres, dtype=torch.bool, device=points.device)
-    farthest, current = distance.max(1)
-    for step in range(num_centres):
-        chosen[:, step] = current
-        distinct[:, step] = farthest > 0
-        to_current = (x - x[batch, current, None]).square_()
-        to_current += (y - y[batch, current, None]).square_()
-        to_current += (z - z[batch, current, None]).square_()
-        distance = torch.minimum(distance, to_current)
-        farthest, current = distance.max(1)
-    return chosen, distinct
+    x, y, z = points.masked_fill(~valid[..., None], torch.inf).permute(2, 0, 1).contiguous()
+    to_nearest = torch.where(valid, torch.inf, -1.0).to(points.dtype)
+    chosen, distinct, distance = [], [], points.new_empty(num_centres, *valid.shape)
+    for to_current in distance:
+        farthest, current = to_nearest.max(1, keepdim=True)
+        chosen.append(current)
+        distinct.append(farthest > 0)
+        torch.sub(x, x.gather(1, current), out=to_current).square_()
+        to_current += (y - y.gather(1, current)).square_()
+        to_current += (z - z.gather(1, current)).square_()
+        torch.minimum(to_nearest, to_current, out=to_nearest)
+    return torch.cat(chosen, 1), torch.cat(distinct, 1), distance.transpose(0, 1)
 
 
-def nearest_points(points: Tensor, valid: Tensor, centre: Tensor, k: int) -> Tensor:
-    """int64 (b, g, k): the k nearest valid points of each centre, the nearest repeated if there are fewer.
+def nearest_points(distance: Tensor, k: int) -> Tensor:
+    """int64 (b, g, k): the k nearest of p points to each of g centres, the nearest repeated if there are fewer.
 
-    ``points`` (b, p, 3), ``valid`` (b, p), ``centre`` (b, g, 3).
+    ``distance`` (b, g, p) as :func:`farthest_points` returns it: infinite for what is no point.
     """
-    distance = squared_distance(centre, points).masked_fill_(~valid[:, None], torch.inf)
-    if points.shape[1] < k:
-        pad = distance.new_full((*distance.shape[:2], k - points.shape[1]), torch.inf)
+    if distance.shape[-1] < k:
+        pad = distance.new_full((*distance.shape[:2], k - distance.shape[-1]), torch.inf)
         distance = torch.cat([distance, pad], 2)
     near, index = distance.topk(k, largest=False, sorted=True)
     return torch.where(near.isinf(), index[..., :1], index)
@@ -78,9 +75,8 @@ def patch_index(points: Tensor, valid: Tensor, num_patches: int, patch_size: int
 
     ``points`` (b, p, 3), ``valid`` (b, p). Turning, mirroring, scaling and moving a cloud does not change it.
     """
-    chosen, distinct = farthest_points(points, valid, num_patches)
-    centre = points.gather(1, chosen[..., None].expand(-1, -1, 3))
-    index = nearest_points(points, valid, centre, patch_size)
+    _, distinct, distance = farthest_points(points, valid, num_patches)
+    index = nearest_points(distance, patch_size)
     return torch.where(distinct[..., None], index, ~index)
 
 

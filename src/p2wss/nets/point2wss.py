@@ -70,7 +70,8 @@ class CloudEncoder(nn.Module):
         if self.ground_relative:
             where = torch.cat([where, where[..., 2:] - ground_z[:, None, None]], -1)
         cls = self.cls_token.expand(batch, 1, -1)
-        x = torch.cat([cls, self.reduce(self.embed(patches.points))], 1)
+        embedded = self.embed(patches.points) if self.training else self.embed.infer(patches.points)
+        x = torch.cat([cls, self.reduce(embedded)], 1)
         position = torch.cat([self.cls_position.expand(batch, 1, -1), self.position(where)], 1)
         return x, position, F.pad(patches.valid, (1, 0), value=True)
 
@@ -200,8 +201,11 @@ class EdgeAttention(nn.Module):
         logits = self.logits(h) - distance[..., None] * self.decay
         logits = logits.masked_fill(~patches.valid[:, None, :, None], -torch.inf)
         share = logits.softmax(2)
-        value = self.value(h).unflatten(-1, (self.num_heads, -1))
-        return self.out((share[..., None] * value).sum(2).flatten(2)) * visible
+        # the shares of a head add up to 1: what patches say is mixed before the value layer, once per edge
+        mixed = share.transpose(2, 3) @ h
+        weight = self.value.weight.unflatten(0, (self.num_heads, -1))
+        value = torch.einsum("bnhd,hod->bnho", mixed, weight).flatten(2) + self.value.bias
+        return self.out(value) * visible
 
 
 class Point2Wss(nn.Module):
@@ -326,13 +330,17 @@ class Point2Wss(nn.Module):
         ground_z: Tensor,
         cloud: Tensor,
         valid: Tensor,
+        asked: Tensor | None = None,
     ) -> Tensor:
-        """Logits (b, l, words) of partly masked sequences, given the ``cloud_features`` of their patches."""
+        """Logits (b, l, words) of partly masked sequences, given the ``cloud_features`` of their patches.
+
+        With ``asked``, int64 (r,), those at these positions only, (b, r, words), which takes less time.
+        """
         present = tokens != PAD
         edges = self._edges(tokens, num_vertices)
         x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, edges), present)
         x = self._look(x, edges, cloud, patches, ground_z)
-        return self.sequence_head(self.sequence_cross(x, present, None, cloud, valid))
+        return self.sequence_head(self.sequence_cross(x, present, None, cloud, valid, asked))
 
     def _edges(self, tokens: Tensor, num_vertices: Tensor) -> Tensor:
         value = self.sequence.get_buffer("word_value")

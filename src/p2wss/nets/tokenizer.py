@@ -222,6 +222,11 @@ class Tokenizer:
         kind = self.kinds(tokens.shape, parameters.num_vertices)
         return tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK), kind
 
+    def asked(self, n: int) -> Tensor:
+        """int64 (r,): positions of the digits of the height, then of the angles of n vertices, edge by edge."""
+        kind = torch.cat([self._header[1], self._block[1].repeat(n)])
+        return torch.cat([(kind == KIND_HEIGHT).nonzero()[:, 0], (kind == KIND_ANGLE).nonzero()[:, 0]])
+
     def _digits(self, value: Tensor, places: tuple[int, ...]) -> Tensor:
         """(..., len(places)) words of non-negative integers in units of the last place."""
         powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=value.device)

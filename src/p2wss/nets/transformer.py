@@ -61,10 +61,18 @@ class Block(nn.Module):
         self.drop_path = DropPath(drop_path)
 
     def forward(
-        self, x: Tensor, allowed: Tensor, source: Tensor | None = None, source_allowed: Tensor | None = None
+        self,
+        x: Tensor,
+        allowed: Tensor,
+        source: Tensor | None = None,
+        source_allowed: Tensor | None = None,
+        rows: Tensor | None = None,
     ) -> Tensor:
-        h = self.self_norm(x)
-        x = x + self.drop_path(self.self_attention(h, h, allowed))
+        """(b, l, dim), or (b, r, dim) if only ``rows``, int64 (r,), are asked for."""
+        h = query = self.self_norm(x)
+        if rows is not None:
+            x, query = x[:, rows], h[:, rows]
+        x = x + self.drop_path(self.self_attention(query, h, allowed))
         if source is not None and source_allowed is not None:
             x = x + self.drop_path(self.cross_attention(self.cross_norm(x), source, source_allowed))
         return x + self.drop_path(self.mlp(self.mlp_norm(x)))
@@ -94,13 +102,16 @@ class Encoder(nn.Module):
         position: Tensor | None = None,
         source: Tensor | None = None,
         source_valid: Tensor | None = None,
+        rows: Tensor | None = None,
     ) -> Tensor:
         """(b, l, dim). ``valid`` bool (b, l); ``source`` (b, s, dim) with ``source_valid`` bool (b, s).
 
-        ``position`` (b, l, dim) is added before every block (Point-BERT's habit for clouds).
+        ``position`` (b, l, dim) is added before every block (Point-BERT's habit for clouds). Whoever reads only
+        some ``rows``, int64 (r,), gets those, (b, r, dim): the last block computes no others.
         """
         allowed = valid[:, None, None]
         source_allowed = None if source_valid is None else source_valid[:, None, None]
         for block in self.blocks:
-            x = block(x if position is None else x + position, allowed, source, source_allowed)
+            asked = rows if block is self.blocks[-1] else None
+            x = block(x if position is None else x + position, allowed, source, source_allowed, asked)
         return self.norm(x)

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from torch.nn import functional as F
 
 from p2wss.nets.discrete_vae import (
+    PATCHES_AT_ONCE,
     DiscreteVae,
     DvaeSizes,
     EdgeConvolution,
@@ -64,6 +65,25 @@ def test_point_net_reads_each_point_beside_its_patchs_maximum() -> None:
     h = F.linear(both, weight, net.third_patch.bias).flatten(0, 1)
     expected = net.fourth(F.relu(net.third_norm(h))).view(2, 5, 7, 16).amax(2)
     assert torch.allclose(net(points), expected, atol=1e-5)
+
+
+def with_random_norms(net: MiniPointNet) -> MiniPointNet:
+    """In evaluation, with moments, scales and shifts that training might have left, negative scales too."""
+    for norm in (net.first_norm, net.third_norm):
+        torch.nn.init.normal_(norm.weight)
+        torch.nn.init.normal_(norm.bias)
+        torch.nn.init.normal_(norm.get_buffer("running_mean"))
+        torch.nn.init.uniform_(norm.get_buffer("running_var"), 0.1, 3)
+    return net.eval()
+
+
+def test_point_net_infers_what_it_says_in_evaluation() -> None:
+    torch.manual_seed(0)
+    net = with_random_norms(MiniPointNet(16))
+    points = torch.randn(3, 15, 7, 3)  # more patches than it embeds at once, and a rest
+    assert PATCHES_AT_ONCE < 3 * 15 and (3 * 15) % PATCHES_AT_ONCE
+    assert torch.allclose(net.infer(points), net(points), atol=2e-5)
+    assert net(points).std() > 0.1
 
 
 def test_point_net_does_not_see_the_order_of_points() -> None:

@@ -7,6 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from p2wss.nets.patches import farthest_points, make_patches, nearest_points
 
@@ -36,12 +37,15 @@ def brute_force_farthest(points: np.ndarray, num: int) -> list[int]:
 @given(st.integers(0, 2**32))
 def test_farthest_points_as_by_brute_force_and_never_padding(seed: int) -> None:
     points, valid = clouds(seed)
-    chosen, distinct = farthest_points(points, valid, 16)
+    chosen, distinct, distance = farthest_points(points, valid, 16)
     assert distinct.all()
+    assert (distance.isinf() == ~valid[:, None]).all()
     for row in range(3):
         own = np.flatnonzero(valid[row])
         expected = own[brute_force_farthest(points[row].numpy()[own].astype(float), 16)]
         assert chosen[row].tolist() == expected.tolist()
+        away = cdist(points[row, chosen[row]].numpy(), points[row].numpy()[own])
+        assert np.allclose(distance[row].numpy()[:, own], away**2, rtol=1e-4, atol=1e-6)
 
 
 @settings(max_examples=25, deadline=None)
@@ -49,7 +53,8 @@ def test_farthest_points_as_by_brute_force_and_never_padding(seed: int) -> None:
 def test_nearest_points_as_by_kd_tree_and_never_padding(seed: int) -> None:
     points, valid = clouds(seed)
     centre = points[:, :8] * valid[:, :8, None]
-    index = nearest_points(points, valid, centre, 12)
+    away = torch.from_numpy(np.array([cdist(*pair) for pair in zip(centre, points, strict=True)]))
+    index = nearest_points(away.float().masked_fill(~valid[:, None], torch.inf), 12)
     for row in range(3):
         own = np.flatnonzero(valid[row])
         _, expected = cKDTree(points[row].numpy()[own]).query(centre[row].numpy(), 12)

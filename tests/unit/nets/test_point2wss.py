@@ -11,11 +11,13 @@ import torch
 from torch.nn import functional as F
 
 from p2wss.nets import tokenizer as words
+from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
 from p2wss.nets.tokenizer import Tokenizer
 
+from .test_discrete_vae import with_random_norms
 from .test_tokenizer import buildings
 
 SIZES = replace(tiny_network.SIZES, num_tokens=20)
@@ -48,6 +50,31 @@ def test_padding_of_the_sequence_changes_nothing() -> None:
     alone = model.restore(tokens[one, :length], num[one], few, torch.zeros(1), cloud[one], valid[one])
     assert length < tokens.shape[1]
     assert torch.allclose(together[shortest, :length], alone[0], atol=1e-5)
+
+
+def test_inference_says_what_the_plain_network_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folded norms and the asked positions only, on padded clouds and sequences, against neither of the two."""
+    tok = Tokenizer()
+    model = network()
+    with_random_norms(model.cloud.embed)
+    patches, tokens, num = sample()
+    patches.valid[1, 7:] = False
+    kind = tok.kinds(tokens.shape, num)
+    tokens = tokens.masked_fill((kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE), words.MASK)
+    asked = tok.asked(int(num.max()))
+    ground = torch.randn(4)
+
+    def logits(positions: torch.Tensor | None) -> torch.Tensor:
+        cloud, valid = model.cloud_features(patches, ground)
+        return model.restore(tokens, num, patches, ground, cloud, valid, positions)
+
+    model.eval()
+    found = logits(asked)
+    monkeypatch.setattr(MiniPointNet, "infer", MiniPointNet.forward)
+    plain = logits(None)
+    assert found.shape == (4, len(asked), tok.num_words) and len(asked) < plain.shape[1]
+    assert torch.allclose(found, plain[:, asked], atol=2e-5)
+    assert plain[:, asked].std() > 0.1
 
 
 def test_repeated_patches_change_nothing() -> None:
@@ -132,6 +159,24 @@ def test_edges_look_at_patches_in_their_own_frame() -> None:
     centre[:, 3] += 5
     some, other = (Patches(c, patches.points, valid) for c in (patches.centre, centre))
     assert torch.equal(seen(0, some), seen(0, other))
+
+
+def test_edges_mix_what_the_value_layer_says_of_each_patch() -> None:
+    """Mixing before the value layer is mixing behind it: here every pair of edge and patch has its value."""
+    torch.manual_seed(0)
+    look = EdgeAttention(16, 2)
+    look.decay.data.zero_()
+    patches, tokens, num = sample()
+    patches.valid[1, 7:] = False
+    tok = Tokenizer()
+    edges = edge_features(tok, tokens, num, tok.word_value, 0.1)
+    pairs: list[torch.Tensor] = []
+    look.logits.register_forward_pre_hook(lambda _module, inputs: pairs.append(inputs[0]))
+    found = look(edges, torch.randn(4, 12, 16), patches, torch.randn(4))
+    share = look.logits(pairs[0]).masked_fill(~patches.valid[:, None, :, None], -torch.inf).softmax(2)
+    value = look.value(pairs[0]).unflatten(-1, (2, 8))
+    mixed = (share[..., None] * value).sum(2).flatten(2)
+    assert torch.allclose(found, look.out(mixed) * edges[..., :1], atol=1e-6)
 
 
 @pytest.mark.parametrize("balanced", [False, True])

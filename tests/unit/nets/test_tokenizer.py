@@ -125,6 +125,14 @@ def test_inference_sequence_hides_height_and_angles_only() -> None:
     assert torch.equal(kind == words.KIND_PAD, full == words.PAD)
 
 
+def test_asked_are_the_digits_of_height_and_angles_edge_by_edge() -> None:
+    tok = Tokenizer()
+    kind = tok.kinds(torch.Size([1, tok.length(5)]), torch.tensor([5]))[0]
+    asked = tok.asked(5)
+    assert kind[asked].tolist() == [words.KIND_HEIGHT] * 4 + [words.KIND_ANGLE] * 10
+    assert torch.equal(asked[4:], torch.nonzero(kind == words.KIND_ANGLE)[:, 0])
+
+
 @pytest.mark.parametrize("value", [100.0, -0.01])
 def test_heights_that_do_not_fit_are_refused(value: float) -> None:
     tok = Tokenizer()
