@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import shapely
 
+from p2wss.confidence import expected_share
 from p2wss.config import Reconstruct
 from p2wss.inference import (
     NO_POINT,
@@ -115,8 +116,9 @@ class _One:
             found = self.found(len(found.parts) - 1, boxes)
 
     def confidence(self, found: _Found) -> float | None:
-        """From 0 to 1, or none."""
-        return None if self.start is None else self.start.confidence
+        """The expected share of its numbers that are right."""
+        odds = None if self.start is None else self.start.class_probability
+        return expected_share(self.fitter, found.parts, found.point_m, odds)
 
     def with_boxes(self, made: Reconstruction, found: _Found) -> Reconstruction:
         """The building with the boxes that its points show above its roof, as many as have a closed union with it.

@@ -197,7 +197,7 @@ MEASURES = pa.schema(
             "roof_kind", pa.string(), "by the angles of this reconstruction; null where it has none", True
         ),
         _field("visible_roof_share", pa.float32(), "as in the crop"),
-        _field("confidence", pa.float32(), "of the reconstruction; null where unknown", True),
+        _field("confidence", pa.float32(), "expected share of right numbers; null where unknown", True),
         _field(
             "num_parts", pa.int32(), "of the reconstruction, with a height each; null without a mesh", True
         ),

@@ -262,14 +262,16 @@ class Prediction:
 
     eave_height_m: float (b,), gutter above ground. angle_deg: per building one value per edge over all rings,
     in the order of the rings given; class_probability: (.., 3) likewise, of 0 degrees, of 90 degrees and of a
-    slope. confidence: float (b,), the probability that the height is within 0.5 m
-    and, on average over the edges, an angle within 5 degrees: the mean of the two. A footprint too large for
-    the number format has NaN everywhere and confidence 0.
+    slope. probability: per building (1 + v,), as the network tells it: that the height is within 0.5 m and each
+    angle of the exterior within 5 degrees. confidence: float (b,), the share of these that is to be expected
+    (:func:`p2wss.nets.decoding.expected_share`). A footprint too large for the number format has NaN everywhere,
+    no probability and confidence 0.
     """
 
     eave_height_m: np.ndarray
     angle_deg: list[np.ndarray]
     class_probability: list[np.ndarray]
+    probability: list[np.ndarray]
     confidence: np.ndarray
 
 
@@ -319,16 +321,18 @@ class Predictor:
         confidence = np.zeros(len(points_m))
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
         odds = [np.full((len(own), 3), 1 / 3) for own in angle]
+        probability = [np.zeros(0)] * len(points_m)
         for index, batch in self._batches(points_m, exterior):
             heights, angles, classes, sure = self._decode(batch)
             for row, i in enumerate(index):
-                height[i], confidence[i] = heights[row], sure[row]
+                height[i], probability[i] = heights[row], sure[row, : 1 + len(exterior[i])]
+                confidence[i] = decoding.expected_share(probability[i])
                 own = angles[row, : len(exterior[i])]
                 odds[i][: len(own)] = classes[row, : len(own)]
                 angle[i][: len(own)] = own
                 if len(rings[i]) > 1:
                     angle[i][len(own) :] = _courtyard_angle(own)
-        return Prediction(height, angle, odds, confidence)
+        return Prediction(height, angle, odds, probability, confidence)
 
     def reconstruct_all_masked(
         self,
@@ -427,8 +431,8 @@ class Predictor:
 
     @torch.inference_mode()
     def _decode(self, batch: Batch) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Heights (b,) m, angles (b, n) degrees, probabilities of their classes (b, n, 3) and confidence (b,) of
-        a centred batch, footprint given.
+        """Heights (b,) m, angles (b, n) degrees, probabilities of their classes (b, n, 3) and of the height and
+        each angle to be right (b, 1 + n) of a centred batch, footprint given.
 
         The probabilities of ``num_rotations`` views are averaged before anything is decided.
         """
@@ -451,15 +455,13 @@ class Predictor:
         angles = decoding.constrain(angles, decoding.angle_support(decode.angle_support).to(self.device))
         height, angle = decoding.decode(heights, decode.mode), decoding.decode(angles, decode.mode)
         unit = 10.0 ** tokenizer.height_places[-1]
-        inside = torch.arange(angle.shape[1], device=self.device) < batch.num_vertices[:, None]
         sure_height = decoding.mass_near(heights, height, round(decoding.CONFIDENT_HEIGHT_M / unit))
         sure_angle = decoding.mass_near(angles, angle, decoding.CONFIDENT_ANGLE_DEG)
-        sure_angle = (sure_angle * inside).sum(1) / batch.num_vertices
         return (
             (height * unit).cpu().numpy(),
             angle.double().cpu().numpy(),
             decoding.class_probability(angles).double().cpu().numpy(),
-            ((sure_height + sure_angle) / 2).cpu().numpy(),
+            torch.cat([sure_height[:, None], sure_angle], 1).double().cpu().numpy(),
         )
 
     @torch.inference_mode()

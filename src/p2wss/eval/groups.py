@@ -11,7 +11,8 @@ import pyarrow.compute as pc
 
 from p2wss.eval.predict import FIT, NETWORK, REFINED
 from p2wss.eval.tables import numbers
-from p2wss.metrics.calibration import Bin, calibration_error, reliability
+from p2wss.metrics import calibration as metrics
+from p2wss.metrics.calibration import Calibration
 
 KIND = "kind"
 BY = {
@@ -19,8 +20,10 @@ BY = {
     "num_vertices": "Edges of the footprint",
     "density_per_m2": "Points per m²",
     "visible_roof_share": "Visible share of the roof",
-    "confidence": "Confidence of the network",
+    "confidence": "Confidence",
 }
+# methods that state a confidence, the best first
+STATED = (REFINED, FIT, NETWORK)
 MEDIANS = ("chamfer_m", "roof_chamfer_m", "points_to_mesh_m", "height_rmse_m")
 MEANS = ("height_error_m", "angle_error_deg")
 HEADER = ("dataset", "by", "group", "method", "num_buildings", "num_meshes")
@@ -63,34 +66,38 @@ def group_of_building(measures: pa.Table, by: str) -> dict[tuple[str, str], str]
     return dict(zip(keys, names, strict=True)) if len(set(names)) > 1 else {}
 
 
-def calibration(measures: pa.Table, dataset: str, method: str) -> tuple[list[Bin], float]:
-    """Bins of stated confidence and observed share of right values, and their mean gap."""
+def calibration(measures: pa.Table, dataset: str, method: str) -> Calibration:
+    """The stated confidence against the observed share of right values."""
     own = measures.filter(
         pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
     )
-    bins = reliability(numbers(own, "confidence"), numbers(own, "right_share"))
-    return bins, calibration_error(bins)
+    return metrics.calibration(numbers(own, "confidence"), numbers(own, "right_share"))
 
 
 def calibration_table(measures: pa.Table, datasets: Sequence[str]) -> list[list[Any]]:
     """Header and a row per data set, method of ours and bin; the last of each is all of them together."""
     rows: list[list[Any]] = [
-        ["dataset", "method", "from", "to", "num_buildings", "stated", "observed", "mean_gap"]
-    ]
+        ["dataset", "method", "from", "to", "num_buildings", "stated", "observed", "mean_gap", "auc",
+         "correlation"]
+    ]  # fmt: skip
     for dataset in datasets:
-        for method in (NETWORK, REFINED):
-            bins, gap = calibration(measures, dataset, method)
-            for own in bins:
+        for method in STATED:
+            found = calibration(measures, dataset, method)
+            for own in found.bins:
                 rows.append(
                     [dataset, method, own.low, own.high, own.count, own.stated, own.observed,
-                     abs(own.stated - own.observed)]
+                     abs(own.stated - own.observed), None, None]
                 )  # fmt: skip
-            if bins:
-                count = sum(own.count for own in bins)
-                stated = sum(own.count * own.stated for own in bins) / count
-                observed = sum(own.count * own.observed for own in bins) / count
-                rows.append([dataset, method, 0.0, 1.0, count, stated, observed, gap])
+            if found.bins:
+                rows.append(
+                    [dataset, method, 0.0, 1.0, found.count, found.stated, found.observed, found.gap,
+                     _known(found.auc), _known(found.correlation)]
+                )  # fmt: skip
     return rows
+
+
+def _known(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _keys(measures: pa.Table) -> list[tuple[str, str]]:
@@ -98,12 +105,12 @@ def _keys(measures: pa.Table) -> list[tuple[str, str]]:
 
 
 def _values(measures: pa.Table, by: str) -> dict[tuple[str, str], float]:
-    """What is known of each building by the first row that knows it."""
+    """What is known of each building by the first row that knows it; the confidence of our best variant."""
     found: dict[tuple[str, str], float] = {}
     methods = measures["method"].to_pylist()
+    best = next((method for method in STATED if method in methods), None)
     for key, value, method in zip(_keys(measures), measures[by].to_pylist(), methods, strict=True):
-        # the refined network hands the network's confidence on; the others have none
-        if value is not None and np.isfinite(value) and (by != "confidence" or method == NETWORK):
+        if value is not None and np.isfinite(value) and (by != "confidence" or method == best):
             found.setdefault(key, float(value))
     return found
 

@@ -256,15 +256,16 @@ def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, 
 def _calibration(
     inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """Reliability diagrams of the data sets with labels, with the mean gap per method."""
+    """Reliability diagrams of the data sets with labels, with a few numbers per method."""
     found = []
     for dataset, title in names.items():
-        made = {method: groups.calibration(inputs.measures, dataset, method) for method in (NETWORK, REFINED)}
-        bins = {method: own for method, (own, _) in made.items() if own}
-        if bins:
+        made = {method: groups.calibration(inputs.measures, dataset, method) for method in groups.STATED}
+        known = {method: own for method, own in made.items() if own.bins}
+        if known:
+            bins = {method: own.bins for method, own in known.items()}
             image = figures.data_uri(figures.reliability_diagram(bins, methods, f"{title}: confidence"))
-            gaps = [(methods[method], gap) for method, (own, gap) in made.items() if own]
-            found.append({"image": image, "gaps": gaps, "title": title})
+            told = [(methods[method], own) for method, own in known.items()]
+            found.append({"image": image, "told": told, "title": title})
     return found
 
 

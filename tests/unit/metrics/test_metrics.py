@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from scipy.stats import kstest
 
 from p2wss.metrics.absolute_error import absolute_error, vertex_error
-from p2wss.metrics.calibration import calibration_error, reliability
+from p2wss.metrics.calibration import calibration, calibration_error, rank_auc, reliability
 from p2wss.metrics.chamfer import chamfer_distance_m
 from p2wss.metrics.height import height_rmse_m, surface_height_m
 from p2wss.metrics.mesh_facts import mesh_facts
@@ -206,3 +206,16 @@ def test_reliability_finds_what_the_sample_was_drawn_from() -> None:
     assert calibration_error(reliability(confidence, modest.astype(float))) == pytest.approx(1 / 6, abs=0.02)
     assert reliability(np.array([1.0, np.nan]), np.array([1.0, 1.0]))[0].count == 1
     assert np.isnan(calibration_error([]))
+
+
+def test_ranking_is_the_share_of_pairs_in_order() -> None:
+    draw = np.random.default_rng(6)
+    score, good = draw.integers(0, 9, 60) / 9, draw.random(60) < 0.4
+    pairs = [(a > b) + 0.5 * (a == b) for a in score[good] for b in score[~good]]
+    assert rank_auc(score, good) == pytest.approx(np.mean(pairs))
+    assert np.isnan(rank_auc(score, np.ones(60, bool)))
+    found = calibration(np.append(score, np.nan), np.append(good, 1.0))
+    assert (found.count, found.auc) == (60, pytest.approx(np.mean(pairs)))
+    assert found.stated == pytest.approx(score.mean()) and found.observed == pytest.approx(good.mean())
+    assert np.isnan(calibration(np.full(3, 0.5), np.array([0.0, 0.5, 1])).correlation)
+    assert calibration(np.zeros(0), np.zeros(0)).count == 0
