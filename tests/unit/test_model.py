@@ -135,12 +135,15 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
     assert np.array_equal(np.concatenate(found.angle_deg) - labelled.angle_deg, angle)
 
 
-def test_errors_come_in_the_order_asked_for(predictor: Predictor, labelled: Buildings) -> None:
+def test_errors_come_in_the_order_asked_for(
+    predictor: Predictor, labelled: Buildings, monkeypatch: pytest.MonkeyPatch
+) -> None:
     order = np.random.default_rng(0).permutation(len(labelled))
     height, angle = predictor.errors(labelled, np.arange(len(labelled)))
-    shuffled_height, shuffled_angle = predictor.errors(labelled, order)
-    assert np.allclose(height[order], shuffled_height, atol=0.011)
-    assert np.array_equal(angle.reshape(-1, 4)[order], shuffled_angle.reshape(-1, 4))
+    monkeypatch.setattr(predictor, "_alike", lambda *_: np.split(np.roll(order, 5), [7]))
+    other_height, other_angle = predictor.errors(labelled, order)
+    assert np.allclose(height[order], other_height, atol=0.011)
+    assert np.array_equal(angle.reshape(-1, 4)[order], other_angle.reshape(-1, 4))
 
 
 def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predictor) -> None:
