@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -16,6 +17,7 @@ from torch.nn import functional as F
 from p2wss import parallel
 from p2wss.nets.layers import BatchNorm, PlaceLinear
 from p2wss.nets.patches import Patches, squared_distance
+from p2wss.nets.pointwise import norm_relu_linear
 
 NUM_NEIGHBOURS = 4
 NORM_GROUPS = 4
@@ -28,7 +30,8 @@ class MiniPointNet(nn.Module):
     """Patch points (b, g, k, 3) to one embedding per patch (b, g, dim).
 
     Widths dim/2, dim, 2 dim, dim. The second block reads each point beside its patch's maximum; the weight of
-    that pair is split, so that the maximum's half is multiplied once per patch and not once per point.
+    that pair is split, so that the maximum's half is multiplied once per patch and not once per point. The
+    point's half follows on a layer without an activation in between: both are multiplied before the points.
     """
 
     def __init__(self, dim: int) -> None:
@@ -42,13 +45,15 @@ class MiniPointNet(nn.Module):
         self.fourth = nn.Linear(2 * dim, dim)
 
     def forward(self, points: Tensor) -> Tensor:
-        batch, groups, k, _ = points.shape
-        x = points.reshape(batch * groups * k, 3)
-        x = self.second(F.relu(self.first_norm(self.first(x))))
-        patch = x.view(-1, k, x.shape[-1]).amax(1)
-        x = self.third_point(x).view(-1, k, self.third_point.out_features) + self.third_patch(patch)[:, None]
-        x = self.fourth(F.relu(self.third_norm(x.flatten(0, 1))))
-        return x.view(batch, groups, k, -1).amax(2)
+        x = self.first(points.flatten(0, 1))
+        second, third = self.second, self.third_point
+        weight = torch.cat([second.weight, third.weight @ second.weight])
+        bias = torch.cat([second.bias, third.weight @ second.bias])
+        patch, x = norm_relu_linear(x, self.first_norm, weight, bias, second.out_features)
+        fourth = self.fourth
+        x = x.add_(self.third_patch(patch)[:, None])
+        x, _ = norm_relu_linear(x, self.third_norm, fourth.weight, fourth.bias, fourth.out_features)
+        return x.unflatten(0, points.shape[:2])
 
     def infer(self, points: Tensor) -> Tensor:
         """What :meth:`forward` says in evaluation mode, to rounding, in less than half of the time; no gradients.
@@ -93,10 +98,12 @@ class EdgeConvolution(nn.Module):
         from_self = F.linear(x, self.self.weight - self.difference.weight).float()
         mean, variance = self._moments(from_neighbour, from_self, adjacency, neighbour.shape[-1])
         scale = self.norm.weight * (variance + self.norm.eps).rsqrt()
-        # which neighbour is the largest after the scale: found without, fetched with gradients
-        with torch.no_grad():
-            winner = _largest_neighbour(from_neighbour * torch.sign(self.norm.weight), neighbour)
-        y = (from_neighbour.gather(1, winner) + from_self - mean) * scale + self.norm.bias
+        # a negative scale makes the smallest neighbour the largest
+        sign = torch.where(self.norm.weight < 0, -1.0, 1.0)
+        batch, groups, dim = from_self.shape
+        rows = neighbour + groups * torch.arange(batch, device=x.device)[:, None, None]
+        largest = _LargestNeighbour.apply((from_neighbour * sign).view(-1, dim), rows.flatten(0, 1))
+        y = (largest.view_as(from_self) * sign + from_self - mean) * scale + self.norm.bias
         return F.leaky_relu(y, 0.2)
 
     def _moments(
@@ -120,18 +127,30 @@ def _over_groups(x: Tensor) -> Tensor:
     return groups.mean(-1, keepdim=True).expand_as(groups).flatten(1)
 
 
-def _largest_neighbour(x: Tensor, neighbour: Tensor) -> Tensor:
-    """int64 (b, g, dim): per channel the index of the neighbour with the largest value; ``x`` (b, g, dim)."""
-    batch, groups, k = neighbour.shape
-    rows = (neighbour + groups * torch.arange(batch, device=x.device)[:, None, None]).flatten(0, 1)
-    flat = x.flatten(0, 1)
-    best, winner = flat[rows[:, 0]], neighbour.flatten(0, 1)[:, :1].expand(-1, x.shape[-1])
-    for i in range(1, k):
-        value = flat[rows[:, i]]
-        larger = value > best
-        best = torch.where(larger, value, best)
-        winner = torch.where(larger, neighbour.flatten(0, 1)[:, i, None], winner)
-    return winner.view(batch, groups, -1)
+class _LargestNeighbour(torch.autograd.Function):
+    """(n, dim): per channel the largest value of the rows ``neighbour`` (n, k) of ``x`` (n, dim).
+
+    By hand, because a maximum with its index is ten times slower than one without.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, neighbour: Tensor) -> Tensor:
+        largest = x.index_select(0, neighbour[:, 0])
+        for row in neighbour.T[1:]:
+            largest = torch.maximum(largest, x.index_select(0, row), out=largest)
+        ctx.save_for_backward(x, neighbour, largest)
+        return largest
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        x, neighbour, largest = ctx.saved_tensors
+        found, left = torch.zeros_like(x), gradient.clone()
+        for row in neighbour.T:
+            # the first of equals takes all
+            share = x.index_select(0, row).eq_(largest).mul_(left)
+            found.index_add_(0, row, share)
+            left -= share
+        return found, None
 
 
 def adjacency_matrix(neighbour: Tensor) -> Tensor:
@@ -192,12 +211,14 @@ class FoldingDecoder(nn.Module):
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         batch, groups, _ = x.shape
         coarse = self.coarse(x).view(batch, groups, self.num_coarse, 3)
-        centre = coarse.repeat_interleave(4, 2)
-        seeds = self.get_buffer("seeds").to(centre.dtype).repeat(self.num_coarse, 1)
-        point = torch.cat([seeds.expand(batch, groups, -1, -1), centre], -1)
-        h = (self.from_point(point) + self.from_feature(x)[:, :, None]).flatten(0, 2)
-        h = F.relu(self.middle_norm(self.middle(F.relu(self.norm(h)))))
-        return coarse, centre + self.last(h).view(centre.shape)
+        seeds = self.get_buffer("seeds").to(coarse.dtype)
+        from_seed = self.from_point(F.pad(seeds, (0, 3)))[None]
+        from_coarse = self.from_point(F.pad(coarse, (2, 0))) + self.from_feature(x)[:, :, None]
+        middle, last = self.middle, self.last
+        offset = from_coarse.flatten(0, 2)
+        _, h = norm_relu_linear(from_seed, self.norm, middle.weight, middle.bias, offset=offset)
+        _, fold = norm_relu_linear(h, self.middle_norm, last.weight, last.bias)
+        return coarse, (coarse[..., None, :] + fold.view(*coarse.shape[:-1], 4, 3)).flatten(2, 3)
 
 
 @dataclass(frozen=True)
@@ -230,7 +251,9 @@ class DiscreteVae(nn.Module):
     @torch.no_grad()
     def tokens(self, patches: Patches) -> Tensor:
         """int64 (b, g): the most probable code of each patch, without Gumbel noise."""
-        return self.logits(patches).argmax(-1)
+        if self.training:
+            return self.logits(patches).argmax(-1)
+        return self.to_logits(self.encoder.infer(patches.points), centre_graph(patches)).argmax(-1)
 
     def forward(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
         """Reconstruction (Chamfer-L1 of coarse and fine), divergence from the uniform code, codes used."""
@@ -264,11 +287,23 @@ def chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
 
     The mean over patches leaves out those that are not ``valid`` (b, g).
     """
-    distance = squared_distance(made.float(), given)
-    # the root has no finite slope at 0
-    forth = distance.amin(-1).clamp_min(1e-12).sqrt().mean(-1)
-    back = distance.amin(-2).clamp_min(1e-12).sqrt().mean(-1)
+    made = made.float()
+    # which points are nearest is found without gradients: those of all pairs would cost more than all else
+    with torch.no_grad():
+        distance = squared_distance(made, given)
+        to_given, to_made = distance.min(-1)[1], distance.min(-2)[1]
+    forth = _distance(made, _pick(given, to_given)).mean(-1)
+    back = _distance(_pick(made, to_made), given).mean(-1)
     return ((forth + back) * valid).sum() / (2 * parallel.average_count(valid.sum()))
+
+
+def _pick(points: Tensor, index: Tensor) -> Tensor:
+    return points.gather(2, index[..., None].expand(-1, -1, -1, 3))
+
+
+def _distance(a: Tensor, b: Tensor) -> Tensor:
+    # the root has no finite slope at 0
+    return (a - b).square().sum(-1).clamp_min(1e-12).sqrt()
 
 
 def _masked_mean(x: Tensor, valid: Tensor) -> Tensor:

@@ -19,14 +19,18 @@ class BatchNorm(nn.BatchNorm1d):
         # equally many rows in each process
         mean, square = parallel.average(torch.stack([rows.mean(0), rows.square().mean(0)]))
         var = square - mean.square()
-        with torch.no_grad():
-            count = len(x) * parallel.num_processes()
-            momentum = self.momentum or 0.0
-            self.get_buffer("running_mean").lerp_(mean, momentum)
-            self.get_buffer("running_var").lerp_(var * (count / (count - 1)), momentum)
-            self.get_buffer("num_batches_tracked").add_(1)
+        self.track(mean, var, len(x) * parallel.num_processes())
         scale = self.weight * torch.rsqrt(var + self.eps)
         return (rows * scale + (self.bias - mean * scale)).to(x.dtype)
+
+    @torch.no_grad()
+    def track(self, mean: Tensor, var: Tensor, count: int) -> None:
+        """Follow the moments (channels,) of ``count`` rows."""
+        momentum = self.momentum or 0.0
+        for name, value in (("running_mean", mean), ("running_var", var * (count / (count - 1)))):
+            buffer = self.get_buffer(name)
+            buffer.lerp_(value.to(buffer.dtype), momentum)
+        self.get_buffer("num_batches_tracked").add_(1)
 
     def scale_and_shift(self) -> tuple[Tensor, Tensor]:
         """The norm of evaluation, ``x * scale + shift``, each (channels,): what a neighbouring layer can absorb."""
