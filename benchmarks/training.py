@@ -1,11 +1,14 @@
 """Speed of loading, of both training stages and of inference, against plain implementations in the same run.
 
-    python benchmarks/training.py [--config config/models/cpu.yaml] [--num 4000] [--steps 3] [--compile]
+    python benchmarks/training.py [--config config/models/cpu.yaml] [--num 4000] [--steps 3] [--batch N] [--compile]
 
-All speeds are CPU time of one thread, on clouds and outlines drawn here. The reference does what the paper
-and Point-BERT describe, operation by operation: point and patch features joined before the layer, edge
-convolutions on gathered features with the graph found anew each time, every sequence padded to the longest,
-all four losses on the whole batch. ``--compile`` compiles our networks (``compute.compile``), not the reference's.
+All speeds are CPU time of one thread, on clouds and outlines drawn here; steps of ours and of the reference
+take turns, and the fastest of each counts for the dvae, the mean for the model, whose batches differ. The
+reference does what the paper and Point-BERT describe, operation by operation: point and patch features joined
+before the layer, edge convolutions on gathered features with the graph found anew each time, the distances of
+all pairs of points in the loss, every sequence padded to the longest, all four losses on the whole batch.
+``--batch`` shrinks the batches of both, in float32, for large networks on few cores; it leaves inference out.
+``--compile`` compiles our networks (``compute.compile``), not the reference's.
 """
 
 from __future__ import annotations
@@ -19,22 +22,24 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from unittest import mock
+from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
 from figures import Figures, cpu_seconds, peak_mib
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 from p2wss import dataset, dvae, model
 from p2wss.config import Config, load
+from p2wss.config import Dvae as DvaeConfig
 from p2wss.dataset import Buildings
 from p2wss.nets import discrete_vae, point2wss
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.patches import Patches
+from p2wss.nets.patches import Patches, squared_distance
 
 # vertices of outlines and how often they occur, about as in the miniature's town
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
@@ -105,18 +110,43 @@ class PlainPointNet(discrete_vae.MiniPointNet):
         x = F.conv1d(x, self.fourth.weight[..., None], self.fourth.bias)
         return x.amax(2).view(batch, groups, -1)
 
+    def infer(self, points: Tensor) -> Tensor:
+        return self.forward(points)
 
-def plain(vae: DiscreteVae) -> DiscreteVae:
+
+class PlainDecoder(discrete_vae.FoldingDecoder):
+    """Every point of the fold is joined with its patch's features."""
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        coarse = self.coarse(x).unflatten(-1, (self.num_coarse, 3))
+        centre = coarse.repeat_interleave(4, 2)
+        seeds = self.get_buffer("seeds").repeat(self.num_coarse, 1).expand(*x.shape[:2], -1, -1)
+        joined = torch.cat([x[:, :, None].expand(-1, -1, centre.shape[2], -1), seeds, centre], -1)
+        weight = torch.cat([self.from_feature.weight, self.from_point.weight], 1)
+        h = F.relu(self.norm(F.linear(joined, weight, self.from_feature.bias).flatten(0, 2)))
+        h = F.relu(self.middle_norm(self.middle(h)))
+        return coarse, centre + self.last(h).view(centre.shape)
+
+
+def plain_chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
+    """Through the distances of all pairs."""
+    distance = squared_distance(made, given)
+    forth = distance.amin(-1).clamp_min(1e-12).sqrt().mean(-1)
+    back = distance.amin(-2).clamp_min(1e-12).sqrt().mean(-1)
+    return ((forth + back) * valid).sum() / (2 * valid.sum())
+
+
+def plain(network: nn.Module) -> None:
     """The same weights in the reference's classes."""
-    for part in vae.modules():
+    for part in network.modules():
         for ours, theirs in (
             (discrete_vae.EdgeConvolution, PlainEdgeConvolution),
             (discrete_vae.Dgcnn, PlainDgcnn),
             (discrete_vae.MiniPointNet, PlainPointNet),
+            (discrete_vae.FoldingDecoder, PlainDecoder),
         ):
             if type(part) is ours:
                 part.__class__ = theirs
-    return vae
 
 
 # --- measuring ---
@@ -148,16 +178,54 @@ def optimised(task: dvae._Task | model._Task, compiled: bool = False) -> Callabl
     return step
 
 
-def mean_step(task: dvae._Task | model._Task, steps: int, compiled: bool = False) -> float:
-    """CPU seconds per step, over different batches."""
-    step = optimised(task, compiled)
+def alternating(
+    ours: Callable[[int], None], theirs: Callable[[int], None], steps: int, compiled: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """CPU seconds (steps,) of both. They take turns, because the machine's own speed drifts."""
     # lengths differ: the second batch compiles for any
-    for number in (0, *(range(1, 9) if compiled else ())):
-        step(number)
-    start = time.process_time()
-    for number in range(100, 100 + steps):
-        step(number)
-    return (time.process_time() - start) / steps
+    for number in range(9 if compiled else 1):
+        ours(number)
+    theirs(0)
+    took = np.empty((2, steps))
+    for number in range(steps):
+        for row, step in zip(took, (ours, theirs), strict=True):
+            start = time.process_time()
+            step(100 + number)
+            row[number] = time.process_time() - start
+    return took[0], took[1]
+
+
+@contextmanager
+def plain_patches(vae: DiscreteVae) -> Iterator[None]:
+    """Tell the reference's graphs where the centres are, and measure patches through all pairs of points."""
+    real, chamfer = dvae.patches_of, discrete_vae.chamfer_l1
+
+    def patches_of(*arguments: Any) -> Patches:
+        found = real(*arguments)
+        for part in vae.modules():
+            if isinstance(part, PlainDgcnn):
+                part.centre = found.centre
+        return found
+
+    dvae.patches_of, discrete_vae.chamfer_l1 = patches_of, plain_chamfer_l1
+    try:
+        yield
+    finally:
+        dvae.patches_of, discrete_vae.chamfer_l1 = real, chamfer
+
+
+def cutting(buildings: Buildings, config: DvaeConfig) -> tuple[Buildings, float, float]:
+    """The buildings with patches kept, and CPU seconds per batch to compute patches and to fetch them."""
+    cut = dataset.Cut(config.num_points, config.num_patches, config.patch_size)
+    kept = dataset.with_patches(buildings, cut, torch.device("cpu"))
+    whole = np.flatnonzero(np.diff(buildings.point_offset) <= config.num_points)
+    index = np.random.default_rng(0).choice(whole, config.optimiser.batch_size)
+    batch = kept.batch(index, config.num_points, None)
+    computed = cpu_seconds(
+        lambda: dvae.patches_of(replace(batch, patch_index=None), config.num_patches, config.patch_size)
+    )
+    fetched = cpu_seconds(lambda: dvae.patches_of(batch, config.num_patches, config.patch_size))
+    return kept, computed, fetched
 
 
 def loading(buildings: Buildings, config: Config, folder: Path) -> tuple[float, float]:
@@ -192,38 +260,7 @@ def inference(config: Config, num: int) -> dict[str, float]:
     start = time.process_time()
     predictor.predict(clouds, rings)
     took = time.process_time() - start
-    ours = {"per_s": num / took, "peak_mib": peak_mib()}
-    # side by side on a few: the speed of a shared machine drifts
-    few = slice(0, 128)
-    both = []
-    for _ in range(3):
-        start = time.process_time()
-        predictor.predict(clouds[few], rings[few])
-        middle = time.process_time()
-        with plain_inference():
-            predictor.predict(clouds[few], rings[few])
-        both.append((time.process_time() - middle) / (middle - start))
-    return {**ours, "over_reference": sorted(both)[1]}
-
-
-@contextmanager
-def plain_inference() -> Iterator[None]:
-    """Every position's answer, norms as layers of their own, batches in the order given."""
-
-    def in_order(predictor: model.Predictor, _: object, num_vertices: np.ndarray) -> Iterator[np.ndarray]:
-        for first in range(0, len(num_vertices), predictor._batch_size):
-            yield np.arange(len(num_vertices))[first : first + predictor._batch_size]
-
-    def all_positions(network: point2wss.Point2Wss, *arguments: Tensor) -> Tensor:
-        return restore(network, *arguments[:-1])[:, arguments[-1]]
-
-    restore = point2wss.Point2Wss.restore
-    with (
-        mock.patch.object(model.Predictor, "_alike", in_order),
-        mock.patch.object(point2wss.Point2Wss, "restore", all_positions),
-        mock.patch.object(discrete_vae.MiniPointNet, "infer", PlainPointNet.forward),
-    ):
-        yield
+    return {"per_s": num / took, "peak_mib": peak_mib()}
 
 
 def in_fresh_process(config: str, num: int) -> dict[str, float]:
@@ -238,11 +275,16 @@ def main() -> int:
     parser.add_argument("--config", default="config/models/cpu.yaml")
     parser.add_argument("--num", type=int, default=4000, help="buildings")
     parser.add_argument("--steps", type=int, default=3, help="measured steps of each kind")
+    parser.add_argument("--batch", type=int, help="size of the batches of both stages; no inference")
     parser.add_argument("--compile", action="store_true", help="compile our networks first")
     parser.add_argument("--inference", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     config = load(options.config)
+    if options.batch:
+        change = {"optimiser": {"batch_size": options.batch}, "compute": {"precision": "float32"}}
+        small = {"dvae": change, "model": change}
+        config = load(options.config, small)
     if options.inference:
         print(json.dumps(inference(config, options.inference)))
         return 0
@@ -253,29 +295,25 @@ def main() -> int:
         rate, batch_s = loading(buildings, config, Path(folder))
     figures.at_least("clouds per s and core from the cache", rate, 50_000)
 
+    kept, computed, fetched = cutting(buildings, config.dvae)
     torch.manual_seed(0)
-    vae = DiscreteVae(dvae.sizes(config.dvae))
-    ours = mean_step(
-        dvae._Task(vae, buildings, buildings, config.dvae, device), options.steps, options.compile
-    )
-    reference = plain(DiscreteVae(dvae.sizes(config.dvae)))
-    task = dvae._Task(reference, buildings, buildings, config.dvae, device)
-    real = dvae.patches_of
+    vae, plain_vae = (DiscreteVae(dvae.sizes(config.dvae)) for _ in range(2))
+    plain(plain_vae)
+    step = optimised(dvae._Task(vae, kept, buildings, config.dvae, device), options.compile)
+    plain_step = optimised(dvae._Task(plain_vae, buildings, buildings, config.dvae, device))
 
-    def patches_of(*arguments: object) -> Patches:
-        found = real(*arguments)
-        for part in (*reference.modules(), *other.modules()):
-            if isinstance(part, PlainDgcnn):
-                part.centre = found.centre
-        return found
+    def plainly(number: int) -> None:
+        with plain_patches(plain_vae):
+            plain_step(number)
 
-    other = reference
-    dvae.patches_of = patches_of
-    theirs = mean_step(task, options.steps)
-    dvae.patches_of = real
+    took, theirs = alternating(step, plainly, options.steps, options.compile)
     size = config.dvae.optimiser.batch_size
-    print(f"dvae   {1 / ours:.3f} steps/s of {size} clouds, reference {1 / theirs:.3f}")
-    figures.at_least("dvae steps/s over the reference", theirs / ours, 3)
+    print(f"dvae   {1 / took.min():.3f} steps/s of {size} clouds, reference {1 / theirs.min():.3f}")
+    print(
+        f"patches of {size} whole clouds: {1e3 * computed:.0f} ms computed, {1e3 * fetched:.1f} ms kept; "
+        f"{100 * (computed - fetched) / (took.min() + computed - fetched):.1f} % of a step saved"
+    )
+    figures.at_least("dvae steps/s over the reference", theirs.min() / took.min(), 3)
 
     tokenizer = model.make_tokenizer(config.model)
 
@@ -283,31 +321,29 @@ def main() -> int:
         torch.manual_seed(0)
         return model.make_module(config.model, config.dvae, tokenizer)
 
-    frozen = vae.eval().requires_grad_(False)
-    ours = mean_step(
-        model._Task(network(), frozen, buildings, buildings, config.model, config.dvae, device),
-        options.steps,
-        options.compile,
-    )
-    other = plain(network())
-    padded = Buildings(**vars(buildings))
+    for part in (vae, plain_vae):
+        part.eval().requires_grad_(False)
+    known = kept if model.keeps_patches(config.model.augmentation) else buildings
+    task = model._Task(network(), vae, known, buildings, config.model, config.dvae, device)
+    step = optimised(task, options.compile)
     whole = config.model.model_copy(update={"auxiliary_share": 1.0})
+    other = network()
+    plain(other)
+    task = model._Task(other, plain_vae, buildings, buildings, whole, config.dvae, device)
     with no_buckets():
-        task = model._Task(
-            other, reference.eval().requires_grad_(False), padded, padded, whole, config.dvae, device
-        )
         task.order.batch(0)
-        longest = int(np.argmax(buildings.num_vertices))
-        first = task.order.batch
-        # the longest building in every batch
-        task.order.batch = lambda step: np.append(first(step)[1:], longest)
-        dvae.patches_of = patches_of
-        theirs = mean_step(task, options.steps)
-        dvae.patches_of = real
+    longest = int(np.argmax(buildings.num_vertices))
+    first = task.order.batch
+    # the longest building in every batch
+    task.order.batch = lambda step: np.append(first(step)[1:], longest)
+    plain_step = optimised(task)
+    took, theirs = alternating(step, plainly, options.steps, options.compile)
     size = config.model.optimiser.batch_size
-    print(f"model  {1 / ours:.3f} steps/s of {size} buildings, reference {1 / theirs:.3f}")
-    figures.at_least("model steps/s over the reference", theirs / ours, 3)
-    figures.at_most("loader's share of a training step", batch_s / ours, 0.05)
+    print(f"model  {1 / took.mean():.3f} steps/s of {size} buildings, reference {1 / theirs.mean():.3f}")
+    figures.at_least("model steps/s over the reference", theirs.mean() / took.mean(), 3)
+    figures.at_most("loader's share of a training step", batch_s / took.mean(), 0.05)
+    if options.batch:
+        return figures.end()
 
     # each in a fresh process, or the peak would be that of training
     few, many = (in_fresh_process(options.config, num) for num in (options.num // 16, options.num // 4))
@@ -315,7 +351,6 @@ def main() -> int:
         f"inference, one view: {many['per_s']:.0f} buildings per CPU second; peak memory "
         f"{few['peak_mib']:.0f} MiB for {options.num // 16}, {many['peak_mib']:.0f} for four times as many"
     )
-    print(f"inference over the reference: {many['over_reference']:.2f}")
     figures.at_least("buildings/s of inference, two cores", 2 * many["per_s"], 200)
     figures.at_most("MiB more for four times the buildings", many["peak_mib"] - few["peak_mib"], 200)
     return figures.end()
