@@ -228,7 +228,8 @@ def tables(title: str, rows: list[Row]) -> dict[str, Any]:
                 print(
                     f"{name:28}{found.count:9d}" + "".join(f"{value:8.3f}" for value in numbers), flush=True
                 )
-                figures[f"{title}: {name}"] = [found.count, *(round(value, 4) for value in numbers)]
+                known = (round(value, 4) if np.isfinite(value) else None for value in numbers)
+                figures[f"{title}: {name}"] = [found.count, *known]
     return figures
 
 
