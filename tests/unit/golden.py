@@ -1,7 +1,7 @@
 """The first ten losses of both stages, seeded, on one CPU thread: what ``golden.json`` holds.
 
-Steps are small: training is chaotic, and at the usual rate another kind of CPU, which rounds otherwise, has other losses
-within ten steps. For the same reason the stage model reads the tokens of a dvae that was not trained.
+Steps are small: training is chaotic, and at the usual rate another kind of CPU, which rounds otherwise, has
+other losses within ten steps. So the stage model also reads the tokens of a dvae that was not trained.
 
 python tests/unit/golden.py   writes it anew, after a change that is meant to change what is learnt
 """
