@@ -30,6 +30,8 @@ from p2wss.refine.solid import Mesh, is_sound, union
 METHOD = "fit"
 # boxes are looked for with this share of what they have to gain before the roof is fitted without their points
 _LOOSE = 0.5
+# mean distance of the points from where the network leads that says it led astray: the search without it decides
+_FAR_OFF_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -166,11 +168,17 @@ class _One:
             return _Found(rings, rotation, parts, "" if parts else "no roof found", every_point_m)
         guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
         prior = believed(turned, len(point_m), guess, start.class_probability, eave_z_m)
-        parts = fit_parts(self.fitter, turned, point_m, effort, cutting, [guess], prior)
         before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
-        before = replace(before, loss_m=self.fitter.loss(before, point_m, prior))
-        if not parts or cost_m([before], cutting) < cost_m(parts, cutting):
-            parts = [before]
+        answers = [[replace(before, loss_m=self.fitter.loss(before, point_m, prior))]]
+        answers += [fit_parts(self.fitter, turned, point_m, effort, cutting, [guess], prior)]
+        if min(cost_m(parts, cutting) for parts in answers if parts) > _FAR_OFF_M * len(point_m):
+            alone = fit_parts(
+                self.fitter, turned, point_m, effort, cutting, [], believed(turned, len(point_m))
+            )
+            if len(alone) == 1:
+                alone = [replace(alone[0], loss_m=self.fitter.loss(alone[0], point_m, prior))]
+            answers += [alone]
+        parts = min(filter(None, answers), key=lambda parts: cost_m(parts, cutting))
         return _Found(rings, rotation, parts, "", every_point_m)
 
     def _meshed(self, found: _Found) -> Reconstruction:

@@ -72,6 +72,23 @@ def test_parts_stay_only_if_they_are_worth_more_than_they_cost(monkeypatch, loss
         assert made.eave_height_m == pytest.approx(6.6)
 
 
+@pytest.mark.parametrize(("led_m", "searches", "num_parts"), [(0.04, 1, 1), (0.2, 2, 2)])
+def test_points_far_from_where_the_network_leads_are_searched_without_it(
+    monkeypatch, led_m, searches, num_parts
+):
+    """The network's own roof is 0.46 m off; the search from it ends in one part, that without it in two, 0.01 m off."""
+    asked = []
+
+    def fit_parts(fitter, rings, point_m, effort, cutting, guesses, prior):
+        asked.append(len(guesses))
+        return two_parts(0.01) if not guesses else [OneHeight(rings, GABLE, 106.0, np.inf, led_m, 300)]
+
+    monkeypatch.setattr(fitting, "fit_parts", fit_parts)
+    case = one_gable()
+    (made,) = fitting.fit([case], CONFIG, [network(case, GABLE, 6.6)])
+    assert asked == [1, 0][:searches] and made.num_parts == num_parts
+
+
 def test_a_network_that_is_right_is_not_made_worse():
     case = one_gable()
     start = network(case, GABLE, 6.0)
