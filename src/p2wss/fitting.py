@@ -30,7 +30,8 @@ from p2wss.refine.solid import Mesh, is_sound, union
 METHOD = "fit"
 # boxes are looked for with this share of what they have to gain before the roof is fitted without their points
 _LOOSE = 0.5
-# mean distance of the points from where the network leads that says it led astray: the search without it decides
+# mean distance of the points from where the network leads that says it led astray, as it knows one height only: a
+# search without it may find parts
 _FAR_OFF_M = 0.05
 
 
@@ -171,13 +172,11 @@ class _One:
         before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
         answers = [[replace(before, loss_m=self.fitter.loss(before, point_m, prior))]]
         answers += [fit_parts(self.fitter, turned, point_m, effort, cutting, [guess], prior)]
-        if min(cost_m(parts, cutting) for parts in answers if parts) > _FAR_OFF_M * len(point_m):
-            alone = fit_parts(
-                self.fitter, turned, point_m, effort, cutting, [], believed(turned, len(point_m))
-            )
-            if len(alone) == 1:
-                alone = [replace(alone[0], loss_m=self.fitter.loss(alone[0], point_m, prior))]
-            answers += [alone]
+        best = min(cost_m(parts, cutting) for parts in answers if parts)
+        if cutting.max_parts > 1 and best > _FAR_OFF_M * len(point_m):
+            usual = believed(turned, len(point_m))
+            alone = fit_parts(self.fitter, turned, point_m, effort, cutting, [], usual)
+            answers += [alone] if len(alone) > 1 else []
         parts = min(filter(None, answers), key=lambda parts: cost_m(parts, cutting))
         return _Found(rings, rotation, parts, "", every_point_m)
 
