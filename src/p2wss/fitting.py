@@ -30,8 +30,8 @@ from p2wss.refine.solid import Mesh, is_sound, union
 METHOD = "fit"
 # boxes are looked for with this share of what they have to gain before the roof is fitted without their points
 _LOOSE = 0.5
-# mean distance of the points from where the network leads that says it led astray, as it knows one height only: a
-# search without it may find parts
+# mean distance of the points from one roof, where the network leads, that says it led astray, as it knows one height
+# only: a search without it may find parts
 _FAR_OFF_M = 0.05
 
 
@@ -172,12 +172,13 @@ class _One:
         before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
         answers = [[replace(before, loss_m=self.fitter.loss(before, point_m, prior))]]
         answers += [fit_parts(self.fitter, turned, point_m, effort, cutting, [guess], prior)]
-        best = min(cost_m(parts, cutting) for parts in answers if parts)
-        if cutting.max_parts > 1 and best > _FAR_OFF_M * len(point_m):
+        parts = min(filter(None, answers), key=lambda parts: cost_m(parts, cutting))
+        far_off = cost_m(parts, cutting) > _FAR_OFF_M * len(point_m)
+        if len(parts) == 1 and cutting.max_parts > 1 and far_off:
             usual = believed(turned, len(point_m))
             alone = fit_parts(self.fitter, turned, point_m, effort, cutting, [], usual)
-            answers += [alone] if len(alone) > 1 else []
-        parts = min(filter(None, answers), key=lambda parts: cost_m(parts, cutting))
+            if len(alone) > 1:
+                parts = min(parts, alone, key=lambda parts: cost_m(parts, cutting))
         return _Found(rings, rotation, parts, "", every_point_m)
 
     def _meshed(self, found: _Found) -> Reconstruction:
