@@ -24,6 +24,7 @@ import labelled
 import numpy as np
 import real
 from scipy import stats
+from scipy.special import expit
 
 from p2wss import confidence, fitting, inference, io
 from p2wss.config import Config
@@ -144,7 +145,7 @@ def logistic_fit(terms: np.ndarray, right: np.ndarray, weight: np.ndarray) -> np
     found = np.zeros(design.shape[1])
     ridge = 1e-3 * np.eye(len(found))
     for _ in range(50):
-        stated = confidence.logistic(design @ found)
+        stated = expit(design @ found)
         slope = design.T @ (weight * (right - stated)) - ridge @ found
         curve = (design.T * (weight * stated * (1 - stated))) @ design + ridge
         step = np.linalg.solve(curve, slope)

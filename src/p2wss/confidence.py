@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import shapely
+from scipy.special import expit
 
 from p2wss.refine.evidence import Evidence, evidence
 from p2wss.refine.one_height import Fitter, OneHeight
@@ -50,8 +51,8 @@ def expected_share(
 
 def share(found: Evidence) -> float:
     """The expected share of right numbers of one roof, over its edges and the height."""
-    edges = logistic(EDGE[0] + edge_terms(found) @ EDGE[1:])
-    height = logistic(HEIGHT[0] + height_terms(found) @ HEIGHT[1:])
+    edges = expit(EDGE[0] + edge_terms(found) @ EDGE[1:])
+    height = expit(HEIGHT[0] + height_terms(found) @ HEIGHT[1:])
     most = 1.0 - _LOST_PER_M * max(found.residual_m - _FAR_OFF_M, 0.0)
     return max(0.0, min(most, float((edges.sum() + height) / (len(edges) + 1))))
 
@@ -67,8 +68,3 @@ def edge_terms(found: Evidence) -> np.ndarray:
 def height_terms(found: Evidence) -> np.ndarray:
     """(2,): what the coefficients :data:`HEIGHT` but the first are of."""
     return np.array([found.residual_m, np.log(found.num_points + 1.0)])
-
-
-def logistic(value: np.ndarray) -> np.ndarray:
-    """1 / (1 + exp(-value))."""
-    return 1.0 / (1.0 + np.exp(-value))

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 import torch
+from scipy.special import expit, logit
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -86,10 +87,9 @@ def expected_share(probability: np.ndarray) -> float:
     odds = log_odds(probability)
     odds[0] = HEIGHT_ODDS[0] + HEIGHT_ODDS[1] * odds[0]
     odds[1:] = ANGLE_ODDS[0] + ANGLE_ODDS[1] * odds[1:]
-    return float((1.0 / (1.0 + np.exp(-odds))).mean())
+    return float(expit(odds).mean())
 
 
 def log_odds(probability: np.ndarray) -> np.ndarray:
     """log(p / (1 - p)), of probabilities that are neither 0 nor 1."""
-    known = np.clip(probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY)
-    return np.log(known) - np.log1p(-known)
+    return logit(np.clip(probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY))
