@@ -26,16 +26,19 @@ import real
 from scipy import stats
 from scipy.special import expit
 
-from p2wss import confidence, fitting, inference, io
 from p2wss.config import Config
+from p2wss.data import files
+from p2wss.data.building import Building, Reconstruction
+from p2wss.data.schemas.crops import CROPS
 from p2wss.eval import cases, measure
 from p2wss.eval.cases import SYNTHETIC, Case
-from p2wss.inference import Building, Reconstruction
+from p2wss.fit import confidence, fitting
+from p2wss.fit.evidence import Evidence
+from p2wss.fit.points import roof_points
 from p2wss.metrics.calibration import calibration
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.nets import decoding
-from p2wss.refine.evidence import Evidence
-from p2wss.refine.points import roof_points
+from p2wss.reconstruct.network import reconstruct_with_network
 
 FEW = (None, 200, 80, 20)
 NETWORK, REFINED, FIT = "network", "network and fit", "fit"
@@ -63,7 +66,7 @@ def read(manifest: Path, every: int) -> list[Case]:
     found: list[Case] = []
     for path, dataset in cases.read_manifest(manifest).shards:
         if dataset == SYNTHETIC:
-            found += cases.from_crops(io.read_table(path, io.CROPS), dataset)
+            found += cases.from_crops(files.read_table(path, CROPS), dataset)
     return sorted((case for case in found if case.angle_deg is not None), key=lambda case: case.key)[::every]
 
 
@@ -108,10 +111,10 @@ def rows_of(listed: list[Case], predictor: Any) -> list[Row]:
                 continue
             own = replace(case, building=building)
             if views is not None and one_view is not None:
-                (made,) = inference.reconstruct([building], views, config)
+                (made,) = reconstruct_with_network([building], views, config)
                 if made.has_mesh and views.last is not None:
                     found += _row(NETWORK, count, place, own, made, views.last.probability[0])
-                known = inference.reconstruct([building], one_view, config)
+                known = reconstruct_with_network([building], one_view, config)
                 found += _fitted(REFINED, count, place, own, known)
             found += _fitted(FIT, count, place, own, None)
     return found
@@ -247,7 +250,7 @@ def real_clouds(data: Path, predictor: Any) -> dict[str, Any]:
             own = config.model_copy(update={"max_parts": parts})
             for count in (None, 80, 20):
                 buildings = every if count is None else [real.thinned(b, count) for b in every]
-                known = None if network is None else inference.reconstruct(buildings, network, own)
+                known = None if network is None else reconstruct_with_network(buildings, network, own)
                 made = fitting.fit(buildings, own, known)
                 pairs = [
                     (one.confidence, _distance_m(building, one))
@@ -291,9 +294,9 @@ def main() -> int:
     arguments = parser.parse_args()
     predictor = None
     if arguments.model is not None:
-        from p2wss import model
+        from p2wss.nets.predictor import load_predictor
 
-        predictor = model.load(arguments.model)
+        predictor = load_predictor(arguments.model)
     figures: dict[str, Any] = {}
     rows = [row for path in arguments.manifests for row in rows_of(read(path, arguments.every), predictor)]
     if rows:

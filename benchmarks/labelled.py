@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from p2wss import fitting, inference, skeleton
+from p2wss import skeleton
 from p2wss.config import Config, Reconstruct
+from p2wss.data.building import Reconstruction
 from p2wss.eval import cases, parameters, predict
 from p2wss.eval.cases import SYNTHETIC, Case
 from p2wss.eval.measure import points_on_building
-from p2wss.inference import Reconstruction
+from p2wss.fit import fitting
+from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.skeleton.types import Polygons
 
 BARS = {"height_mae_m": 0.05, "angle_mae_deg": 0.5}
@@ -132,7 +134,7 @@ def figures(manifest: Path, predictor: Any) -> dict[str, Any]:
     buildings = [case.building for case in labelled]
     made = {"fit": fitting.fit(buildings, config())}
     if predictor is not None:
-        known = inference.reconstruct(buildings, predictor, config())
+        known = reconstruct_with_network(buildings, predictor, config())
         made |= {"network": known, "network and fit": fitting.fit(buildings, config(), known)}
     result: dict[str, Any] = {}
     for name, rows in made.items():

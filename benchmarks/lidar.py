@@ -36,13 +36,21 @@ from figures import Figures, peak_mib
 from lidar_twins import twin, wall_depths_m
 from scipy.spatial import cKDTree
 
-from p2wss import crops, footprints, io, scans
+from p2wss import crops, scans
 from p2wss.buildings import build_scene
-from p2wss.clouds import Cloud, read_clouds
 from p2wss.config import Buildings, Clutter, Crops, Scans
-from p2wss.lidar import caster
-from p2wss.terrain import Terrain
-from p2wss.tiling import tile_bounds
+from p2wss.crops import crop
+from p2wss.data import files, polygon_arrays
+from p2wss.data import points as points_module
+from p2wss.data.clouds import Cloud, read_clouds
+from p2wss.data.cropping import crop_points
+from p2wss.data.points import crop_cloud
+from p2wss.data.schemas.buildings import BUILDINGS
+from p2wss.data.schemas.crops import CROPS
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import tile_bounds
+from p2wss.scans import caster
+from p2wss.scans import scan as scan_module
 
 ROOT = Path(__file__).resolve().parents[1]
 TILE, TILE_SIZE_M, MARGIN_M = "0652_6862", 1000.0, 60.0
@@ -122,7 +130,7 @@ def make_buildings(num: int, size_m: float, seed: int = 0) -> pa.Table:
         crs=2154,
     )
     columns = build_scene(scene, Buildings())
-    return pa.table({f.name: pa.array(columns[f.name], f.type) for f in io.BUILDINGS}, schema=io.BUILDINGS)
+    return pa.table({f.name: pa.array(columns[f.name], f.type) for f in BUILDINGS}, schema=BUILDINGS)
 
 
 def settings(preset: str = "hd", seed: int = 0, **changes: Any) -> Scans:
@@ -162,7 +170,7 @@ def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
     xyz = [scan.points.xyz_mm[:, i] * 0.001 for i in range(3)]
     for column, origin in zip(xyz, scan.origin_m, strict=True):
         column += origin
-    cloud = Cloud(*xyz, scans.classes(scan.points), pyproj.CRS(2154), scan.points.strip)
+    cloud = Cloud(*xyz, scan_module.point_classes(scan.points), pyproj.CRS(2154), scan.points.strip)
     return cloud, scan.points.building, scan.points.face
 
 
@@ -171,13 +179,13 @@ def whole_scene(
 ) -> dict[str, Any]:
     """One scene from buildings to shard, with the seconds of each step."""
     meter = Meter()
-    meter.watch(scans, "_surface", "scene built")
+    meter.watch(scan_module, "_surface", "scene built")
     meter.watch(caster.Caster, "__init__", "scene built")
     meter.watch(caster, "blocks_over", "pulses generated and culled")
     meter.watch(caster, "generate", "pulses generated and culled")
     meter.watch(caster, "_hits", "cast")
     meter.watch(caster, "record", "noise, drop-out, tags")
-    meter.watch(crops, "crop_points", "crop")
+    meter.watch(points_module, "crop_points", "crop")
     begin = time.process_time()
     scan = scans.simulate(buildings, terrain, TILE, size_m, settings())
     simulated = time.process_time() - begin
@@ -188,7 +196,7 @@ def whole_scene(
     columns, _ = crops.crop_scene(buildings, cloud, Crops())
     cropped = time.process_time() - start
     start = time.process_time()
-    io.write_table(folder / "shard.parquet", columns, io.CROPS, {})
+    files.write_table(folder / "shard.parquet", columns, CROPS, {})
     meter.seconds["shard written"] = time.process_time() - start
     total = time.process_time() - begin
     meter.stop()
@@ -280,14 +288,14 @@ def peers_of_the_cast(
 
 def peers_of_the_crop(buildings: pa.Table, cloud: Cloud, num: int) -> tuple[float, bool]:
     """How many times as fast as shapely on ``num`` points in a strip of the scene, and whether the same."""
-    polygons = crops._absolute(buildings)
+    polygons = crop._absolute(buildings)
     start = time.process_time()
-    crops.crop_points(cloud.x_m, cloud.y_m, polygons, 1.0)
+    crop_points(cloud.x_m, cloud.y_m, polygons, 1.0)
     ours = len(cloud) / (time.process_time() - start)
     first = np.argsort(cloud.y_m, kind="stable")[:num]
     x, y = cloud.x_m[first], cloud.y_m[first]
-    point, _, offset = crops.crop_points(x, y, polygons, 1.0)
-    shapes = footprints.to_geometries(polygons)
+    point, _, offset = crop_points(x, y, polygons, 1.0)
+    shapes = polygon_arrays.to_geometries(polygons)
     start = time.process_time()
     found, polygon = shapely.STRtree(shapes).query(shapely.points(x, y), predicate="dwithin", distance=1.0)
     peer = num / (time.process_time() - start)
@@ -375,8 +383,8 @@ def realism(
     distance, _ = cKDTree(xy).query(xy[some], 2)
     walls, roofs, seen, noise = 0, 0, [], []
     if len(shapes):
-        polygons = footprints.to_polygons(shapes)
-        cropped = crops.crop_cloud(cloud, polygons, 0.5)
+        polygons = polygon_arrays.to_polygons(shapes)
+        cropped = crop_cloud(cloud, polygons, 0.5)
         for p, shape in enumerate(shapes):
             own = cropped.of(p)
             inside = cropped.inside[cropped.offset[p] : cropped.offset[p + 1]]
@@ -464,7 +472,7 @@ def real_clouds(data: Path) -> dict[str, list[float]]:
 def simulated_clouds(size_m: float) -> dict[str, list[float]]:
     """The same figures for each preset, ``hd`` on several surveys, in the configuration's density."""
     buildings, terrain = make_buildings(int(0.0025 * size_m**2), size_m), make_terrain(size_m)
-    shapes = footprints.to_geometries(crops._absolute(buildings))
+    shapes = polygon_arrays.to_geometries(crop._absolute(buildings))
     rows = {}
     cases = [("none", {}), ("paper", {}), ("hd, no clutter", {"clutter": BARE})]
     for seed in range(4):

@@ -16,15 +16,18 @@ import pyarrow as pa
 import rasterio
 import shapely
 
-from p2wss import crops, footprints, io, scans
 from p2wss.buildings import build_scene
-from p2wss.clouds import Cloud
 from p2wss.config import Buildings, Clutter, Scans
-from p2wss.lidar.caster import cast
-from p2wss.lidar.clutter import clutter
-from p2wss.lidar.pulses import PARALLEL, Box
-from p2wss.lidar.survey import Strip, plan
-from p2wss.terrain import Terrain
+from p2wss.data import polygon_arrays
+from p2wss.data.clouds import Cloud
+from p2wss.data.points import crop_cloud
+from p2wss.data.schemas.buildings import BUILDINGS
+from p2wss.data.terrain import Terrain
+from p2wss.scans import scan as scan_module
+from p2wss.scans.caster import cast
+from p2wss.scans.clutter import clutter
+from p2wss.scans.pulses import PARALLEL, Box
+from p2wss.scans.survey import Strip, plan
 
 _ROOF_DEG = 30.0  # of every edge; the metrics look at walls and eaves
 _LENGTH_M = 600.0  # of a flight line
@@ -46,14 +49,14 @@ def twin(
     low, high = (np.array([f(cloud.x_m), f(cloud.y_m)]) for f in (np.min, np.max))
     origin = np.floor([*(low + high) / 2, np.nanmedian(height)])
     settings = Scans(preset="hd", density_per_m2=10, density_spread=0, attitude_deg=(0, 0), clutter=things)
-    surface = scans._surface(buildings, terrain, origin, settings)
-    surface, _ = clutter(surface, scans._houses(buildings, origin, 0), things)
+    surface = scan_module._surface(buildings, terrain, origin, settings)
+    surface, _ = clutter(surface, scan_module._houses(buildings, origin, 0), things)
     z_low, z_high = surface.z_range_m()
     box = Box(*(low - origin[:2]), *(high - origin[:2]), z_low - 0.1, z_high + 0.1)
     flown, angles = _flown(laz, origin, box, plan(settings, 0, box, box).strips[0])
     points, _ = cast(surface, flown, box)
     x, y, z = (points.xyz_mm[:, i] / 1000 + origin[i] for i in range(3))
-    simulated = Cloud(x, y, z, scans.classes(points), None, points.strip)
+    simulated = Cloud(x, y, z, scan_module.point_classes(points), None, points.strip)
     return simulated, points.num_returns, float(np.abs(angles).mean())
 
 
@@ -62,7 +65,7 @@ def wall_depths_m(cloud: Cloud, shapes: np.ndarray) -> np.ndarray:
 
     Below the eaves: 1 m above the ground or more, 0.7 m below the lowest twentieth of the roof's points.
     """
-    cropped = crops.crop_cloud(cloud, footprints.to_polygons(shapes), 0.0)
+    cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes), 0.0)
     depths = [np.zeros(0)]
     for row, shape in enumerate(shapes):
         own = cropped.of(row)
@@ -77,7 +80,7 @@ def wall_depths_m(cloud: Cloud, shapes: np.ndarray) -> np.ndarray:
 
 
 def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
-    cropped = crops.crop_cloud(cloud, footprints.to_polygons(shapes), 0.0)
+    cropped = crop_cloud(cloud, polygon_arrays.to_polygons(shapes), 0.0)
     rows, eave_m = [], []
     for row in range(len(shapes)):
         own = cropped.of(row)
@@ -105,7 +108,7 @@ def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
         crs=2154,
     )
     columns = build_scene(frame, Buildings())
-    return pa.table({f.name: pa.array(columns[f.name], f.type) for f in io.BUILDINGS}, schema=io.BUILDINGS)
+    return pa.table({f.name: pa.array(columns[f.name], f.type) for f in BUILDINGS}, schema=BUILDINGS)
 
 
 def _flown(laz: Path, origin: np.ndarray, box: Box, model: Strip) -> tuple[list[Strip], np.ndarray]:

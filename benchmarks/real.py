@@ -27,10 +27,14 @@ import pyproj
 import thresholds
 from figures import Figures
 
-from p2wss import clouds, fitting, footprints, inference, reconstruct, scenes
+from p2wss import reconstruct, scenes
 from p2wss.config import Config, Reconstruct
-from p2wss.crops import crop_cloud
-from p2wss.inference import Building, Reconstruction
+from p2wss.data import clouds, polygon_arrays
+from p2wss.data.building import Building, Reconstruction
+from p2wss.data.points import crop_cloud
+from p2wss.fit import fitting
+from p2wss.reconstruct.flat import with_fallback
+from p2wss.reconstruct.network import reconstruct_with_network
 
 SETS = {"delft": ("delft_ahn3", "ahn3.laz", 28992), "bresse": ("bresse_ign", "lidar.laz", 2154)}
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh", "tri": "triangles"}
@@ -50,9 +54,9 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
     frame = scenes.read_footprints(folder / place / "footprints.gpkg", None, needs_crs=False)
     frame = scenes.clean_footprints(frame, config.scenes)
     cloud = clouds.read_clouds([folder / place / cloud_file], reconstruct.window(frame))
-    polygons = footprints.to_polygons(frame.geometry.to_numpy())
+    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)
-    origin = footprints.origins(polygons)
+    origin = polygon_arrays.origins(polygons)
     xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
     buildings = []
     for i, name_of in enumerate(frame["building_id"]):
@@ -86,9 +90,9 @@ def fitted(
 ) -> tuple[list[Reconstruction], dict[str, float]]:
     """Reconstructions, and CPU milliseconds each: of all, and of what follows the network."""
     start = time.process_time()
-    known = inference.reconstruct(buildings, predictor, config) if predictor is not None else None
+    known = reconstruct_with_network(buildings, predictor, config) if predictor is not None else None
     begin_fit = time.process_time()
-    made = inference.with_fallback(fitting.fit(buildings, config, known), buildings, config)
+    made = with_fallback(fitting.fit(buildings, config, known), buildings, config)
     end, each = time.process_time(), 1e3 / max(len(buildings), 1)
     return made, {"cpu_ms": each * (end - start), "fit_cpu_ms": each * (end - begin_fit)}
 
@@ -200,9 +204,9 @@ def main() -> int:
     arguments = parser.parse_args()
     predictor = None
     if arguments.model is not None:
-        from p2wss import model
+        from p2wss.nets.predictor import load_predictor
 
-        predictor = model.load(arguments.model).of_views(1)  # as p2wss reconstruct does
+        predictor = load_predictor(arguments.model).of_views(1)  # as p2wss reconstruct does
     figures: dict[str, Any] = {}
     if arguments.sensitivity:
         figures = thresholds.table(arguments.synthetic, read(arguments.data, "delft", Config()))

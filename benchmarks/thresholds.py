@@ -12,12 +12,12 @@ from typing import Any
 import labelled
 import numpy as np
 
-from p2wss import fitting
 from p2wss.config import Config
-from p2wss.fitting import Thresholds
-from p2wss.inference import Building, Reconstruction
+from p2wss.data.building import Building, Reconstruction
+from p2wss.fit import fitting
+from p2wss.fit.fitting import Thresholds
+from p2wss.fit.points import roof_points
 from p2wss.metrics.surface import distance_to_mesh
-from p2wss.refine.points import roof_points
 
 VARIED: dict[str, dict[str, tuple[float, ...]]] = {
     "cutting": {

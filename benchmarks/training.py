@@ -33,13 +33,18 @@ from figures import Figures, cpu_seconds, peak_mib
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss import dataset, dvae, model
+from p2wss import dvae, model
 from p2wss.config import Config, load
 from p2wss.config import Dvae as DvaeConfig
-from p2wss.dataset import Buildings
-from p2wss.nets import discrete_vae, point2wss
+from p2wss.nets import dataset, discrete_vae, point2wss
+from p2wss.nets.dataset import Buildings
 from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.dvae_file import dvae_sizes
+from p2wss.nets.modules import limits_of, make_module, make_tokenizer
+from p2wss.nets.network_patches import patches_of
 from p2wss.nets.patches import Patches, squared_distance
+from p2wss.nets.predictor import Predictor
+from p2wss.nets.shards import Cut, with_patches
 
 # vertices of outlines and how often they occur, about as in the miniature's town
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
@@ -198,7 +203,7 @@ def alternating(
 @contextmanager
 def plain_patches(vae: DiscreteVae) -> Iterator[None]:
     """Tell the reference's graphs where the centres are, and measure patches through all pairs of points."""
-    real, chamfer = dvae.patches_of, discrete_vae.chamfer_l1
+    real, chamfer = patches_of, discrete_vae.chamfer_l1
 
     def patches_of(*arguments: Any) -> Patches:
         found = real(*arguments)
@@ -207,24 +212,24 @@ def plain_patches(vae: DiscreteVae) -> Iterator[None]:
                 part.centre = found.centre
         return found
 
-    dvae.patches_of, discrete_vae.chamfer_l1 = patches_of, plain_chamfer_l1
+    patches_of, discrete_vae.chamfer_l1 = patches_of, plain_chamfer_l1
     try:
         yield
     finally:
-        dvae.patches_of, discrete_vae.chamfer_l1 = real, chamfer
+        patches_of, discrete_vae.chamfer_l1 = real, chamfer
 
 
 def cutting(buildings: Buildings, config: DvaeConfig) -> tuple[Buildings, float, float]:
     """The buildings with patches kept, and CPU seconds per batch to compute patches and to fetch them."""
-    cut = dataset.Cut(config.num_points, config.num_patches, config.patch_size)
-    kept = dataset.with_patches(buildings, cut, torch.device("cpu"))
+    cut = Cut(config.num_points, config.num_patches, config.patch_size)
+    kept = with_patches(buildings, cut, torch.device("cpu"))
     whole = np.flatnonzero(np.diff(buildings.point_offset) <= config.num_points)
     index = np.random.default_rng(0).choice(whole, config.optimiser.batch_size)
     batch = kept.batch(index, config.num_points, None)
     computed = cpu_seconds(
-        lambda: dvae.patches_of(replace(batch, patch_index=None), config.num_patches, config.patch_size)
+        lambda: patches_of(replace(batch, patch_index=None), config.num_patches, config.patch_size)
     )
-    fetched = cpu_seconds(lambda: dvae.patches_of(batch, config.num_patches, config.patch_size))
+    fetched = cpu_seconds(lambda: patches_of(batch, config.num_patches, config.patch_size))
     return kept, computed, fetched
 
 
@@ -249,10 +254,10 @@ def loading(buildings: Buildings, config: Config, folder: Path) -> tuple[float, 
 def inference(config: Config, num: int) -> dict[str, float]:
     """Buildings per CPU second, one view, and the most memory that this process ever held."""
     buildings = town(num)
-    module = model.make_module(config.model, config.dvae, model.make_tokenizer(config.model))
+    module = make_module(config.model, config.dvae, make_tokenizer(config.model))
     decode = config.model.decoding.model_copy(update={"num_rotations": 1})
-    limits = model.limits_of(config.model, config.dvae, module.tokenizer)
-    predictor = model.Predictor(module, decode, config.dvae, config.model.max_vertices, limits)
+    limits = limits_of(config.model, config.dvae, module.tokenizer)
+    predictor = Predictor(module, decode, config.dvae, config.model.max_vertices, limits)
     offset, ring = buildings.point_offset, buildings.vertex_offset
     clouds = [buildings.points_cm[offset[i] : offset[i + 1]] * np.float32(0.01) for i in range(num)]
     rings = [[buildings.xy_m[ring[i] : ring[i + 1]]] for i in range(num)]
@@ -297,7 +302,7 @@ def main() -> int:
 
     kept, computed, fetched = cutting(buildings, config.dvae)
     torch.manual_seed(0)
-    vae, plain_vae = (DiscreteVae(dvae.sizes(config.dvae)) for _ in range(2))
+    vae, plain_vae = (DiscreteVae(dvae_sizes(config.dvae)) for _ in range(2))
     plain(plain_vae)
     step = optimised(dvae._Task(vae, kept, buildings, config.dvae, device), options.compile)
     plain_step = optimised(dvae._Task(plain_vae, buildings, buildings, config.dvae, device))
@@ -315,11 +320,11 @@ def main() -> int:
     )
     figures.at_least("dvae steps/s over the reference", theirs.min() / took.min(), 3)
 
-    tokenizer = model.make_tokenizer(config.model)
+    tokenizer = make_tokenizer(config.model)
 
     def network() -> point2wss.Point2Wss:
         torch.manual_seed(0)
-        return model.make_module(config.model, config.dvae, tokenizer)
+        return make_module(config.model, config.dvae, tokenizer)
 
     for part in (vae, plain_vae):
         part.eval().requires_grad_(False)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = "p2wss"
 # their values reach a stage through the parameters, or they only pass paths on
-NOT_TRACKED = {f"{PACKAGE}.config", f"{PACKAGE}.provenance", f"{PACKAGE}.cli"}
+NOT_TRACKED = ("config", "provenance", "cli")
 
 
 @cache
@@ -30,7 +30,7 @@ def fingerprint(*stages: str) -> str:
     seen: dict[str, str] = {}
     while pending:
         module = pending.pop()
-        if module in seen or module in NOT_TRACKED:
+        if module in seen or (module.split(".")[1:2] and module.split(".")[1] in NOT_TRACKED):
             continue
         path = _source(module)
         if path is None:

@@ -14,11 +14,13 @@ from pathlib import Path
 
 import torch
 import toy_crops
-from test_dvae import SMALL as SMALL_DVAE
-from test_model import SMALL as SMALL_MODEL
+from small_networks import SMALL_DVAE, SMALL_MODEL
 
-from p2wss import dvae, model, training
+from p2wss import dvae, model
 from p2wss.config import load
+from p2wss.nets import training
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.dvae_file import dvae_sizes, save_dvae
 
 PATH = Path(__file__).with_name("golden.json")
 NUM_STEPS = 10
@@ -36,8 +38,8 @@ def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
     try:
         dvae.train(manifest, config.dvae, folder / "dvae", "x")
         torch.manual_seed(0)
-        untrained = dvae.DiscreteVae(dvae.sizes(config.dvae))
-        dvae.save(untrained, folder / "d.safetensors", config.dvae, "x", "")
+        untrained = DiscreteVae(dvae_sizes(config.dvae))
+        save_dvae(untrained, folder / "d.safetensors", config.dvae, "x", "")
         model.train(manifest, folder / "d.safetensors", config.model, folder / "model", "x")
     finally:
         training.METRICS_EVERY_STEPS = every

@@ -38,18 +38,18 @@ def edit(file: Path, old: str, new: str) -> None:
 def test_docstrings_comments_and_config_do_not_count(copy):
     root, of = copy
     before = of("buildings")
-    edit(root / "buildings.py", '"""Stage 3', '"""Another text')
-    edit(root / "footprints.py", "import numpy as np", "# a comment\nimport numpy as np\n")
-    edit(root / "config.py", "gt=0, le=10000", "gt=0, le=20000")
+    edit(root / "buildings" / "build.py", '"""', '"""Another text. ')
+    edit(root / "data" / "polygon_arrays.py", "import numpy as np", "# a comment\nimport numpy as np\n")
+    edit(root / "config" / "region.py", "gt=0, le=10000", "gt=0, le=20000")
     assert of("buildings") == before
 
 
 def test_code_counts_also_where_it_is_imported_from(copy):
     root, of = copy
     before = of("buildings")
-    edit(root / "seeds.py", "digest_size=8", "digest_size=16")
+    edit(root / "data" / "seeds.py", "digest_size=8", "digest_size=16")
     assert of("buildings") == before, "buildings draws nothing at random"
-    edit(root / "footprints.py", "np.round((low + high) / 2)", "np.floor((low + high) / 2)")
+    edit(root / "data" / "polygon_arrays.py", "np.round((low + high) / 2)", "np.floor((low + high) / 2)")
     after = of("buildings")
     assert after != before
     (root / "skeleton" / "new_module.py").write_text("X = 1\n")
@@ -69,11 +69,11 @@ def test_lazy_imports_and_data_files_count(copy):
     root, of = copy
     (root / "stage").mkdir()
     (root / "stage" / "__init__.py").write_text("def run():\n    from .inner import f\n    return f\n")
-    (root / "stage" / "inner.py").write_text("from ..seeds import derive_seed\nf = derive_seed\n")
+    (root / "stage" / "inner.py").write_text("from ..data.seeds import derive_seed\nf = derive_seed\n")
     (root / "stage" / "templates").mkdir()
     (root / "stage" / "templates" / "page.html").write_text("one")
     before, page = of("stage"), of("stage.templates")
-    edit(root / "seeds.py", "digest_size=8", "digest_size=16")
+    edit(root / "data" / "seeds.py", "digest_size=8", "digest_size=16")
     assert of("stage") != before and of("stage.templates") == page
     (root / "stage" / "templates" / "page.html").write_text("two")
     assert of("stage.templates") != page

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from p2wss import io
+from p2wss.data import files
+from p2wss.data.schemas.crops import CROPS
 
 SPLITS = ("train", "val", "test")
 
@@ -24,17 +25,17 @@ def make(folder: Path, num: dict[str, int], seed: int = 0, lidar: int = 0) -> Pa
         shards.append(("lidar", real, "hd/0002_0001.parquet"))
     listed = []
     for dataset, shard, name in shards:
-        columns = {field.name: [row[field.name] for row in shard] for field in io.CROPS}
-        io.write_table(folder / name, columns, io.CROPS, io.provenance(crs="EPSG:2154"))
+        columns = {field.name: [row[field.name] for row in shard] for field in CROPS}
+        files.write_table(folder / name, columns, CROPS, files.provenance(crs="EPSG:2154"))
         listed.append(
             {
                 "path": name,
                 "dataset": dataset,
                 "rows": {split: sum(row["split"] == split for row in shard) for split in SPLITS},
-                "sha256": io.sha256(folder / name),
+                "sha256": files.sha256(folder / name),
             }
         )
-    io.write_json(folder / "manifest.json", {"shards": listed})
+    files.write_json(folder / "manifest.json", {"shards": listed})
     return folder / "manifest.json"
 
 

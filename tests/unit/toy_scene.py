@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from p2wss import io
-from p2wss.terrain import Terrain, write_terrain
-from p2wss.tiling import tile_bounds
+from p2wss.data import files
+from p2wss.data.schemas.buildings import BUILDINGS
+from p2wss.data.schemas.scene import SCENE
+from p2wss.data.terrain import Terrain, write_terrain
+from p2wss.data.tiling import tile_bounds
 
 TILE, TILE_SIZE_M, MARGIN_M = "0652500_6862000", 100.0, 40.0
 GROUND, WALL, ROOF = 0, 1, 2
@@ -84,11 +86,11 @@ def houses(tile=TILE, size_m=TILE_SIZE_M, spacing_m=20.0, seed=0):
 def write_scene(folder: Path, rows=None, dtm=None, tile=TILE, size_m=TILE_SIZE_M) -> tuple[Path, Path, Path]:
     """(scene, dtm, buildings) as files; the scene holds what the stage scans reads of it, its metadata."""
     rows = houses(tile, size_m) if rows is None else rows
-    facts = io.provenance(tile=tile, tile_size_m=size_m, margin_m=MARGIN_M, crs="EPSG:2154")
-    columns = {field.name: [row[field.name] for row in rows] for field in io.BUILDINGS}
-    io.write_table(folder / "buildings.parquet", columns, io.BUILDINGS, facts)
+    facts = files.provenance(tile=tile, tile_size_m=size_m, margin_m=MARGIN_M, crs="EPSG:2154")
+    columns = {field.name: [row[field.name] for row in rows] for field in BUILDINGS}
+    files.write_table(folder / "buildings.parquet", columns, BUILDINGS, facts)
     columns["eave_height_source"] = ["hauteur"] * len(rows)
-    io.write_table(folder / "scene.parquet", {n: columns[n] for n in io.SCENE.names}, io.SCENE, facts)
+    files.write_table(folder / "scene.parquet", {n: columns[n] for n in SCENE.names}, SCENE, facts)
     dtm = terrain(tile, size_m) if dtm is None else dtm
     write_terrain(folder / "dtm.tif", dtm, "EPSG:2154", facts)
     return folder / "scene.parquet", folder / "dtm.tif", folder / "buildings.parquet"
@@ -99,5 +101,10 @@ def table(rows):
     import pyarrow as pa
 
     return pa.table(
-        {f.name: pa.array([row[f.name] for row in rows], f.type) for f in io.BUILDINGS}, schema=io.BUILDINGS
+        {f.name: pa.array([row[f.name] for row in rows], f.type) for f in BUILDINGS}, schema=BUILDINGS
     )
+
+
+def scans_inputs(scene: Path, dtm: Path, buildings: Path) -> list[str]:
+    """Options of ``p2wss scans`` for the files of :func:`write_scene`."""
+    return ["--scene", str(scene), "--dtm", str(dtm), "--buildings", str(buildings)]

@@ -72,15 +72,16 @@ def test_footprints_without_the_needed_columns(project, footprints, tmp_path):
     out = tmp_path / "out.gpkg"
     out.write_bytes(b"what was there")
     config = f"{{fetch: {{folder: {{footprints: {footprints}, footprints_layer: ''}}}}}}"
-    run = project.p2wss("fetch", "footprints", out, "--config", config, check=False)
+    run = project.p2wss("fetch", "footprints", "--out", out, "--config", config, check=False)
     assert "footprints.gpkg" in error_of(run) and "cleabs" in error_of(run)
     assert out.read_bytes() == b"what was there"
 
 
 def test_a_tile_without_buildings(done, tmp_path):
     run = done.p2wss(
-        "scenes", "cut", "0100_6200", "results/mini/fetch/footprints.gpkg",
-        f"resources/ign/mini/dtm/{TILE}.tif", tmp_path / "s.parquet", tmp_path / "s.tif", check=False,
+        "scenes", "cut", "--tile", "0100_6200", "--footprints", "results/mini/fetch/footprints.gpkg",
+        "--dtm", f"resources/ign/mini/dtm/{TILE}.tif", "--out", tmp_path / "s.parquet",
+        "--out-dtm", tmp_path / "s.tif", check=False,
     )  # fmt: skip
     assert "0100_6200" in error_of(run) and not list(tmp_path.glob("s.*"))
 
@@ -95,14 +96,15 @@ def test_terrain_with_a_hole_under_buildings(done, tmp_path):
         target.write(height, 1)
     out = tmp_path / "s.parquet"
     run = done.p2wss(
-        "scenes", "cut", TILE, "results/mini/fetch/footprints.gpkg", hole, out, tmp_path / "s.tif",
+        "scenes", "cut", "--tile", TILE, "--footprints", "results/mini/fetch/footprints.gpkg",
+        "--dtm", hole, "--out", out, "--out-dtm", tmp_path / "s.tif",
         "--config", "{scenes: {max_failed_fraction: 1.0}}",
     )  # fmt: skip
     status = gpd.read_parquet(out)["status"].value_counts()
     assert status["no-terrain"] > 50 and status["ok"] > 50 and "no-terrain" in run.stderr
     run = done.p2wss(
-        "scenes", "cut", TILE, "results/mini/fetch/footprints.gpkg", hole, tmp_path / "t.parquet",
-        tmp_path / "t.tif", check=False,
+        "scenes", "cut", "--tile", TILE, "--footprints", "results/mini/fetch/footprints.gpkg",
+        "--dtm", hole, "--out", tmp_path / "t.parquet", "--out-dtm", tmp_path / "t.tif", check=False,
     )  # fmt: skip
     assert "max_failed_fraction" in error_of(run)
 
@@ -117,7 +119,9 @@ def test_terrain_with_a_hole_under_buildings(done, tmp_path):
 )
 def test_config(project, tmp_path, config, message):
     run = project.p2wss(
-        "scans", "a", "b", "c", tmp_path / "d.laz", tmp_path / "e.json", "--config", config, check=False
+        *("scans", "--scene", "a", "--dtm", "b", "--buildings", "c", "--out", tmp_path / "d.laz"),
+        *("--out-survey", tmp_path / "e.json", "--config", config),
+        check=False,
     )
     assert message in error_of(run)
 
@@ -132,8 +136,9 @@ def test_a_disk_that_fills_up_leaves_the_old_file(done, tmp_path):
 
     run = subprocess.run(
         [
-            Path(sys.executable).with_name("p2wss"), "scans", results / f"scenes/{TILE}.parquet",
-            results / f"scenes/{TILE}.tif", results / f"buildings/{TILE}.parquet", out, tmp_path / "s.json",
+            Path(sys.executable).with_name("p2wss"), "scans", "--scene", results / f"scenes/{TILE}.parquet",
+            "--dtm", results / f"scenes/{TILE}.tif", "--buildings", results / f"buildings/{TILE}.parquet",
+            "--out", out, "--out-survey", tmp_path / "s.json",
         ],
         env=os.environ | {"PYTHONPATH": str(done.folder / "src")},
         preexec_fn=limit, capture_output=True, text=True,

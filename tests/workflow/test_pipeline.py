@@ -85,13 +85,13 @@ def test_a_second_run_has_nothing_to_do(done):
 
 
 def test_a_docstring_reruns_nothing(again):
-    again.edit("src/p2wss/scans.py", '"""', '"""Another text. ')
-    again.edit("src/p2wss/footprints.py", '"""', '"""Another text. ')
+    again.edit("src/p2wss/scans/scan.py", '"""', '"""Another text. ')
+    again.edit("src/p2wss/data/polygon_arrays.py", '"""', '"""Another text. ')
     assert planned(again) == {}
 
 
 def test_code_reruns_its_stage_and_what_follows(again):
-    with (again.folder / "src/p2wss/scans.py").open("a") as file:
+    with (again.folder / "src/p2wss/scans/scan.py").open("a") as file:
         file.write("\n_A_NEW_CONSTANT = 1\n")
     assert set(planned(again)) - {"all"} == SCANS_AND_WHAT_FOLLOWS
 
@@ -112,9 +112,10 @@ def test_the_scan_is_the_same_with_other_threads(done, tmp_path):
     results = done.folder / "results/mini"
     tile = "0653_6862"
     config = json.dumps({"scans": {"density_per_m2": 5.0}})
-    inputs = [results / f"scans/../{part}" for part in (f"scenes/{tile}.parquet", f"scenes/{tile}.tif")]
+    scene = ["--scene", results / f"scenes/{tile}.parquet", "--dtm", results / f"scenes/{tile}.tif"]
     done.p2wss(
-        "scans", *inputs, results / f"buildings/{tile}.parquet", tmp_path / "s.laz", tmp_path / "s.json",
+        "scans", *scene, "--buildings", results / f"buildings/{tile}.parquet", "--out", tmp_path / "s.laz",
+        "--out-survey", tmp_path / "s.json",
         "--threads", 2, "--config", config,
     )  # fmt: skip
     import laspy

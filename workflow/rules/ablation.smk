@@ -24,7 +24,8 @@ rule ablation_model:
         code=fingerprint("model"),
         folder=subpath(output.weights, parent=True),
     shell:
-        "p2wss model {input.manifest} {input.dvae} {output.weights} {output.metrics} --checkpoints {params.folder}/checkpoints"
+        "p2wss model --manifest {input.manifest} --dvae {input.dvae} --out {output.weights} --out-metrics {output.metrics}"
+        " --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"
 
 
@@ -50,7 +51,7 @@ rule ablation:
         gpu=1,
     params:
         config=section("ablation"),
-        code=fingerprint("ablation"),
+        code=fingerprint("eval.ablation"),
     shell:
-        "p2wss eval ablation {input.manifest} {output.csv} {output.markdown} {input.models}"
+        "p2wss eval ablation --manifest {input.manifest} --models {input.models} --out-csv {output.csv} --out-markdown {output.markdown}"
         " --threads {threads} --config {params.config:q} 2> {log}"

@@ -8,7 +8,7 @@ from p2wss.config import ablated, load, section_json
 from p2wss.errors import InputError
 from p2wss.eval import roofer_command
 from p2wss.provenance import fingerprint
-from p2wss.tiling import TILE_PATTERN, neighbours
+from p2wss.data.tiling import TILE_PATTERN, neighbours
 
 # numpy asks the kernel for huge pages, which costs a scan a fifth of its time
 os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")

@@ -19,7 +19,7 @@ rule crop_scene:
         config=section("crops"),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops scene {input.buildings} {input.scan} {output.shard} --config {params.config:q} 2> {log}"
+        "p2wss crops scene --buildings {input.buildings} --scan {input.scan} --out {output.shard} --config {params.config:q} 2> {log}"
 
 
 rule crop_lidar:
@@ -38,9 +38,9 @@ rule crop_lidar:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
         config=section("region", "scenes", "crops"),
-        code=fingerprint("crops", "scenes"),
+        code=fingerprint("crops", "data.footprints"),
     shell:
-        "p2wss crops lidar {wildcards.tile} {input.footprints} {output.shard} {input.clouds}"
+        "p2wss crops lidar --tile {wildcards.tile} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -63,5 +63,5 @@ rule crops:
         config=section("crops"),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops manifest {output.manifest} --scenes {input.scenes} --lidar {input.lidar}"
+        "p2wss crops manifest --out {output.manifest} --scenes {input.scenes} --lidar {input.lidar}"
         " --config {params.config:q} 2> {log}"

@@ -24,5 +24,6 @@ rule dvae:
         code=fingerprint("dvae"),
         folder=subpath(output.weights, parent=True),
     shell:
-        "p2wss dvae {input.manifest} {output.weights} {output.metrics} --checkpoints {params.folder}/checkpoints"
+        "p2wss dvae --manifest {input.manifest} --out {output.weights} --out-metrics {output.metrics}"
+        " --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

@@ -29,9 +29,10 @@ rule predict:
         gpu=1,
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
-        code=fingerprint("eval.predict", "eval.parameters", "model"),
+        code=fingerprint("eval.predict", "eval.parameters", "nets.predictor"),
     shell:
-        "p2wss eval predict {input.manifest} {input.model} {output.predictions} {output.parameters} {output.cpu}"
+        "p2wss eval predict --manifest {input.manifest} --model {input.model} --out {output.predictions}"
+        " --out-parameters {output.parameters} --out-cpu {output.cpu}"
         " --threads {threads} --config {params.config:q} 2> {log}"
 
 
@@ -61,7 +62,7 @@ rule refine:
         code=fingerprint("eval.predict"),
         begin=lambda wildcards, input: f"--predictions {input.predictions}" if input.predictions else "",
     shell:
-        "p2wss eval refine {input.manifest} {output.reconstructions} {output.cpu} {params.begin}"
+        "p2wss eval refine --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.begin}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -87,7 +88,8 @@ rule baseline:
         code=fingerprint("eval.baselines"),
         state=baseline_state,
     shell:
-        "p2wss eval baseline {wildcards.baseline} {input.manifest} {output.reconstructions} {output.cpu}"
+        "p2wss eval baseline --name {wildcards.baseline} --manifest {input.manifest} --out {output.reconstructions}"
+        " --out-cpu {output.cpu}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -111,7 +113,7 @@ rule measure:
         config=section("eval", without=REPORT_ONLY),
         code=fingerprint("eval.measure"),
     shell:
-        "p2wss eval measure {input.manifest} {output.measures} {input.reconstructions}"
+        "p2wss eval measure --manifest {input.manifest} --reconstructions {input.reconstructions} --out {output.measures}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -161,7 +163,7 @@ rule eval_report:
         code=fingerprint("eval.report", "eval.templates", "eval.assets"),
         folder=subpath(output.report, parent=True),
     shell:
-        "p2wss eval report {params.folder} --manifest {input.manifest} --measures {input.measures}"
+        "p2wss eval report --out {params.folder} --manifest {input.manifest} --measures {input.measures}"
         " --parameters {input.parameters} --reconstructions {input.reconstructions}"
         " --cpu {input.cpu} --metrics {input.metrics}"
         " --scans {input.scans}"

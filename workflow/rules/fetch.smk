@@ -48,7 +48,7 @@ rule fetch_footprints:
         code=fingerprint("fetch"),
         downloads=downloads,
     shell:
-        "p2wss fetch footprints {output.footprints} --downloads {params.downloads} --offline {resources.offline}"
+        "p2wss fetch footprints --out {output.footprints} --downloads {params.downloads} --offline {resources.offline}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -73,7 +73,7 @@ rule fetch_dtm:
         code=fingerprint("fetch"),
         downloads=downloads,
     shell:
-        "p2wss fetch dtm {wildcards.tile} {output.dtm} --downloads {params.downloads} --offline {resources.offline}"
+        "p2wss fetch dtm --tile {wildcards.tile} --out {output.dtm} --downloads {params.downloads} --offline {resources.offline}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -96,7 +96,7 @@ rule fetch_lidar:
         code=fingerprint("fetch"),
         downloads=downloads,
     shell:
-        "p2wss fetch lidar {wildcards.tile} {output.lidar} --downloads {params.downloads} --offline {resources.offline}"
+        "p2wss fetch lidar --tile {wildcards.tile} --out {output.lidar} --downloads {params.downloads} --offline {resources.offline}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -118,7 +118,7 @@ rule prepare_lidar:
         config=section("region", "fetch", without=("geoplateforme", "sources", "offline")),
         code=fingerprint("fetch"),
     shell:
-        "p2wss fetch prepare {wildcards.tile} {output.lidar} {input.clouds} --config {params.config:q} 2> {log}"
+        "p2wss fetch prepare --tile {wildcards.tile} --clouds {input.clouds} --out {output.lidar} --config {params.config:q} 2> {log}"
 
 
 rule fetch:

@@ -25,5 +25,6 @@ rule model:
         code=fingerprint("model"),
         folder=subpath(output.weights, parent=True),
     shell:
-        "p2wss model {input.manifest} {input.dvae} {output.weights} {output.metrics} --checkpoints {params.folder}/checkpoints"
+        "p2wss model --manifest {input.manifest} --dvae {input.dvae} --out {output.weights} --out-metrics {output.metrics}"
+        " --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

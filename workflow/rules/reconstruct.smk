@@ -22,7 +22,7 @@ rule reconstruct_tile:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct"),
-        code=fingerprint("reconstruct", "exports", "model"),
+        code=fingerprint("reconstruct", "nets.predictor"),
         folder=subpath(output.summary, parent=True),
     shell:
         "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model}"

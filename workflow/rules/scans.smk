@@ -20,9 +20,10 @@ rule cast_scan:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
         config=section("scans"),
-        code=fingerprint("scans", "pictures"),
+        code=fingerprint("scans"),
     shell:
-        "p2wss scans {input.scene} {input.dtm} {input.buildings} {output.scan} {output.survey}"
+        "p2wss scans --scene {input.scene} --dtm {input.dtm} --buildings {input.buildings} --out {output.scan}"
+        " --out-survey {output.survey}"
         " --picture {output.picture} --threads {threads} --config {params.config:q} 2> {log}"
 
 

@@ -18,7 +18,7 @@ checkpoint index_scenes:
         config=section("region", "scenes"),
         code=fingerprint("scenes"),
     shell:
-        "p2wss scenes index {input.footprints} {output.index} --config {params.config:q} 2> {log}"
+        "p2wss scenes index --footprints {input.footprints} --out {output.index} --config {params.config:q} 2> {log}"
 
 
 rule cut_scene:
@@ -40,7 +40,8 @@ rule cut_scene:
         config=section("region", "scenes"),
         code=fingerprint("scenes"),
     shell:
-        "p2wss scenes cut {wildcards.tile} {input.footprints} {input.dtm} {output.scene} {output.dtm}"
+        "p2wss scenes cut --tile {wildcards.tile} --footprints {input.footprints} --dtm {input.dtm} --out {output.scene}"
+        " --out-dtm {output.dtm}"
         " --config {params.config:q} 2> {log}"
 
 

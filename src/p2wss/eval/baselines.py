@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from p2wss import inference, io
 from p2wss.config import Eval, Reconstruct
+from p2wss.data import files
+from p2wss.data.building import Reconstruction
 from p2wss.errors import InputError
 from p2wss.eval import roofer, roofer_command
 from p2wss.eval.cases import Case, Manifest, train_medians
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.predict import by_dataset
-from p2wss.inference import Reconstruction
+from p2wss.reconstruct.flat import constant, lod1
 
 Key = tuple[str, str, str]
 RECORDED = "recorded"
@@ -34,7 +35,7 @@ def baseline(
     constant, roofer.
     """
     if name == "lod1":
-        return _by_key(cases, by_dataset(cases, inference.lod1, config, clock)), {"status": "ok"}
+        return _by_key(cases, by_dataset(cases, lod1, config, clock)), {"status": "ok"}
     if name == "constant":
         return _constant(cases, manifest, config, clock)
     if name == roofer.METHOD:
@@ -49,14 +50,14 @@ def _roofer(
     if isinstance(found, roofer_command.Roofer):
         rows = roofer.run(found, cases, manifest.crs(), config, clock)
         return _by_key(cases, rows), {"status": "ok", "roofer": found.version}
-    files = roofer_command.recorded_files(config)
-    if not files:
+    paths = roofer_command.recorded_files(config)
+    if not paths:
         return {}, {"status": found}
-    read = roofer.recorded(files, cases)
-    names = ", ".join(path.name for path in files)
+    read = roofer.recorded(paths, cases)
+    names = ", ".join(path.name for path in paths)
     if not read:
         return {}, {"status": f"not run, and none of the buildings is in the recorded {names}"}
-    hashes = " ".join(io.sha256(path)[:16] for path in files)
+    hashes = " ".join(files.sha256(path)[:16] for path in paths)
     return read, {"status": RECORDED, "roofer": f"recorded outputs: {names}", "sha256": hashes}
 
 
@@ -69,7 +70,7 @@ def _constant(
         return {}, {"status": "not run: no building has a label"}
     rows = by_dataset(
         cases,
-        lambda buildings, own: inference.constant(
+        lambda buildings, own: constant(
             buildings, np.full(len(buildings), medians.eave_height_m), medians.angle_deg, own
         ),
         config,

@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from p2wss import footprints, io
+from p2wss.data import files, polygon_arrays
+from p2wss.data.building import Building
+from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
-from p2wss.inference import Building, Reconstruction
 
 SYNTHETIC = "synthetic"
 LIDAR = "lidar"
@@ -48,7 +49,7 @@ class Manifest:
         found: dict[str, str | None] = {}
         for path, dataset in self.shards:
             if dataset not in found:
-                found[dataset] = io.read_metadata(path).get("crs")
+                found[dataset] = files.read_metadata(path).get("crs")
         return found
 
 
@@ -57,7 +58,7 @@ def read_manifest(path: Path) -> Manifest:
 
     Raises :class:`InputError` if the manifest or a shard is missing.
     """
-    listed = io.read_json(path)
+    listed = files.read_json(path)
     shards = []
     try:
         for shard in listed["shards"]:
@@ -76,7 +77,7 @@ def test_cases(manifest: Manifest) -> list[Case]:
     """The test split of the simulated shards and every row of the LiDAR shards, in the manifest's order."""
     cases: list[Case] = []
     for path, dataset in manifest.shards:
-        table = io.read_table(path, io.CROPS)
+        table = files.read_table(path, CROPS)
         if dataset == SYNTHETIC:
             table = table.filter(pc.equal(table["split"], "test"))
         cases += from_crops(table, dataset)
@@ -103,11 +104,11 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     for path, dataset in manifest.shards:
         if dataset == SYNTHETIC:
             wanted = ["split", "eave_height_m", "label_ground_z_m", "ground_z_m", "angle_deg"]
-            table = io.read_table(path, io.CROPS, columns=wanted)
+            table = files.read_table(path, CROPS, columns=wanted)
             table = table.filter(pc.is_in(table["split"], pa.array(splits)))
             lift = table["label_ground_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
             heights.append(table["eave_height_m"].to_numpy() + np.nan_to_num(lift))
-            angles.append(io.list_column(table, "angle_deg")[0])
+            angles.append(files.list_column(table, "angle_deg")[0])
     height, angle = np.concatenate(heights), np.concatenate(angles)
     if not len(height):
         return Medians(float("nan"), float("nan"))
@@ -116,12 +117,12 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
 
 def from_crops(table: pa.Table, dataset: str) -> list[Case]:
     """Rows of ``io.CROPS`` as cases."""
-    polygons = footprints.from_columns(table)
-    x, offset = io.list_column(table, "x_cm")
-    y, _ = io.list_column(table, "y_cm")
-    z, _ = io.list_column(table, "z_cm")
-    classification, _ = io.list_column(table, "classification")
-    angle, angle_offset = io.list_column(table, "angle_deg")
+    polygons = polygon_arrays.from_columns(table)
+    x, offset = files.list_column(table, "x_cm")
+    y, _ = files.list_column(table, "y_cm")
+    z, _ = files.list_column(table, "z_cm")
+    classification, _ = files.list_column(table, "classification")
+    angle, angle_offset = files.list_column(table, "angle_deg")
     point_m = np.column_stack([x, y, z]) / 100.0
     plain = table.select(
         [
@@ -162,64 +163,6 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
             )
         )
     return cases
-
-
-def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstruction]:
-    """Rows of ``io.RECONSTRUCTIONS`` by (dataset, tile, building id)."""
-    table = io.read_table(path, io.RECONSTRUCTIONS)
-    polygons = footprints.from_columns(table)
-    lists = {
-        name: io.list_column(table, name)
-        for name in (
-            "angle_deg",
-            "class_probability",
-            "vertex_xyz_m",
-            "triangle",
-            "triangle_kind",
-            "triangle_edge",
-        )
-    }
-
-    def own(name: str, i: int) -> np.ndarray:
-        values, offset = lists[name]
-        return values[offset[i] : offset[i + 1]]
-
-    plain = table.select(
-        [
-            "dataset",
-            "building_id",
-            "tile",
-            "method",
-            "status",
-            "origin_x_m",
-            "origin_y_m",
-            "ground_z_m",
-            "eave_height_m",
-            "confidence",
-            "num_parts",
-        ]
-    ).to_pylist()
-    return {
-        (row["dataset"], row["tile"], row["building_id"]): Reconstruction(
-            row["building_id"],
-            row["tile"],
-            row["method"],
-            row["status"],
-            (row["origin_x_m"], row["origin_y_m"]),
-            row["ground_z_m"],
-            polygons.rings(i),
-            row["eave_height_m"],
-            own("angle_deg", i).astype(float) if len(own("angle_deg", i)) else None,
-            row["confidence"],
-            own("vertex_xyz_m", i).reshape(-1, 3),
-            own("triangle", i).reshape(-1, 3),
-            own("triangle_kind", i),
-            own("triangle_edge", i),
-            row["num_parts"],
-            odds.reshape(-1, 3).astype(float) if len(odds := own("class_probability", i)) else None,
-        )
-        for i, row in enumerate(plain)
-    }
 
 
 def columns_of(rows: Iterable[dict[str, Any]], names: Sequence[str]) -> dict[str, list[Any]]:

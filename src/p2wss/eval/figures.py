@@ -18,8 +18,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
+from p2wss.data.building import Reconstruction, ground_z_m
 from p2wss.eval.cases import Case
-from p2wss.inference import Reconstruction, ground_z_m
 from p2wss.metrics.calibration import Bin
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.skeleton.types import FaceKind

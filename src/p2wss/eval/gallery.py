@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import LIDAR, SYNTHETIC, Case
 from p2wss.eval.predict import FIT, NETWORK, REFINED
 from p2wss.eval.reasons import Reason, reason
 from p2wss.eval.tables import main_method
-from p2wss.inference import Reconstruction
 
 Key = tuple[str, str, str]
 Row = Mapping[str, Any]

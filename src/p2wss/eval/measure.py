@@ -9,15 +9,16 @@ import numpy as np
 import shapely
 
 from p2wss.config import Eval
+from p2wss.data.building import Reconstruction
+from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case
 from p2wss.eval.roof_kinds import roof_kind
-from p2wss.inference import BUILDING_CLASS, Reconstruction
 from p2wss.metrics.chamfer import chamfer_distance_m
 from p2wss.metrics.height import height_rmse_m, surface_height_m
 from p2wss.metrics.mesh_facts import mesh_facts
 from p2wss.metrics.planarity import face_of_triangle, out_of_plane_m
 from p2wss.metrics.surface import distance_to_mesh, sample_surface, triangle_areas
-from p2wss.seeds import generator
 from p2wss.skeleton.types import FaceKind
 
 # with fewer points on the building the roof's distance says nothing

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from p2wss import fitting
 from p2wss.config import Reconstruct
+from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.eval.cases import LIDAR, SYNTHETIC, Case
 from p2wss.eval.clock import CpuClock
-from p2wss.inference import Building, Predictor, Reconstruction, no_mesh, reconstruct
+from p2wss.fit import fitting
+from p2wss.reconstruct.network import Predictor, reconstruct_with_network
 
 NETWORK, FIT = "point2wss", fitting.METHOD
 REFINED = f"{NETWORK}+{FIT}"
@@ -28,7 +29,9 @@ def predict(
     cases: Sequence[Case], predictor: Predictor, config: Reconstruct, clock: CpuClock | None = None
 ) -> list[Reconstruction]:
     """The network's reconstructions, one per case, in order."""
-    return by_dataset(cases, lambda buildings, own: reconstruct(buildings, predictor, own), config, clock)
+    return by_dataset(
+        cases, lambda buildings, own: reconstruct_with_network(buildings, predictor, own), config, clock
+    )
 
 
 def refine(

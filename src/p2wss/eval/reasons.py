@@ -10,9 +10,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import Case
 from p2wss.eval.measure import FAR_M, local_points, points_on_building
-from p2wss.inference import Reconstruction
 from p2wss.metrics.height import surface_height_m
 from p2wss.metrics.surface import distance_to_mesh, triangle_areas
 from p2wss.skeleton.types import FaceKind

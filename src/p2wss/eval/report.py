@@ -13,15 +13,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from p2wss import io
 from p2wss.config import Eval
+from p2wss.data import files
+from p2wss.data.building import Reconstruction
+from p2wss.data.schemas.measures import MEASURES
+from p2wss.data.schemas.reconstructions import read_reconstructions
 from p2wss.errors import InputError
 from p2wss.eval import figures, groups, parameters, tables, texts
-from p2wss.eval.cases import LIDAR, SYNTHETIC, Case, read_manifest, read_reconstructions, test_cases
+from p2wss.eval.cases import LIDAR, SYNTHETIC, Case, read_manifest, test_cases
 from p2wss.eval.gallery import Gallery, Shown, counts_of_reasons
 from p2wss.eval.predict import NETWORK, REFINED
 from p2wss.eval.viewer import viewer
-from p2wss.inference import Reconstruction
 
 Key = tuple[str, str, str]
 # methods whose meshes stand in a picture, as far as they were run: with the points, four panels
@@ -69,20 +71,20 @@ def read(
     runs = []
     made_by: dict[str, dict[str, Any]] = {}
     for path in reconstructions:
-        facts = io.read_metadata(path)
+        facts = files.read_metadata(path)
         method = str(facts.get("method", path.stem))
         runs.append(tables.Run(method, str(facts.get("status", "ok")), str(facts.get("roofer", ""))))
         tables_of[method] = read_reconstructions(path)
         made_by[path.name] = facts
     cases = {case.key: case for case in test_cases(read_manifest(manifest))}
-    listed = io.read_json(manifest)
+    listed = files.read_json(manifest)
     made_by[manifest.name] = {name: value for name, value in listed.items() if name != "shards"}
-    made_by[measures.name] = io.read_metadata(measures)
-    times = [io.read_json(path) for path in cpu]
+    made_by[measures.name] = files.read_metadata(measures)
+    times = [files.read_json(path) for path in cpu]
     return Inputs(
         region,
-        io.read_table(measures, io.MEASURES),
-        parameters.with_reconstructions(io.read_json(masked), cases, tables_of),
+        files.read_table(measures, MEASURES),
+        parameters.with_reconstructions(files.read_json(masked), cases, tables_of),
         runs,
         tables_of,
         cases,

@@ -19,12 +19,12 @@ import pyproj
 import shapely.affinity
 
 from p2wss.config import Eval
+from p2wss.data.building import Reconstruction, ground_z_m, no_mesh
 from p2wss.eval.cases import LIDAR, Case
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import ReadSolid
-from p2wss.inference import Reconstruction, ground_z_m, no_mesh
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"

@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from p2wss.config import Eval
+from p2wss.data.seeds import generator
 from p2wss.eval.baselines import RECORDED
 from p2wss.eval.cases import LIDAR, SYNTHETIC
 from p2wss.eval.predict import FIT, NETWORK, REFINED
 from p2wss.metrics.summary import Summary, summarize
-from p2wss.seeds import generator
 
 # in the order of the columns
 METHOD_NAMES = {

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 
+from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import Case
 from p2wss.eval.figures import COLORS, FACE_COLORS
-from p2wss.inference import Reconstruction
 from p2wss.metrics.surface import distance_to_mesh
 
 Key = tuple[str, str, str]

@@ -13,11 +13,11 @@ import geopandas as gpd
 import numpy as np
 
 from p2wss.config import Fetch, Region
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.batiment import normalise, write_footprints
 from p2wss.fetch.cloud import write_cloud
-from p2wss.terrain import Terrain
-from p2wss.tiling import Bounds
 
 __all__ = [
     "Source",

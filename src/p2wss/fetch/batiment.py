@@ -14,8 +14,8 @@ import pyogrio
 import pyproj
 import shapely
 
-from p2wss import io
-from p2wss.clouds import same_crs
+from p2wss.data import files
+from p2wss.data.clouds import same_crs
 from p2wss.errors import InputError
 
 # our column: spelling of WFS, GeoPackage and GeoParquet; spelling of the shapefile delivery
@@ -77,5 +77,5 @@ def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[s
     pyogrio.write_dataframe(
         frame, file, layer="footprints", driver="GPKG", layer_metadata={"p2wss": json.dumps(metadata)}
     )
-    with io.atomic(path) as temporary:
+    with files.atomic(path) as temporary:
         temporary.write_bytes(file.getbuffer())

@@ -14,10 +14,10 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss import io
-from p2wss.clouds import same_crs
+from p2wss.data import files
+from p2wss.data.clouds import same_crs
+from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
-from p2wss.tiling import Bounds
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # tiles as delivered may have points on, or a little beyond, their edges
@@ -96,7 +96,7 @@ def write_cloud(
     for path in paths:
         check_cloud(path, crs)
     if len(paths) == 1 and paths[0].suffix.lower() == ".laz" and _is_inside(paths[0], bounds, holes):
-        with io.atomic(out) as temporary:
+        with files.atomic(out) as temporary:
             _copy(paths[0], temporary, link)
         return int(read_header(paths[0]).point_count)
     first = read_header(paths[0])
@@ -104,7 +104,10 @@ def write_cloud(
     header.scales, header.offsets = first.scales, first.offsets
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
     written = 0
-    with io.atomic(out) as temporary, laspy.open(temporary, "w", header=header, do_compress=True) as writer:
+    with (
+        files.atomic(out) as temporary,
+        laspy.open(temporary, "w", header=header, do_compress=True) as writer,
+    ):
         for path in paths:
             with laspy.open(path) as reader:
                 for points in reader.chunk_iterator(_CHUNK_POINTS):

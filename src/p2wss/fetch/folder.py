@@ -18,14 +18,14 @@ import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
-from p2wss.clouds import same_crs
 from p2wss.config import Folder
+from p2wss.data.archives import is_archive, unpack
+from p2wss.data.clouds import same_crs
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
 from p2wss.fetch import parquet
-from p2wss.fetch.archives import is_archive, unpack
 from p2wss.fetch.cloud import read_header
-from p2wss.terrain import Terrain
-from p2wss.tiling import Bounds, tile_bounds, tiles_of_bounds
 
 log = logging.getLogger(__name__)
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")

@@ -24,13 +24,13 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 
 from p2wss.config import Geoplateforme
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.cloud import check_cloud
 from p2wss.fetch.http import Client, Gone, NoRanges, quote
 from p2wss.fetch.remote import write_window
 from p2wss.fetch.store import Request, Store
-from p2wss.terrain import Terrain
-from p2wss.tiling import Bounds
 
 log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3

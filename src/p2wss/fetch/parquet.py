@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import shapely
 
-from p2wss.tiling import Bounds
+from p2wss.data.tiling import Bounds
 
 _BATCH_ROWS = 65_536
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import yaml
 
 from p2wss.config import Config, load
+from p2wss.data.tiling import grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch import open_source
 from p2wss.fetch.geoplateforme import GeoplateformeSource
-from p2wss.tiling import grown, tile_bounds, tiles_of_bounds
 
 # guesses, only for the plan: buildings of a dense town, a GeoJSON feature, a tile of LiDAR HD (86 to 340 MB)
 _BUILDINGS_PER_KM2 = 2500

@@ -17,14 +17,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from p2wss import io
 from p2wss.config import Prepare
+from p2wss.data import files
+from p2wss.data.las_classes import GROUND_CLASS
+from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.cloud import check_cloud, count_classes, read_header, write_cloud
-from p2wss.tiling import Bounds
 
 log = logging.getLogger(__name__)
-GROUND_CLASS = 2
 CONDITIONAL = "if_no_ground_"
 _NOT_WITHHELD = "Withheld[0:0]"
 HOW_TO_GET_PDAL = (
@@ -135,7 +135,7 @@ def pipeline(
 
 def read_stages(path: Path) -> list[Stage]:
     """The user's filters. Raises :class:`InputError` if the file is no list of PDAL stages, or reads or writes."""
-    stages = io.read_json(path)
+    stages = files.read_json(path)
     if not isinstance(stages, list) or not all(isinstance(s, dict) and "type" in s for s in stages):
         raise InputError(f'{path}: expected a list of PDAL stages, each with a "type"')
     for stage in stages:
@@ -191,7 +191,9 @@ def _run(
         try:
             schema = _call([*words, "info", "--schema", "0.laz"], folder, timeout_s)
             stages = in_words_of(schema, stages)
-            io.write_json(folder / "pipeline.json", pipeline(local, "out.laz", *window, point_format, stages))
+            files.write_json(
+                folder / "pipeline.json", pipeline(local, "out.laz", *window, point_format, stages)
+            )
             _call([*words, "pipeline", "pipeline.json"], folder, timeout_s)
         except subprocess.CalledProcessError as error:
             said = " ".join((error.stderr or error.stdout).split())
@@ -205,10 +207,10 @@ def _run(
         classes = count_classes(folder / "out.laz")
         if not classes.total():
             raise InputError(f"{paths[0]}: PDAL left no point in {window[0]}; is it the right tile and CRS?")
-        with io.atomic(out) as temporary:
+        with files.atomic(out) as temporary:
             os.replace(folder / "out.laz", temporary)
     names = [str(path) for path in paths]
-    io.write_json(out.with_suffix(".pdal.json"), pipeline(names, str(out), *window, point_format, stages))
+    files.write_json(out.with_suffix(".pdal.json"), pipeline(names, str(out), *window, point_format, stages))
     return {"num_points": classes.total(), "num_ground_points": classes[GROUND_CLASS]}
 
 

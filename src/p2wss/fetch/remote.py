@@ -14,10 +14,10 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss import io as files
+from p2wss.data import files as files
+from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.http import Client
-from p2wss.tiling import Bounds
 
 _BLOCK_BYTES = 1 << 17  # nodes of a tile are some 10 to 500 kB
 

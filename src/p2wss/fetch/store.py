@@ -8,7 +8,7 @@ import logging
 from datetime import UTC, datetime
 from pathlib import Path
 
-from p2wss import io
+from p2wss.data import files
 
 log = logging.getLogger(__name__)
 Request = dict[str, str]
@@ -36,7 +36,7 @@ class Store:
             return False
         if known.get("request") != request:
             return False
-        if path.stat().st_size == known["num_bytes"] and io.sha256(path) == known["sha256"]:
+        if path.stat().st_size == known["num_bytes"] and files.sha256(path) == known["sha256"]:
             return True
         log.warning(f"{path}: is not what its record says; it is fetched again")
         self.forget(path)
@@ -46,17 +46,17 @@ class Store:
         return path.read_bytes() if self.holds(path, request) else None
 
     def write(self, path: Path, request: Request, body: bytes) -> None:
-        io.write_bytes(path, body)
+        files.write_bytes(path, body)
         self.record(path, request)
 
     def record(self, path: Path, request: Request) -> None:
         """Declare the file ``path`` whole."""
-        io.write_json(
+        files.write_json(
             _record(path),
             {
                 "request": request,
                 "num_bytes": path.stat().st_size,
-                "sha256": io.sha256(path),
+                "sha256": files.sha256(path),
                 "retrieved": datetime.now(UTC).isoformat(timespec="seconds"),
             },
         )

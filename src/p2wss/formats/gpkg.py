@@ -8,7 +8,7 @@ from typing import Any
 
 import geopandas as gpd
 
-from p2wss import io
+from p2wss.data import files
 
 
 def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str = "buildings") -> None:
@@ -16,7 +16,7 @@ def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str
 
     Raises :class:`InputError` that names ``path`` if the disk refuses.
     """
-    with io.atomic(path) as temporary:
+    with files.atomic(path) as temporary:
         # GDAL makes the file itself, and takes an empty one for a broken one
         temporary.unlink()
         try:

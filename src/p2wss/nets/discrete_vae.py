@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss import parallel
+from p2wss.nets import parallel
 from p2wss.nets.layers import BatchNorm, PlaceLinear
 from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.pointwise import norm_relu_linear

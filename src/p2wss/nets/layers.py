@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss import parallel
+from p2wss.nets import parallel
 
 
 class BatchNorm(nn.BatchNorm1d):

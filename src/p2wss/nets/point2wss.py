@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss import parallel
+from p2wss.nets import parallel
 from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.layers import PlaceLinear
 from p2wss.nets.patches import Patches

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from p2wss import parallel
+from p2wss.nets import parallel
 from p2wss.nets.layers import BatchNorm
 
 # numbers of the widest layer per thread and piece: a few such arrays fit into 1 MiB

@@ -8,14 +8,14 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from p2wss import footprints
 from p2wss.config import Scenes
+from p2wss.data import polygon_arrays
+from p2wss.data.footprints import clean_footprints, split_parts
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import tile_bounds, tiles_of_points
 from p2wss.scenes.heights import eave_heights, ground_heights
-from p2wss.scenes.outlines import clean_footprints, split_parts
 from p2wss.scenes.roofs import Outline, draw_angles
 from p2wss.skeleton import Status
-from p2wss.terrain import Terrain
-from p2wss.tiling import tile_bounds, tiles_of_points
 
 NO_TERRAIN = "no-terrain"
 TOO_HIGH = "too-high"
@@ -64,7 +64,7 @@ def cut_scene(
     angle_deg = [np.zeros(0, np.float32) for _ in chosen]
     polygons[~usable] = shapely.Polygon()
     radius_m = shapely.length(shapely.maximum_inscribed_circle(np.where(usable, polygons, None)))
-    rings = footprints.to_polygons(polygons)
+    rings = polygon_arrays.to_polygons(polygons)
     ids = result["building_id"].astype(str).to_numpy(dtype=object)
     for row in np.flatnonzero(usable):
         outline = Outline.from_rings(rings.rings(int(row)), is_party[chosen[row]], radius_m[row])
@@ -99,7 +99,7 @@ def failed_fraction(scene: gpd.GeoDataFrame) -> float:
 
 def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
     """Per polygon and edge (over all rings): is at least half of it within 0.3 m of another polygon?"""
-    rings = footprints.to_polygons(polygons)
+    rings = polygon_arrays.to_polygons(polygons)
     offset = rings.vertex_offset
     starts, ends = rings.xy_m, rings.xy_m[_next_vertex(rings.ring_offset)]
     edges = np.asarray(shapely.linestrings(np.stack([starts, ends], axis=1)), dtype=object)

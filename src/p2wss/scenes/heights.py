@@ -7,8 +7,8 @@ import pandas as pd
 import shapely
 
 from p2wss.config import Scenes
-from p2wss.seeds import generator
-from p2wss.terrain import Terrain
+from p2wss.data.seeds import generator
+from p2wss.data.terrain import Terrain
 
 # gutter heights to draw from where nothing is known, metres, by BD TOPO's nature, then by its usage
 DRAWN_BY_NATURE_M = {

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.config import Scenes
-from p2wss.seeds import generator
+from p2wss.data.seeds import generator
 
 SLOPES_DEG = np.arange(20, 46)
 ANGLES_DEG = np.array([0, 90, *SLOPES_DEG])

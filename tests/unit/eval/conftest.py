@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from p2wss import io, skeleton
+from p2wss import skeleton
+from p2wss.data import files
+from p2wss.data.schemas.crops import CROPS
 from p2wss.metrics.surface import sample_surface
 from p2wss.skeleton.types import FaceKind, Polygons
 
@@ -23,7 +25,7 @@ SHAPES = {
 def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split: str) -> dict[str, object]:
     """Columns of io.CROPS: buildings of SHAPES in turn, 40 m apart, on ground at z = 100 + 3 sin(i)."""
     draw = np.random.default_rng(seed)
-    rows: dict[str, list[object]] = {name: [] for name in io.CROPS.names}
+    rows: dict[str, list[object]] = {name: [] for name in CROPS.names}
     for i in range(num_buildings):
         roof_type = list(SHAPES)[i % len(SHAPES)]
         ring, angle = SHAPES[roof_type]
@@ -79,9 +81,9 @@ def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     synthetic["building_id"] = [f"b{i}" for i in range(40)]
     synthetic["split"] = ["val"] * 4 + ["train"] * 20 + ["test"] * 16
     lidar = crop_columns(12, "0653_6861", False, 3, "none")
-    metadata = io.provenance(crs="EPSG:2154")
-    io.write_table(folder / "a.parquet", synthetic, io.CROPS, metadata)
-    io.write_table(folder / "b.parquet", lidar, io.CROPS, metadata)
+    metadata = files.provenance(crs="EPSG:2154")
+    files.write_table(folder / "a.parquet", synthetic, CROPS, metadata)
+    files.write_table(folder / "b.parquet", lidar, CROPS, metadata)
     manifest = folder / "manifest.json"
     manifest.write_text(
         json.dumps(

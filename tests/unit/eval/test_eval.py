@@ -18,8 +18,13 @@ import pytest
 import trimesh
 from tiny_network import sure_of
 
-from p2wss import cli, inference, io
+from p2wss import cli
 from p2wss.config import Eval, Reconstruct
+from p2wss.data import files
+from p2wss.data.building import no_mesh
+from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.measures import MEASURES
+from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, read_reconstructions, reconstruction_columns
 from p2wss.errors import InputError
 from p2wss.eval import (
     baselines,
@@ -33,6 +38,7 @@ from p2wss.eval import (
     tables,
     texts,
 )
+from p2wss.reconstruct.flat import lod1
 
 ROOFER = Path(__file__).with_name("toy_roofer.py")
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
@@ -98,18 +104,18 @@ def test_cases_are_the_test_split_and_all_lidar_in_metres(found: list[cases.Case
 
 def test_medians_are_of_the_train_split_above_the_clouds_ground(hamlet: Path) -> None:
     medians = cases.train_medians(cases.read_manifest(hamlet))
-    table = io.read_table(hamlet.parent / "a.parquet", io.CROPS).to_pylist()
+    table = files.read_table(hamlet.parent / "a.parquet", CROPS).to_pylist()
     train = [row for row in table if row["split"] == "train"]
     assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in train]))
     assert medians.angle_deg == np.median(np.concatenate([row["angle_deg"] for row in train]))
 
 
 def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path: Path) -> None:
-    rows = io.read_table(hamlet.parent / "a.parquet", io.CROPS).to_pylist()
+    rows = files.read_table(hamlet.parent / "a.parquet", CROPS).to_pylist()
     for row in rows:
         row["split"] = "test"
-    columns = {name: [row[name] for row in rows] for name in io.CROPS.names}
-    io.write_table(tmp_path / "t.parquet", columns, io.CROPS, {})
+    columns = {name: [row[name] for row in rows] for name in CROPS.names}
+    files.write_table(tmp_path / "t.parquet", columns, CROPS, {})
     manifest = cases.Manifest([(tmp_path / "t.parquet", "synthetic")])
     medians = cases.train_medians(manifest)
     assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in rows]))
@@ -139,7 +145,7 @@ def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case
 
 def test_the_truth_measures_better_than_a_flat_roof(found: list[cases.Case]) -> None:
     ours = predict.predict(found[:16], Knowing(found), RECONSTRUCT)
-    flat = predict.by_dataset(found[:16], inference.lod1, RECONSTRUCT)
+    flat = predict.by_dataset(found[:16], lod1, RECONSTRUCT)
     for case, good, bad in zip(found, ours, flat, strict=False):
         a, b = (measure.measure_building(case, made, CONFIG) for made in (good, bad))
         assert a["points_to_mesh_m"] < 0.04  # the noise is 0.03 m
@@ -150,7 +156,7 @@ def test_the_truth_measures_better_than_a_flat_roof(found: list[cases.Case]) -> 
 
 
 def test_measures_do_not_depend_on_order_or_on_the_rest(found: list[cases.Case]) -> None:
-    flat = predict.by_dataset(found, inference.lod1, RECONSTRUCT)
+    flat = predict.by_dataset(found, lod1, RECONSTRUCT)
     method = {case.key: made for case, made in zip(found, flat, strict=True)}
     forth = list(measure.measure(found, [method], CONFIG))
     back = list(measure.measure(found[::-1][:9], [method], CONFIG))
@@ -160,13 +166,13 @@ def test_measures_do_not_depend_on_order_or_on_the_rest(found: list[cases.Case])
 
 
 def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Path) -> None:
-    made = predict.by_dataset(found, inference.lod1, RECONSTRUCT)
-    made[3] = inference.no_mesh(found[3].building, "lod1", "lost")
+    made = predict.by_dataset(found, lod1, RECONSTRUCT)
+    made[3] = no_mesh(found[3].building, "lod1", "lost")
     odds = np.random.default_rng(0).dirichlet([1, 1, 1], sum(map(len, made[4].rings)))
     made[4] = replace(made[4], class_probability=odds)
     path = tmp_path / "r.parquet"
-    io.write_table(path, inference.columns(made, [c.dataset for c in found]), io.RECONSTRUCTIONS, {})
-    back = cases.read_reconstructions(path)
+    files.write_table(path, reconstruction_columns(made, [c.dataset for c in found]), RECONSTRUCTIONS, {})
+    back = read_reconstructions(path)
     for case, before in zip(found, made, strict=True):
         after = back[case.key]
         assert np.array_equal(before.vertex_m, after.vertex_m)
@@ -182,8 +188,8 @@ def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Pat
 
 
 def measures(rows: list[dict[str, object]]) -> pa.Table:
-    base = {field.name: None for field in io.MEASURES}
-    return pa.Table.from_pylist([base | row for row in rows], schema=io.MEASURES)
+    base = {field.name: None for field in MEASURES}
+    return pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
 
 
 def test_table_2_has_the_papers_rows_and_figures() -> None:
@@ -255,11 +261,11 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     found = cases.test_cases(manifest)
     predictor = Knowing(found, 0.1)
     made = predict.predict(found, predictor, RECONSTRUCT)
-    facts = io.provenance(method="point2wss", status="ok", code="0123")
-    columns = inference.columns(made, [case.dataset for case in found])
-    io.write_table(tmp_path / "predictions.parquet", columns, io.RECONSTRUCTIONS, facts)
+    facts = files.provenance(method="point2wss", status="ok", code="0123")
+    columns = reconstruction_columns(made, [case.dataset for case in found])
+    files.write_table(tmp_path / "predictions.parquet", columns, RECONSTRUCTIONS, facts)
     errors = parameters.masked_errors(found, made, predictor, cases.train_medians(manifest))
-    io.write_json(tmp_path / "parameters.json", errors)
+    files.write_json(tmp_path / "parameters.json", errors)
     config = json.dumps(
         {"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
     )
@@ -267,21 +273,24 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     def run(*arguments: object) -> None:
         assert cli.main(["eval", *map(str, arguments), "--config", config]) == 0
 
+    def outputs(name: str) -> list[object]:
+        return ["--out", tmp_path / f"{name}.parquet", "--out-cpu", tmp_path / f"{name}.json"]
+
     for name in ("lod1", "constant", "roofer"):
-        run("baseline", name, hamlet, tmp_path / f"{name}.parquet", tmp_path / f"{name}.json")
+        run("baseline", "--name", name, "--manifest", hamlet, *outputs(name))
     begin = ["--predictions", tmp_path / "predictions.parquet"]
-    run("refine", hamlet, tmp_path / "refined.parquet", tmp_path / "refined.json", *begin)
-    run("refine", hamlet, tmp_path / "fitted.parquet", tmp_path / "fitted.json")
+    run("refine", "--manifest", hamlet, *outputs("refined"), *begin)
+    run("refine", "--manifest", hamlet, *outputs("fitted"))
     names = ("predictions", "refined", "fitted", "lod1", "constant", "roofer")
     rows = [tmp_path / f"{name}.parquet" for name in names]
     cpu = [tmp_path / f"{name}.json" for name in names[1:]]
-    run("measure", hamlet, tmp_path / "measures.parquet", *rows)
+    run("measure", "--manifest", hamlet, "--out", tmp_path / "measures.parquet", "--reconstructions", *rows)
     training = tmp_path / "model" / "metrics.jsonl"
     (tmp_path / "0652_6862.png").write_bytes(b"\x89PNG of a scan")
     training.parent.mkdir()
     training.write_text("".join(json.dumps({"step": i, "loss": 9 / (i + 1)}) + "\n" for i in range(5)))
     run(
-        *("report", tmp_path, "--manifest", hamlet, "--measures", tmp_path / "measures.parquet"),
+        *("report", "--out", tmp_path, "--manifest", hamlet, "--measures", tmp_path / "measures.parquet"),
         *("--parameters", tmp_path / "parameters.json", "--reconstructions", *rows, "--metrics", training),
         *("--cpu", *cpu),
         *("--scans", tmp_path / "0652_6862.png"),

@@ -12,16 +12,17 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import shapely
+from places import SHARED
 from scipy.spatial import cKDTree
 
-from p2wss import crops, io, scenes
+from p2wss import crops, scenes
 from p2wss.config import Config, Eval, Reconstruct
+from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
 from p2wss.eval import baselines, cases, measure, roofer, roofer_command, tables
-from p2wss.inference import lod1
 from p2wss.metrics.surface import sample_surface
+from p2wss.reconstruct.flat import lod1
 
-SHARED = Path(__file__).parents[3].parent / "shared"
 DATA = SHARED / "data"
 JUDGE = SHARED / "tools" / "evaluate_cityjson.py"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")
@@ -34,7 +35,7 @@ def real_cases(folder: str, cloud: str, tile: str, crs: int) -> list[cases.Case]
     frame = scenes.read_footprints(DATA / folder / "footprints.gpkg")
     frame = scenes.clean_footprints(frame.to_crs(crs), config.scenes)
     columns, _ = crops.crop_lidar(frame, [DATA / folder / cloud], tile, 1000, config.crops)
-    table = pa.table({field.name: pa.array(columns[field.name], field.type) for field in io.CROPS})
+    table = pa.table({field.name: pa.array(columns[field.name], field.type) for field in CROPS})
     return cases.from_crops(table, cases.LIDAR)
 
 

@@ -15,14 +15,16 @@ import pyarrow as pa
 import pytest
 import shapely
 
-from p2wss import inference, io
 from p2wss.config import Eval, Reconstruct
+from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.gallery import Gallery, counts_of_reasons
 from p2wss.eval.reasons import reason
 from p2wss.eval.roof_kinds import roof_kind
-from p2wss.inference import Reconstruction
+from p2wss.fit.mesh import build_meshes
+from p2wss.reconstruct.flat import constant, lod1
 
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
 
@@ -37,7 +39,7 @@ def off(found: list[cases.Case]) -> list[Reconstruction]:
     """A network that is 40 cm too high and takes every roof for a hip of 30 degrees."""
     height = [(case.eave_height_m or 5.0) + 0.4 if case.dataset == cases.SYNTHETIC else 5.0 for case in found]
     buildings = [case.building for case in found]
-    made = inference.constant(buildings, np.array(height), 30.0, RECONSTRUCT, predict.NETWORK)
+    made = constant(buildings, np.array(height), 30.0, RECONSTRUCT, predict.NETWORK)
     return [replace(one, confidence=0.5) for one in made]
 
 
@@ -64,8 +66,8 @@ def table(found: list[cases.Case], made: dict) -> pa.Table:
 
 def measures_of(found: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
     rows = list(measure.measure(found, methods, CONFIG))
-    columns = {name: [row[name] for row in rows] for name in io.MEASURES.names}
-    return pa.table({field.name: pa.array(columns[field.name], field.type) for field in io.MEASURES})
+    columns = {name: [row[name] for row in rows] for name in MEASURES.names}
+    return pa.table({field.name: pa.array(columns[field.name], field.type) for field in MEASURES})
 
 
 def test_the_variants_are_what_their_names_say(found: list[cases.Case], made: dict) -> None:
@@ -92,10 +94,10 @@ def test_real_buildings_may_have_parts_and_simpler_footprints() -> None:
 def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[cases.Case]) -> None:
     clock, calls = CpuClock(), []
 
-    def work(buildings: Sequence[inference.Building], config: Reconstruct) -> list[Reconstruction]:
+    def work(buildings: Sequence[Building], config: Reconstruct) -> list[Reconstruction]:
         calls.append(len(buildings))
         sum(i * i for i in range(200_000))
-        return inference.lod1(buildings, config)
+        return lod1(buildings, config)
 
     predict.by_dataset(found, work, RECONSTRUCT, clock)
     assert calls == [10, 16, 10, 12] and clock.num_buildings == {"synthetic": 16, "lidar": 12}
@@ -106,8 +108,8 @@ def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[c
     rows = [
         {"dataset": "lidar", "method": m, "num_triangles": 4} for m in ("point2wss", "point2wss+fit", "fit")
     ]
-    base = {field.name: None for field in io.MEASURES}
-    measured = pa.Table.from_pylist([base | row for row in rows], schema=io.MEASURES)
+    base = {field.name: None for field in MEASURES}
+    measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
     cpu = {"point2wss": {"lidar": 3.0}, "point2wss+fit": {"lidar": 5.0}}
     got = {d.method: d.cpu_ms for d in tables.details(measured, CONFIG, cpu)}
     assert got == {"point2wss": 3.0, "point2wss+fit": 8.0, "fit": None}
@@ -148,7 +150,7 @@ def test_seen_edges_are_those_with_points_over_a_sloped_face(found: list[cases.C
 
 
 def num_points_over_faces(case: cases.Case, angle_deg: np.ndarray) -> np.ndarray:
-    (mesh,) = inference.build(
+    (mesh,) = build_meshes(
         [case.building], [case.building.rings], [0.0], np.array([case.eave_height_m]), [angle_deg],
         np.array([np.nan]), "label", RECONSTRUCT, [""],
     )  # fmt: skip
@@ -258,8 +260,8 @@ def scene(height_m: np.ndarray, mesh_height_m: float = 5.0) -> tuple[cases.Case,
     x, y = (g.ravel() for g in np.meshgrid(at, at, indexing="ij"))
     ring = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
     point = np.column_stack([x, y, np.broadcast_to(height_m, (20, 20)).ravel()])
-    building = inference.Building("a", "t", (0.0, 0.0), [ring], point, np.full(400, 6, np.uint8), 0.0)
-    (flat,) = inference.constant([building], np.array([mesh_height_m]), 0.0, RECONSTRUCT)
+    building = Building("a", "t", (0.0, 0.0), [ring], point, np.full(400, 6, np.uint8), 0.0)
+    (flat,) = constant([building], np.array([mesh_height_m]), 0.0, RECONSTRUCT)
     return cases.Case(cases.LIDAR, building, 1.0, None, None, None, None), flat
 
 
@@ -292,7 +294,7 @@ def test_reasons_are_the_ones_that_were_built_in() -> None:
     )
     assert reason(replace(case, visible_roof_share=0.3), flat).kind == "occluded"
     assert reason(case, flat).kind == "walls"
-    lost = inference.no_mesh(case.building, "x", "no height")
+    lost = no_mesh(case.building, "x", "no height")
     assert reason(case, lost).sentence == "No mesh: no height."
 
 
@@ -341,13 +343,13 @@ def test_latex_is_balanced_and_escaped() -> None:
 
 def test_the_template_names_recorded_outputs_everywhere() -> None:
     runs = [tables.Run("roofer", "recorded", "recorded outputs: a.city.jsonl"), tables.Run("fit", "ok")]
-    base = {field.name: None for field in io.MEASURES}
+    base = {field.name: None for field in MEASURES}
     rows = [
         {"dataset": "lidar", "method": "roofer", "num_triangles": 10, "chamfer_m": 1.0},
         {"dataset": "lidar", "method": "roofer", "status": "no mesh from Roofer"},
         {"dataset": "synthetic", "method": "fit", "num_triangles": 10, "chamfer_m": 1.0},
     ]
-    measured = pa.Table.from_pylist([base | row for row in rows], schema=io.MEASURES)
+    measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
     details = tables.details(measured, CONFIG)
     columns = tables.columns_2(details, runs)
     names = {"synthetic": "Synthetic", "lidar": "Real"}
@@ -380,9 +382,7 @@ def test_small_faces_overshoot_and_bent_faces_are_counted() -> None:
     for cut, expected in ((0.04, 0), (0.03, 1)):
         ring = np.array([[0.0, 0], [10, 0], [10, 10 - cut], [10 - cut, 10], [0, 10]])
         building = replace(case.building, rings=[ring])
-        (made,) = inference.constant(
-            [building], np.array([5.0]), 0.0, RECONSTRUCT.model_copy(update={"simplify_m": 0})
-        )
+        (made,) = constant([building], np.array([5.0]), 0.0, RECONSTRUCT.model_copy(update={"simplify_m": 0}))
         row = measure.measure_building(replace(case, building=building), made, CONFIG)
         assert (row["num_small_faces"], row["num_mesh_vertices"]) == (expected, 10)
 

@@ -19,7 +19,7 @@ from matplotlib.image import imread
 from p2wss.config import Eval, Reconstruct
 from p2wss.eval import cases, measure
 from p2wss.eval.viewer import MAX_POINTS, Viewer, choose, viewer
-from p2wss.inference import constant, lod1
+from p2wss.reconstruct.flat import constant, lod1
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 NAMES = {"point2wss": "Ours", "lod1": "LoD1 <flat>"}

@@ -11,8 +11,7 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
-
-ROOT = Path(__file__).parents[3]
+from places import ROOT
 
 
 @pytest.fixture(scope="session")

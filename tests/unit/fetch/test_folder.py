@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
+from places import ROOT
 from rasterio.transform import from_origin
 
 from p2wss.config import Folder
@@ -18,7 +19,6 @@ from p2wss.errors import InputError
 from p2wss.fetch import check_terrain, normalise, write_cloud, write_footprints
 from p2wss.fetch.folder import FolderSource, mosaic
 
-ROOT = Path(__file__).parents[3]
 MINI = ROOT / "tests" / "mini"
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"
 

@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
-ROOT = Path(__file__).parents[3]
 MINI = ROOT / "tests" / "mini"
 SCRIPT = """
 import resource, signal, sys
@@ -22,14 +22,14 @@ fetch: {{folder: {{footprints: {MINI}/bdtopo, dtm: {MINI}/rgealti, lidar: {MINI}
 """
 
 
-@pytest.mark.parametrize("what", ["footprints", "dtm 0652_6862", "lidar 0653_6861"])
+@pytest.mark.parametrize("what", ["footprints", "dtm --tile 0652_6862", "lidar --tile 0653_6861"])
 def test_full_disk(tmp_path: Path, what: str) -> None:
     (tmp_path / "config.yaml").write_text(CONFIG)
     folder = tmp_path / "out"
     folder.mkdir()
     out = folder / "x.gpkg"
     out.write_text("what was there before")
-    arguments = ["fetch", *what.split(), str(out), "--config", str(tmp_path / "config.yaml")]
+    arguments = ["fetch", *what.split(), "--out", str(out), "--config", str(tmp_path / "config.yaml")]
     done = subprocess.run(
         [sys.executable, "-c", SCRIPT, *arguments], capture_output=True, text=True, check=False
     )

@@ -10,6 +10,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+from places import SHARED
 from pytest_httpserver import HTTPServer
 from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
@@ -22,9 +23,7 @@ from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.fetch.http import Client
 
 BOUNDS = (652000.0, 6861000.0, 653000.0, 6862000.0)
-REAL_FEATURE = (
-    Path(__file__).parents[3].parent / "shared" / "data" / "geoplateforme" / "batiment_one_feature.json"
-)
+REAL_FEATURE = SHARED / "data" / "geoplateforme" / "batiment_one_feature.json"
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import requests
 import yaml
+from places import ROOT
 from pytest_httpserver import HTTPServer
 from werkzeug import Response
 
@@ -20,7 +21,6 @@ from p2wss.fetch.plan import download, needs, region_yaml, table
 
 from .test_geoplateforme import building, laz, serve_features, serve_terrain, tile_feature
 
-ROOT = Path(__file__).parents[3]
 REGIONS = sorted((ROOT / "config" / "regions").glob("*.yaml"))
 
 
@@ -110,8 +110,17 @@ def test_everything_of_a_region_and_then_nothing_more(httpserver: HTTPServer, tm
         {"region": config.region.model_dump(mode="json"), "fetch": config.fetch.model_dump(mode="json")}
     )
     for part, name in [("footprints", "f.gpkg"), ("dtm", "0652_6862.tif"), ("lidar", "0652_6862.laz")]:
-        tile_name = [] if part == "footprints" else ["0652_6862"]
-        out = [str(tmp_path / name), "--downloads", str(downloads), "--offline", "1", "--config", sections]
+        tile_name = [] if part == "footprints" else ["--tile", "0652_6862"]
+        out = [
+            "--out",
+            str(tmp_path / name),
+            "--downloads",
+            str(downloads),
+            "--offline",
+            "1",
+            "--config",
+            sections,
+        ]
         assert main(["fetch", part, *tile_name, *out]) == 0
     assert len(httpserver.log) == 5
     assert (tmp_path / "0652_6862.laz").read_bytes() == cloud

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import laspy
 import numpy as np
 import pytest
+from places import ROOT
 from scipy.spatial import cKDTree
 
 from p2wss.config import Prepare
 from p2wss.errors import InputError
 from p2wss.fetch.prepare import in_words_of, pipeline, prepare, read_stages
 
-ROOT = Path(__file__).parents[3]
 STAGES = ROOT / "config" / "pdal" / "prepare.json"
 BRESSE = ROOT.parent / "shared" / "data" / "bresse_ign" / "lidar.laz"
 MINI = ROOT / "tests" / "mini" / "lidar" / "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"

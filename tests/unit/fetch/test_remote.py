@@ -10,6 +10,7 @@ from typing import Any
 import laspy
 import numpy as np
 import pytest
+from places import SHARED
 from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
@@ -19,13 +20,7 @@ from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.fetch.http import Client, NoRanges
 from p2wss.fetch.remote import RemoteFile, write_window
 
-COPC = (
-    Path(__file__).parents[3].parent
-    / "shared"
-    / "data"
-    / "lidarhd_crops"
-    / "77050_627755_LA93_IGN69.copc.laz"
-)
+COPC = SHARED / "data" / "lidarhd_crops" / "77050_627755_LA93_IGN69.copc.laz"
 WINDOW = (770505.0, 6277510.0, 770515.0, 6277520.0)
 needs_copc = pytest.mark.skipif(not COPC.exists(), reason="no shared/data/lidarhd_crops")
 

@@ -13,6 +13,7 @@ import cityjson_rules
 import numpy as np
 import pytest
 import trimesh
+from places import SHARED
 
 from p2wss import skeleton
 from p2wss.errors import InputError
@@ -21,7 +22,7 @@ from p2wss.formats.cityjson import Solid, Surface
 from p2wss.formats.polygons import planar_surfaces
 from p2wss.skeleton.types import FaceKind, Polygons
 
-DATA = Path(__file__).parents[3].parent / "shared" / "data"
+DATA = SHARED / "data"
 L_SHAPE = [np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13]], float)]
 COURTYARD = [
     np.array([[0, 0], [20, 0], [20, 20], [0, 20]], float),

@@ -7,17 +7,19 @@ import numpy as np
 import pandas as pd
 import pytest
 import shapely
+from places import SHARED
 
-from p2wss import io
 from p2wss.cli import main
 from p2wss.config import Scenes
+from p2wss.data import files
+from p2wss.data.schemas.buildings import BUILDINGS
+from p2wss.data.schemas.scene import SCENE, read_scene, write_scene
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import tile_bounds
 from p2wss.scenes import NEIGHBOUR_M, count_buildings, cut_scene, failed_fraction
 from p2wss.scenes.cut import party_walls
-from p2wss.terrain import Terrain
-from p2wss.tiling import tile_bounds
 
-MINI = Path(__file__).parents[2] / "mini"
-OLEMPS = Path(__file__).parents[3].parent / "shared" / "data" / "olemps_bdtopo"
+OLEMPS = SHARED / "data" / "olemps_bdtopo"
 TILE_M = 1000
 CONFIG = Scenes(margin_m=50)
 
@@ -87,10 +89,10 @@ def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
     frame = town()
     frame.loc[3, "geometry"] = shapely.box(0, 0, 1, 1)
     scene = cut_scene(window(frame, TILES[0]), flat(), TILES[0], TILE_M, CONFIG)
-    io.write_scene(tmp_path / "s.parquet", scene, {"tile": TILES[0]})
-    back, facts = io.read_scene(tmp_path / "s.parquet")
+    write_scene(tmp_path / "s.parquet", scene, {"tile": TILES[0]})
+    back, facts = read_scene(tmp_path / "s.parquet")
     assert facts == {"tile": TILES[0]}
-    assert list(back.columns) == [*io.SCENE.names, "geometry"]
+    assert list(back.columns) == [*SCENE.names, "geometry"]
     assert back.crs == frame.crs
     good = back[back["status"] == "ok"]
     assert (
@@ -116,7 +118,7 @@ def test_rejected_buildings_keep_their_row() -> None:
 
 def test_an_empty_window_gives_an_empty_scene() -> None:
     scene = cut_scene(town().iloc[:0], flat(), TILES[0], TILE_M, CONFIG)
-    assert len(scene) == 0 and list(scene.columns) == [*io.SCENE.names, "geometry"]
+    assert len(scene) == 0 and list(scene.columns) == [*SCENE.names, "geometry"]
     assert failed_fraction(scene) == 0
 
 
@@ -140,24 +142,27 @@ def test_party_walls_against_distances() -> None:
 
 def write_inputs(folder: Path) -> tuple[Path, Path]:
     town().to_file(folder / "f.gpkg")
-    from p2wss.terrain import write_terrain
+    from p2wss.data.terrain import write_terrain
 
     write_terrain(folder / "dtm.tif", flat(), "EPSG:2154", {})
     return folder / "f.gpkg", folder / "dtm.tif"
 
 
 def cut(folder: Path, tile: str, footprints: Path, dtm: Path, config: str = "{}") -> int:
-    outputs = [str(folder / "out.parquet"), str(folder / "out.tif")]
-    return main(["scenes", "cut", tile, str(footprints), str(dtm), *outputs, "--config", config])
+    inputs = ["--tile", tile, "--footprints", str(footprints), "--dtm", str(dtm)]
+    outputs = ["--out", str(folder / "out.parquet"), "--out-dtm", str(folder / "out.tif")]
+    return main(["scenes", "cut", *inputs, *outputs, "--config", config])
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     footprints, dtm = write_inputs(tmp_path)
-    assert main(["scenes", "index", str(footprints), str(tmp_path / "index.tsv")]) == 0
+    assert (
+        main(["scenes", "index", "--footprints", str(footprints), "--out", str(tmp_path / "index.tsv")]) == 0
+    )
     lines = (tmp_path / "index.tsv").read_text().splitlines()
     assert lines[0] == "tile\tnum_buildings" and lines[1].startswith("0652_6862\t")
     assert cut(tmp_path, "0652_6862", footprints, dtm) == 0
-    scene, facts = io.read_scene(tmp_path / "out.parquet")
+    scene, facts = read_scene(tmp_path / "out.parquet")
     assert scene["in_tile"].sum() == facts["num_by_status"]["ok"] == int(lines[1].split("\t")[1])
     assert facts["tile_size_m"] == 1000 and facts["crs"] == "EPSG:2154"
 
@@ -200,19 +205,16 @@ scenes: {{sampler: {sampler}}}
 """
     )
     footprints, rest = tmp_path / "f.gpkg", ["--config", str(config)]
-    assert main(["fetch", "footprints", str(footprints), *rest]) == 0
+    assert main(["fetch", "footprints", "--out", str(footprints), *rest]) == 0
     statuses: list[pd.Series] = []
     for tile in ("0664_6361", "0664_6360"):
         dtm, scene, buildings = (tmp_path / f"{tile}{end}" for end in (".tif", ".parquet", ".b.parquet"))
-        assert main(["fetch", "dtm", tile, str(dtm), *rest]) == 0
-        assert (
-            main(
-                ["scenes", "cut", tile, str(footprints), str(dtm), str(scene), str(tmp_path / "w.tif"), *rest]
-            )
-            == 0
-        )
-        assert main(["buildings", str(scene), str(buildings), *rest]) == 0
-        table = io.read_table(buildings, io.BUILDINGS, ["status", "in_tile"]).to_pandas()
+        assert main(["fetch", "dtm", "--tile", tile, "--out", str(dtm), *rest]) == 0
+        inputs = ["--tile", tile, "--footprints", str(footprints), "--dtm", str(dtm)]
+        outputs = ["--out", str(scene), "--out-dtm", str(tmp_path / "w.tif")]
+        assert main(["scenes", "cut", *inputs, *outputs, *rest]) == 0
+        assert main(["buildings", "--scene", str(scene), "--out", str(buildings), *rest]) == 0
+        table = files.read_table(buildings, BUILDINGS, ["status", "in_tile"]).to_pandas()
         statuses.append(table.loc[table["in_tile"], "status"])
     counts = pd.concat(statuses).value_counts()
     print(f"{sampler}:\n{counts.to_string()}")

@@ -9,8 +9,9 @@ import pytest
 import shapely
 import shapely.affinity
 
-from p2wss import footprints, skeleton
+from p2wss import skeleton
 from p2wss.config import RoofShares, Scenes
+from p2wss.data import polygon_arrays
 from p2wss.scenes.roofs import ANGLES_DEG, Outline, draw_angles
 
 RECTANGLE = shapely.box(0, 0, 14, 8)
@@ -27,7 +28,7 @@ def only(roof_type: str) -> RoofShares:
 
 
 def outline(shape: shapely.Polygon, party: list[int] | None = None) -> Outline:
-    polygons = footprints.to_polygons([shapely.orient_polygons(shape)])
+    polygons = polygon_arrays.to_polygons([shapely.orient_polygons(shape)])
     is_party = np.isin(np.arange(len(polygons.xy_m)), party or [])
     radius = shapely.maximum_inscribed_circle(shape).length
     return Outline.from_rings(polygons.rings(0), is_party, radius)
@@ -153,7 +154,7 @@ def test_every_draw_makes_a_building(sampler: str) -> None:
                 shapes.append(turned)
                 angles.append(draw_angles(outline(turned), f"B{i}", Scenes(sampler=sampler))[1])  # type: ignore[arg-type]
     meshes = skeleton.build(
-        footprints.to_polygons(shapes),
+        polygon_arrays.to_polygons(shapes),
         np.concatenate(angles),
         np.full(len(shapes), 5.0),
         base_height_m=np.zeros(len(shapes)),

@@ -5,18 +5,18 @@ import os
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import SHARED
 from skeleton_samples import sample_angles, sample_footprints
 from skeleton_solids import judged_sound
 
 from p2wss.skeleton import Polygons, Status, build, clean
 
-DATA = Path(__file__).parents[4] / "shared" / "data"
+DATA = SHARED / "data"
 
 
 def hostile_ring(rng):

@@ -1,0 +1,5 @@
+"""Stage buildings: closed meshes by weighted straight skeleton (paper, section 3)."""
+
+from p2wss.buildings.build import build_scene, failed_fraction
+
+__all__ = ["build_scene", "failed_fraction"]

@@ -1,0 +1,85 @@
+"""Stage 3, buildings: from each footprint, its height and its angles to a closed mesh (paper, section 3)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+
+from p2wss import skeleton
+from p2wss.config import Buildings
+from p2wss.data import files, polygon_arrays
+
+
+def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
+    """The columns of :data:`p2wss.io.BUILDINGS`, one row per row of ``scene`` (:data:`p2wss.io.SCENE`).
+
+    A row that the scene left out keeps its status; a row that the kernel rejects gets the kernel's reason.
+    Both have an empty mesh.
+    """
+    num_buildings = len(scene)
+    polygons = polygon_arrays.to_polygons(scene.geometry.to_numpy())
+    origin_xy_m = polygon_arrays.origins(polygons)
+    status = scene["status"].to_numpy(dtype=object).copy()
+    usable = np.flatnonzero(status == "ok")
+    chosen = polygon_arrays.take(polygons, usable)
+    angle_deg = [np.asarray(scene["angle_deg"].iloc[i], dtype=float) for i in usable]
+    ground_z_m = scene["ground_z_m"].to_numpy()
+    base_z_m = scene["base_z_m"].to_numpy()
+
+    meshes = skeleton.build(
+        _shifted(chosen, origin_xy_m[usable]),
+        np.concatenate(angle_deg) if angle_deg else np.zeros(0),
+        scene["eave_height_m"].to_numpy(dtype=float)[usable],
+        base_height_m=(base_z_m - ground_z_m)[usable],
+        max_roof_height_m=config.max_roof_height_m,
+    )
+    for row, code in zip(usable, meshes.status, strict=True):
+        if code != skeleton.Status.OK:
+            status[row] = skeleton.Status(code).reason
+
+    return {
+        "building_id": scene["building_id"],
+        "tile": scene["tile"],
+        "in_tile": scene["in_tile"],
+        "status": status,
+        "eave_height_m": scene["eave_height_m"].to_numpy(),  # a Series would turn NaN into null
+        "ground_z_m": ground_z_m,
+        "base_z_m": base_z_m,
+        "roof_type": scene["roof_type"],
+        "angle_deg": scene["angle_deg"],
+        "origin_x_m": origin_xy_m[:, 0],
+        "origin_y_m": origin_xy_m[:, 1],
+        **polygon_arrays.to_columns(polygons, origin_xy_m),
+        **mesh_columns(meshes, usable, num_buildings),
+    }
+
+
+def mesh_columns(meshes: skeleton.Meshes, rows: np.ndarray, num_rows: int) -> dict[str, Any]:
+    """The mesh columns of our tables: mesh i goes to row ``rows[i]`` (ascending), the other rows stay empty."""
+
+    def scattered(values: np.ndarray, offset: np.ndarray, per_item: int) -> Any:
+        lengths = np.zeros(num_rows, np.int64)
+        lengths[rows] = np.diff(offset) * per_item
+        return files.ragged(values.ravel(), np.concatenate([[0], np.cumsum(lengths)]))
+
+    return {
+        "vertex_xyz_m": scattered(meshes.vertex_m, meshes.vertex_offset, 3),
+        "triangle": scattered(meshes.triangle, meshes.triangle_offset, 3),
+        "triangle_kind": scattered(meshes.kind, meshes.triangle_offset, 1),
+        "triangle_edge": scattered(meshes.edge, meshes.triangle_offset, 1),
+    }
+
+
+def failed_fraction(scene_status: np.ndarray, status: np.ndarray) -> float:
+    """Share of the scene's usable buildings that the kernel rejected."""
+    usable = scene_status == "ok"
+    return float(np.mean(status[usable] != "ok")) if usable.any() else 0.0
+
+
+def _shifted(polygons: skeleton.Polygons, origin_xy_m: np.ndarray) -> skeleton.Polygons:
+    polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
+    return skeleton.Polygons(
+        polygons.xy_m - origin_xy_m[polygon], polygons.ring_offset, polygons.polygon_offset
+    )

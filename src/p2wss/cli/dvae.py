@@ -1,0 +1,41 @@
+"""``p2wss dvae``: training of the point tokenizer."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from p2wss.cli.common import (
+    Parsers,
+    add_command,
+    add_training,
+    config_on_device,
+    use_threads,
+)
+from p2wss.data import files
+from p2wss.provenance import fingerprint
+
+
+def add_parser(stages: Parsers) -> None:
+    """Add ``p2wss dvae`` to the parser."""
+    command = add_command(stages, "dvae", dvae, "train the point tokenizer")
+    command.add_argument("--manifest", type=Path, required=True)
+    command.add_argument("--out", type=Path, help="model.safetensors", required=True)
+    command.add_argument("--out-metrics", type=Path, help="metrics.jsonl", required=True)
+    add_training(command)
+
+
+def dvae(arguments: argparse.Namespace) -> None:
+    use_threads(arguments.threads)
+    from p2wss import dvae
+    from p2wss.nets import training
+    from p2wss.nets.dvae_file import save_dvae
+
+    config, code = config_on_device(arguments, "dvae").dvae, fingerprint("dvae")
+    module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
+    if not training.writes():
+        return
+    metrics = training.read_metrics(arguments.checkpoints)
+    files.write_text(arguments.out_metrics, metrics)
+    save_dvae(module, arguments.out, config, code, metrics)
+    training.remove_checkpoints(arguments.checkpoints)

@@ -1,0 +1,41 @@
+"""``p2wss model``: training of Point2WSS."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from p2wss.cli.common import (
+    Parsers,
+    add_command,
+    add_training,
+    config_on_device,
+    use_threads,
+)
+from p2wss.data import files
+from p2wss.provenance import fingerprint
+
+
+def add_parser(stages: Parsers) -> None:
+    """Add ``p2wss model`` to the parser."""
+    command = add_command(stages, "model", model, "train Point2WSS")
+    command.add_argument("--manifest", type=Path, required=True)
+    command.add_argument("--dvae", type=Path, required=True)
+    command.add_argument("--out", type=Path, help="model.safetensors", required=True)
+    command.add_argument("--out-metrics", type=Path, help="metrics.jsonl", required=True)
+    add_training(command)
+
+
+def model(arguments: argparse.Namespace) -> None:
+    use_threads(arguments.threads)
+    from p2wss import model
+    from p2wss.nets import training
+
+    config, code = config_on_device(arguments, "model").model, fingerprint("model")
+    module, dvae_config = model.train(arguments.manifest, arguments.dvae, config, arguments.checkpoints, code)
+    if not training.writes():
+        return
+    metrics = training.read_metrics(arguments.checkpoints)
+    files.write_text(arguments.out_metrics, metrics)
+    model.save(module, arguments.out, config, dvae_config, code, metrics)
+    training.remove_checkpoints(arguments.checkpoints)

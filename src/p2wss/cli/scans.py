@@ -1,0 +1,75 @@
+"""``p2wss scans``: the simulated LiDAR survey of one scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from p2wss.cli.common import (
+    Parsers,
+    add_command,
+    config_of,
+    log,
+)
+from p2wss.config import section_json
+from p2wss.data import files
+from p2wss.errors import InputError
+from p2wss.provenance import fingerprint
+
+
+def add_parser(stages: Parsers) -> None:
+    """Add ``p2wss scans`` to the parser."""
+    command = add_command(stages, "scans", scans, "LiDAR survey of one scene")
+    command.add_argument("--scene", type=Path, required=True)
+    command.add_argument("--dtm", type=Path, required=True)
+    command.add_argument("--buildings", type=Path, required=True)
+    command.add_argument("--out", type=Path, help="LAZ", required=True)
+    command.add_argument(
+        "--out-survey", type=Path, help="JSON: parameters of the survey and counts", required=True
+    )
+    command.add_argument(
+        "--picture", type=Path, default=None, help="PNG of a part of it, by building, strip and return"
+    )
+    command.add_argument("--threads", type=int, default=1)
+
+
+def scans(arguments: argparse.Namespace) -> None:
+    import pyproj
+
+    from p2wss import scans
+    from p2wss.data.schemas.buildings import BUILDINGS
+    from p2wss.data.terrain import read_terrain
+
+    config = config_of(arguments)
+    facts = files.read_metadata(arguments.scene)
+    table = files.read_table(arguments.buildings, BUILDINGS)
+    if files.read_metadata(arguments.buildings)["tile"] != facts["tile"]:
+        raise InputError(f"{arguments.buildings}: is not of tile {facts['tile']}, as {arguments.scene} is")
+    terrain, dtm_crs = read_terrain(arguments.dtm)
+    crs = pyproj.CRS.from_user_input(facts["crs"])
+    scans.check_dtm_crs(dtm_crs, crs, arguments.dtm)
+    scan = scans.simulate(
+        table, terrain, facts["tile"], facts["tile_size_m"], config.scans, threads=arguments.threads
+    )
+    bare = scan.facts["buildings_on_nodata"]
+    if bare:
+        log.warning(
+            f"{arguments.dtm}: no data under {len(bare)} buildings, the first is {bare[0]}; no ground there"
+        )
+    survey = scan.facts["survey"]
+    log.info(
+        f"{arguments.out.name}: {survey['pattern']} scan, {len(survey['strips'])} strips, "
+        f"{scan.facts['num_points']} points, {scan.facts['pulses_per_m2']:.1f} pulses per m2 "
+        f"of {survey['density_per_m2']:.1f} pulses requested"
+    )
+    scans.write_scan(arguments.out, scan, crs, threads=arguments.threads)
+    made_by = files.provenance(
+        tile=facts["tile"], crs=facts["crs"], config=section_json(config, "scans"), code=fingerprint("scans")
+    )
+    files.write_json(arguments.out_survey, scan.facts | made_by)
+    if arguments.picture:
+        from p2wss.scans.picture import scan_figure
+        from p2wss.scans.scan import busiest_place
+
+        with files.atomic(arguments.picture) as temporary:
+            scan_figure(scan.points, busiest_place(scan.points)).savefig(temporary, dpi=110)

@@ -1,0 +1,90 @@
+"""``p2wss scenes``: tiles with clean footprints, heights and roof angles."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from pathlib import Path
+
+from p2wss.cli.common import (
+    Parsers,
+    add_command,
+    add_group,
+    bounds_of_tile,
+    config_of,
+    log,
+    log_counts,
+)
+from p2wss.config import section_json
+from p2wss.data import files
+from p2wss.data.tiling import tiles_of_bounds
+from p2wss.errors import InputError
+from p2wss.provenance import fingerprint
+
+
+def add_parser(stages: Parsers) -> None:
+    """Add ``p2wss scenes`` to the parser."""
+    scenes = add_group(stages, "scenes", "cut tiles, clean footprints, draw roofs")
+    command = add_command(scenes, "index", scenes_index, "count buildings per tile")
+    command.add_argument("--footprints", type=Path, required=True)
+    command.add_argument("--out", type=Path, help="TSV: tile, num_buildings", required=True)
+    command = add_command(scenes, "cut", scenes_cut, "one tile with its margin")
+    command.add_argument("--tile", help="name of the tile, such as 0652_6862", required=True)
+    command.add_argument("--footprints", type=Path, required=True)
+    command.add_argument("--dtm", type=Path, required=True)
+    command.add_argument("--out", type=Path, help="GeoParquet of buildings", required=True)
+    command.add_argument("--out-dtm", type=Path, help="GeoTIFF, the terrain under the scene", required=True)
+
+
+def scenes_index(arguments: argparse.Namespace) -> None:
+    from p2wss.data.footprints import read_footprints
+    from p2wss.scenes import count_buildings
+
+    config = config_of(arguments)
+    counts = count_buildings(
+        read_footprints(arguments.footprints), config.region.tile_size_m, config.scenes.min_area_m2
+    )
+    inside = set(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
+    rows = [f"{tile}\t{number}\n" for tile, number in counts.items() if tile in inside]
+    log.info(f"{arguments.out.name}: {len(rows)} tiles with buildings")
+    with files.atomic(arguments.out) as temporary:
+        temporary.write_text("tile\tnum_buildings\n" + "".join(rows))
+
+
+def scenes_cut(arguments: argparse.Namespace) -> None:
+    from p2wss.data.clouds import same_crs
+    from p2wss.data.footprints import read_footprints
+    from p2wss.data.schemas.scene import write_scene
+    from p2wss.data.terrain import read_terrain, write_terrain
+    from p2wss.scenes import NEIGHBOUR_M, cut_scene, failed_fraction
+
+    config = config_of(arguments)
+    tile, tile_size_m, margin_m = arguments.tile, config.region.tile_size_m, config.scenes.margin_m
+    frame = read_footprints(arguments.footprints, bounds=bounds_of_tile(tile, config, margin_m + NEIGHBOUR_M))
+    terrain, dtm_crs = read_terrain(arguments.dtm)
+    if not same_crs(dtm_crs, frame.crs):
+        raise InputError(
+            f"{arguments.dtm}: is in {dtm_crs.name}, but {arguments.footprints} in {frame.crs.name}"
+        )
+    scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
+    if not scene["in_tile"].any():
+        raise InputError(f"{arguments.footprints}: no building in tile {tile}; take it out of region.tiles")
+    log_counts(arguments.out, scene["status"][scene["in_tile"]])
+    failed = failed_fraction(scene)
+    if failed > config.scenes.max_failed_fraction:
+        raise InputError(
+            f"tile {tile}: {failed:.1%} of its footprints in {arguments.footprints} were left out, more than "
+            f"scenes.max_failed_fraction {config.scenes.max_failed_fraction:.1%}; the reasons are above"
+        )
+    metadata = files.provenance(
+        tile=tile,
+        tile_size_m=tile_size_m,
+        margin_m=margin_m,
+        crs=config.region.crs,
+        config=section_json(config, "region", "scenes"),
+        code=fingerprint("scenes"),
+        num_by_status=dict(sorted(Counter(scene["status"][scene["in_tile"]]).items())),
+    )
+    window = terrain.cut(bounds_of_tile(tile, config, margin_m))
+    write_terrain(arguments.out_dtm, window, config.region.crs, metadata)
+    write_scene(arguments.out, scene, metadata)

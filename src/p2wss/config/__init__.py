@@ -1,0 +1,55 @@
+"""Every setting of the pipeline: its type, bounds, default (the miniature's) and one line that explains it.
+
+``config/default.yaml`` and ``config/schema.json`` are generated from here by ``make config``. Imports
+nothing heavy: the Snakefile reads this package at each start.
+"""
+
+from p2wss.config.ablation import Ablation
+from p2wss.config.base import Section
+from p2wss.config.buildings import Buildings
+from p2wss.config.crops import Crops
+from p2wss.config.dvae import Dvae
+from p2wss.config.eval import Eval
+from p2wss.config.fetch import Fetch, Folder, Geoplateforme, Prepare
+from p2wss.config.load import load, section_json
+from p2wss.config.model import Augmentation, Decoding, LossWeights, Masking, Model, ModelOptimiser
+from p2wss.config.reconstruct import OUTPUT_SUFFIXES, Output, Reconstruct
+from p2wss.config.region import Region
+from p2wss.config.scans import Clutter, PatternShares, Scans
+from p2wss.config.scenes import RoofShares, Scenes
+from p2wss.config.sections import Config, ablated
+from p2wss.config.training import Compute, Optimiser
+
+__all__ = [
+    "OUTPUT_SUFFIXES",
+    "Ablation",
+    "Augmentation",
+    "Buildings",
+    "Clutter",
+    "Compute",
+    "Config",
+    "Crops",
+    "Decoding",
+    "Dvae",
+    "Eval",
+    "Fetch",
+    "Folder",
+    "Geoplateforme",
+    "LossWeights",
+    "Masking",
+    "Model",
+    "ModelOptimiser",
+    "Optimiser",
+    "Output",
+    "PatternShares",
+    "Prepare",
+    "Reconstruct",
+    "Region",
+    "RoofShares",
+    "Scans",
+    "Scenes",
+    "Section",
+    "ablated",
+    "load",
+    "section_json",
+]

@@ -1,0 +1,43 @@
+"""What all sections have in common."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class Section(BaseModel):
+    """Base of all sections: unknown keys are errors, values cannot be changed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _in_order(bounds: tuple[float, float]) -> tuple[float, float]:
+    if bounds[0] > bounds[1]:
+        raise ValueError("must be lower bound, upper bound")
+    return bounds
+
+
+NonNegativeRange = Annotated[
+    tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], AfterValidator(_in_order)
+]
+PositiveRange = Annotated[
+    tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]], AfterValidator(_in_order)
+]
+HalfAngleRange = Annotated[
+    tuple[Annotated[float, Field(ge=1, le=45)], Annotated[float, Field(ge=1, le=45)]],
+    AfterValidator(_in_order),
+]
+
+
+def merge(into: dict[str, Any], other: dict[str, Any]) -> None:
+    """Put the values of ``other`` into ``into``, mapping by mapping."""
+    for key, value in other.items():
+        if isinstance(value, dict) and isinstance(into.get(key), dict):
+            merge(into[key], value)
+        else:
+            into[key] = json.loads(json.dumps(value)) if isinstance(value, dict) else value

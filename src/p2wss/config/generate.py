@@ -1,0 +1,39 @@
+"""The generated files of ``config/``: ``default.yaml`` and ``schema.json``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from p2wss.config.base import Section
+from p2wss.config.sections import Config
+
+
+def default_yaml() -> str:
+    """Every key with its default and its one-line description, as YAML."""
+    lines = [
+        "# Every setting, with the miniature's value. Generated from src/p2wss/config by `make config`.",
+        "# yaml-language-server: $schema=schema.json",
+    ]
+    _emit(Config(), lines, "")
+    return "\n".join(lines) + "\n"
+
+
+def _emit(model: Section, lines: list[str], indent: str) -> None:
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        if isinstance(value, Section):
+            about = field.description or (type(value).__doc__ or "").split("\n")[0]
+            lines += ([""] if not indent else []) + [f"{indent}{name}:  # {about}"]
+            _emit(value, lines, indent + "  ")
+        else:
+            plain = json.dumps(model.model_dump(mode="json")[name], ensure_ascii=False)
+            lines.append(
+                f"{indent}{name}: {plain}" + (f"  # {field.description}" if field.description else "")
+            )
+
+
+def main(folder: str = "config") -> None:
+    """Write ``default.yaml`` and ``schema.json``."""
+    Path(folder, "default.yaml").write_text(default_yaml())
+    Path(folder, "schema.json").write_text(json.dumps(Config.model_json_schema(), indent=1) + "\n")

@@ -1,0 +1,70 @@
+"""Configs read, validated, and passed on as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from p2wss.config.base import merge
+from p2wss.config.sections import Config
+from p2wss.errors import InputError
+
+
+def load(*documents: str | Path | dict[str, Any]) -> Config:
+    """The config of the given YAML files or mappings, later ones over earlier ones, over the defaults.
+
+    A string that starts with ``{`` is JSON. Raises :class:`InputError` that names the key and what is wrong.
+    """
+    merged: dict[str, Any] = {}
+    for document in documents:
+        sections = _parse(document).items()
+        merge(merged, {name: {} if section is None else section for name, section in sections})
+    try:
+        return Config.model_validate(merged)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"])) or "config"
+        reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
+        raise InputError(f"config: {key}: {reason}{_suggestion(first)}") from error
+
+
+def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
+    """The named sections as one line of JSON, which :func:`load` reads back; without some of their keys."""
+    sections = {name: getattr(config, name).model_dump(mode="json", exclude=set(without)) for name in names}
+    return json.dumps(sections, sort_keys=True)
+
+
+def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
+    if isinstance(document, dict):
+        return document
+    text = str(document)
+    if not text.lstrip().startswith("{"):
+        try:
+            text = Path(document).read_text()
+        except OSError as error:
+            raise InputError(f"config: {document}: {error.strerror}") from error
+    try:
+        parsed = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"config: {document}: not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(parsed, dict):
+        raise InputError(f"config: {document}: expected sections with keys, found {type(parsed).__name__}")
+    return parsed
+
+
+def _suggestion(error: Any) -> str:
+    if error["type"] != "extra_forbidden":
+        return ""
+    from difflib import get_close_matches
+
+    model: Any = Config
+    for part in error["loc"][:-1]:
+        if isinstance(part, str) and part in getattr(model, "model_fields", {}):
+            model = model.model_fields[part].annotation
+    near = get_close_matches(str(error["loc"][-1]), getattr(model, "model_fields", {}), n=1)
+    return f" (did you mean {near[0]}?)" if near else ""

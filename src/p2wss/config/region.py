@@ -1,0 +1,39 @@
+"""Section region: where."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from p2wss.config.base import Section
+
+
+class Region(Section):
+    """Where: a place, cut into tiles."""
+
+    name: str = Field("mini", pattern=r"^[A-Za-z0-9_-]+$", description="names the folder results/<name>")
+    vintage: str = Field(
+        "mini", pattern=r"^[A-Za-z0-9_.-]+$", description="edition of the data; names resources/ign/<vintage>"
+    )
+    crs: str = Field(
+        "EPSG:2154", description="projected, metric; footprints, terrain and LiDAR must all be in it"
+    )
+    bounds_m: tuple[float, float, float, float] = Field(
+        (652000, 6860000, 654000, 6862000), description="x_min, y_min, x_max, y_max in the CRS"
+    )
+    tile_size_m: float = Field(1000, gt=0, le=10000, description="edge of a scene")
+    tiles: list[str] = Field(
+        ["0652_6862", "0653_6862", "0652_6861"],
+        description="tiles to make; [] = every tile of the bounds that has buildings (found by index_scenes)",
+    )
+    lidar_tiles: list[str] = Field(
+        ["0653_6861"], description="tiles whose real (or stand-in) LiDAR is cropped; [] = none"
+    )
+
+    @model_validator(mode="after")
+    def _bounds_in_order(self) -> Self:
+        x_min, y_min, x_max, y_max = self.bounds_m
+        if x_min >= x_max or y_min >= y_max:
+            raise ValueError("bounds_m must be x_min, y_min, x_max, y_max")
+        return self

@@ -1,0 +1,49 @@
+"""The list of all shards."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from p2wss.data import files
+from p2wss.data.schemas.crops import CROPS
+from p2wss.errors import InputError
+
+
+def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, Any]:
+    """The manifest: every shard (file, data set) with its path relative to ``folder``, rows per split and
+    SHA-256.
+
+    Raises :class:`InputError` if there is no row at all, or if shards of one data set differ in CRS.
+    """
+    listed: list[dict[str, Any]] = []
+    total: Counter[str] = Counter()
+    crs: dict[str, Any] = {}
+    for path, dataset in shards:
+        split = files.read_table(path, CROPS, columns=["split"])["split"].to_pylist()
+        metadata = files.read_metadata(path)
+        if crs.setdefault(dataset, metadata.get("crs")) != metadata.get("crs"):
+            raise InputError(f"{path}: is in {metadata.get('crs')}, other {dataset} shards in {crs[dataset]}")
+        total.update(split)
+        listed.append(
+            {
+                "path": Path(os.path.relpath(path, folder)).as_posix(),
+                "dataset": dataset,
+                "tile": metadata.get("tile"),
+                "num_rows": len(split),
+                "splits": dict(sorted(Counter(split).items())),
+                "left_out": metadata.get("left_out", {}),
+                "sha256": files.sha256(path),
+            }
+        )
+    if not total:
+        raise InputError("no building in any shard; the log of the stage crops tells why they were left out")
+    return {
+        "num_rows": sum(total.values()),
+        "splits": dict(sorted(total.items())),
+        "crs": crs,
+        "shards": listed,
+    }

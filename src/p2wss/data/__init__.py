@@ -1,0 +1,1 @@
+"""What the stages share: buildings, points, footprints, terrain, tiles and their files."""

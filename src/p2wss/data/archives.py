@@ -1,0 +1,85 @@
+"""RGE ALTI as IGN delivers it: grids inside 7z archives, which may be split into parts of 4 GB."""
+
+from __future__ import annotations
+
+import lzma
+import os
+import re
+import tempfile
+from pathlib import Path
+from typing import IO, cast
+
+import multivolumefile
+import py7zr
+
+from p2wss.data import files
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+
+_BROKEN = (py7zr.exceptions.ArchiveError, lzma.LZMAError, EOFError, OSError, ValueError, KeyError)
+_CORNER = re.compile(r"_(\d{4})_(\d{4})_.*\.asc$", re.IGNORECASE)
+
+
+def is_archive(path: Path) -> bool:
+    """Whether ``path`` is an archive, or the first part of a split one."""
+    return path.name.lower().endswith((".7z", ".7z.001"))
+
+
+def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
+    """The grids of an archive that may meet ``bounds``, unpacked into ``folder`` where they are not yet.
+
+    Which grids meet is told by their names: the kilometres of the north-west corner. Raises
+    :class:`InputError` for an archive that is broken, incomplete or needs a password.
+    """
+    try:
+        with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
+            wanted = {
+                member.filename: folder / Path(member.filename).name
+                for member in content.list()
+                if _meets(member.filename, f"{archive.name}/{member.filename}", bounds)
+            }
+            missing = [name for name, path in wanted.items() if not path.is_file()]
+            if missing:
+                folder.mkdir(parents=True, exist_ok=True)
+                with tempfile.TemporaryDirectory(prefix=".unpacking-", dir=folder) as work:
+                    content.extract(work, targets=missing)
+                    for name in missing:
+                        with files.atomic(wanted[name]) as temporary:
+                            os.replace(Path(work, name), temporary)
+    except InputError:
+        raise
+    except _BROKEN as error:
+        parts = "; are all of its parts there?" if archive.suffix == ".001" else ""
+        raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}{parts}") from error
+    return sorted(wanted.values())
+
+
+def members(archive: Path) -> list[str]:
+    """The names of the files in an archive. Raises :class:`InputError` if it is broken or incomplete."""
+    try:
+        with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
+            return content.getnames()
+    except _BROKEN as error:
+        raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}") from error
+
+
+def _open(archive: Path) -> IO[bytes]:
+    if archive.suffix == ".001":
+        return cast(IO[bytes], multivolumefile.open(archive.with_suffix(""), "rb"))
+    return archive.open("rb")
+
+
+def _meets(name: str, product: str, bounds: Bounds) -> bool:
+    corner = _CORNER.search(name)
+    if corner is None:
+        return False
+    # a grid has 1000 x 1000 cells, so 1 km of the product of 1 m and 5 km of that of 5 m
+    edge = 5000.0 if re.search(r"_5M_", product, re.IGNORECASE) else 1000.0
+    x_min, y_max = (1000.0 * int(part) for part in corner.groups())
+    # cells are centred on the kilometre, hence half a cell more to the west and the north
+    return bool(
+        x_min - 2.5 < bounds[2]
+        and x_min + edge > bounds[0]
+        and y_max - edge < bounds[3]
+        and y_max + 2.5 > bounds[1]
+    )

@@ -1,0 +1,135 @@
+"""Point clouds from LAS, LAZ and COPC files: only the window that is asked for, without noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+import lazrs
+import numpy as np
+import pyproj
+
+from p2wss.data.las_classes import NOISE_CLASSES
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+
+_CHUNK_POINTS = 2_000_000
+_BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, RuntimeError, OSError)
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points in a projected CRS: x_m, y_m, z_m float64 (n,), classification uint8 (n,); crs None if no file
+    tells. strip: uint16 (n,), the flight line (point source ID), None if unknown."""
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    z_m: np.ndarray
+    classification: np.ndarray
+    crs: pyproj.CRS | None
+    strip: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.x_m)
+
+
+def read_clouds(
+    paths: Sequence[str | Path],
+    bounds: Bounds | None = None,
+    wanted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+) -> Cloud:
+    """Points of all files, in their order.
+
+    bounds: (x_min, y_min, x_max, y_max); a COPC file is read by window, of others all points are decoded.
+    wanted: maps x, y to a mask of points to keep, for each piece as it is read. Noise (classes 7 and 18) and
+    withheld points are dropped.
+
+    Raises :class:`InputError` for a file that is missing, truncated or no LAS, and for files in different
+    CRSs.
+    """
+    parts: list[tuple[np.ndarray, ...]] = [
+        (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
+    ]
+    crs: pyproj.CRS | None = None
+    named: str | Path = ""
+    for path in paths:
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file")
+        try:
+            for header, points in _pieces(path, bounds):
+                found = header.parse_crs()
+                if found is not None:
+                    if crs is not None and not same_crs(crs, found):
+                        raise InputError(
+                            f"{path} is in {found.name}, but {named} in {crs.name}; reproject one of them"
+                        )
+                    crs, named = crs or found, named or path
+                parts.append(_kept(points, bounds, wanted))
+        except _BROKEN as error:
+            raise InputError(
+                f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
+            ) from error
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4])
+
+
+def _pieces(
+    path: str | Path, bounds: Bounds | None
+) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
+    with laspy.open(path) as reader:
+        header = reader.header
+        is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
+        if bounds is None or not is_copc:
+            num_read = 0
+            for points in reader.chunk_iterator(_CHUNK_POINTS):
+                num_read += len(points)
+                yield header, points
+            if num_read != header.point_count:
+                raise EOFError(f"{num_read} of {header.point_count} points")
+            if num_read == 0:
+                yield header, laspy.ScaleAwarePointRecord.zeros(0, header=header)
+            return
+    with laspy.CopcReader.open(path) as reader:
+        x_min, y_min, x_max, y_max = bounds
+        window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))
+        points = reader.query(bounds=window)
+        # laspy takes what lies beyond the end of a truncated file for nothing, without a word
+        info, size = reader.copc_info, Path(path).stat().st_size
+        ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
+        end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
+        if end > size:
+            raise EOFError(f"{size} of {end} bytes")
+        yield reader.header, points
+
+
+def _kept(
+    points: laspy.ScaleAwarePointRecord,
+    bounds: Bounds | None,
+    wanted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None,
+) -> tuple[np.ndarray, ...]:
+    x, y = np.asarray(points.x), np.asarray(points.y)
+    classification = np.asarray(points.classification).astype(np.uint8)
+    keep = ~np.isin(classification, NOISE_CLASSES) & ~np.asarray(points.withheld).astype(bool)
+    if bounds is not None:
+        x_min, y_min, x_max, y_max = bounds
+        keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+    if wanted is not None:
+        keep &= wanted(x, y)
+    strip = np.asarray(points.point_source_id)[keep]
+    return x[keep], y[keep], np.asarray(points.z)[keep], classification[keep], strip
+
+
+def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+    """The horizontal part of a CRS."""
+    return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+
+
+def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
+    """Whether two CRSs are the same on the ground; heights, the order of axes and names are ignored."""
+    a, b = horizontal(first), horizontal(second)
+    if a.equals(b, ignore_axis_order=True):
+        return True
+    codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
+    return codes[0] is not None and codes[0] == codes[1]

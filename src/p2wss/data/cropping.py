@@ -1,0 +1,280 @@
+"""Which points belong to which footprint: exact distance of every point to every polygon nearby.
+
+A point belongs to a polygon when it is inside, or no further from it than the buffer; a courtyard is outside.
+A point may belong to several polygons. The distance is computed as GEOS does it, so that the answer is that
+of ``shapely.dwithin``, ties included.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from p2wss.skeleton.compiled import entry, inlined
+from p2wss.skeleton.types import Polygons
+
+_CELL_M = 4.0
+_MAX_CELLS = 1 << 24
+
+
+def crop_points(
+    x_m: np.ndarray,
+    y_m: np.ndarray,
+    polygons: Polygons,
+    buffer_m: float,
+    among: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of each polygon.
+
+    x_m, y_m: float64 (num_points,), in the frame of ``polygons``. among: bool (num_points,), which points
+    count; all without it. Returns point int32 (num_pairs,), the
+    index of a point; inside bool (num_pairs,), false for a point of the ring around the polygon; offset
+    int64 (num_polygons + 1,): polygon p has the pairs ``offset[p]:offset[p + 1]``, in an order that depends
+    on the points and the polygons only.
+    """
+    count = len(polygons)
+    if not len(polygons.xy_m) or not len(x_m):
+        return np.zeros(0, np.int32), np.zeros(0, bool), np.zeros(count + 1, np.int64)
+    low = polygons.xy_m.min(axis=0) - buffer_m
+    extent = polygons.xy_m.max(axis=0) + buffer_m - low
+    cell_m = max(_CELL_M, sqrt(float(extent[0] * extent[1]) / _MAX_CELLS))
+    columns, rows = (int(length / cell_m) + 1 for length in extent)
+    boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, low, cell_m, float(buffer_m), columns, rows)
+    start, order, x_sorted, y_sorted = _sort_points(
+        x_m, y_m, low, cell_m, columns, rows, boxes, np.zeros(0, bool) if among is None else among
+    )
+    return _crop(
+        x_sorted,
+        y_sorted,
+        order,
+        start,
+        columns,
+        low[1],
+        cell_m,
+        boxes,
+        polygons.xy_m,
+        polygons.ring_offset,
+        polygons.polygon_offset,
+        float(buffer_m),
+    )
+
+
+@entry
+def _cell_boxes(
+    xy: np.ndarray,
+    vertex_offset: np.ndarray,
+    low: np.ndarray,
+    cell_m: float,
+    buffer_m: float,
+    columns: int,
+    rows: int,
+) -> np.ndarray:
+    """First and last column and row of cells around each polygon, int64 (num_polygons, 4); (0, -1, 0, -1) if
+    empty."""
+    boxes = np.empty((len(vertex_offset) - 1, 4), np.int64)
+    for p in range(len(vertex_offset) - 1):
+        if vertex_offset[p] == vertex_offset[p + 1]:
+            boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3] = 0, -1, 0, -1
+            continue
+        vertices = xy[vertex_offset[p] : vertex_offset[p + 1]]
+        boxes[p, 0] = max(0, int((vertices[:, 0].min() - buffer_m - low[0]) / cell_m))
+        boxes[p, 1] = min(columns - 1, int((vertices[:, 0].max() + buffer_m - low[0]) / cell_m))
+        boxes[p, 2] = max(0, int((vertices[:, 1].min() - buffer_m - low[1]) / cell_m))
+        boxes[p, 3] = min(rows - 1, int((vertices[:, 1].max() + buffer_m - low[1]) / cell_m))
+    return boxes
+
+
+@entry
+def _sort_points(
+    x: np.ndarray,
+    y: np.ndarray,
+    low: np.ndarray,
+    cell_m: float,
+    columns: int,
+    rows: int,
+    boxes: np.ndarray,
+    among: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Counting sort of the points by cell, row by row, without those of cells that no polygon needs.
+
+    ``among`` is bool, one per point, or empty for all.
+    """
+    wanted = np.zeros((rows, columns), np.bool_)
+    for p in range(len(boxes)):
+        wanted[boxes[p, 2] : boxes[p, 3] + 1, boxes[p, 0] : boxes[p, 1] + 1] = True
+    cell = np.empty(len(x), np.int32)
+    start = np.zeros(rows * columns + 1, np.int64)
+    for i in range(len(x)):
+        cell[i] = -1
+        if len(among) and not among[i]:
+            continue
+        u, v = (x[i] - low[0]) / cell_m, (y[i] - low[1]) / cell_m
+        if 0 <= u < columns and 0 <= v < rows and wanted[int(v), int(u)]:
+            cell[i] = int(v) * columns + int(u)
+            start[cell[i] + 1] += 1
+    for c in range(rows * columns):
+        start[c + 1] += start[c]
+    order = np.empty(start[-1], np.int32)
+    x_sorted, y_sorted = np.empty(start[-1]), np.empty(start[-1])
+    free = start[:-1].copy()
+    for i in range(len(x)):
+        if cell[i] >= 0:
+            k = free[cell[i]]
+            free[cell[i]] += 1
+            order[k], x_sorted[k], y_sorted[k] = i, x[i], y[i]
+    return start, order, x_sorted, y_sorted
+
+
+@entry
+def _crop(
+    x: np.ndarray,
+    y: np.ndarray,
+    order: np.ndarray,
+    start: np.ndarray,
+    columns: int,
+    low_y: float,
+    cell_m: float,
+    boxes: np.ndarray,
+    xy: np.ndarray,
+    ring_offset: np.ndarray,
+    polygon_offset: np.ndarray,
+    buffer_m: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    num_polygons = len(polygon_offset) - 1
+    room, most_edges = 0, 1
+    for p in range(num_polygons):
+        for row in range(boxes[p, 2], boxes[p, 3] + 1):
+            room += start[row * columns + boxes[p, 1] + 1] - start[row * columns + boxes[p, 0]]
+        most_edges = max(most_edges, ring_offset[polygon_offset[p + 1]] - ring_offset[polygon_offset[p]])
+    point, inside = np.empty(room, np.int32), np.empty(room, np.bool_)
+    offset = np.zeros(num_polygons + 1, np.int64)
+    edge = np.empty((most_edges, 4))  # ends of the edges that reach the row of cells: ax, ay, bx, by
+    n = 0
+    for p in range(num_polygons):
+        for row in range(boxes[p, 2], boxes[p, 3] + 1):
+            first, last = start[row * columns + boxes[p, 0]], start[row * columns + boxes[p, 1] + 1]
+            if first == last:
+                continue
+            # a cell's width more than needed, against rounding at the border of the cells
+            y_min = low_y + (row - 1) * cell_m - buffer_m
+            y_max = low_y + (row + 2) * cell_m + buffer_m
+            num_edges = 0
+            for ring in range(polygon_offset[p], polygon_offset[p + 1]):
+                before = ring_offset[ring + 1] - 1
+                for here in range(ring_offset[ring], ring_offset[ring + 1]):
+                    ay, by = xy[before, 1], xy[here, 1]
+                    if max(ay, by) >= y_min and min(ay, by) <= y_max:
+                        edge[num_edges, 0], edge[num_edges, 1] = xy[before, 0], ay
+                        edge[num_edges, 2], edge[num_edges, 3] = xy[here, 0], by
+                        num_edges += 1
+                    before = here
+            for k in range(first, last):
+                within, near = _locate(x[k], y[k], edge, num_edges, buffer_m)
+                if within or near:
+                    point[n], inside[n] = order[k], within
+                    n += 1
+        offset[p + 1] = n
+    return point[:n].copy(), inside[:n].copy(), offset
+
+
+@inlined
+def _locate(px: float, py: float, edge: np.ndarray, num_edges: int, buffer_m: float) -> tuple[bool, bool]:
+    """Whether the point is inside (even-odd rule), and whether it is within the buffer of an edge."""
+    inside, near = False, False
+    for i in range(num_edges):
+        ax, ay, bx, by = edge[i, 0], edge[i, 1], edge[i, 2], edge[i, 3]
+        if (ay > py) != (by > py) and px < ax + (py - ay) * (bx - ax) / (by - ay):
+            inside = not inside
+        if (
+            not near
+            and min(ax, bx) - buffer_m <= px <= max(ax, bx) + buffer_m
+            and min(ay, by) - buffer_m <= py <= max(ay, by) + buffer_m
+        ):
+            near = _distance(px, py, ax, ay, bx, by) <= buffer_m
+    return inside, near
+
+
+@entry
+def _distance(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
+    """Distance from a point to a segment, in the operations of GEOS (``Distance::pointToSegment``)."""
+    length2 = (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
+    if length2 == 0:
+        return sqrt((px - ax) ** 2 + (py - ay) ** 2)
+    along = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / length2
+    if along <= 0:
+        return sqrt((px - ax) ** 2 + (py - ay) ** 2)
+    if along >= 1:
+        return sqrt((px - bx) ** 2 + (py - by) ** 2)
+    return abs(((ay - py) * (bx - ax) - (ax - px) * (by - ay)) / length2) * sqrt(length2)
+
+
+@entry
+def ring_medians(
+    value: np.ndarray, among: np.ndarray, point: np.ndarray, inside: np.ndarray, offset: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of the points of each polygon's ring, those ``among`` (bool, one per point): how many, int64, and the
+    median of ``value``, NaN without any (num_polygons,)."""
+    count, result = np.zeros(len(offset) - 1, np.int64), np.full(len(offset) - 1, np.nan)
+    some = np.empty(np.max(np.diff(offset)) if len(offset) > 1 else 0)
+    for p in range(len(offset) - 1):
+        n = 0
+        for k in range(offset[p], offset[p + 1]):
+            if among[point[k]] and not inside[k]:
+                some[n] = value[point[k]]
+                n += 1
+        count[p] = n
+        if n:
+            result[p] = np.median(some[:n])
+    return count, result
+
+
+@entry
+def seen_share(
+    x_cm: np.ndarray,
+    y_cm: np.ndarray,
+    on_roof: np.ndarray,
+    offset: np.ndarray,
+    xy: np.ndarray,
+    ring_offset: np.ndarray,
+    polygon_offset: np.ndarray,
+) -> np.ndarray:
+    """Share of each polygon's 1 m cells that have a point on the roof, float32 (num_polygons,).
+
+    A cell counts when its centre is inside the polygon; cells start at whole metres of the local frame, in
+    which the polygons and the points are given. Without any such cell: 1 with a point on the roof, else 0.
+    """
+    result = np.zeros(len(offset) - 1, np.float32)
+    for p in range(len(offset) - 1):
+        first, last = ring_offset[polygon_offset[p]], ring_offset[polygon_offset[p + 1]]
+        if first == last:
+            continue
+        column0, row0 = int(np.floor(xy[first:last, 0].min())), int(np.floor(xy[first:last, 1].min()))
+        columns = int(np.floor(xy[first:last, 0].max())) - column0 + 1
+        rows = int(np.floor(xy[first:last, 1].max())) - row0 + 1
+        seen = np.zeros((rows, columns), np.bool_)
+        any_seen = False
+        for k in range(offset[p], offset[p + 1]):
+            if on_roof[k]:
+                any_seen = True
+                column = int(np.floor(x_cm[k] / 100.0)) - column0
+                row = int(np.floor(y_cm[k] / 100.0)) - row0
+                if 0 <= column < columns and 0 <= row < rows:
+                    seen[row, column] = True
+        num_cells, num_seen = 0, 0
+        for row in range(rows):
+            for column in range(columns):
+                px, py = column0 + column + 0.5, row0 + row + 0.5
+                inside = False
+                for ring in range(polygon_offset[p], polygon_offset[p + 1]):
+                    before = ring_offset[ring + 1] - 1
+                    for here in range(ring_offset[ring], ring_offset[ring + 1]):
+                        ax, ay, bx, by = xy[before, 0], xy[before, 1], xy[here, 0], xy[here, 1]
+                        if (ay > py) != (by > py) and px < ax + (py - ay) * (bx - ax) / (by - ay):
+                            inside = not inside
+                        before = here
+                if inside:
+                    num_cells += 1
+                    num_seen += seen[row, column]
+        result[p] = num_seen / num_cells if num_cells else 1.0 * any_seen
+    return result

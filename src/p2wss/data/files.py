@@ -1,0 +1,157 @@
+"""The files that stages hand to each other: their columns, and how they are written whole or not at all.
+
+Every Parquet file carries, under the metadata key ``p2wss``, a JSON object with what made it (config section,
+code fingerprint, version, CRS, counts). A column's meaning and unit are in its field's metadata, so
+``pyarrow.parquet.read_schema(path)`` is the documentation.
+
+Frames. ``*_xy_m`` and ``vertex_xyz_m`` are flattened (x0, y0, x1, y1, ...) and relative to
+(origin_x_m, origin_y_m) in the projected CRS of the file. Mesh heights are relative to ``ground_z_m``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from p2wss import __version__
+from p2wss.errors import InputError
+
+METADATA_KEY = b"p2wss"
+
+
+def provenance(**facts: Any) -> dict[str, Any]:
+    """Metadata for a result: the package's version and ``facts`` (config, code, crs, ..)."""
+    return {"version": __version__, **facts}
+
+
+@contextmanager
+def atomic(path: str | Path) -> Iterator[Path]:
+    """A temporary name beside ``path`` that becomes ``path`` when the block ends well and vanishes otherwise.
+
+    The suffix is kept, because GDAL and laspy choose the format by it. A full disk or any other ``OSError``
+    inside the block becomes an :class:`InputError` that names ``path``.
+    """
+    path = Path(path)
+    suffix = "".join(path.suffixes)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.name.removesuffix(suffix)}-", suffix=suffix, dir=path.parent
+        )
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_table(
+    path: str | Path, columns: dict[str, Any], schema: pa.Schema, metadata: dict[str, Any]
+) -> None:
+    """Write columns as Parquet (zstd) with ``metadata`` under the key ``p2wss``."""
+    table = pa.table(
+        {field.name: pa.array(columns[field.name], type=field.type) for field in schema},
+        schema=schema.with_metadata({METADATA_KEY: json.dumps(metadata).encode()}),
+    )
+    with atomic(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd", compression_level=3, row_group_size=512)
+
+
+def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = None) -> pa.Table:
+    """Read a Parquet file that has the columns of ``schema`` (all, or those named).
+
+    Raises :class:`InputError` if it is missing, broken or of another kind.
+    """
+    wanted = columns or schema.names
+    try:
+        missing = [name for name in wanted if name not in pq.read_schema(path).names]
+        table = pq.read_table(path, columns=[name for name in wanted if name not in missing])
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (pa.ArrowException, OSError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a readable Parquet file: {reason}") from error
+    if missing:
+        raise InputError(
+            f"{path}: columns {', '.join(missing)} are missing; was it written by another version?"
+        )
+    return table
+
+
+def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> None:
+    """Write a GeoDataFrame as GeoParquet (zstd) with ``metadata`` under the key ``p2wss``."""
+    with atomic(path) as temporary:
+        frame.to_parquet(temporary, compression="zstd")
+        table = pq.read_table(temporary)
+        own = {METADATA_KEY: json.dumps(metadata).encode()}
+        pq.write_table(
+            table.replace_schema_metadata(table.schema.metadata | own), temporary, compression="zstd"
+        )
+
+
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """The JSON object that :func:`write_table` stored."""
+    found = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+    if found is None:
+        raise InputError(f"{path}: not a file of p2wss: it has no metadata named p2wss")
+    return json.loads(found)
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    with atomic(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    with atomic(path) as temporary:
+        temporary.write_text(text)
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    with atomic(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_json(path: str | Path) -> Any:
+    try:
+        return json.loads(Path(path).read_text())
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+
+
+def sha256(path: str | Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """A list column as (values, offsets): row i owns ``values[offsets[i]:offsets[i + 1]]``; a null row is empty."""
+    column = table.column(name).combine_chunks()
+    lengths = np.nan_to_num(column.value_lengths().to_numpy(zero_copy_only=False)).astype(np.int64)
+    return column.flatten().to_numpy(zero_copy_only=False), np.concatenate([[0], np.cumsum(lengths)])
+
+
+def ragged(values: np.ndarray, offsets: np.ndarray) -> pa.ListArray:
+    """The inverse of :func:`list_column`: a list array that owns ``values`` cut at ``offsets``."""
+    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(values))

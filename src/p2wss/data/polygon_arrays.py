@@ -1,0 +1,105 @@
+"""Footprints between three forms: shapely geometries, the kernel's ragged arrays, and columns of our tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pyarrow as pa
+import shapely
+
+from p2wss.data import files
+from p2wss.skeleton.types import Polygons
+
+
+def to_polygons(geometries: Sequence[shapely.Polygon] | np.ndarray) -> Polygons:
+    """The kernel's arrays of shapely polygons (no multipolygons), order and rings kept, closing vertices dropped.
+
+    An empty or missing geometry becomes a polygon without rings.
+    """
+    shapes = np.asarray(geometries, dtype=object)
+    empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
+    if np.any(shapely.get_type_id(shapes[~empty]) != shapely.GeometryType.POLYGON):
+        raise ValueError("only polygons; split multipolygons first")
+    num_rings = np.where(empty, 0, shapely.get_num_interior_rings(shapes) + 1)
+    rings, _ = shapely.get_rings(shapes[~empty], return_index=True)
+    xy, ring = shapely.get_coordinates(rings, return_index=True)
+    counts = np.bincount(ring, minlength=len(rings)) if len(rings) else np.zeros(0, np.int64)
+    closing = np.zeros(len(xy), bool)
+    closing[np.cumsum(counts) - 1] = True
+    return Polygons(
+        xy_m=xy[~closing],
+        ring_offset=np.concatenate([[0], np.cumsum(counts - 1)]).astype(np.int64),
+        polygon_offset=np.concatenate([[0], np.cumsum(num_rings)]).astype(np.int64),
+    )
+
+
+def to_geometries(polygons: Polygons) -> np.ndarray:
+    """Shapely polygons, an object array (num_polygons,); a polygon without rings becomes an empty one."""
+    shapes = [polygons.rings(p) for p in range(len(polygons))]
+    return np.array(
+        [shapely.Polygon(rings[0], rings[1:]) if rings else shapely.Polygon() for rings in shapes],
+        dtype=object,
+    )
+
+
+def take(polygons: Polygons, indices: np.ndarray) -> Polygons:
+    """The polygons at ``indices`` (int array or boolean mask), in that order."""
+    chosen = np.arange(len(polygons))[indices]
+    ring_index = [np.arange(polygons.polygon_offset[p], polygons.polygon_offset[p + 1]) for p in chosen]
+    rings = np.concatenate(ring_index) if ring_index else np.zeros(0, np.int64)
+    lengths = np.diff(polygons.ring_offset)[rings]
+    starts = polygons.ring_offset[rings]
+    ring_offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    source = np.arange(ring_offset[-1]) + np.repeat(starts - ring_offset[:-1], lengths)
+    return Polygons(
+        xy_m=polygons.xy_m[source],
+        ring_offset=ring_offset,
+        polygon_offset=np.cumsum([0, *map(len, ring_index)]).astype(np.int64),
+    )
+
+
+def origins(polygons: Polygons) -> np.ndarray:
+    """A local origin per polygon: the middle of its bounding box, rounded to 1 m. float64 (num_polygons, 2)."""
+    result = np.zeros((len(polygons), 2))
+    offset = polygons.vertex_offset
+    filled = np.flatnonzero(np.diff(offset) > 0)
+    if len(filled):
+        # reduceat needs non-empty slices; those in between are empty, so the starts are enough
+        low = np.minimum.reduceat(polygons.xy_m, offset[filled])
+        high = np.maximum.reduceat(polygons.xy_m, offset[filled])
+        result[filled] = np.round((low + high) / 2)
+    return result
+
+
+def to_columns(polygons: Polygons, origin_xy_m: np.ndarray) -> dict[str, pa.Array]:
+    """The table columns ``footprint_xy_m`` and ``ring_offset``, relative to an origin per polygon (num_polygons, 2)."""
+    vertex_offset = polygons.vertex_offset
+    polygon = np.repeat(np.arange(len(polygons)), np.diff(vertex_offset))
+    local = polygons.xy_m - origin_xy_m[polygon]
+    num_rings = np.diff(polygons.polygon_offset)
+    # each row lists its own offsets from 0: one more value than it has rings
+    first = np.repeat(polygons.ring_offset[polygons.polygon_offset[:-1]], num_rings + 1)
+    row_offset = np.concatenate([[0], np.cumsum(num_rings + 1)])
+    position = np.arange(row_offset[-1]) - np.repeat(np.arange(len(polygons)), num_rings + 1)
+    return {
+        "footprint_xy_m": files.ragged(local.ravel(), 2 * vertex_offset),
+        "ring_offset": files.ragged((polygons.ring_offset[position] - first).astype(np.int32), row_offset),
+    }
+
+
+def from_columns(table: pa.Table) -> Polygons:
+    """The inverse of :func:`to_columns`, in the local frame of each row."""
+    xy, vertex_offset = files.list_column(table, "footprint_xy_m")
+    ring, row_offset = files.list_column(table, "ring_offset")
+    num_rings = np.maximum(np.diff(row_offset) - 1, 0)
+    lengths = [np.diff(ring[a:b]) for a, b in pairwise(row_offset)]
+    sizes = np.concatenate(lengths) if lengths else np.zeros(0, np.int64)
+    polygons = Polygons(
+        xy_m=xy.reshape(-1, 2),
+        ring_offset=np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64),
+        polygon_offset=np.concatenate([[0], np.cumsum(num_rings)]).astype(np.int64),
+    )
+    assert np.array_equal(2 * polygons.vertex_offset, vertex_offset)
+    return polygons

@@ -1,0 +1,23 @@
+"""Buildings: Parquet of the parameters and the closed mesh of each building of a scene."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from p2wss.data.schemas.columns import FOOTPRINT, FRAME, IDENTITY, MESH, STATUS, field
+
+BUILDINGS = pa.schema(
+    [
+        *IDENTITY,
+        field("in_tile", pa.bool_(), "false for a building of the margin"),
+        *STATUS,
+        field("eave_height_m", pa.float32(), "gutter above ground_z_m"),
+        field("ground_z_m", pa.float64(), "z of height 0"),
+        field("base_z_m", pa.float64(), "z of the mesh's ground face"),
+        field("roof_type", pa.string(), "as drawn by the scene's sampler"),
+        field("angle_deg", pa.list_(pa.float32()), "one per edge over all rings"),
+        *FRAME,
+        *FOOTPRINT,
+        *MESH,
+    ]
+)

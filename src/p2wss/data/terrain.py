@@ -1,0 +1,97 @@
+"""A window of terrain: heights on a north-up raster, and its file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import rasterio
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
+from scipy.ndimage import map_coordinates
+
+from p2wss.data import files
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """A north-up raster of heights.
+
+    height_m: float32 (rows, columns), NaN where there is no data; row 0 is the north. x_min_m, y_max_m: outer
+    corner of the north-west cell. cell_m: edge of the square cells; a height is that of its cell's middle.
+    """
+
+    height_m: np.ndarray
+    x_min_m: float
+    y_max_m: float
+    cell_m: float
+
+    def cut(self, bounds: Bounds) -> Terrain:
+        """The cells whose middles are in ``bounds`` and one more all around: triangles reach its edge."""
+        rows, columns = self.height_m.shape
+        x_min, y_min, x_max, y_max = bounds
+        left = max(0, int(np.floor((x_min - self.x_min_m) / self.cell_m - 0.5)))
+        top = max(0, int(np.floor((self.y_max_m - y_max) / self.cell_m - 0.5)))
+        right = min(columns, int(np.ceil((x_max - self.x_min_m) / self.cell_m - 0.5)) + 1)
+        bottom = min(rows, int(np.ceil((self.y_max_m - y_min) / self.cell_m - 0.5)) + 1)
+        return Terrain(
+            self.height_m[top : max(bottom, top), left : max(right, left)],
+            self.x_min_m + left * self.cell_m,
+            self.y_max_m - top * self.cell_m,
+            self.cell_m,
+        )
+
+    def interpolated(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """Bilinear height at each point; NaN where one of the four cells around has no data or is outside."""
+        column = (np.asarray(x_m) - self.x_min_m) / self.cell_m - 0.5
+        row = (self.y_max_m - np.asarray(y_m)) / self.cell_m - 0.5
+        heights = self.height_m.astype(np.float64)
+        return map_coordinates(heights, [row, column], order=1, mode="constant", cval=np.nan, prefilter=False)
+
+
+def read_terrain(path: str | Path) -> tuple[Terrain, pyproj.CRS]:
+    """A single-band raster of heights; its nodata value becomes NaN.
+
+    Raises :class:`InputError` if it is unreadable, rotated, without CRS or its cells are not square.
+    """
+    try:
+        with rasterio.open(path) as raster:
+            heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
+            transform, crs = raster.transform, raster.crs
+    except rasterio.errors.RasterioIOError as error:
+        raise InputError(f"{path}: not a readable raster: {error}") from error
+    if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
+        raise InputError(f"{path}: expected a north-up raster with square cells")
+    if crs is None:
+        raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
+    return Terrain(heights, transform.c, transform.f, transform.a), pyproj.CRS.from_user_input(crs)
+
+
+def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[str, Any]) -> None:
+    """Write a GeoTIFF: float32, deflated, NaN as nodata, ``metadata`` as JSON under the tag ``p2wss``."""
+    rows, columns = terrain.height_m.shape
+    profile = {
+        "driver": "GTiff",
+        "width": columns,
+        "height": rows,
+        "count": 1,
+        "dtype": "float32",
+        "crs": crs,
+        "transform": from_origin(terrain.x_min_m, terrain.y_max_m, terrain.cell_m, terrain.cell_m),
+        "nodata": np.nan,
+        "compress": "deflate",
+        "predictor": 3,
+    }
+    # GDAL does not notice a full disk; writing the bytes ourselves does
+    with MemoryFile() as file:
+        with file.open(**profile) as raster:
+            raster.write(terrain.height_m.astype(np.float32), 1)
+            raster.update_tags(p2wss=json.dumps(metadata))
+        with files.atomic(path) as temporary:
+            temporary.write_bytes(file.getbuffer())

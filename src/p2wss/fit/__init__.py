@@ -1,0 +1,1 @@
+"""Parametric buildings fitted to points: analysis by synthesis, with or without a network."""

@@ -1,0 +1,145 @@
+"""Meshes of parametric buildings: footprints and angles as the kernel takes them, and the call of the kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import shapely
+
+from p2wss import skeleton
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.skeleton.types import Meshes, Polygons
+
+
+def simplify_exterior(rings: Sequence[np.ndarray], max_num_vertices: int) -> list[np.ndarray]:
+    """The rings with at most so many vertices in the exterior, by Douglas-Peucker with a growing tolerance.
+
+    Courtyards stay as they are. An exterior that keeps more vertices whatever the tolerance becomes its
+    smallest rectangle.
+    """
+    exterior = shapely.Polygon(rings[0])
+    simple: Any = exterior
+    tolerance = 0.05
+    size = float(np.hypot(*np.subtract(exterior.bounds[2:], exterior.bounds[:2])))
+    while _num_vertices(simple) > max_num_vertices and tolerance < size:
+        simple = exterior.simplify(tolerance, preserve_topology=True)
+        tolerance *= 1.25
+    if _num_vertices(simple) > max_num_vertices:
+        simple = exterior.minimum_rotated_rectangle
+    if simple is exterior:
+        return list(rings)
+    return [_rings(shapely.orient_polygons(simple, exterior_cw=False))[0], *rings[1:]]
+
+
+def kernel_angles(angle_deg: np.ndarray) -> np.ndarray:
+    """The nearest angles that the kernel takes: 0, 90, or 5 to 85 degrees.
+
+    >>> kernel_angles(np.array([2.0, 4.0, 35.0, 86.0, 99.0]))
+    array([ 0.,  5., 35., 85., 90.])
+    """
+    angle = np.clip(np.asarray(angle_deg, float), 0, 90)
+    lowest, steepest = 5.0, 85.0
+    angle = np.where(angle < lowest / 2, 0.0, np.where(angle < lowest, lowest, angle))
+    return np.where(angle > (steepest + 90) / 2, 90.0, np.where(angle > steepest, steepest, angle))
+
+
+def transfer_angles(
+    known: Sequence[np.ndarray], angle_deg: np.ndarray, wanted: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Angles of the edges of ``known`` (rings, a value or a row per edge) for those of ``wanted``: the same
+    building with more or fewer vertices.
+
+    Each edge takes the angle of the nearest edge (between their middles and the segment) that faces within 45
+    degrees of its own direction; where none does, of the nearest one.
+    """
+    if len(known) == len(wanted) and all(map(np.array_equal, known, wanted)):
+        return np.asarray(angle_deg, float)
+    start, end = _edges(known)
+    from_, to = _edges(wanted)
+    middle = (from_ + to) / 2
+    along = end - start
+    length = np.linalg.norm(along, axis=1)
+    share = np.einsum("wkd,kd->wk", middle[:, None] - start, along) / length**2
+    foot = start + np.clip(share, 0, 1)[..., None] * along
+    distance = np.linalg.norm(middle[:, None] - foot, axis=2)
+    direction = to - from_
+    cosine = (direction @ along.T) / (np.linalg.norm(direction, axis=1)[:, None] * length)
+    facing = cosine >= np.sqrt(0.5)
+    cost = np.where(facing, distance, distance + distance.max(initial=0) + 1)
+    return np.asarray(angle_deg, float)[cost.argmin(axis=1)]
+
+
+def build_meshes(
+    buildings: Sequence[Building],
+    rings: Sequence[Sequence[np.ndarray]],
+    ground: Sequence[float],
+    eave_height_m: np.ndarray,
+    angle_deg: Sequence[np.ndarray],
+    confidence: np.ndarray,
+    method: str,
+    config: Reconstruct,
+    refused: Sequence[str],
+    top_height_m: np.ndarray | float = np.inf,
+) -> list[Reconstruction]:
+    """Meshes through the kernel, which checks each. A building without a finite height is refused.
+
+    rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. refused: why a
+    building without a height has none. top_height_m: one for all or (b,), of a flat cut above the eave.
+    """
+    result = [no_mesh(b, method, why) for b, why in zip(buildings, refused, strict=True)]
+    usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground)).tolist()
+    if not usable:
+        return result
+    top_height = np.broadcast_to(np.asarray(top_height_m, float), len(buildings))
+    meshes: Meshes = skeleton.build(
+        Polygons.from_rings([list(rings[i]) for i in usable]),
+        np.concatenate([angle_deg[i] for i in usable]),
+        eave_height_m[usable],
+        max_roof_height_m=np.minimum(top_height, config.max_roof_height_m)[usable],
+    )
+    for k, i in enumerate(usable):
+        status = skeleton.Status(int(meshes.status[k]))
+        vertex, triangle, kind, edge = meshes.mesh(k)
+        accepted = status == skeleton.Status.OK
+        result[i] = Reconstruction(
+            buildings[i].building_id,
+            buildings[i].tile,
+            method,
+            "ok" if accepted else status.reason,
+            buildings[i].origin_xy_m,
+            ground[i],
+            rings[i],
+            float(eave_height_m[i]),
+            angle_deg[i],
+            float(confidence[i]) if np.isfinite(confidence[i]) else None,
+            vertex,
+            triangle,
+            kind,
+            edge,
+        )
+    return result
+
+
+def mesh_footprint(building: Building, config: Reconstruct) -> list[np.ndarray]:
+    """The rings that the mesh gets: simplified, unless that leaves no simple polygon."""
+    if config.simplify_m == 0:
+        return list(building.rings)
+    simple = building.polygon.simplify(config.simplify_m, preserve_topology=True)
+    if not isinstance(simple, shapely.Polygon) or not simple.is_valid or simple.is_empty:
+        return list(building.rings)
+    return _rings(shapely.orient_polygons(simple, exterior_cw=False))
+
+
+def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:
+    return [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
+
+
+def _edges(rings: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    return np.concatenate(list(rings)), np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+
+
+def _num_vertices(polygon: shapely.Polygon) -> int:
+    return len(polygon.exterior.coords) - 1

@@ -1,0 +1,255 @@
+"""One roof from its points, start to end, as compiled code: search, flat top, last rounds, whole degrees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.fit.envelope import inward_distances
+from p2wss.fit.jumps import quantile
+from p2wss.fit.search import search, set_excess
+from p2wss.fit.solve import IMPOSSIBLE, evaluate, improve
+from p2wss.fit.starts import edge_groups, start_angles
+from p2wss.fit.work import Problem, Settings
+from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.footprint import load_footprint
+from p2wss.skeleton.status import Status
+
+_OK = int(Status.OK)
+_LOW_QUANTILE, _FLAT_TOP_QUANTILES = 0.05, (0.6, 0.8, 0.93)
+_STEEP_DEG, _STEEP_HIP_DEG = 58.0, 55.0
+_LAST_ROUNDS, _TIDY_ROUNDS = 5, 3
+# with less loss no flat top is looked for; one that starts worse than the roof without by this is left
+_GOOD_ENOUGH_M, _TOP_WORTH_M = 0.06, 0.05
+# heights of flat tops that are worth a try
+_LOWEST_TOP_M = 1.0
+# narrower slopes are hits on the walls: not below a flat top, and gables at this cost
+_LEAST_SLOPE_WIDTH_M, _WALL_HITS_M = 0.8, 0.04
+_DEGREE = np.pi / 180.0
+# above these the search is cut short, and left to the starts
+_MANY_EDGES, _TOO_MANY_EDGES = 40, 120
+_NEARLY_GABLE_DEG, _USUAL_DEG = 60.0, 38.0
+# a flipped gable with this much more loss after a round is left
+_HOPELESS_M = 0.05
+# gains are told from noise with this many points; with fewer they have to be proportionally greater
+_SURE_POINTS = 150.0
+
+
+@entry
+def every_kth_row(values, wanted):
+    """At most ``wanted`` evenly spaced ones."""
+    n = len(values)
+    if n <= wanted:
+        return values
+    chosen = np.empty(wanted)
+    for i in range(wanted):
+        chosen[i] = values[int((i + 0.5) * n / wanted)]
+    return chosen
+
+
+@entry
+def _problem(xy_m, ring_offset, x, y, z, wanted, direction, settings, prior):
+    own_x, own_y = every_kth_row(x, wanted) - xy_m[0, 0], every_kth_row(y, wanted) - xy_m[0, 1]
+    return Problem(
+        len(xy_m),
+        len(ring_offset) - 1,
+        own_x,
+        own_y,
+        every_kth_row(z, wanted) - 0.0,
+        direction,
+        direction.max() + 1,
+        settings.cap_m,
+        settings.max_roof_height_m,
+        prior,
+        inward_distances(xy_m, ring_offset, own_x, own_y),
+    )
+
+
+@entry
+def _flat_tops(z, angle_deg, eave):
+    """(angles, heights of the top) of the same roof, a steeper one and a hip cut flat, at a few heights that
+    the points suggest."""
+    n = len(angle_deg)
+    ordered = np.sort(z)
+    low = quantile(ordered, len(z), _LOW_QUANTILE)
+    rows, tops = np.empty((9, n)), np.empty(9)
+    count = 0
+    for share in _FLAT_TOP_QUANTILES:
+        # a flat roof may have taken the height of the top
+        rise = quantile(ordered, len(z), share) - min(eave, low)
+        if rise <= _LOWEST_TOP_M:
+            continue
+        for kind in range(3):
+            tops[count] = rise
+            for e in range(n):
+                is_slope = 0.0 < angle_deg[e] < 90.0
+                steep = _STEEP_DEG if is_slope else angle_deg[e]
+                rows[count, e] = angle_deg[e] if kind == 0 else steep if kind == 1 else _STEEP_HIP_DEG
+            count += 1
+    return rows[:count], tops[:count]
+
+
+@inner
+def _slope_width_m(angle_deg, top_m):
+    """In plan, of the steepest slope below a flat top."""
+    steepest = 0.0
+    for angle in angle_deg:
+        if steepest < angle < 90.0:
+            steepest = angle
+    return top_m / np.tan(steepest * _DEGREE) if steepest > 0.0 else np.inf
+
+
+@entry
+def with_flat_top(settings, flat_top):
+    """The same settings with or without roofs that are cut flat."""
+    return Settings(
+        settings.num_search_points, settings.num_points, settings.num_followed, settings.num_descents,
+        settings.max_rounds, flat_top and settings.flat_top, settings.cap_m, settings.max_roof_height_m,
+        settings.top_gain_m, settings.class_gain_m, settings.own_slope_gain_m, settings.rounding_m,
+    )  # fmt: skip
+
+
+@entry
+def fit_roof(xy_m, ring_offset, x, y, z, guesses, work, settings, prior):
+    """(loss, eave, top, angles) of the best roof over a polygon. loss ``IMPOSSIBLE``: the kernel refuses it.
+
+    xy_m (n, 2), ring_offset: the polygon. x, y, z: points, evenly ordered; the search takes a few of them and
+    the last rounds all. guesses: (num_guesses, n). settings, prior: of :mod:`p2wss.refine.work`.
+    """
+    n = len(xy_m)
+    # the search grows with the cube of the number of edges
+    max_rounds = 0 if n > _TOO_MANY_EDGES else 1 if n > _MANY_EDGES else settings.max_rounds
+    direction, axis, _, _ = edge_groups(xy_m, ring_offset)
+    few = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
+    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    rows = start_angles(direction, axis, guesses)
+    if status != _OK:
+        return IMPOSSIBLE, 0.0, np.inf, rows[0]
+    tolerance = settings.class_gain_m * max(1.0, _SURE_POINTS / len(few.z))
+    no_top = np.full(len(rows), np.inf)
+    loss, eave, top, row = search(few, work, settings, rows, no_top, max_rounds, tolerance, IMPOSSIBLE)
+    angle_deg = rows[row].copy()
+    if loss >= IMPOSSIBLE:
+        return loss, eave, top, angle_deg
+    if settings.flat_top and loss > _GOOD_ENOUGH_M:
+        rows, tops = _flat_tops(few.z, angle_deg, eave)
+        if len(rows) > 0:
+            new_loss, new_eave, new_top, row = search(
+                few, work, settings, rows, tops, max(max_rounds - 1, 0), tolerance, loss + _TOP_WORTH_M
+            )
+            wide = _slope_width_m(rows[row], new_top) >= _LEAST_SLOPE_WIDTH_M
+            if wide and new_loss < loss - settings.top_gain_m:
+                loss, eave, top = new_loss, new_eave, new_top
+                angle_deg[:] = rows[row]
+    if len(z) > len(few.z):
+        every = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+        loss, eave, top = improve(every, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE)
+    return loss, eave, top, angle_deg
+
+
+@entry
+def improved_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, work, settings, prior):
+    """Loss of a given roof, after a few rounds if wanted; ``angle_deg`` is changed in place."""
+    direction, _, _, _ = edge_groups(xy_m, ring_offset)
+    problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    if status != _OK:
+        return IMPOSSIBLE
+    loss, _, _ = improve(problem, work, angle_deg, eave, top, num_rounds, False, True, IMPOSSIBLE)
+    return loss
+
+
+@inner
+def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
+    """(loss, eave, top) once single edges are gables instead of slopes, or slopes instead of gables, where all
+    points tell what the few of the search did not; ``angle_deg`` is changed in place."""
+    n = problem.num_edges
+    evaluate(problem, work, angle_deg, eave, top)
+    total, other = set_excess(problem, work)
+    for unit in range(n):
+        edge = work.skeleton.edge[unit]
+        near = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
+        if total < tolerance or near < tolerance or angle_deg[unit] == 0.0:
+            continue
+        slope = _USUAL_DEG
+        for e in range(n):
+            trial[e] = angle_deg[e]
+            if problem.direction[e] == problem.direction[unit] and 0.0 < angle_deg[e] < 90.0:
+                slope = angle_deg[e]
+        trial[unit] = slope if angle_deg[unit] == 90.0 else 90.0
+        new_loss, new_eave, new_top = improve(
+            problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _HOPELESS_M
+        )
+        if new_loss < loss - tolerance:
+            loss, eave, top = new_loss, new_eave, new_top
+            for e in range(n):
+                angle_deg[e] = trial[e]
+            evaluate(problem, work, angle_deg, eave, top)
+            total, other = set_excess(problem, work)
+    return loss, eave, top
+
+
+@entry
+def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, prior):
+    """(loss, eave, top, angles) of a roof with whole degrees where that costs little. A roof as good as flat
+    has only 0 degree edges."""
+    n = len(xy_m)
+    direction, _, _, _ = edge_groups(xy_m, ring_offset)
+    problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+    tolerance = settings.class_gain_m * max(1.0, _SURE_POINTS / min(len(z), settings.num_search_points))
+    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    angle, trial = angle_deg.copy(), np.zeros(n)
+    if status != _OK:
+        return IMPOSSIBLE, eave, top, angle
+    loss = evaluate(problem, work, angle, eave, top)
+    new_loss, new_eave, new_top = improve(
+        problem, work, trial, eave, np.inf, _TIDY_ROUNDS, True, True, IMPOSSIBLE
+    )
+    if new_loss <= loss + tolerance:
+        return new_loss, new_eave, new_top, trial
+    for d in range(problem.num_directions):
+        # the end of a gable roof: hardly a point tells a steep face from an upright one, and hits on a wall that
+        # stands back below its eave look like one
+        changed, depth_m = False, 0.0
+        evaluate(problem, work, angle, eave, top)
+        for e in range(n):
+            trial[e] = angle[e]
+            if direction[e] == d and _NEARLY_GABLE_DEG < angle[e] < 90.0:
+                trial[e] = 90.0
+                changed = True
+                for k in range(len(problem.z)):
+                    if work.face[k] == e:
+                        depth_m = max(depth_m, work.distance[k])
+        if changed:
+            new_loss, new_eave, new_top = improve(
+                problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
+            )
+            allowed_m = _WALL_HITS_M if depth_m < _LEAST_SLOPE_WIDTH_M else settings.rounding_m
+            if new_loss <= loss + max(tolerance, allowed_m):
+                loss, eave, top = new_loss, new_eave, new_top
+                for e in range(n):
+                    angle[e] = trial[e]
+    loss, eave, top = _flip_gables(problem, work, angle, trial, loss, eave, top, 0.5 * tolerance)
+    if problem.num_directions < n and loss > settings.own_slope_gain_m:
+        # edges that face the same way with slopes of their own
+        least_gain_m = max(tolerance, settings.own_slope_gain_m)
+        freed = _problem(xy_m, ring_offset, x, y, z, len(z), np.arange(n), settings, prior)
+        own = angle.copy()
+        new_loss, new_eave, new_top = improve(
+            freed, work, own, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+        )
+        new_loss, new_eave, new_top = _flip_gables(
+            freed, work, own, trial, new_loss, new_eave, new_top, least_gain_m
+        )
+        if new_loss < loss - least_gain_m:
+            loss, eave, top, angle = new_loss, new_eave, new_top, own
+    changed = False
+    for e in range(n):
+        trial[e] = np.round(angle[e])
+        changed = changed or trial[e] != angle[e]
+    if changed:
+        new_loss, new_eave, new_top = improve(
+            problem, work, trial, eave, top, _TIDY_ROUNDS, False, False, IMPOSSIBLE
+        )
+        if new_loss <= loss + settings.rounding_m:
+            return new_loss, new_eave, new_top, trial
+    return loss, eave, top, angle

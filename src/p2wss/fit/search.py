@@ -1,0 +1,160 @@
+"""The class of every edge, flat, gable or slope: coordinate descent from several starts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.fit.solve import IMPOSSIBLE, evaluate, improve
+from p2wss.skeleton.compiled import entry, inner
+
+_ALTERNATIVES_DEG = (0.0, 90.0, 18.0, 38.0, 57.0)
+_NUM_CLASSES = 2  # of the alternatives, those that are no slope
+_ROUNDS_FIRST, _ROUNDS_NEXT, _ROUNDS_CANDIDATE, _ROUNDS_LAST = 1, 3, 3, 8
+# starts that a first round leaves this much worse than the best are left
+_FOLLOW_M = 0.2
+# a candidate within this of the present loss gets a second look with its height freed
+_SECOND_LOOK_M = 0.05
+_HOPELESS_M = 0.12
+# residuals that no better roof would lower
+_NOISE_M = 0.04
+
+
+@inner
+def _is_slope(angle):
+    return 0.0 < angle < 90.0
+
+
+@inner
+def _propose(problem, angle_deg, unit, alternative, proposed):
+    """The angles with one edge, or all edges of one direction, changed. False: nothing new."""
+    n = problem.num_edges
+    angle = _ALTERNATIVES_DEG[alternative]
+    for e in range(n):
+        proposed[e] = angle_deg[e]
+    if unit < n:
+        if abs(angle_deg[unit] - angle) < (1e-9 if alternative < _NUM_CLASSES else 9.0):
+            return False
+        if alternative >= _NUM_CLASSES:
+            for e in range(n):
+                if problem.direction[e] == problem.direction[unit] and _is_slope(proposed[e]):
+                    proposed[e] = angle
+        proposed[unit] = angle
+        return True
+    count, changed = 0, False
+    for e in range(n):
+        if problem.direction[e] == unit - n:
+            changed = changed or abs(proposed[e] - angle) >= 1e-9
+            proposed[e] = angle
+            count += 1
+    return count > 1 and changed
+
+
+@inner
+def set_excess(problem, work):
+    """What of the loss a better roof might lower at most: written to ``work.excess`` for the face of each
+    edge; returns (of all faces, of what is no edge's). Faces and residuals: of the last evaluation."""
+    for e in range(problem.num_edges):
+        work.excess[e] = 0.0
+    total, other = 0.0, 0.0
+    m = len(problem.z)
+    for k in range(m):
+        r = abs(work.residual[k])
+        more = (min(r, problem.cap_m) if r == r else problem.cap_m) - _NOISE_M
+        if more > 0.0:
+            total += more / m
+            if work.face[k] >= 0:
+                work.excess[work.face[k]] += more / m
+            else:
+                other += more / m
+    return total, other
+
+
+@inner
+def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
+    """Change edges and directions while that lowers the loss by more than ``tolerance``; ``angle_deg`` is
+    changed in place. Returns (loss, eave, top)."""
+    n = problem.num_edges
+    proposed, best = work.trial[1], work.trial[2]
+    for _ in range(max_rounds):
+        changed = False
+        evaluate(problem, work, angle_deg, eave, top)
+        total, other = set_excess(problem, work)
+        for unit in range(n + problem.num_directions):
+            if total < tolerance:
+                break
+            if unit < n:
+                edge = work.skeleton.edge[unit]
+                near = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
+                if near < tolerance:
+                    continue
+            best_loss, best_eave, best_top = loss - tolerance, eave, top
+            found = False
+            for alternative in range(len(_ALTERNATIVES_DEG)):
+                if not _propose(problem, angle_deg, unit, alternative, proposed):
+                    continue
+                new_loss, new_eave, new_top = improve(
+                    problem, work, proposed, eave, top, _ROUNDS_CANDIDATE, False, True, loss + _HOPELESS_M
+                )
+                if best_loss <= new_loss < loss + _SECOND_LOOK_M:
+                    new_loss, new_eave, new_top = improve(
+                        problem, work, proposed, new_eave, new_top, _ROUNDS_CANDIDATE, True, True, IMPOSSIBLE
+                    )
+                if new_loss < best_loss:
+                    best_loss, best_eave, best_top, found = new_loss, new_eave, new_top, True
+                    for e in range(n):
+                        best[e] = proposed[e]
+            if found:
+                loss, eave, top, changed = best_loss, best_eave, best_top, True
+                for e in range(n):
+                    angle_deg[e] = best[e]
+                evaluate(problem, work, angle_deg, eave, top)
+                total, other = set_excess(problem, work)
+        if not changed:
+            break
+    return loss, eave, top
+
+
+@entry
+def search(problem, work, settings, start_deg, start_top_m, max_rounds, tolerance, descend_below):
+    """The best roof from the starts: (loss, eave, top, row), its angles in that row of ``start_deg``.
+
+    All starts are tried, the best ``settings.num_followed`` improved, and the best ``settings.num_descents``
+    of those that differ descend. The footprint has been loaded into ``work.skeleton.edge``.
+
+    start_deg: (num_starts, num_edges), overwritten. start_top_m: (num_starts,). tolerance: metres of loss that
+    a change of class has to gain. descend_below: only starts with less loss than this descend.
+    """
+    k = len(start_deg)
+    losses, eaves, tops = np.full(k, IMPOSSIBLE), np.zeros(k), start_top_m.copy()
+    for i in range(k):
+        losses[i], eaves[i], tops[i] = improve(
+            problem, work, start_deg[i], 0.0, tops[i], _ROUNDS_FIRST, True, True, IMPOSSIBLE
+        )
+    order = np.argsort(losses, kind="mergesort")
+    follow_below = losses[order[0]] + _FOLLOW_M
+    for i in order[: settings.num_followed]:
+        if losses[i] < min(follow_below, IMPOSSIBLE):
+            losses[i], eaves[i], tops[i] = improve(
+                problem, work, start_deg[i], eaves[i], tops[i], _ROUNDS_NEXT, False, True, IMPOSSIBLE
+            )
+    order = np.argsort(losses, kind="mergesort")
+    best = order[0]
+    best_loss, best_eave, best_top = losses[best], eaves[best], tops[best]
+    used, last = 0, -1.0
+    for i in order:
+        if used >= settings.num_descents or losses[i] >= descend_below:
+            break
+        if abs(losses[i] - last) < 1e-3:
+            continue
+        last = losses[i]
+        used += 1
+        loss, eave, top = _descend(
+            problem, work, start_deg[i], eaves[i], tops[i], losses[i], max_rounds, tolerance
+        )
+        if used == 1 or loss < best_loss - tolerance:
+            best, best_loss, best_eave, best_top = i, loss, eave, top
+    if used > 0:
+        best_loss, best_eave, best_top = improve(
+            problem, work, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True, IMPOSSIBLE
+        )
+    return best_loss, best_eave, best_top, best

@@ -1,0 +1,283 @@
+"""Height and slopes of one roof from points, by iteratively reweighted least squares.
+
+While the face over every point stays the same, z = eave + tan(angle) * distance is linear in the unknowns. So
+each round asks the kernel for the faces, solves, and keeps the step only if the true loss fell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.fit.envelope import lower_envelope
+from p2wss.skeleton.compiled import inner
+from p2wss.skeleton.footprint import set_angles
+from p2wss.skeleton.queries import CUT, OUTSIDE, assign
+from p2wss.skeleton.status import Status
+
+_OK = int(Status.OK)
+IMPOSSIBLE = 1e9  # loss of a roof that the kernel refuses
+# a residual below this has full weight: about the noise of airborne LiDAR
+_NOISE_M = 0.05
+_MIN_ANGLE_DEG, _MAX_ANGLE_DEG = 5.0, 75.0
+_MIN_TOP_M = 0.8
+# how far a step may leave the present roof without a reason
+_PRIOR_EAVE, _PRIOR_SLOPE = 1e-3, 0.5
+# of a prior
+_MOST_OFF_DEG, _MOST_OFF_M = 20.0, 3.0
+_LEAST_OFF_DEG, _LEAST_OFF_M = 1.0, 0.1
+_DEGREE = np.pi / 180.0
+
+
+@inner
+def evaluate(problem, work, angle_deg, eave_m, top_m):
+    """Loss of a roof: mean over the points of min(|distance to the roof|, cap), metres, distances measured at
+    right angles to the face. ``top_m``: height above the eave of a flat cut, infinity for none.
+
+    Leaves face, distance and residual of every point in ``work``; the residual outside the roof is NaN.
+    """
+    work.num_evaluations[0] += 1
+    for e in range(problem.num_edges):
+        angle = angle_deg[e]
+        t = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
+        work.tangent[e], work.cosine[e] = t, 1.0 / np.sqrt(1.0 + t * t)
+    m = len(problem.x)
+    top = min(top_m, problem.max_roof_height_m)
+    face, distance, rise = work.face[:m], work.distance[:m], work.rise[:m]
+    if len(problem.inward_m) > 0:
+        if not lower_envelope(problem.inward_m, angle_deg, work.tangent, top, face, distance, rise):
+            return IMPOSSIBLE
+    else:
+        if set_angles(work.skeleton.edge, problem.num_edges, angle_deg) != _OK:
+            return IMPOSSIBLE
+        status = assign(
+            problem.num_edges, problem.num_rings, top, work.skeleton, work.query, problem.x, problem.y, face,
+            distance,
+        )  # fmt: skip
+        if status != _OK:
+            return IMPOSSIBLE
+        for k in range(m):
+            rise[k] = work.tangent[face[k]] * distance[k] if face[k] >= 0 else distance[k]
+    return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
+
+
+@inner
+def prior_cost_m(problem, angle_deg, eave_m):
+    """What the prior holds against a roof, in metres of loss."""
+    prior = problem.prior
+    cost = 0.0
+    if len(prior.slope_deg) > 0:
+        for e in range(problem.num_edges):
+            angle = angle_deg[e]
+            if angle == 0.0:
+                cost += prior.class_cost_m[e, 0]
+            elif angle == 90.0:
+                cost += prior.class_cost_m[e, 1]
+            else:
+                off = min(abs(angle - prior.slope_deg[e]), _MOST_OFF_DEG)
+                cost += prior.class_cost_m[e, 2] + prior.degree_cost_m * off
+    if len(prior.eave_z_m) > 0:
+        cost += prior.eave_cost * min(abs(eave_m - prior.eave_z_m[0]), _MOST_OFF_M)
+    return cost
+
+
+@inner
+def _loss(problem, work, eave_m):
+    total = 0.0
+    for k in range(len(problem.z)):
+        f = work.face[k]
+        if f == OUTSIDE:
+            work.residual[k] = np.nan
+            total += problem.cap_m
+            continue
+        r = eave_m + work.rise[k] - problem.z[k]
+        if f >= 0:
+            r *= work.cosine[f]
+        work.residual[k] = r
+        total += min(abs(r), problem.cap_m)
+    return total / max(len(problem.z), 1)
+
+
+@inner
+def _median_eave(problem, work):
+    """The eave height for which half of the points lie above the roof."""
+    count = 0
+    for k in range(len(problem.z)):
+        f = work.face[k]
+        if f != OUTSIDE:
+            work.sorted[count] = problem.z[k] - work.rise[k]
+            count += 1
+    return _select(work.sorted, count, count // 2) if count > 0 else 0.0
+
+
+@inner
+def _select(values, count, place):
+    """What would stand at ``place`` if the first ``count`` values were sorted; they are reordered."""
+    low, high = 0, count - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if place <= j:
+            high = j
+        elif place >= i:
+            low = i
+        else:
+            break
+    return values[place]
+
+
+@inner
+def _solve_positive(matrix, right_side, size):
+    """Cholesky in place; the solution replaces ``right_side``."""
+    for i in range(size):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                matrix[i, i] = np.sqrt(max(s, 1e-12))
+            else:
+                matrix[i, j] = s / matrix[j, j]
+    for i in range(size):
+        s = right_side[i]
+        for k in range(i):
+            s -= matrix[i, k] * right_side[k]
+        right_side[i] = s / matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        s = right_side[i]
+        for k in range(i + 1, size):
+            s -= matrix[k, i] * right_side[k]
+        right_side[i] = s / matrix[i, i]
+
+
+@inner
+def _add_prior(problem, work, angle_deg, eave_m, num_groups):
+    """The costs of the prior, reweighted as the residuals are."""
+    prior, a, b = problem.prior, work.matrix, work.right_side
+    # the loss is a mean, the equations are a sum
+    m = len(problem.z)
+    if len(prior.eave_z_m) > 0:
+        w = m * prior.eave_cost / max(abs(eave_m - prior.eave_z_m[0]), _LEAST_OFF_M)
+        a[0, 0] += w
+        b[0] += w * prior.eave_z_m[0]
+    if num_groups > 0 and len(prior.slope_deg) > 0:
+        for e in range(problem.num_edges):
+            if work.tangent[e] > 0.0:
+                per_tangent = 1.0 / (_DEGREE * (1.0 + work.tangent[e] ** 2))
+                off = max(abs(angle_deg[e] - prior.slope_deg[e]), _LEAST_OFF_DEG)
+                w = m * prior.degree_cost_m * per_tangent * per_tangent / off
+                g = 2 + problem.direction[e]
+                a[g, g] += w
+                b[g] += w * np.tan(prior.slope_deg[e] * _DEGREE)
+
+
+@inner
+def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles):
+    """One weighted step from the faces and residuals in ``work``: new angles in ``work.solved``; returns
+    (eave, top)."""
+    n = problem.num_edges
+    groups = problem.num_directions if free_angles else 0
+    size = groups + 2
+    a, b = work.matrix, work.right_side
+    for i in range(size):
+        b[i] = 0.0
+        for j in range(size):
+            a[i, j] = 0.0
+    has_top = top_m < problem.max_roof_height_m
+    for g in range(groups):
+        work.group_tangent[g], work.group_count[g] = 0.0, 0.0
+    for e in range(n):
+        if groups > 0 and work.tangent[e] > 0.0:
+            work.group_tangent[problem.direction[e]] += work.tangent[e]
+            work.group_count[problem.direction[e]] += 1.0
+    for k in range(len(problem.z)):
+        f = work.face[k]
+        size_of_residual = abs(work.residual[k])
+        if f == OUTSIDE or not size_of_residual <= reach_m:
+            continue
+        w = 1.0 / max(size_of_residual, _NOISE_M)
+        z = problem.z[k]
+        if f == CUT and has_top:
+            a[1, 1] += w
+            b[1] += w * z
+        elif f < 0:
+            # the height of a cap depends on the slopes, but seldom much
+            a[0, 0] += w
+            b[0] += w * (z - work.distance[k])
+        else:
+            t, d = work.tangent[f], work.distance[k]
+            w *= work.cosine[f] * work.cosine[f]
+            a[0, 0] += w
+            if groups > 0:
+                g = 2 + problem.direction[f]
+                a[g, 0] += w * d
+                a[g, g] += w * d * d
+                b[0] += w * z
+                b[g] += w * d * z
+            else:
+                b[0] += w * (z - t * d)
+    a[0, 0] += _PRIOR_EAVE
+    b[0] += _PRIOR_EAVE * eave_m
+    a[1, 1] += _PRIOR_EAVE
+    b[1] += _PRIOR_EAVE * (eave_m + top_m) if has_top else 0.0
+    _add_prior(problem, work, angle_deg, eave_m, groups)
+    for g in range(groups):
+        a[2 + g, 2 + g] += _PRIOR_SLOPE
+        if work.group_count[g] > 0:
+            b[2 + g] += _PRIOR_SLOPE * work.group_tangent[g] / work.group_count[g]
+    _solve_positive(a, b, size)
+    for e in range(n):
+        work.solved[e] = angle_deg[e]
+        if groups > 0 and work.tangent[e] > 0.0:
+            angle = np.arctan(b[2 + problem.direction[e]]) / _DEGREE
+            work.solved[e] = min(max(angle, _MIN_ANGLE_DEG), _MAX_ANGLE_DEG)
+    return b[0], max(b[1] - b[0], _MIN_TOP_M) if has_top else top_m
+
+
+@inner
+def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, free_angles, give_up_at):
+    """Rounds of assign and solve; ``angle_deg`` is changed in place. Returns (loss, eave, top).
+
+    from_median: begin with the median height instead of ``eave_m``. give_up_at: after the first round, a loss
+    above this ends the search.
+    """
+    loss = evaluate(problem, work, angle_deg, eave_m, top_m)
+    if loss >= IMPOSSIBLE:
+        return loss, eave_m, top_m
+    if from_median:
+        eave_m = _median_eave(problem, work)
+        loss = _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
+    n = problem.num_edges
+    trial = work.trial[0]
+    for number in range(num_rounds):
+        # at first the height may be far off
+        reach = problem.cap_m * (3.0 if from_median and number < 2 else 1.0)
+        new_eave, new_top = _least_squares(problem, work, angle_deg, eave_m, top_m, reach, free_angles)
+        step, accepted, better, eave, top = 1.0, False, loss, eave_m, top_m
+        for _ in range(3):
+            for e in range(n):
+                trial[e] = angle_deg[e] + step * (work.solved[e] - angle_deg[e])
+            eave = eave_m + step * (new_eave - eave_m)
+            top = top_m + step * (new_top - top_m) if top_m < problem.max_roof_height_m else top_m
+            better = evaluate(problem, work, trial, eave, top)
+            if better < loss - 1e-5:
+                accepted = True
+                break
+            step *= 0.4
+        if not accepted:
+            break
+        gain = loss - better
+        loss, eave_m, top_m = better, eave, top
+        for e in range(n):
+            angle_deg[e] = trial[e]
+        if gain < 5e-4 or loss > give_up_at:
+            break
+    return loss, eave_m, top_m

@@ -1,0 +1,345 @@
+"""Stage 9, reconstruct: from the user's own footprints and LiDAR to closed buildings, each with a status."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyproj
+import shapely
+
+from p2wss.config import Reconstruct
+from p2wss.data import polygon_arrays
+from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.clouds import Cloud, horizontal, same_crs
+from p2wss.data.cropping import seen_share
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.points import crop_cloud
+from p2wss.data.tiling import Bounds, tiles_of_points
+from p2wss.errors import InputError
+from p2wss.fit import fitting
+from p2wss.formats import cityjson
+from p2wss.formats.cityjson import Solid
+from p2wss.formats.polygons import planar_surfaces
+from p2wss.metrics.surface import distance_to_mesh
+from p2wss.reconstruct.flat import with_fallback
+from p2wss.reconstruct.network import Predictor, reconstruct_with_network
+
+METHOD = "point2wss"
+# ground is looked for this far away where there is none nearer
+MARGIN_M = 64.0
+# points that a residual is taken over
+_MAX_RESIDUAL_POINTS = 2048
+# buildings between two reports of progress
+_BATCH = 256
+_PROGRESS_S = 10.0
+
+
+@dataclass(frozen=True)
+class Result:
+    """A building of the output: its reconstruction, what was read for it and how well the mesh fits.
+
+    status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
+    residual_m: mean distance of the points on the building (class 6 inside the footprint, else all inside) to
+    the mesh; NaN without any. visible_share: of the footprint's 1 m cells, those with a point on the roof.
+    not_representable: fitted, and yet the residual is more than ``not_representable_m``.
+    """
+
+    reconstruction: Reconstruction
+    status: str
+    reason: str | None
+    num_points: int
+    residual_m: float
+    visible_share: float
+    not_representable: bool
+
+
+def shipped_model() -> Path | None:
+    """The weights that came with the package; None in a package without."""
+    path = Path(str(files("p2wss"))) / "weights" / "point2wss.safetensors"
+    return path if path.is_file() else None
+
+
+def common_crs(
+    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
+) -> tuple[pyproj.CRS, str | None]:
+    """The one CRS of clouds and footprints, and a note if it was assumed. ``names``: of the two files.
+
+    Raises :class:`InputError` if two known ones differ, none is known, or it is not projected in metres.
+    """
+    note = None
+    if stated is not None:
+        try:
+            told = pyproj.CRS.from_user_input(stated)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"--crs {stated}: no such CRS; give one such as EPSG:28992") from error
+        if cloud is not None and not same_crs(cloud, told):
+            raise InputError(f"{names[0]} is in {cloud.name}, but --crs says {told.name}; leave --crs out")
+        cloud = cloud or told
+    if cloud is not None and frame is not None and not same_crs(cloud, frame):
+        told_by = names[0] if stated is None else f"{names[0]}, says --crs,"
+        raise InputError(
+            f"{told_by} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
+        )
+    crs = cloud or frame
+    if crs is None:
+        raise InputError(
+            f"neither {names[0]} nor {names[1]} tells its CRS; give it with --crs, as EPSG:28992"
+        )
+    if cloud is None:
+        note = f"{names[0]} tells no CRS: taken to be in {crs.name} as {names[1]}; --crs says otherwise"
+    flat = horizontal(crs)
+    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
+        raise InputError(
+            f"{names[0]}: {crs.name} is not a projected CRS in metres; reproject clouds and footprints"
+        )
+    return crs, note
+
+
+def window(frame: gpd.GeoDataFrame) -> Bounds:
+    """What a cloud must cover: the footprints and the ground around them."""
+    if not len(frame):
+        return 0.0, 0.0, 0.0, 0.0
+    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
+    return x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
+
+
+class Progress:
+    """Tells how far :func:`run` is, through ``say``, at most every ten seconds."""
+
+    def __init__(self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._say, self._clock = say, clock
+        self._start = self._last = clock()
+
+    def __call__(self, done: int, total: int) -> None:
+        now = self._clock()
+        if now - self._last >= _PROGRESS_S and done < total:
+            self._last = now
+            left_min = (now - self._start) * (total - done) / done / 60
+            self._say(f"{done} of {total} buildings, about {left_min:.0f} min left")
+
+
+def run(
+    frame: gpd.GeoDataFrame,
+    cloud: Cloud,
+    predictor: Predictor | None,
+    tile: str,
+    config: Reconstruct,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Result]:
+    """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order.
+
+    By the network, then fitted to the points unless ``config.refine`` is off; without a network, fitted only.
+    progress: called now and then with the number of rows that are done, and of all.
+    """
+    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+    cropped = crop_cloud(cloud, polygons, config.buffer_m)
+    origin_xy_m = polygon_arrays.origins(polygons)
+    names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
+    results: list[Result] = []
+    for first in range(0, len(frame), _BATCH):
+        buildings = []
+        rows = range(first, min(first + _BATCH, len(frame)))
+        for i in rows:
+            own = cropped.of(i)
+            place = [cloud.x_m[own] - origin_xy_m[i, 0], cloud.y_m[own] - origin_xy_m[i, 1], cloud.z_m[own]]
+            buildings.append(
+                Building(
+                    str(names[i]),
+                    tile,
+                    (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
+                    [ring - origin_xy_m[i] for ring in polygons.rings(i)],
+                    np.column_stack(place),
+                    cloud.classification[own],
+                    float(cropped.ground_z_m[i]),
+                )
+            )
+        results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
+        progress(len(results), len(frame))
+    return results
+
+
+def _results(
+    buildings: Sequence[Building], status: Sequence[str], predictor: Predictor | None, config: Reconstruct
+) -> list[Result]:
+    """One result per building, in order; without a try where the status of the footprint is not "ok"."""
+    usable = [i for i, told in enumerate(status) if told == "ok"]
+    chosen = [buildings[i] for i in usable]
+    method = method_name(predictor, config)
+    known = reconstruct_with_network(chosen, predictor, config, METHOD) if predictor else None
+    made = known if known is not None and not config.refine else fitting.fit(chosen, config, known, method)
+    made = with_fallback(made, chosen, config)
+    found = dict(zip(usable, made, strict=True))
+    results = []
+    for i, building in enumerate(buildings):
+        if i in found:
+            results.append(_result(building, found[i], config))
+        else:
+            lost = no_mesh(building, method, status[i])
+            results.append(
+                Result(lost, "none", status[i], len(building.point_m), float("nan"), float("nan"), False)
+            )
+    return results
+
+
+def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
+    """``point2wss``, ``point2wss+fit`` or ``fit``."""
+    if predictor is None:
+        return fitting.METHOD
+    return f"{METHOD}+{fitting.METHOD}" if config.refine else METHOD
+
+
+def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
+    """Raise :class:`InputError` if not one building has a point."""
+    if not any(result.num_points for result in results):
+        raise InputError(
+            f"{cloud}: no point near any of the {len(results)} footprints of {footprint_file}: do they cover"
+            " the same place, in the same CRS?"
+        )
+
+
+def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
+    """The footprints whose middle is in the tile."""
+    frame = frame[np.isfinite(frame["middle_x_m"])]
+    chosen = tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile
+    return frame[chosen].reset_index(drop=True)
+
+
+def output_stem(cloud: Path) -> str:
+    """Name of the outputs: the cloud's, without its endings.
+
+    >>> output_stem(Path("in/Semis_2021.copc.laz"))
+    'Semis_2021'
+    """
+    return cloud.stem.removesuffix(".copc")
+
+
+def _result(building: Building, made: Reconstruction, config: Reconstruct) -> Result:
+    status = "none" if not made.has_mesh else "ok" if made.status == "ok" else "flat"
+    reason = None if made.status == "ok" else made.status
+    on_building = _on_building(building)
+    residual_m = _residual_m(building.point_m[on_building], made)
+    fitted = config.refine or made.method == fitting.METHOD
+    flagged = fitted and status == "ok" and residual_m > config.not_representable_m
+    share = _visible_share(building, on_building)
+    return Result(made, status, reason, len(building.point_m), residual_m, share, flagged)
+
+
+def _on_building(building: Building) -> np.ndarray:
+    """Mask of the points of class 6 inside the footprint, or, without any, of all inside."""
+    inside = shapely.contains_xy(building.polygon, building.point_m[:, 0], building.point_m[:, 1])
+    on_building = inside & (building.classification == BUILDING_CLASS)
+    return on_building if on_building.any() else inside
+
+
+def _residual_m(point_m: np.ndarray, made: Reconstruction) -> float:
+    if not made.has_mesh or not len(point_m):
+        return float("nan")
+    # every k-th point: no draw, no dependence on a seed
+    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array([0, 0, made.ground_z_m])
+    return float(distance_to_mesh(point_m, made.vertex_m, made.triangle).mean())
+
+
+def _visible_share(building: Building, on_building: np.ndarray) -> float:
+    """As the crops' ``visible_roof_share``."""
+    seen = on_building & (building.classification != GROUND_CLASS)
+    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[seen, :2].T * 100))
+    rings = [np.asarray(ring, float) for ring in building.rings]
+    ends = np.cumsum([0, *map(len, rings)])
+    offset = np.array([0, len(x_cm)])
+    share = seen_share(
+        x_cm, y_cm, np.ones(len(x_cm), bool), offset, np.concatenate(rings), ends, np.array([0, len(rings)])
+    )
+    return float(share[0])
+
+
+def summary(results: Sequence[Result]) -> str:
+    """One line: how many of each status, and why.
+
+    ``74 buildings: 72 ok, 1 flat (fewer than 10 points: 1), 1 none (no point: 1); 2 of them not representable``
+    """
+    parts = []
+    for status in ("ok", "flat", "none"):
+        own = [result for result in results if result.status == status]
+        reasons = Counter(result.reason for result in own if result.reason)
+        told = ", ".join(f"{reason}: {count}" for reason, count in sorted(reasons.items()))
+        if own or status == "ok":
+            parts.append(f"{len(own)} {status}" + (f" ({told})" if told else ""))
+    flagged = sum(result.not_representable for result in results)
+    told = f"; {flagged} of them not representable" if flagged else ""
+    return f"{len(results)} buildings: " + ", ".join(parts) + told
+
+
+def table(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
+    """A row per footprint: geometry as cleaned (none, if it was rejected) and what was found.
+
+    ``angle_deg`` is text, one number per edge, edge i from vertex i of the geometry, rings in order.
+    """
+    rows: list[dict[str, Any]] = []
+    shapes: list[shapely.Polygon | None] = []
+    for result in results:
+        made = result.reconstruction
+        rows.append({"building_id": made.building_id, **attributes(result)})
+        rings = [ring + made.origin_xy_m for ring in made.rings]
+        shapes.append(shapely.Polygon(rings[0], rings[1:]) if rings else None)
+    return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
+
+
+def attributes(result: Result) -> dict[str, Any]:
+    """What is told of a building, None where unknown: the same in every format."""
+    made = result.reconstruction
+    angles = (
+        None if made.angle_deg is None else " ".join(f"{angle:g}" for angle in np.round(made.angle_deg, 2))
+    )
+    return {
+        "status": result.status,
+        "reason": result.reason,
+        "method": made.method if made.has_mesh else None,
+        "eave_height_m": _rounded(made.eave_height_m),
+        "angle_deg": angles,
+        "ground_z_m": _rounded(made.ground_z_m),
+        "confidence": _rounded(made.confidence),
+        "residual_m": _rounded(result.residual_m),
+        "not_representable": result.not_representable,
+        "visible_share": _rounded(result.visible_share),
+        "num_points": result.num_points,
+        "num_parts": made.num_parts if made.has_mesh else None,
+        "num_triangles": len(made.triangle),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 3)
+
+
+def city_json(results: Sequence[Result], crs: pyproj.CRS, output: str = "cityjsonseq") -> str:
+    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``; those without
+    a mesh without geometry."""
+    epsg = crs.to_epsg() or horizontal(crs).to_epsg()
+    ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
+    solids = [solid(result) for result in ordered]
+    if output == "cityjson":
+        return cityjson.document(solids, epsg) + "\n"
+    return "\n".join(cityjson.lines(solids, epsg)) + "\n"
+
+
+def vertices_m(made: Reconstruction) -> np.ndarray:
+    """Mesh vertices in the CRS of the cloud, (v, 3)."""
+    return made.vertex_m + np.array([*made.origin_xy_m, made.ground_z_m])
+
+
+def solid(result: Result) -> Solid:
+    """The building for CityJSON, its triangles merged into planar polygons."""
+    made = result.reconstruction
+    if not made.has_mesh:
+        return Solid(made.building_id, np.zeros((0, 3)), [], attributes(result))
+    surfaces = planar_surfaces(made.vertex_m, made.triangle, made.kind, made.edge)
+    return Solid(made.building_id, vertices_m(made), surfaces, attributes(result))

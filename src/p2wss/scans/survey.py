@@ -1,0 +1,254 @@
+"""The survey of one scene: sensor, flight lines and errors, drawn from the bounds of the configuration.
+
+The density is an input. Parallel strips of swath W = 2 H tan(half angle) lie S = W (1 - overlap) apart; their
+mean density is D = PRF / (v S) for any scan pattern, and the pulse rate follows from it. Because one scene
+holds only a strip or two, the pulse rate is set from the time the beam really spends over the scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, radians, sin, tan
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+from p2wss.config import Scans
+from p2wss.data.seeds import derive_seed, generator
+from p2wss.scans.pulses import CONICAL, CROSS_FIRE, OSCILLATING, PARALLEL, Box, StripPath, time_over
+from p2wss.scans.returns import Errors
+
+PATTERNS = {"conical": CONICAL, "parallel": PARALLEL, "cross_fire": CROSS_FIRE, "oscillating": OSCILLATING}
+CROSSING_DEG = 14.0  # of each channel of the cross-fire pattern, as in RIEGL's VQ-1560 series
+_KNOT_INTERVAL_S = 0.05
+_SAMPLE_INTERVAL_S = 1e-4
+# the public simulator behind the paper (Marchand et al. 2021, github.com/umrlastig/SurfaceReconEval), its
+# defaults
+_PAPER_ALTITUDE_M, _PAPER_HALF_ANGLE_DEG, _PAPER_SPEED_M_PER_S, _PAPER_SCAN_RATE_HZ = (
+    1000.0,
+    20.0,
+    60.0,
+    150.0,
+)
+_PAPER_NOISE_XY_M, _PAPER_NOISE_Z_M = 0.13, 0.05
+_PAPER_OVERLAP = 0.3
+_PAPER_DENSITY_PER_M2 = 8.0  # section 5.1 of the paper
+_HD_DENSITY_PER_M2 = 14.0
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One flight line: its path, its errors, and when it starts (GPS seconds of the survey)."""
+
+    path: StripPath
+    errors: Errors
+    start_s: float
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Strips over a scene, and ``parameters``: everything that was drawn, ready for JSON."""
+
+    strips: list[Strip]
+    parameters: dict[str, Any]
+
+
+def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
+    """Draw a survey whose strips cover ``box`` and whose mean density over ``area`` is the drawn one.
+
+    Both boxes are in the local frame; heights are above the scene's median ground. ``seed`` is the scene's:
+    the same settings, seed and boxes give the same survey.
+    """
+    drawn = _parameters(settings, generator(seed, "survey"))
+    half_angle, heading = radians(drawn["half_angle_deg"]), radians(90 - drawn["heading_deg"])
+    swath_m = 2 * drawn["altitude_m"] * tan(half_angle)
+    spacing_m = swath_m * (1 - drawn["overlap"])
+    drawn |= {"swath_m": swath_m, "strip_spacing_m": spacing_m}
+    lines = _lines(box, heading, swath_m, spacing_m, drawn["strip_phase"])
+    if drawn["cross_strip"]:
+        lines += _lines(box, heading + np.pi / 2, swath_m, np.inf, 0.5)
+
+    strips, start_s = [], 0.0
+    for index, (x, y, direction, length_m) in enumerate(lines):
+        rng = generator(seed, "strip", index)
+        duration_s = length_m / drawn["speed_m_per_s"]
+        path = StripPath(
+            pattern=PATTERNS[drawn["pattern"]],
+            half_angle_rad=half_angle,
+            sin_half_angle=sin(half_angle),
+            cos_half_angle=cos(half_angle),
+            scan_rate_hz=drawn["scan_rate_hz"],
+            scan_phase=rng.uniform(),
+            crossing_rad=radians(CROSSING_DEG),
+            pulse_rate_hz=1.0,
+            start_x_m=x,
+            start_y_m=y,
+            altitude_m=drawn["altitude_m"],
+            heading_rad=direction,
+            speed_m_per_s=drawn["speed_m_per_s"],
+            duration_s=duration_s,
+            knot_interval_s=_KNOT_INTERVAL_S,
+            knots=_knots(rng, duration_s, direction, drawn["drift_m"], radians(drawn["attitude_deg"])),
+            # the 1/e^2 diameter of a Gaussian beam is four standard deviations
+            beam_sigma_rad=drawn["divergence_mrad"] * 1e-3 / 4,
+            beam_key=np.uint64(derive_seed(seed, "beam", index)),
+        )
+        errors = Errors(
+            noise_xy_m=drawn["noise_xy_m"],
+            noise_z_m=drawn["noise_z_m"],
+            noise_range_m=drawn["noise_range_m"],
+            offset_x_m=rng.normal(0, drawn["strip_offset_xy_m"]),
+            offset_y_m=rng.normal(0, drawn["strip_offset_xy_m"]),
+            offset_z_m=rng.normal(0, drawn["strip_offset_z_m"]),
+            base_loss=drawn["base_loss"],
+            min_intensity=drawn["min_intensity"],
+            speckle=drawn["speckle"],
+            reference_range_m=drawn["altitude_m"],
+            max_returns=drawn["max_returns"],
+            separation_m=settings.return_separation_m,
+            key=np.uint64(derive_seed(seed, "noise", index)),
+            loss_key=np.uint64(derive_seed(seed, "loss", index)),
+            split_key=np.uint64(derive_seed(seed, "split", index)),
+        )
+        strips.append(Strip(path, errors, start_s))
+        start_s += duration_s + 120.0  # the turn between two lines
+
+    seconds = sum(time_over(strip.path, area, _SAMPLE_INTERVAL_S) for strip in strips)
+    area_m2 = (area.x_max_m - area.x_min_m) * (area.y_max_m - area.y_min_m)
+    drawn["pulse_rate_hz"] = float(drawn["density_per_m2"] * area_m2 / seconds)
+    strips = [
+        Strip(s.path._replace(pulse_rate_hz=drawn["pulse_rate_hz"]), s.errors, s.start_s) for s in strips
+    ]
+    drawn["strips"] = [
+        {
+            "start_xy_m": [s.path.start_x_m, s.path.start_y_m],
+            "heading_deg": float(90 - np.degrees(s.path.heading_rad)) % 360,
+            "duration_s": s.path.duration_s,
+            "gps_start_s": s.start_s,
+            "offset_m": [s.errors.offset_x_m, s.errors.offset_y_m, s.errors.offset_z_m],
+        }
+        for s in strips
+    ]
+    return Survey(strips, drawn)
+
+
+def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
+    """One draw of everything but the strips; a preset that does without an error has it at 0."""
+    shares = settings.pattern_shares.model_dump()
+    weights = np.array(list(shares.values()), float)
+    pattern = str(rng.choice(list(shares), p=weights / weights.sum()))
+    half_angle = settings.conical_half_angle_deg if pattern == "conical" else settings.line_half_angle_deg
+    low, high = settings.density_bounds_per_m2
+    wanted = settings.density_per_m2 or (
+        _HD_DENSITY_PER_M2 if settings.preset == "hd" else _PAPER_DENSITY_PER_M2
+    )
+    density = float(np.clip(wanted * np.exp(rng.normal(0, settings.density_spread)), low, high))
+    drawn: dict[str, Any] = {
+        "preset": settings.preset,
+        "pattern": pattern,
+        "density_per_m2": density,
+        "altitude_m": rng.uniform(*settings.altitude_m),
+        "half_angle_deg": rng.uniform(*half_angle),
+        "speed_m_per_s": rng.uniform(*settings.speed_m_per_s),
+        "scan_rate_hz": rng.uniform(*settings.scan_rate_hz),
+        "overlap": rng.uniform(*settings.overlap),
+        "heading_deg": rng.uniform(0, 360),
+        "strip_phase": rng.uniform(),
+        "cross_strip": bool(rng.uniform() < settings.cross_strip_share),
+        "drift_m": settings.drift_m,
+        "attitude_deg": rng.uniform(*settings.attitude_deg),
+        "divergence_mrad": rng.uniform(*settings.divergence_mrad),
+        "noise_xy_m": rng.uniform(*settings.pointing_noise_m),
+        "noise_z_m": 0.0,
+        "noise_range_m": rng.uniform(*settings.range_noise_m),
+        "strip_offset_xy_m": settings.strip_offset_xy_m,
+        "strip_offset_z_m": settings.strip_offset_z_m,
+        "base_loss": rng.uniform(*settings.base_loss),
+        "min_intensity": settings.min_intensity,
+        "speckle": settings.speckle,
+        "max_returns": settings.max_returns,
+    }
+    if settings.preset == "hd":
+        return drawn
+    # `none` is the same flight without any error, `paper` the simulator of the paper with its own errors
+    drawn |= dict.fromkeys(
+        (
+            "drift_m",
+            "attitude_deg",
+            "divergence_mrad",
+            "noise_xy_m",
+            "noise_range_m",
+            "strip_offset_xy_m",
+            "strip_offset_z_m",
+            "base_loss",
+            "min_intensity",
+            "speckle",
+        ),
+        0.0,
+    )
+    drawn |= {"density_per_m2": wanted, "max_returns": 1}
+    if settings.preset == "paper":
+        drawn |= {
+            "pattern": "conical",
+            "altitude_m": _PAPER_ALTITUDE_M,
+            "half_angle_deg": _PAPER_HALF_ANGLE_DEG,
+            "speed_m_per_s": _PAPER_SPEED_M_PER_S,
+            "scan_rate_hz": _PAPER_SCAN_RATE_HZ,
+            "overlap": _PAPER_OVERLAP,
+            "heading_deg": 0.0,
+            "cross_strip": False,
+            "noise_xy_m": _PAPER_NOISE_XY_M,
+            "noise_z_m": _PAPER_NOISE_Z_M,
+        }
+    return drawn
+
+
+def _lines(
+    box: Box, heading_rad: float, swath_m: float, spacing_m: float, phase: float
+) -> list[tuple[float, float, float, float]]:
+    """Flight lines (x, y of the start, heading, length) whose swaths cover ``box``; every second one flies
+    back.
+
+    An infinite spacing gives one line over the middle.
+    """
+    forward = np.array([cos(heading_rad), sin(heading_rad)])
+    left = np.array([-forward[1], forward[0]])
+    corners = np.array([[x, y] for x in (box.x_min_m, box.x_max_m) for y in (box.y_min_m, box.y_max_m)])
+    across, along = corners @ left, corners @ forward
+    reach = 0.55 * swath_m + 0.1 * (box.z_max_m - box.z_min_m) + 20
+    along_min, along_max = along.min() - reach, along.max() + reach
+    if np.isinf(spacing_m):
+        offsets = np.array([across.mean()])
+    else:
+        first, last = across.min() - swath_m / 2, across.max() + swath_m / 2
+        offsets = np.arange(first + phase * spacing_m, last, spacing_m)
+    lines = []
+    for index, offset in enumerate(offsets):
+        backward = index % 2 == 1
+        start = offset * left + (along_max if backward else along_min) * forward
+        direction = heading_rad + (np.pi if backward else 0.0)
+        lines.append((float(start[0]), float(start[1]), direction, float(along_max - along_min)))
+    return lines
+
+
+def _knots(
+    rng: np.random.Generator, duration_s: float, heading_rad: float, drift_m: float, attitude_rad: float
+) -> np.ndarray:
+    """Drift and rotation along one strip as :class:`pulses.StripPath` has them, float64 (k, 12).
+
+    The drift is an Ornstein-Uhlenbeck process of 20 s, the attitude a sum of three sinusoids per axis.
+    """
+    time_s = np.arange(int(duration_s / _KNOT_INTERVAL_S) + 2) * _KNOT_INTERVAL_S
+    decay = float(np.exp(-_KNOT_INTERVAL_S / 20.0))
+    steps = rng.normal(0, drift_m * np.sqrt(1 - decay**2), (len(time_s), 3))
+    steps[0] = rng.normal(0, drift_m, 3)
+    drift = lfilter([1.0], [1.0, -decay], steps, axis=0)
+    amplitude = rng.dirichlet(np.ones(3), 3) * attitude_rad
+    period_s, phase = rng.uniform(3, 15, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
+    angle = 2 * np.pi * time_s[:, None, None] / period_s + phase
+    yaw_pitch_roll = (amplitude * np.sin(angle)).sum(axis=2)
+    yaw_pitch_roll[:, 0] += heading_rad
+    matrix = Rotation.from_euler("ZYX", yaw_pitch_roll).as_matrix()
+    return np.ascontiguousarray(np.concatenate([drift, matrix.reshape(-1, 9)], axis=1))

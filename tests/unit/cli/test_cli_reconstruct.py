@@ -1,0 +1,185 @@
+"""``p2wss reconstruct`` as a user runs it: files in, files out, or one line and nothing lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyproj
+import pytest
+import shapely
+import trimesh
+from oracle_network import Oracle
+
+import p2wss
+from p2wss import cli, reconstruct
+from p2wss.data.terrain import Terrain, write_terrain
+from p2wss.nets import predictor
+
+BOX = shapely.box(652000, 6861000, 652010, 6861008)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with cloud.laz (one building, Lambert-93), footprints.gpkg, and a network that answers."""
+    draw = np.random.default_rng(0)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.01), np.array([652000, 6861000, 0])
+    header.add_crs(pyproj.CRS.from_epsg(2154))
+    las = laspy.LasData(header)
+    las.x = np.r_[draw.uniform(652000, 652010, 400), draw.uniform(651999.2, 651999.8, 50)]
+    las.y = draw.uniform(6861000, 6861008, 450)
+    las.z = np.r_[np.full(400, 107.0), np.full(50, 101.0)]
+    las.classification = np.r_[np.full(400, 6), np.full(50, 2)].astype(np.uint8)
+    las.write(tmp_path / "cloud.laz")
+    gpd.GeoDataFrame({"cleabs": ["A"]}, geometry=[BOX], crs=2154).to_file(tmp_path / "footprints.gpkg")
+    monkeypatch.setattr(predictor, "load_predictor", lambda path: Oracle())
+    return tmp_path
+
+
+def run(place: Path, *more: str, cloud: str = "cloud.laz", footprints: str = "footprints.gpkg") -> int:
+    files = [str(place / name) for name in (cloud, footprints, "out")]
+    return cli.main(["reconstruct", *files, "--model", str(place / "m.safetensors"), *more])
+
+
+def test_files_named_after_the_cloud(place: Path) -> None:
+    assert run(place, "--no-refine") == 0
+    assert sorted(p.name for p in (place / "out").iterdir()) == [
+        "cloud.city.jsonl",
+        "cloud.glb",
+        "cloud.gpkg",
+        "cloud.json",
+    ]
+    (row,) = gpd.read_file(place / "out" / "cloud.gpkg").to_dict("records")
+    assert (row["building_id"], row["status"], row["method"]) == ("A", "ok", "point2wss")
+    assert row["eave_height_m"] == pytest.approx(6.0) and row["ground_z_m"] == pytest.approx(101.0)
+
+
+def test_refined_with_the_model_and_without(place: Path) -> None:
+    outs = {}
+    for name, options in {"point2wss+fit": ["--model", "m"], "fit": ["--model", "none"]}.items():
+        files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", name)]
+        assert cli.main(["reconstruct", *files, *options]) == 0
+        (outs[name],) = gpd.read_file(place / name / "cloud.gpkg").to_dict("records")
+        assert (outs[name]["status"], outs[name]["method"]) == ("ok", name)
+    # the flat roof that the points show, whatever the network said
+    assert outs["fit"]["angle_deg"] == outs["point2wss+fit"]["angle_deg"] == "0 0 0 0"
+    assert outs["fit"]["residual_m"] < 0.01
+    assert 0.8 < outs["fit"]["confidence"] <= 1 and 0.8 < outs["point2wss+fit"]["confidence"] <= 1
+
+
+def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    oracle = Oracle()
+    monkeypatch.setattr(predictor, "load_predictor", lambda path: oracle)
+    assert run(place, "--no-refine") == 0 and oracle.num_views == 4
+    assert run(place) == 0 and oracle.num_views == 1
+
+
+def test_without_a_model_there_is_no_unrefined(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reconstruct, "shipped_model", lambda: None)
+    files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
+    assert cli.main(["reconstruct", *files, "--no-refine"]) == 2
+    assert "--model" in capsys.readouterr().err
+
+
+def test_weights_that_came_with_the_package_are_used(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    came = place / "point2wss.safetensors"
+    loaded: list[Path] = []
+    monkeypatch.setattr(predictor, "load_predictor", lambda path: loaded.append(path) or Oracle())
+    for shipped, options, method, wanted in (
+        (came, [], "point2wss+fit", [came]),
+        (came, ["--model", "none"], "fit", []),
+        (came, ["--model", str(place / "own")], "point2wss+fit", [place / "own"]),
+        (None, [], "fit", []),
+        (None, ["--model", "none"], "fit", []),
+    ):
+        loaded.clear()
+        monkeypatch.setattr(reconstruct, "shipped_model", lambda shipped=shipped: shipped)
+        files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
+        assert cli.main(["reconstruct", *files, *options]) == 0 and loaded == wanted
+        assert gpd.read_file(place / "out" / "cloud.gpkg")["method"].tolist() == [method]
+
+
+def test_shipped_weights_are_found_in_the_package() -> None:
+    found = reconstruct.shipped_model()
+    assert found is None or found.stat().st_size > 0
+    expected = Path(p2wss.__file__).parent / "weights" / "point2wss.safetensors"
+    assert (found == expected) if expected.exists() else found is None
+
+
+def test_formats_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(place, "--format", "stl, obj", "--per-building") == 0
+    out = place / "out"
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
+        "cloud.json", "cloud.obj", "cloud.stl", "cloud/A.obj", "cloud/A.stl"
+    ]  # fmt: skip
+    capsys.readouterr()
+    assert run(place, "--format", "obj,dwg") == 2
+    assert "no format dwg; choose from cityjsonseq, cityjson, glb" in capsys.readouterr().err
+
+
+def test_a_terrain_joins_the_meshes(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    height = np.full((80, 80), 100.0, np.float32)
+    for name, crs in (("dtm.tif", "EPSG:2154"), ("rd.tif", "EPSG:28992")):
+        write_terrain(place / name, Terrain(height, 651970.0, 6861050.0, 1.0), crs, {})
+    assert run(place, "--terrain", str(place / "dtm.tif"), "--format", "glb") == 0
+    scene = trimesh.load_scene(place / "out" / "cloud.glb")
+    assert set(scene.geometry) == {"A", "terrain"} and all(m.is_watertight for m in scene.geometry.values())
+    # the house reaches below the land it stands on
+    assert scene.geometry["A"].bounds[0, 1] < scene.geometry["terrain"].bounds[1, 1]
+    capsys.readouterr()
+    assert run(place, "--terrain", str(place / "rd.tif")) == 2
+    assert "rd.tif is in Amersfoort" in capsys.readouterr().err
+
+
+def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:
+    assert run(place, "--tile", "0652_6862") == 0
+    assert run(place, "--tile", "0700_6862") == 0
+    assert len(gpd.read_file(place / "out" / "0652_6862.gpkg")) == 1
+    assert len(gpd.read_file(place / "out" / "0700_6862.gpkg")) == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("cloud", "truncated"),
+        ("gone", "no such file"),
+        ("crs", "Amersfoort / RD New; reproject one of them"),
+        ("lines", "no polygons"),
+        ("elsewhere", "no point near any"),
+    ],
+)
+def test_bad_input_is_one_line_and_loses_nothing(
+    change: str, told: str, place: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run(place) == 0
+    before = {path.name: path.read_bytes() for path in (place / "out").iterdir()}
+    capfd.readouterr()
+    cloud, other = place / "cloud.laz", place / "other.gpkg"
+    good = gpd.read_file(place / "footprints.gpkg")
+    if change == "cloud":
+        cloud.write_bytes(cloud.read_bytes()[:-600])
+    if change == "gone":
+        cloud.unlink()
+    if change == "crs":
+        good.set_crs(28992, allow_override=True).to_file(other)
+    if change == "lines":
+        good.set_geometry(good.boundary).to_file(other)
+    if change == "elsewhere":
+        good.set_geometry(good.translate(5000, 0)).to_file(other)
+    assert run(place, footprints=other.name if other.exists() else "footprints.gpkg") == 2
+    *before_it, line = [said for said in capfd.readouterr().err.splitlines() if said]
+    assert line.startswith("p2wss: error: ") and told in line
+    # what was read so far, if it was read; no traceback
+    assert all("points around them" in said for said in before_it) and len(before_it) <= 1
+    assert {path.name: path.read_bytes() for path in (place / "out").iterdir()} == before
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(place: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (place / "out").write_text("a file")
+    assert run(place) == 2
+    assert "not written" in capfd.readouterr().err.splitlines()[-1]

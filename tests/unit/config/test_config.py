@@ -1,0 +1,78 @@
+"""The config: its files are in step with the models, and mistakes get one clear line."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+import yaml
+from places import ROOT
+
+from p2wss import config
+from p2wss.config import Config, Section
+from p2wss.config.generate import default_yaml
+from p2wss.errors import InputError
+
+
+def test_generated_files_are_in_step():
+    assert (ROOT / "config/default.yaml").read_text() == default_yaml(), "run `make config`"
+    schema = json.loads((ROOT / "config/schema.json").read_text())
+    assert schema == Config.model_json_schema(), "run `make config`"
+
+
+def test_default_yaml_says_what_the_models_say():
+    assert config.load(ROOT / "config/default.yaml") == Config()
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "config").glob("**/*.yaml")), ids=lambda path: path.name)
+def test_every_config_is_valid(file):
+    config.load(ROOT / "config/default.yaml", file)
+
+
+def test_every_key_is_explained():
+    def keys(model):
+        for name, field in model.model_fields.items():
+            inner = field.annotation
+            if isinstance(inner, type) and issubclass(inner, Section):
+                yield from ((f"{name}.{key}", about) for key, about in keys(inner))
+            else:
+                yield name, field.description
+
+    assert [key for key, about in keys(Config) if not about] == []
+
+
+def test_section_travels_as_json():
+    settings = config.load({"region": {"name": "elsewhere"}})
+    text = config.section_json(settings, "region", "scans")
+    assert "\n" not in text and config.load(text).region == settings.region
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ({"region": {"tile_sizem": 3}}, "region.tile_sizem: no such key (did you mean tile_size_m?)"),
+        ({"sans": {}}, "sans: no such key (did you mean scans?)"),
+        ({"region": {"tile_size_m": -1}}, "region.tile_size_m: Input should be greater than 0"),
+        ({"region": {"bounds_m": [1, 0, 0, 1]}}, "bounds_m must be x_min, y_min, x_max, y_max"),
+        ("no/such.yaml", "no/such.yaml: No such file"),
+        ("{region: [", "not YAML"),
+    ],
+)
+def test_mistakes_get_one_line(document, message):
+    with pytest.raises(InputError) as error:
+        config.load(document)
+    assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_reading_the_config_imports_nothing_heavy():
+    """The Snakefile imports these at each start, and every cluster job parses it again."""
+    code = "import sys, p2wss.config, p2wss.provenance, p2wss.data.tiling; print(*sys.modules)"
+    modules = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert not {"torch", "pandas", "geopandas", "pyarrow", "numba", "shapely"} & set(modules)
+
+
+def test_default_yaml_is_plain_yaml():
+    parsed = yaml.safe_load(default_yaml())
+    assert list(parsed) == list(Config.model_fields)

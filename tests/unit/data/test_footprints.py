@@ -1,0 +1,187 @@
+"""Clean-up of footprints: every row stays, with a polygon that the kernel takes or with a reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import SHARED
+
+from p2wss import skeleton
+from p2wss.config import Scenes
+from p2wss.data import polygon_arrays
+from p2wss.data.footprints import clean_footprints, read_footprints, split_parts
+from p2wss.errors import InputError
+
+CONFIG = Scenes()
+DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
+
+
+def frame(*shapes: object, crs: str = "EPSG:2154") -> gpd.GeoDataFrame:
+    return gpd.GeoDataFrame(
+        {"building_id": [f"B{i}" for i in range(len(shapes))]}, geometry=list(shapes), crs=crs
+    )
+
+
+def cleaned(*shapes: object) -> gpd.GeoDataFrame:
+    return clean_footprints(frame(*shapes), CONFIG)
+
+
+def test_dirt_goes_and_the_shape_stays() -> None:
+    """Z, a repeated vertex, a near-collinear one and a 2 cm edge, all clockwise: a rectangle is left."""
+    ring = [
+        (0, 0, 5),
+        (0, 8, 5),
+        (0, 8, 5),
+        (5, 8.01, -1000),
+        (10, 8, 5),
+        (10, 0.02, 5),
+        (10, 0, 5),
+        (4, 0, 5),
+    ]
+    row = cleaned(shapely.Polygon(ring)).iloc[0]
+    assert row.status == "ok"
+    assert row.geometry.exterior.is_ccw and not row.geometry.has_z
+    assert len(row.geometry.exterior.coords) == 5
+    assert row.geometry.symmetric_difference(shapely.box(0, 0, 10, 8)).area < 0.3
+
+
+def test_multipolygons_are_split_and_slivers_dropped() -> None:
+    parts = shapely.MultiPolygon(
+        [shapely.box(0, 0, 5, 5), shapely.box(10, 0, 20, 5), shapely.box(30, 0, 30.5, 1)]
+    )
+    result = cleaned(shapely.box(50, 0, 60, 5), parts)
+    assert list(result["building_id"]) == ["B0", "B1-1", "B1-2"]
+    assert list(result["status"]) == ["ok"] * 3
+    assert list(result.area) == pytest.approx([50, 25, 50])
+
+
+def test_bow_tie_is_repaired() -> None:
+    result = cleaned(shapely.Polygon([(0, 0), (10, 8), (10, 0), (0, 8)]))
+    assert list(result["status"]) == ["ok", "ok"]
+    assert result.area.sum() == pytest.approx(40)
+
+
+def test_courtyards_are_carried_clockwise() -> None:
+    result = cleaned(shapely.box(0, 0, 30, 30).difference(shapely.box(10, 10, 20, 20)))
+    polygon = result.geometry.iloc[0]
+    assert result["status"].iloc[0] == "ok"
+    assert polygon.exterior.is_ccw and not polygon.interiors[0].is_ccw
+    assert polygon.area == pytest.approx(800)
+
+
+def test_courtyard_that_touches_the_outside_is_opened() -> None:
+    outside = shapely.box(0, 0, 30, 30)
+    touching = shapely.Polygon(outside.exterior.coords, [[(0, 15), (10, 20), (10, 10)]])
+    row = cleaned(touching).iloc[0]
+    assert row.status == "ok"
+    assert row.geometry.area == pytest.approx(touching.area, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        (None, "empty"),
+        (shapely.Polygon(), "empty"),
+        (shapely.Point(1, 1), "not-a-polygon"),
+        (shapely.LineString([(0, 0), (5, 5)]), "not-a-polygon"),
+        (shapely.Polygon([(0, 0), (9, 0), (9, np.nan), (0, 9)]), "non-finite"),
+        (shapely.Polygon([(0, 0), (9, 0), (4, 0)]), "empty"),
+        (shapely.box(0, 0, 1, 1), "too-small"),
+        (shapely.Point(0, 0).buffer(400, quad_segs=64), "too-many-edges"),
+    ],
+)
+def test_what_makes_no_building_keeps_its_row(shape: object, reason: str) -> None:
+    result = clean_footprints(
+        frame(shapely.box(0, 0, 9, 9), shape), Scenes(simplify_tolerance_m=0, max_edges=40)
+    )
+    assert list(result["building_id"]) == ["B0", "B1"]
+    assert list(result["status"]) == ["ok", reason]
+    assert result.geometry.iloc[1].is_empty
+
+
+def test_without_a_polygon_the_middle_is_that_of_the_geometry() -> None:
+    result = split_parts(frame(shapely.LineString([(0, 0), (4, 8)]), shapely.Polygon()), 1)
+    assert (result["middle_x_m"].iloc[0], result["middle_y_m"].iloc[0]) == (2, 4)
+    assert np.isnan(result["middle_x_m"].iloc[1])
+
+
+@st.composite
+def dirty_polygons(draw: st.DrawFn) -> shapely.Polygon:
+    """Rings of a few points on a coarse grid: crossing, touching, collapsing, in any order."""
+    points = draw(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), min_size=3, max_size=9))
+    hole = draw(st.lists(st.tuples(st.integers(1, 7), st.integers(1, 7)), min_size=3, max_size=5))
+    holes = [hole] if draw(st.booleans()) else []
+    return shapely.Polygon(
+        [(3 * x, 3 * y) for x, y in points], [[(3 * x, 3 * y) for x, y in h] for h in holes]
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(dirty_polygons(), min_size=1, max_size=4))
+def test_whatever_is_ok_goes_through_the_kernel(shapes: list[shapely.Polygon]) -> None:
+    result = cleaned(*shapes)
+    assert set(result["building_id"].str.split("-").str[0]) == {f"B{i}" for i in range(len(shapes))}
+    assert result["building_id"].is_unique
+    good = result[result["status"] == "ok"]
+    assert good.is_valid.all() and (good.area >= CONFIG.min_area_m2).all()
+    polygons = polygon_arrays.to_polygons(good.geometry.to_numpy())
+    again = skeleton.clean(polygons)
+    assert (again.status == 0).all()
+    # nothing is made up: each lies within the tolerances of its source
+    for _, row in good.iterrows():
+        source = shapes[int(row.building_id.split("-")[0][1:])]
+        valid = shapely.make_valid(source, method="structure", keep_collapsed=False)
+        assert row.geometry.difference(valid.buffer(0.5)).area < 1e-6
+
+
+def test_ids_by_their_usual_names_else_numbers(tmp_path: Path) -> None:
+    boxes = [shapely.box(20 * i, 0, 20 * i + 9, 9) for i in range(3)]
+    path = tmp_path / "f.gpkg"
+    for columns, expected in [
+        ({"CLEABS": ["a", "b", "c"]}, ["a", "b", "c"]),
+        ({"building_id": ["a", "a", "c"], "ID": [7, 8, 9]}, ["7", "8", "9"]),
+        ({"name": ["x", "y", "z"]}, ["1", "2", "3"]),
+    ]:
+        path.unlink(missing_ok=True)
+        gpd.GeoDataFrame(columns, geometry=boxes, crs="EPSG:2154").to_file(path)
+        assert list(read_footprints(path)["building_id"]) == expected
+    assert list(read_footprints(path, id_field="name")["building_id"]) == ["x", "y", "z"]
+    assert list(read_footprints(path, bounds=(15, 0, 25, 5))["building_id"]) == ["1"]
+    with pytest.raises(InputError, match=r"f\.gpkg: no column pand; it has name"):
+        read_footprints(path, id_field="pand")
+
+
+def test_a_named_id_field_must_be_one(tmp_path: Path) -> None:
+    path = tmp_path / "f.gpkg"
+    boxes = [shapely.box(20 * i, 0, 20 * i + 9, 9) for i in range(2)]
+    gpd.GeoDataFrame({"name": ["x", "x"]}, geometry=boxes, crs="EPSG:2154").to_file(path)
+    with pytest.raises(InputError, match="column name is no id: x occurs more than once"):
+        read_footprints(path, id_field="name")
+
+
+def test_bad_files_get_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"gone\.gpkg: no such file"):
+        read_footprints(tmp_path / "gone.gpkg")
+    (tmp_path / "f.gpkg").write_text("<html>")
+    with pytest.raises(InputError, match=r"f\.gpkg: not a readable vector file"):
+        read_footprints(tmp_path / "f.gpkg")
+    gpd.GeoDataFrame(geometry=[shapely.box(4, 45, 4.1, 45.1)], crs="EPSG:4326").to_file(tmp_path / "d.gpkg")
+    with pytest.raises(InputError, match=r"d\.gpkg: is in WGS 84, in degrees"):
+        read_footprints(tmp_path / "d.gpkg")
+    line = shapely.LineString([(0, 0), (1, 1)])
+    gpd.GeoDataFrame(geometry=[line], crs="EPSG:2154").to_file(tmp_path / "l.gpkg")
+    with pytest.raises(InputError, match=r"l\.gpkg: no polygons"):
+        read_footprints(tmp_path / "l.gpkg")
+
+
+@pytest.mark.skipif(not DELFT.exists(), reason="no shared/data/delft_ahn3")
+def test_all_of_delft_is_kept() -> None:
+    result = clean_footprints(read_footprints(DELFT), CONFIG)
+    assert list(result["status"]) == ["ok"] * 74
+    assert result["building_id"].str.startswith("b").all()

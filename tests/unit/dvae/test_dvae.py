@@ -1,0 +1,84 @@
+"""Stage dvae on simple crops."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+import toy_crops
+from small_networks import SMALL_DVAE
+
+from p2wss import cli, dvae
+from p2wss.config import load
+from p2wss.dvae import task
+from p2wss.errors import InputError
+from p2wss.nets import training
+from p2wss.nets.dvae_file import load_dvae
+from p2wss.nets.weights import write_weights
+
+
+@pytest.fixture(scope="module")
+def manifest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toy_crops.make(tmp_path_factory.mktemp("crops"), {"train": 24, "val": 8}, lidar=8)
+
+
+def test_the_command_trains_and_the_weights_load(manifest: Path, tmp_path: Path) -> None:
+    out, metrics, checkpoints = tmp_path / "d.safetensors", tmp_path / "m.jsonl", tmp_path / "checkpoints"
+    arguments = ["dvae", "--manifest", str(manifest), "--out", str(out)]
+    arguments += ["--out-metrics", str(metrics), "--checkpoints", str(checkpoints)]
+    assert cli.main([*arguments, "--config", json.dumps({"dvae": SMALL_DVAE})]) == 0
+    assert not checkpoints.exists()
+    records = [json.loads(line) for line in metrics.read_text().splitlines()]
+    measured = [r["val_chamfer_m"] for r in records if "val_chamfer_m" in r]
+    assert len(measured) == 3 and measured[-1] < 0.97 * measured[0]
+    assert next(r for r in records if "loss" in r)["fine"] > 0
+    assert {"temperature", "kl_weight", "perplexity"} <= set().union(*records)
+    module, config = load_dvae(out)
+    assert config == load({"dvae": SMALL_DVAE}).dvae
+    assert not any(p.requires_grad for p in module.parameters())
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(manifest: Path, tmp_path: Path) -> None:
+    few = SMALL_DVAE | {"optimiser": {"num_steps": 3, "batch_size": 8}}
+    states = [
+        dvae.train(manifest, load({"dvae": few | {"seed": seed}}).dvae, tmp_path / str(i), "x").state_dict()
+        for i, seed in enumerate((0, 0, 1))
+    ]
+    assert all(torch.equal(states[0][name], states[1][name]) for name in states[0])
+    assert not torch.equal(states[0]["codebook"], states[2]["codebook"])
+
+
+def test_losses_are_the_same_with_patches_that_were_found_before(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training, "METRICS_EVERY_STEPS", 1)
+    # about half of the clouds are thinned
+    config = load(
+        {"dvae": SMALL_DVAE | {"num_points": 1400, "optimiser": {"num_steps": 6, "batch_size": 8}}}
+    ).dvae
+    losses = []
+    for name in ("kept", "computed"):
+        dvae.train(manifest, config, tmp_path / name, "x")
+        records = map(json.loads, training.read_metrics(tmp_path / name).splitlines())
+        losses.append([record["loss"] for record in records if "loss" in record])
+        monkeypatch.setattr(task, "with_patches", lambda buildings, *_: buildings)
+    assert len(list(tmp_path.glob("kept/clouds/*/patches-1400-8x8.i16"))) == 1
+    assert not list(tmp_path.glob("computed/clouds/*/patches*"))
+    # rounding decides where two points are equally far
+    assert losses[0] == pytest.approx(losses[1], rel=0.02)
+
+
+def test_a_collapsed_codebook_is_refused(
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(task, "MIN_CODE_USAGE", 1.1)
+    with pytest.raises(InputError, match=r"codebook collapsed: .* of 16 codes in use"):
+        dvae.train(manifest, load({"dvae": SMALL_DVAE}).dvae, tmp_path, "x")
+
+
+def test_weights_of_the_other_stage_are_refused(tmp_path: Path) -> None:
+    write_weights(tmp_path / "m.safetensors", {}, {"kind": "model"})
+    with pytest.raises(InputError, match="not a dvae of p2wss"):
+        load_dvae(tmp_path / "m.safetensors")

@@ -1,0 +1,93 @@
+"""The table of the ablation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import toy_crops
+from places import ROOT
+from small_networks import SMALL_DVAE, SMALL_MODEL
+
+from p2wss import cli, model
+from p2wss.config import ablated, load
+from p2wss.errors import InputError
+from p2wss.eval import ablation
+from p2wss.nets.dataset import Limits
+from p2wss.nets.modules import make_module, make_tokenizer
+from p2wss.nets.predictor import load_predictor
+from p2wss.nets.shards import load_buildings
+
+
+def test_a_variant_changes_what_it_names_and_nothing_else() -> None:
+    config = load({"ablation": {"variants": {"a": {"masking": {"table1_share": 0.5}}}}})
+    changed = ablated(config, "a").model
+    assert changed.masking.table1_share == 0.5
+    back = changed.masking.model_copy(update={"table1_share": config.model.masking.table1_share})
+    assert changed.model_copy(update={"masking": back}) == config.model
+
+
+def test_the_variant_of_the_paper_is_its_config() -> None:
+    """But for sizes, lengths and the number format, which the budget decides."""
+    ours = ablated(load({}), "paper").model
+    paper = load(ROOT / "config" / "paper.yaml").model
+    for name in (
+        "masking",
+        "decoding",
+        "augmentation",
+        "loss_weights",
+        "match_balanced",
+        "ema_decay",
+        "auxiliary_share",
+    ):
+        assert getattr(ours, name) == getattr(paper, name), name
+
+
+def test_a_variant_with_a_wrong_key_is_one_clear_line() -> None:
+    with pytest.raises(InputError, match=r"ablation\.variants\.a\.dimm: Extra inputs"):
+        load({"ablation": {"variants": {"a": {"dimm": 3}}}})
+
+
+def test_seeds_are_summed_up_below_the_table() -> None:
+    rows = [
+        ablation.Row(name, 10, height, 0.1, 2.0, angle, 1.0, 20.0)
+        for name, height, angle in (("a", 0.1, 2.0), ("a_seed_1", 0.3, 4.0), ("b", 9.0, 9.0))
+    ]
+    (line,) = ablation.spreads(rows)
+    assert line.startswith("a over 2 seeds: height 0.200 ± 0.141 m, angle 3.000 ± 1.414 degrees")
+    assert ablation.markdown(rows).endswith(f"|\n\n{line}\n")
+    assert ablation.spreads(rows[1:]) == []
+
+
+def test_the_table_holds_the_errors_on_the_test_split(tmp_path: Path) -> None:
+    manifest = toy_crops.make(tmp_path, {"train": 12, "val": 4, "test": 10})
+    config = load({"dvae": SMALL_DVAE, "model": SMALL_MODEL})
+    torch.manual_seed(0)
+    paths = []
+    for name in ("one", "two"):
+        module = make_module(config.model, config.dvae, make_tokenizer(config.model))
+        paths.append(tmp_path / name / "model.safetensors")
+        model.save(module, paths[-1], config.model, config.dvae, "x", "")
+    arguments = ["--manifest", str(manifest), "--models", *map(str, paths)]
+    arguments += ["--out-csv", str(tmp_path / "t.csv"), "--out-markdown", str(tmp_path / "t.md")]
+    assert cli.main(["eval", "ablation", *arguments, "--device", "cpu"]) == 0
+    header, *lines = (tmp_path / "t.csv").read_text().splitlines()
+    rows = [dict(zip(header.split(","), line.split(","), strict=True)) for line in lines]
+    assert [row["variant"] for row in rows] == ["one", "two"]
+    test = load_buildings(manifest, ["test"], Limits(64, 8, 70), labelled=True, lidar=False)
+    train = load_buildings(manifest, ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
+    clouds, rings = [], []
+    for i in range(len(test)):
+        points = test.points_cm[test.point_offset[i] : test.point_offset[i + 1]] / 100
+        clouds.append(points - [0, 0, test.ground_z_m[i]])
+        rings.append([test.xy_m[test.vertex_offset[i] : test.vertex_offset[i + 1]]])
+    found = load_predictor(paths[1], "cpu").predict(clouds, rings)
+    expected = np.abs(found.eave_height_m - test.height_m).mean()
+    # centimetres may fall either way: the frames differ by the ground
+    assert float(rows[1]["height_mae_m"]) == pytest.approx(expected, abs=0.05)
+    constant = np.abs(test.height_m - np.median(train.height_m)).mean()
+    assert float(rows[1]["height_mae_constant_m"]) == pytest.approx(constant, abs=1e-3)
+    assert (tmp_path / "t.md").read_text().count("\n") == 4
+    assert rows[0]["num_buildings"] == "10"

@@ -1,0 +1,99 @@
+"""Boxes on a roof: found where they are, one closed solid with it, none where there are none, off by default."""
+
+import numpy as np
+import pytest
+import trimesh
+from test_one_height import sample
+
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building, Reconstruction
+from p2wss.fit.dormers import roof_over
+from p2wss.fit.fitting import fit
+from p2wss.fit.solid import is_closed
+
+WIDE_M, DEEP_M, EAVE_M = 14.0, 9.0, 5.0
+HOUSE = np.array([[0, 0], [WIDE_M, 0], [WIDE_M, DEEP_M], [0, DEEP_M]])
+TAN = np.tan(np.radians(40.0))
+RIDGE_M = EAVE_M + TAN * DEEP_M / 2
+# x from, x to, y from, y to, top: one at the wall, one within the slope; both end in the roof
+AT_WALL, WITHIN = (2.0, 5.0, 0.0, 3.0, 7.4), (8.0, 11.0, 1.2, 3.6, 7.9)
+
+
+def roof_z(xy_m: np.ndarray) -> np.ndarray:
+    return EAVE_M + TAN * np.minimum(xy_m[:, 1], DEEP_M - xy_m[:, 1])
+
+
+def house(*boxes: tuple[float, ...], num_points: int = 900) -> Building:
+    point_m = sample([HOUSE], [40, 90, 40, 90], EAVE_M, num_points, 0.0)
+    for x0, x1, y0, y1, top in boxes:
+        x, y, z = point_m.T
+        over = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+        point_m[over, 2] = np.maximum(z[over], top)
+    point_m[:, 2] += np.random.default_rng(3).normal(0, 0.03, len(point_m))
+    return Building("a", "t", (0.0, 0.0), [HOUSE], point_m, np.full(len(point_m), 6), 0.0)
+
+
+def fitted(building: Building, dormers: bool) -> Reconstruction:
+    (made,) = fit([building], Reconstruct(dormers=dormers, max_parts=1))
+    return made
+
+
+def volume(made: Reconstruction) -> float:
+    return float(trimesh.Trimesh(made.vertex_m, made.triangle, process=False).volume)
+
+
+def true_volume(*boxes: tuple[float, ...]) -> float:
+    cell = 0.02
+    x, y = np.meshgrid(np.arange(cell / 2, WIDE_M, cell), np.arange(cell / 2, DEEP_M, cell))
+    xy_m = np.column_stack([x.ravel(), y.ravel()])
+    z = roof_z(xy_m)
+    for x0, x1, y0, y1, top in boxes:
+        over = (xy_m[:, 0] > x0) & (xy_m[:, 0] < x1) & (xy_m[:, 1] > y0) & (xy_m[:, 1] < y1)
+        z[over] = np.maximum(z[over], top)
+    return float(z.sum() * cell**2)
+
+
+def test_two_box_dormers_are_found_and_the_mesh_is_closed() -> None:
+    building = house(AT_WALL, WITHIN)
+    made = fitted(building, dormers=True)
+    assert made.num_parts == 1 and is_closed(made.vertex_m, made.triangle)
+    assert volume(made) == pytest.approx(true_volume(AT_WALL, WITHIN), rel=0.01)
+    assert volume(made) - volume(fitted(house(), dormers=True)) == pytest.approx(
+        true_volume(AT_WALL, WITHIN) - true_volume(), rel=0.25
+    )
+    for x0, x1, y0, _, top in (AT_WALL, WITHIN):
+        # well within the box its top, half a metre beside it the slope
+        middle = np.array([[(x0 + x1) / 2, y0 + 0.4]])
+        beside = np.array([[x0 - 0.4, y0 + 0.4], [x1 + 0.4, y0 + 0.4]])
+        height, _ = roof_over(made.vertex_m, made.triangle, np.vstack([middle, beside]))
+        assert height[0] == pytest.approx(top, abs=0.08)
+        assert height[1:] == pytest.approx(roof_z(beside), abs=0.12)
+    # that at the wall begins there, the other one does not
+    near_wall = np.array([[3.5, 0.02], [9.5, 0.6]])
+    height, _ = roof_over(made.vertex_m, made.triangle, near_wall)
+    assert height[0] == pytest.approx(7.4, abs=0.08)
+    assert height[1] == pytest.approx(roof_z(near_wall[1:])[0], abs=0.12)
+
+
+def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
+    chimney = (6.0, 6.5, 2.0, 2.6, 10.0)
+    for building in (house(), house(chimney)):
+        with_option, without = fitted(building, dormers=True), fitted(building, dormers=False)
+        assert np.array_equal(with_option.triangle, without.triangle)
+        assert with_option.vertex_m.tobytes() == without.vertex_m.tobytes()
+    # the chimney is one that points show
+    assert (house(chimney).point_m[:, 2] > 9.5).any()
+
+
+def test_off_by_default() -> None:
+    assert not Reconstruct().dormers
+    building = house(AT_WALL, WITHIN)
+    (default,) = fit([building], Reconstruct(max_parts=1))
+    assert default.vertex_m.tobytes() == fitted(building, dormers=False).vertex_m.tobytes()
+    assert len(default.triangle) < len(fitted(building, dormers=True).triangle)
+
+
+def test_height_over_a_mesh() -> None:
+    box = trimesh.creation.box(bounds=[[0, 0, 0], [2, 2, 3]])
+    height, slant = roof_over(box.vertices, box.faces, np.array([[1.0, 0.5], [3.0, 1.0]]))
+    assert height[0] == 3 and height[1] == -np.inf and slant.tolist() == [1, 1]

@@ -1,0 +1,277 @@
+"""Stage model on simple crops: training, weights, prediction."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import toy_crops
+from places import ROOT
+from small_networks import SMALL_DVAE, SMALL_MODEL
+
+from p2wss import cli, model
+from p2wss.config import Model, load
+from p2wss.errors import InputError
+from p2wss.model import task
+from p2wss.nets import dataset
+from p2wss.nets.dataset import Buildings, Limits
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.dvae_file import dvae_sizes, save_dvae
+from p2wss.nets.modules import make_tokenizer
+from p2wss.nets.predictor import INFERENCE_BATCH, Predictor, load_predictor
+from p2wss.nets.shards import load_buildings
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Crops, an untrained tokenizer and a hardly trained model, made by the commands."""
+    folder = tmp_path_factory.mktemp("model")
+    manifest = toy_crops.make(folder, {"train": 24, "val": 8, "test": 20})
+    config = load({"dvae": SMALL_DVAE}).dvae
+    torch.manual_seed(0)
+    save_dvae(DiscreteVae(dvae_sizes(config)), folder / "d.safetensors", config, "x", "")
+    arguments = ["model", "--manifest", str(manifest), "--dvae", str(folder / "d.safetensors")]
+    arguments += ["--out", str(folder / "m.safetensors")]
+    arguments += ["--out-metrics", str(folder / "m.jsonl"), "--checkpoints", str(folder / "c")]
+    assert cli.main([*arguments, "--config", json.dumps({"model": SMALL_MODEL})]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def predictor(folder: Path) -> Predictor:
+    return load_predictor(folder / "m.safetensors")
+
+
+@pytest.fixture(scope="module")
+def labelled(folder: Path) -> Buildings:
+    return load_buildings(folder / "manifest.json", ["test"], Limits(64, 8, 70), labelled=True, lidar=False)
+
+
+def inputs(buildings: Buildings) -> tuple[list[np.ndarray], list[list[np.ndarray]]]:
+    """Clouds with z above the ground, and rings."""
+    clouds, rings = [], []
+    for i in range(len(buildings)):
+        points = slice(buildings.point_offset[i], buildings.point_offset[i + 1])
+        cloud = buildings.points_cm[points] / 100.0
+        clouds.append(cloud - [0, 0, buildings.ground_z_m[i]])
+        rings.append([buildings.xy_m[buildings.vertex_offset[i] : buildings.vertex_offset[i + 1]]])
+    return clouds, rings
+
+
+def test_metrics_show_the_constant_predictor_beside_the_model(folder: Path) -> None:
+    records = [json.loads(line) for line in (folder / "m.jsonl").read_text().splitlines()]
+    last = records[-1]
+    assert last["step"] == 10 and last["val_height_mae_m"] > 0 and last["val_angle_mae_deg"] > 0
+    train = load_buildings(folder / "manifest.json", ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
+    val = load_buildings(folder / "manifest.json", ["val"], Limits(64, 8, 70), labelled=True, lidar=False)
+    expected = np.abs(val.height_m - np.median(train.height_m)).mean()
+    assert last["val_height_mae_constant_m"] == pytest.approx(expected, rel=1e-5)
+    expected = np.abs(val.angle_deg - np.median(train.angle_deg)).mean()
+    assert last["val_angle_mae_constant_deg"] == pytest.approx(expected, rel=1e-5)
+
+
+def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = load({"model": SMALL_MODEL}).model
+    data = folder / "manifest.json", folder / "d.safetensors", config
+    expected = model.train(*data, tmp_path / "one", "x")[0].state_dict()
+    real = task._Task.step
+
+    def dies(self: task._Task, step: int) -> dict[str, torch.Tensor]:
+        if step == 7:
+            raise KeyboardInterrupt
+        return real(self, step)
+
+    monkeypatch.setattr(task._Task, "step", dies)
+    with pytest.raises(KeyboardInterrupt):
+        model.train(*data, tmp_path / "two", "x")
+    monkeypatch.setattr(task._Task, "step", real)
+    found = model.train(*data, tmp_path / "two", "x")[0].state_dict()
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+def test_predictions_depend_on_no_order_and_no_company(predictor: Predictor, labelled: Buildings) -> None:
+    clouds, rings = inputs(labelled)
+    together = predictor.predict(clouds, rings)
+    backwards = predictor.predict(clouds[::-1], rings[::-1])
+    alone = [predictor.predict([c], [r]) for c, r in zip(clouds, rings, strict=True)]
+    assert np.allclose(together.eave_height_m, backwards.eave_height_m[::-1], atol=0.011)
+    assert np.allclose(together.eave_height_m, [a.eave_height_m[0] for a in alone], atol=0.011)
+    for i, one in enumerate(alone):
+        assert np.array_equal(together.angle_deg[i], one.angle_deg[0])
+    assert (together.confidence > 0).all() and (together.confidence <= 1).all()
+
+
+def test_predictions_follow_the_ring_they_are_asked_for(predictor: Predictor, labelled: Buildings) -> None:
+    """Another first vertex rolls the angles; a shift of cloud and ring changes nothing."""
+    clouds, rings = inputs(labelled)
+    straight = predictor.predict(clouds, rings)
+    rolled = predictor.predict(clouds, [[np.roll(r[0], 1, 0)] for r in rings])
+    moved = predictor.predict(
+        [c + np.array([500, -300, 0]) for c in clouds], [[r[0] + [500, -300]] for r in rings]
+    )
+    for a, b, c in zip(straight.angle_deg, rolled.angle_deg, moved.angle_deg, strict=True):
+        assert np.array_equal(np.roll(a, 1), b)
+        assert np.abs(a - c).mean() < 2  # float32 may tip a rounded coordinate
+    assert np.allclose(straight.eave_height_m, moved.eave_height_m, atol=0.3)
+
+
+def test_errors_of_labelled_buildings_are_those_of_their_predictions(
+    predictor: Predictor, labelled: Buildings
+) -> None:
+    clouds, rings = inputs(labelled)
+    found = predictor.predict(clouds, rings)
+    height, angle = predictor.errors(labelled, np.arange(len(labelled)))
+    assert np.allclose(found.eave_height_m - labelled.height_m, height, atol=0.02)
+    assert np.array_equal(np.concatenate(found.angle_deg) - labelled.angle_deg, angle)
+
+
+def test_errors_come_in_the_order_asked_for(
+    predictor: Predictor, labelled: Buildings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = np.random.default_rng(0).permutation(len(labelled))
+    height, angle = predictor.errors(labelled, np.arange(len(labelled)))
+    monkeypatch.setattr(predictor, "_alike", lambda *_: np.split(np.roll(order, 5), [7]))
+    other_height, other_angle = predictor.errors(labelled, order)
+    assert np.allclose(height[order], other_height, atol=0.011)
+    assert np.array_equal(angle.reshape(-1, 4)[order], other_angle.reshape(-1, 4))
+
+
+def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predictor) -> None:
+    rng = np.random.default_rng(0)
+    num_points, num_vertices = rng.integers(10, 3000, 200), rng.integers(3, 17, 200)
+    batches = list(predictor._alike(num_points, num_vertices))
+    assert sorted(np.concatenate(batches)) == list(range(200))
+    for batch in batches:
+        assert len(batch) <= INFERENCE_BATCH["cpu"]
+        assert num_vertices[batch].max() <= 1.25 * num_vertices[batch].min()
+    assert len(batches) < 25
+
+
+def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: Buildings) -> None:
+    clouds, rings = inputs(labelled)
+    hole = np.array([[0, 0], [0, 1], [1, 1], [1, 0.0]])
+    plain, pierced = predictor.predict(clouds, rings), predictor.predict(clouds, [[*r, hole] for r in rings])
+    for a, b in zip(plain.angle_deg, pierced.angle_deg, strict=True):
+        assert np.array_equal(a, b[:4]) and len(b) == 8
+        slopes = a[a < 90]
+        assert (b[4:] == np.median(slopes if len(slopes) else a)).all()
+    for a, b in zip(plain.class_probability, pierced.class_probability, strict=True):
+        assert np.array_equal(a, b[:4]) and np.allclose(b[4:], 1 / 3)
+
+
+def test_probabilities_of_classes_are_those_of_the_angles(predictor: Predictor, labelled: Buildings) -> None:
+    clouds, rings = inputs(labelled)
+    found = predictor.predict(clouds, rings)
+    odds, angle = np.concatenate(found.class_probability), np.concatenate(found.angle_deg)
+    assert np.allclose(odds.sum(axis=1), 1) and (odds >= 0).all()
+    # the median of a distribution has at least half of it at or below, and at or above
+    assert (odds[angle == 0, 0] >= 0.5 - 1e-6).all() and (odds[angle == 90, 1] >= 0.5 - 1e-6).all()
+    slope = (angle > 0) & (angle < 90)
+    assert (odds[slope][:, :2] <= 0.5 + 1e-6).all()
+
+
+def test_a_footprint_beyond_the_number_format_has_no_prediction(
+    predictor: Predictor, labelled: Buildings
+) -> None:
+    clouds, rings = inputs(labelled)
+    rings[3] = [rings[3][0] * 30]
+    found = predictor.predict(clouds, rings)
+    assert np.flatnonzero(np.isnan(found.eave_height_m)).tolist() == [3]
+    assert np.isnan(found.angle_deg[3]).all() and found.confidence[3] == 0
+    with pytest.raises(ValueError, match="building 0 has 9 vertices, not 3 to 8"):
+        predictor.predict(clouds[:1], [[np.zeros((9, 2))]])
+    with pytest.raises(ValueError, match="building 0 has no points"):
+        predictor.predict([np.zeros((0, 3))], rings[:1])
+
+
+@pytest.mark.parametrize("signs_visible", [True, False])
+def test_all_masked_footprints_come_in_the_frame_and_order_given(
+    predictor: Predictor, labelled: Buildings, signs_visible: bool
+) -> None:
+    clouds, rings = inputs(labelled)
+    exterior = [r[0] for r in rings]
+    height, xy, angle = predictor.reconstruct_all_masked(clouds, exterior, signs_visible)
+    assert np.isfinite(height).all() and all(len(a) == 4 for a in angle)
+    shift = np.array([500, -300])
+    _, moved, _ = predictor.reconstruct_all_masked(
+        [c + np.append(shift, 0) for c in clouds], [r + shift for r in exterior], signs_visible
+    )
+    middle = [c[dataset.thin(len(c), SMALL_DVAE["num_points"])].mean(0)[:2] for c in clouds]
+    for place, other, ring, at in zip(xy, moved, exterior, middle, strict=True):
+        assert place.shape == ring.shape
+        if signs_visible:  # the signs are those of the footprint
+            ring = np.round(ring - at, 1)
+            guess = place - at
+            clear = (np.abs(ring) > 0.3) & (np.abs(guess) > 0.3)
+            assert (np.sign(guess) == np.sign(ring))[clear].all()
+        assert np.abs(place + shift - other).mean() < 1
+
+
+def test_files_of_another_kind_are_refused(folder: Path) -> None:
+    with pytest.raises(InputError, match="not a model of p2wss"):
+        load_predictor(folder / "d.safetensors")
+
+
+def test_patches_are_kept_where_no_augmentation_changes_the_shape_of_a_cloud() -> None:
+    assert model.keeps_patches(load(ROOT / "config" / "paper.yaml").model.augmentation)
+    off = {"keep_points": [1, 1], "occlusion_share": 0, "lift_m": 0, "jitter_m": 0}
+    assert model.keeps_patches(load({"model": {"augmentation": off}}).model.augmentation)
+    for name in off:
+        one_on = {key: value for key, value in off.items() if key != name}
+        assert not model.keeps_patches(load({"model": {"augmentation": one_on}}).model.augmentation)
+
+
+def test_the_papers_preset_is_a_valid_override() -> None:
+    paper = load(ROOT / "config" / "paper.yaml").model
+    assert paper.dim == 384 and paper.masking.random_ratio == (0.3, 0.3)
+    assert make_tokenizer(paper).num_words == 51
+    assert Model().masking.inference_share == 0.8
+
+
+@pytest.mark.slow
+def test_eight_buildings_are_learnt_by_heart(folder: Path, tmp_path: Path) -> None:
+    manifest = toy_crops.make(tmp_path, {"train": 8, "val": 8}, seed=4)
+    config = load(
+        {
+            "model": SMALL_MODEL
+            | {
+                "dim": 64,
+                "cross_depth": 2,
+                "augmentation": {"lift_m": 0, "scale": [1, 1], "mirror": False, "keep_points": [1, 1]},
+                "checkpoint_every_steps": 400,
+                "optimiser": {"num_steps": 400, "batch_size": 8},
+            }
+        }
+    ).model
+    module, dvae_config = model.train(manifest, folder / "d.safetensors", config, tmp_path / "c", "x")
+    known = load_buildings(manifest, ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
+    height, angle = Predictor(module, config.decoding, dvae_config, 8, Limits(64, 8, 70)).errors(
+        known, np.arange(8)
+    )
+    assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3
+
+
+def test_bfloat16_resident_clouds_and_the_device_option_train_too(folder: Path, tmp_path: Path) -> None:
+    few = SMALL_MODEL | {
+        "optimiser": {"num_steps": 4, "batch_size": 8},
+        "compute": {"precision": "bfloat16", "resident": True},
+    }
+    arguments = [
+        "model",
+        "--manifest",
+        str(folder / "manifest.json"),
+        "--dvae",
+        str(folder / "d.safetensors"),
+    ]
+    arguments += ["--out", str(tmp_path / "m.safetensors"), "--out-metrics", str(tmp_path / "m.jsonl")]
+    arguments += ["--checkpoints", str(tmp_path / "c"), "--device", "cpu"]
+    assert cli.main([*arguments, "--config", json.dumps({"model": few})]) == 0
+    assert (
+        load_predictor(tmp_path / "m.safetensors", "cpu").module.sequence_head.weight.dtype == torch.float32
+    )
+    assert not (tmp_path / "c").exists()

@@ -1,0 +1,178 @@
+"""Two processes with half of the batch each are one process with the whole batch."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny_network
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from p2wss.config import Compute
+from p2wss.nets import parallel, training
+from p2wss.nets.dataset import Buildings
+from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes
+from p2wss.nets.layers import BatchNorm
+from p2wss.nets.patches import Patches, make_patches
+from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.shards import Cut, with_patches
+from p2wss.nets.tokenizer import Tokenizer
+
+NUM = 8
+DVAE = DvaeSizes(num_patches=8, patch_size=8, patch_dim=16, token_dim=16, num_tokens=12)
+
+
+def rows(x: Tensor) -> Tensor:
+    return x[torch.from_numpy(parallel.own(np.arange(len(x))))]
+
+
+def patches(generator: torch.Generator) -> Patches:
+    points = torch.randn(NUM, 60, 3, generator=generator)
+    whole = make_patches(points, torch.ones(NUM, 60, dtype=torch.bool), 8, 8)
+    return Patches(*(rows(value) for value in vars(whole).values()))
+
+
+def measure(module: nn.Module, losses: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Losses and gradients as the training loop would see them."""
+    torch.stack(list(losses.values())).sum().backward()
+    parallel.average_gradients(module)
+    found = parallel.average_values({name: float(value.detach()) for name, value in losses.items()})
+    result = {name: torch.tensor(value) for name, value in found.items()}
+    result |= {f"grad {name}": p.grad for name, p in module.named_parameters() if p.grad is not None}
+    return result | {name: value for name, value in module.named_buffers() if "running" in name}
+
+
+def dvae_step() -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    torch.manual_seed(0)
+    module = DiscreteVae(DVAE)
+    # the noise is the one thing that is drawn per process
+    F.gumbel_softmax = lambda logits, tau, **_: F.softmax(logits / tau, -1)
+    losses = module(patches(generator), 0.5)
+    return measure(module, {name: losses[name] for name in ("coarse", "fine", "kl")})
+
+
+def model_step() -> dict[str, Tensor]:
+    generator = torch.Generator().manual_seed(2)
+    torch.manual_seed(0)
+    tokenizer = Tokenizer(1, False)
+    module = Point2Wss(tiny_network.SIZES, tokenizer, 0.1)
+    num_vertices = torch.randint(3, 7, (NUM,), generator=generator)
+    num_vertices[0] = num_vertices[1] = 6  # each half is as wide as the whole
+    xy = torch.randn(NUM, 6, 2, generator=generator) * 10
+    angle = torch.randint(20, 46, (NUM, 6), generator=generator)
+    height = torch.rand(NUM, generator=generator) * 10
+    parameters, _ = tokenizer.canonical(tokenizer.quantise(height, xy, angle, num_vertices))
+    tokens = tokenizer.encode(parameters)
+    # unequal shares of masked tokens
+    hidden = torch.rand(tokens.shape, generator=generator) < torch.linspace(0.1, 0.9, NUM)[:, None]
+    hidden &= tokens > 3
+    patch_masked = torch.rand(NUM, 8, generator=generator) < torch.linspace(0.2, 0.8, NUM)[:, None]
+    labels = torch.randint(12, (NUM, 8), generator=generator)
+    own = patches(generator)
+    arguments = [rows(x) for x in (torch.zeros(NUM), patch_masked, labels, tokens, hidden, num_vertices)]
+    return measure(module, module.losses(own, *arguments, match_balanced=False))
+
+
+class Line:
+    """A noisy line, drawn for the whole batch, of which a process takes its rows."""
+
+    def __init__(self) -> None:
+        torch.manual_seed(0)
+        self.module = nn.Sequential(nn.Linear(2, 8, bias=False), BatchNorm(8), nn.ReLU(), nn.Linear(8, 1))
+
+    def heavy_parts(self) -> list[nn.Module]:
+        return []
+
+    def step(self, step: int) -> dict[str, Tensor]:
+        x = rows(torch.randn(NUM, 2, generator=torch.Generator().manual_seed(step)))
+        return {"loss": (self.module(x)[:, 0] - x.sum(1)).square().mean()}
+
+    def validate(self, module: nn.Module) -> dict[str, float]:
+        x = torch.randn(64, 2, generator=torch.Generator().manual_seed(99))
+        return {"val_error": float((module(x)[:, 0] - x.sum(1)).abs().mean())}
+
+
+def train_line(folder: Path) -> dict[str, Tensor]:
+    from p2wss.config import Optimiser
+
+    plan = training.Plan(0, Optimiser(num_steps=40, batch_size=NUM), 0.9, 20, Compute())
+    return dict(training.train(Line(), plan, folder, {}).state_dict())
+
+
+def patches_beside_clouds(folder: Path) -> dict[str, Tensor]:
+    """Patches that the first process writes and all read."""
+    points = np.random.default_rng(0).integers(-900, 900, (200, 3)).astype(np.int16)
+    flat = np.zeros(2, np.float32)
+    offset = np.array([0, 90, 200])
+    clouds = Buildings(points, offset, flat, np.zeros((0, 2)), offset * 0, flat[:0], flat, {}, folder)
+    found = with_patches(clouds, Cut(128, 8, 8), torch.device("cpu")).patch_index
+    assert found is not None
+    return {"patch_index": parallel.average(torch.from_numpy(found.astype(np.float32)))}
+
+
+def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
+    return {
+        "dvae": dvae_step(),
+        "model": model_step(),
+        "line": train_line(folder),
+        "patches": patches_beside_clouds(folder),
+    }
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What two processes and one process found; run by torchrun, as a user would."""
+    folder = tmp_path_factory.mktemp("parallel")
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    for count in (1, 2):
+        command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
+        run = subprocess.run(
+            [*command, __file__, str(folder / str(count))], env=environment, capture_output=True, text=True
+        )
+        assert run.returncode == 0, run.stderr[-3000:]
+    return folder
+
+
+@pytest.mark.parametrize("part", ["dvae", "model", "line", "patches"])
+def test_losses_gradients_and_statistics_are_those_of_one_process(found: Path, part: str) -> None:
+    one, two = (torch.load(found / count / "found.pt")[part] for count in "12")
+    assert one.keys() == two.keys()
+    for name in one:
+        if one[name].is_floating_point():
+            assert torch.allclose(one[name], two[name], rtol=1e-3, atol=2e-5), name
+
+
+def test_the_first_process_writes_once(found: Path) -> None:
+    one, two = ((found / count / "metrics.jsonl").read_text().splitlines() for count in "12")
+    assert len(one) == len(two) == 4
+    assert sorted(p.name for p in (found / "2").glob("*.pt")) == [
+        "found.pt",
+        "step-00000020.pt",
+        "step-00000040.pt",
+    ]
+
+
+def test_each_building_belongs_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parallel, "num_processes", lambda: 3)
+    parts = []
+    for rank in range(3):
+        monkeypatch.setattr(parallel, "rank", lambda rank=rank: rank)
+        parts.append(parallel.own(np.arange(11)))
+    assert [len(part) for part in parts] == [3, 3, 3]
+    assert sorted(np.concatenate(parts)) == list(range(9))
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    folder = Path(sys.argv[1])
+    with parallel.processes(torch.device("cpu")):
+        result = everything(folder)
+        if parallel.rank() == 0:
+            torch.save(result, folder / "found.pt")

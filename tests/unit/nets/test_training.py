@@ -1,0 +1,233 @@
+"""The loop: an interruption changes nothing, checkpoints of something else are not used."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from p2wss.config import Compute
+from p2wss.errors import InputError
+from p2wss.nets import compute, training
+from p2wss.nets.weights import read_weights, write_weights
+
+IDENTITY = {"config": {"a": 1}, "code": "x"}
+
+
+@dataclass(frozen=True)
+class Settings:
+    num_steps: int = 60
+    batch_size: int = 8
+    learning_rate: float = 0.05
+    learning_rate_end: float = 1e-4
+    warmup_share: float = 0.1
+    weight_decay: float = 0.01
+    beta2: float = 0.95
+    gradient_clip: float = 1.0
+
+
+class Line:
+    """Fit a line through noise; draws random numbers, has batch norm and drop-out."""
+
+    def __init__(self, stop_after: int | None = None, poison: int | None = None) -> None:
+        torch.manual_seed(0)
+        self.module = nn.Sequential(
+            nn.Linear(2, 8), nn.BatchNorm1d(8), nn.Dropout(0.1), nn.ReLU(), nn.Linear(8, 1)
+        )
+        self.stop_after, self.poison = stop_after, poison
+
+    def step(self, step: int) -> dict[str, Tensor]:
+        if step == self.stop_after:
+            os.kill(os.getpid(), signal.SIGTERM)
+        x = torch.randn(8, 2)
+        loss = (self.module(x)[:, 0] - x.sum(1)).square().mean()
+        return {"loss": loss * (math.nan if step == self.poison else 1.0)}
+
+    def heavy_parts(self) -> list[nn.Module]:
+        return [self.module]
+
+    def validate(self, module: nn.Module) -> dict[str, float]:
+        x = torch.randn(64, 2)
+        return {"val_error": float((module(x)[:, 0] - x.sum(1)).abs().mean())}
+
+
+def run(folder: Path, task: Line, ema_decay: float = 0.9, identity: dict = IDENTITY) -> dict[str, Tensor]:
+    plan = training.Plan(3, Settings(), ema_decay, 20, Compute())
+    return training.train(task, plan, folder, identity).state_dict()
+
+
+@pytest.mark.parametrize("ema_decay", [0.0, 0.9])
+@pytest.mark.parametrize("stop_after", [7, 20, 39, 45])
+def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
+    tmp_path: Path, stop_after: int, ema_decay: float
+) -> None:
+    expected = run(tmp_path / "one", Line(), ema_decay)
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "two", Line(stop_after), ema_decay)
+    assert stopped.value.code == 0
+    found = run(tmp_path / "two", Line(), ema_decay)
+    assert expected.keys() == found.keys()
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert training.read_metrics(tmp_path / "one") == training.read_metrics(tmp_path / "two")
+
+
+def test_a_kill_without_warning_repeats_the_steps_since_the_last_checkpoint(tmp_path: Path) -> None:
+    expected = run(tmp_path / "one", Line())
+
+    class Killed(Line):
+        def step(self, step: int) -> dict[str, Tensor]:
+            if step == 47:
+                raise KeyboardInterrupt
+            return super().step(step)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "two", Killed())
+    found = run(tmp_path / "two", Line())
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert training.read_metrics(tmp_path / "one") == training.read_metrics(tmp_path / "two")
+
+
+def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    expected = run(tmp_path, Line())
+    last = sorted(tmp_path.glob("step-*.pt"))
+    assert [path.name for path in last] == ["step-00000040.pt", "step-00000060.pt"]
+    last[-1].write_bytes(last[-1].read_bytes()[:500])
+    found = run(tmp_path, Line())
+    assert "not readable" in caplog.text
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+def test_checkpoints_of_another_config_are_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(SystemExit):
+        run(tmp_path, Line(stop_after=30), identity={"config": {"a": 2}, "code": "x"})
+    found = run(tmp_path, Line())
+    assert "starting afresh" in caplog.text
+    expected = run(tmp_path / "other", Line())
+    assert all(torch.equal(expected[name], found[name]) for name in expected)
+
+
+def test_a_loss_that_is_not_finite_stops_with_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"loss is nan at step \d+: lower the learning rate"):
+        run(tmp_path, Line(poison=15))
+
+
+def test_a_full_disk_is_one_clear_line_and_leaves_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Path.write_bytes
+
+    def full(path: Path, data: bytes) -> int:
+        if "step-00000040" in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match=r"step-00000040\.pt: not written: No space left"):
+        run(tmp_path, Line())
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["metrics.jsonl", "step-00000020.pt"]
+
+
+def test_the_averaged_weights_are_what_is_measured_and_kept(tmp_path: Path) -> None:
+    task = Line()
+    kept = run(tmp_path, task)
+    assert not torch.equal(kept["0.weight"], task.module.state_dict()["0.weight"])
+    assert torch.equal(kept["1.running_mean"], task.module.state_dict()["1.running_mean"])
+
+
+def test_only_weights_of_linear_layers_decay() -> None:
+    module = nn.ModuleDict({"a": nn.Linear(2, 2), "b": nn.Embedding(3, 2), "c": nn.LayerNorm(2)})
+    module.register_parameter("codebook", nn.Parameter(torch.ones(4, 2)))
+    state = training._State.new(module, training.Plan(0, Settings(), 0.0, 10, Compute()))
+    decayed, plain = (group["params"] for group in state.optimiser.param_groups)
+    assert [p.shape for p in decayed] == [(2, 2)] and decayed[0] is module["a"].weight
+    assert len(plain) == 5 and state.optimiser.param_groups[1]["weight_decay"] == 0
+
+
+def test_schedule_rises_then_falls() -> None:
+    settings = Settings(num_steps=100)
+    rates = [training.learning_rate(step, settings) for step in range(100)]
+    assert rates[9] == max(rates) == settings.learning_rate
+    assert rates[:10] == sorted(rates[:10]) and rates[10:] == sorted(rates[10:], reverse=True)
+    assert settings.learning_rate_end < rates[-1] < 2e-4
+    middle = training.learning_rate(55, settings)
+    assert middle == pytest.approx((settings.learning_rate + settings.learning_rate_end) / 2)
+
+
+def test_metrics_are_lines_of_json_and_the_folder_can_go(tmp_path: Path) -> None:
+    folder = tmp_path / "checkpoints"
+    run(folder, Line())
+    records = [json.loads(line) for line in training.read_metrics(folder).splitlines()]
+    assert [r["step"] for r in records if "loss" in r] == [20, 40, 60]
+    assert training.last_measures(training.read_metrics(folder))["step"] == 60
+    training.remove_checkpoints(folder)
+    assert not folder.exists()
+
+
+def test_weights_carry_their_facts_and_other_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    state = {"a": torch.arange(6.0).view(2, 3).T}
+    write_weights(path, state, {"kind": "model", "config": {"b": 1}})
+    found, facts = read_weights(path, "model")
+    assert torch.equal(found["a"], state["a"]) and facts["config"] == {"b": 1}
+    with pytest.raises(InputError, match="not a dvae of p2wss"):
+        read_weights(path, "dvae")
+    path.write_bytes(path.read_bytes()[:20])
+    with pytest.raises(InputError, match="not a readable safetensors file"):
+        read_weights(path, "model")
+    with pytest.raises(InputError, match="no such file"):
+        read_weights(tmp_path / "none", "model")
+
+
+def test_tensorboard_that_is_not_installed_is_one_clear_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    plan = training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True))
+    with pytest.raises(InputError, match="pip install tensorboard"):
+        training.train(Line(), plan, tmp_path, IDENTITY)
+
+
+def test_tensorboard_gets_every_metric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[tuple[str, float, int]] = []
+
+    class Writer:
+        def __init__(self, folder: str) -> None:
+            assert Path(folder) == tmp_path / "tensorboard"
+
+        def add_scalar(self, *what: object) -> None:
+            written.append(what)
+
+        def flush(self) -> None: ...
+
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=Writer))
+    training.train(Line(), training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True)), tmp_path, IDENTITY)
+    records = [json.loads(line) for line in training.read_metrics(tmp_path).splitlines()]
+    expected = [(k, v, r["step"]) for r in records for k, v in r.items() if k != "step"]
+    assert sorted(written) == sorted(expected)
+
+
+@pytest.mark.slow
+def test_compiled_is_the_same_but_for_rounding(tmp_path: Path) -> None:
+    plain = run(tmp_path / "one", Line())
+    plan = training.Plan(3, Settings(), 0.9, 20, Compute(compile=True))
+    task = Line()
+    task.module[2] = nn.Identity()  # its random numbers come from elsewhere once compiled
+    compiled = training.train(task, plan, tmp_path / "two", IDENTITY).state_dict()
+    assert plain.keys() == compiled.keys()
+
+
+def test_a_gpu_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert compute.device_of("auto") == compute.device_of("cpu") == torch.device("cpu")
+    with pytest.raises(InputError, match="device cuda: torch finds no GPU"):
+        compute.device_of("cuda")

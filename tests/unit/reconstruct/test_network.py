@@ -1,0 +1,148 @@
+"""Reconstruction on buildings with known answers, with a predictor that knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle_network import Oracle
+
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building, ground_z_m
+from p2wss.fit.mesh import kernel_angles, simplify_exterior, transfer_angles
+from p2wss.reconstruct.flat import flat_height_m, lod1, with_fallback
+from p2wss.reconstruct.network import reconstruct_with_network
+
+CONFIG = Reconstruct(simplify_m=0)
+RECTANGLE = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
+YARD = np.array([[5, 3], [5, 5], [7, 5], [7, 3]], float)
+
+
+def building(
+    rings: Sequence[np.ndarray] = (RECTANGLE,),
+    height_m: float = 6.0,
+    num_points: int = 200,
+    ground_m: float = 42.0,
+) -> Building:
+    """A flat cloud at a height over the footprint, class 6, and a ring of ground points."""
+    draw = np.random.default_rng(len(rings))
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    x_min, y_min, x_max, y_max = polygon.bounds
+    xy = draw.uniform((x_min, y_min), (x_max, y_max), (4 * num_points + 10, 2))
+    xy = xy[shapely.contains_xy(polygon, xy)][:num_points]
+    point = np.column_stack([xy, np.full(len(xy), ground_m + height_m)])
+    return Building("b", "t", (100.0, 200.0), list(rings), point, np.full(len(xy), 6, np.uint8), ground_m)
+
+
+def test_mesh_has_the_predicted_eave_and_slope() -> None:
+    (made,) = reconstruct_with_network([building()], Oracle(), CONFIG)
+    mesh = trimesh.Trimesh(made.vertex_m, made.triangle)
+    assert made.status == "ok" and mesh.is_watertight and mesh.volume > 0
+    assert made.eave_height_m == pytest.approx(6.0)
+    assert mesh.bounds[0, 2] == 0
+    # a hip roof over 8 m: the ridge is 4 m in
+    assert mesh.bounds[1, 2] == pytest.approx(6 + 4 * np.tan(np.deg2rad(35)))
+    assert made.ground_z_m == 42 and made.confidence == pytest.approx(0.9)
+
+
+def test_too_few_points_get_a_flat_roof_and_no_point_only_a_reason() -> None:
+    cases = [building(num_points=5), building(num_points=0), building(height_m=70)]
+    made = reconstruct_with_network(cases, Oracle(), CONFIG)
+    assert [m.status for m in made] == [
+        "fewer than 10 points",
+        "no point",
+        "footprint too large for the network",
+    ]
+    assert not any(m.has_mesh for m in made)
+    few, none, large = with_fallback(made, cases, CONFIG)
+    assert few.has_mesh and few.method == "lod1" and few.status == "fewer than 10 points"
+    assert few.vertex_m[:, 2].max() == pytest.approx(6.0)
+    assert not none.has_mesh and none.status == "no point"
+    assert large.method == "lod1" and large.status == "footprint too large for the network"
+
+
+def test_courtyards_stay_when_the_exterior_is_simplified_for_the_network() -> None:
+    round_ring = 10 * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 41)[:-1]])
+    yard = (YARD - [6, 4])[::1]
+    oracle = Oracle(max_num_vertices=8)
+    (made,) = reconstruct_with_network([building([round_ring, yard])], oracle, CONFIG)
+    assert len(oracle.seen[0][0]) <= 8 and np.array_equal(oracle.seen[0][1], yard)
+    assert made.status == "ok"
+    assert [len(ring) for ring in made.rings] == [40, 4] and len(made.angle_deg) == 44  # type: ignore[arg-type]
+    mesh = trimesh.Trimesh(made.vertex_m, made.triangle)
+    assert mesh.is_watertight and mesh.euler_number == 0  # one hole through
+
+
+def test_simplify_is_for_real_footprints_only_as_configured() -> None:
+    notched = np.array([[0, 0], [6, 0], [6, 0.1], [6.1, 0.1], [6.1, 0], [12, 0], [12, 8], [0, 8]], float)
+    (as_is,) = lod1([building([notched])], CONFIG)
+    (simple,) = lod1([building([notched])], replace_config(simplify_m=0.3))
+    assert len(as_is.rings[0]) == 8 and len(simple.rings[0]) == 4
+
+
+def replace_config(**changes: float) -> Reconstruct:
+    return CONFIG.model_copy(update=changes)
+
+
+def test_flat_height_prefers_class_6_and_ignores_what_is_outside() -> None:
+    flat = building()
+    tree = np.array([[6.0, 4.0, 60.0]] * 300)
+    outside = np.array([[-0.5, 4.0, 90.0]] * 300)
+    point = np.vstack([flat.point_m, tree, outside])
+    classes = np.r_[flat.classification, np.full(300, 5), np.full(300, 6)].astype(np.uint8)
+    assert flat_height_m(replace(flat, point_m=point, classification=classes)) == pytest.approx(6)
+    unclassified = np.r_[np.full(len(flat.point_m), 1), np.full(600, 2)].astype(np.uint8)
+    assert flat_height_m(replace(flat, point_m=point, classification=unclassified)) == pytest.approx(6)
+
+
+def test_ground_from_the_points_where_the_crop_has_none() -> None:
+    point = np.column_stack([np.zeros((101, 2)), np.arange(101)])
+    assert ground_z_m(replace(building(), point_m=point, ground_z_m=float("nan"))) == pytest.approx(2)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(4, 12), st.integers(13, 60))
+def test_simplified_exteriors_are_simple_and_small_enough(seed: int, most: int, count: int) -> None:
+    draw = np.random.default_rng(seed)
+    turn = np.sort(draw.uniform(0, 2 * np.pi, count))
+    ring = np.column_stack([np.cos(turn), np.sin(turn)]) * draw.uniform(4, 20, (count, 1))
+    polygon = shapely.Polygon(ring)
+    if not polygon.is_valid or polygon.area < 1:
+        return
+    (simple,) = simplify_exterior([ring], most)
+    result = shapely.Polygon(simple)
+    assert 3 <= len(simple) <= most
+    assert result.is_valid and result.exterior.is_ccw
+
+
+def test_transferred_angles_follow_place_and_direction() -> None:
+    known, angle = [RECTANGLE], np.array([10.0, 20, 30, 40])
+    split = np.array([[0, 8], [0, 4], [0, 0], [5, 0], [12, 0], [12, 8]], float)  # other start, more vertices
+    assert transfer_angles(known, angle, [split]).tolist() == [40, 40, 10, 10, 20, 30]
+    notched = np.array([[0, 0], [12, 0], [12, 8], [7, 8], [7, 7], [5, 7], [5, 8], [0, 8]], float)
+    got = transfer_angles(known, angle, [notched])
+    # the bottom of the notch faces as the top does; its sides face east and west
+    assert got[[2, 4, 6]].tolist() == [30, 30, 30]
+    assert got[3] == 20 or got[3] == 40
+    assert {got[3], got[5]} == {20, 40}
+
+
+def test_angles_are_those_the_kernel_takes() -> None:
+    angle = kernel_angles(np.linspace(-5, 120, 501))
+    assert np.all((angle == 0) | (angle == 90) | ((angle >= 5) & (angle <= 85)))
+    untouched = np.array([0.0, 5, 20, 45, 85, 90])
+    assert np.array_equal(kernel_angles(untouched), untouched)
+
+
+def test_order_and_company_do_not_matter() -> None:
+    cases = [building(), building([RECTANGLE, YARD], height_m=4), building(num_points=5)]
+    forth = reconstruct_with_network(cases, Oracle(), CONFIG)
+    back = reconstruct_with_network(cases[::-1], Oracle(), CONFIG)[::-1]
+    for a, b in zip(forth, back, strict=True):
+        assert np.array_equal(a.vertex_m, b.vertex_m) and a.status == b.status

@@ -1,0 +1,153 @@
+"""The user's files: footprints, CRS, and outputs on real clouds with a stand-in for the network."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pyproj
+import pytest
+import shapely
+import trimesh
+from oracle_network import Oracle
+from places import SHARED
+from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
+
+from p2wss import reconstruct, scenes
+from p2wss.config import Reconstruct
+from p2wss.data.clouds import Cloud, read_clouds
+from p2wss.errors import InputError
+from p2wss.formats import gpkg
+from p2wss.formats.glb import glb
+from p2wss.formats.meshes import frame_around
+from p2wss.reconstruct import exports
+
+NAMES = ("a.laz", "b.gpkg")
+SQUARE = shapely.box(0, 0, 10, 10)
+UNREFINED = Reconstruct(refine=False)
+
+
+def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
+    assert reconstruct.common_crs(LAMBERT, None, None, NAMES) == (LAMBERT, None)
+    assert reconstruct.common_crs(None, None, "EPSG:28992", NAMES)[0] == RD
+    crs, note = reconstruct.common_crs(None, RD, None, NAMES)
+    assert crs == RD and note is not None and "a.laz" in note
+    with_heights = pyproj.CRS.from_user_input("EPSG:2154+5720")
+    assert reconstruct.common_crs(with_heights, LAMBERT, None, NAMES)[0] == with_heights
+
+
+@pytest.mark.parametrize(
+    ("cloud", "frame", "stated", "told"),
+    [
+        (LAMBERT, RD, None, "a.laz is in RGF93 v1 / Lambert-93, but b.gpkg is in Amersfoort / RD New"),
+        (None, RD, "EPSG:2154", "but b.gpkg is in Amersfoort / RD New"),
+        (LAMBERT, LAMBERT, "EPSG:28992", "--crs says Amersfoort"),
+        (None, None, None, "give it with --crs"),
+        (None, None, "EPSG:999999", "no such CRS"),
+        (WGS84, WGS84, None, "not a projected CRS in metres"),
+        (pyproj.CRS.from_epsg(2263), None, None, "not a projected CRS in metres"),
+    ],
+)
+def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, told: str) -> None:
+    with pytest.raises(InputError) as error:
+        reconstruct.common_crs(cloud, frame, stated, NAMES)  # type: ignore[arg-type]
+    assert told in str(error.value) and "\n" not in str(error.value)
+
+
+def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
+    far, sliver = shapely.box(500, 0, 510, 10), shapely.box(30, 0, 30.02, 0.02)
+    sparse = shapely.box(100, 0, 102, 2)
+    frame = gpd.GeoDataFrame(
+        {"building_id": ["near", "far", "sliver", "sparse"]},
+        geometry=[SQUARE, far, sliver, sparse],
+        crs=LAMBERT,
+    )
+    cloud = cloud_over(SQUARE)
+    lone = Cloud(
+        np.append(cloud.x_m, 100.5),
+        np.append(cloud.y_m, 0.5),
+        np.append(cloud.z_m, 6.0),
+        np.append(cloud.classification, 6).astype(np.uint8),
+        LAMBERT,
+    )
+    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", UNREFINED)
+    assert [r.status for r in results] == ["ok", "none", "none", "flat"]
+    assert results[1].reason == "no point" and results[3].reason == "fewer than 10 points"
+    assert "4 buildings: 1 ok, 1 flat (fewer than 10 points: 1)" in reconstruct.summary(results)
+    # eave at the median of the points above the ground, roof points are on the eave
+    assert results[0].reconstruction.eave_height_m == pytest.approx(6.0)
+
+    path = tmp_path / "out.gpkg"
+    gpkg.write(path, reconstruct.table(results, LAMBERT), {"code": "x"})
+    back = gpd.read_file(path)
+    assert back.crs == LAMBERT and back["building_id"].tolist() == frame["building_id"].tolist()
+    assert back["status"].tolist() == ["ok", "none", "none", "flat"]
+    assert back["angle_deg"].iloc[0].split() == ["35"] * 4
+    assert back.geometry.iloc[1].equals(far)
+
+    header, *features = map(json.loads, reconstruct.city_json(results, LAMBERT).splitlines())
+    assert header["metadata"]["referenceSystem"].endswith("/2154")
+    assert sorted(f["id"] for f in features) == sorted(frame["building_id"])
+    with_mesh = {f["id"] for f in features if "geometry" in f["CityObjects"][f["id"]]}
+    assert with_mesh == {"near", "sparse"}
+
+
+def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
+    place = shapely.box(652000, 6861000, 652010, 6861010)
+    frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
+    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", UNREFINED)
+    path = tmp_path / "a.glb"
+    meshes = [exports.mesh(result) for result in results]
+    path.write_bytes(glb(meshes, frame_around(meshes, "EPSG:2154"), {"code": "x"}))
+    scene = trimesh.load_scene(path)
+    (mesh,) = scene.geometry.values()
+    length = int.from_bytes(path.read_bytes()[12:16], "little")
+    extras = json.loads(path.read_bytes()[20 : 20 + length])["asset"]["extras"]
+    assert extras["origin_m"] == [652000, 6861000, 2] and extras["crs"] == "EPSG:2154"
+    assert mesh.is_watertight and mesh.volume > 0
+    assert mesh.bounds[:, 0] == pytest.approx([0, 10]) and mesh.bounds[:, 2] == pytest.approx([-10, 0])
+    assert mesh.bounds[0, 1] == pytest.approx(0)
+
+
+def test_nothing_at_all_can_be_written() -> None:
+    frame = gpd.GeoDataFrame({"building_id": []}, geometry=[], crs=LAMBERT)
+    empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
+    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", UNREFINED)
+    assert results == []
+    assert len(reconstruct.city_json(results, LAMBERT).splitlines()) == 1
+    assert len(reconstruct.table(results, LAMBERT)) == 0
+
+
+def test_no_overlap_is_one_clear_line() -> None:
+    frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[shapely.box(900, 0, 910, 10)], crs=LAMBERT)
+    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", UNREFINED)
+    with pytest.raises(InputError, match=r"no point near any of the 1 footprints of b\.gpkg"):
+        reconstruct.check_overlap(results, Path("a.laz"), Path("b.gpkg"))
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="no shared data")
+@pytest.mark.parametrize(
+    ("place", "cloud", "num_buildings", "num_meshes"),
+    [("delft_ahn3", "ahn3.laz", 74, 74), ("bresse_ign", "lidar.laz", 40, 6)],
+)
+def test_real_clouds_give_watertight_buildings(
+    place: str, cloud: str, num_buildings: int, num_meshes: int, tmp_path: Path
+) -> None:
+    folder = SHARED / "data" / place
+    frame = scenes.read_footprints(folder / "footprints.gpkg")
+    points = read_clouds([folder / cloud], reconstruct.window(frame))
+    crs, _ = reconstruct.common_crs(points.crs, frame.crs, None, NAMES)
+    results = reconstruct.run(cleaned(frame), points, Oracle(), place, UNREFINED)
+    assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
+    path = tmp_path / "out.city.jsonl"
+    path.write_text(reconstruct.city_json(results, crs))
+    judge = [sys.executable, SHARED / "tools" / "evaluate_cityjson.py", path, folder / "footprints.gpkg"]
+    said = subprocess.run([*judge, folder / cloud, "--json"], capture_output=True, text=True, check=True)
+    found = json.loads(said.stdout)["summary"]
+    assert found["meshes"] == num_meshes and found["watertight"] == 1.0
+    # the oracle puts a hip roof on the median: no more than a few metres off, and light
+    assert found["p2m"]["mean"] < 1.5 and found["tri"]["mean"] < 40

@@ -1,0 +1,303 @@
+"""The cast against exact geometry, and what a sensor records."""
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from p2wss.config import Scans
+from p2wss.scans.caster import Caster, cast
+from p2wss.scans.pulses import Box
+from p2wss.scans.surface import Surface, encode_face
+from p2wss.scans.survey import PATTERNS, plan
+from p2wss.scans.terrain import local_grid
+
+HALF_M = 40
+BOX = Box(-30.0, -30.0, 30.0, 30.0, -2.0, 40.0)
+ROOF, WALL = 2, 1
+
+
+def block(x0, y0, x1, y1, top, bottom=-1.0):
+    """Vertices, triangles and kinds of a box without its floor, facing outwards."""
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    vertex = np.array([[x, y, z] for z in (bottom, top) for x, y in corners], float)
+    triangle = [(4, 5, 6), (4, 6, 7)]
+    for i in range(4):
+        j = (i + 1) % 4
+        triangle += [(i, j, j + 4), (i, j + 4, i + 4)]
+    return vertex, np.array(triangle, np.int32), np.array([ROOF] * 2 + [WALL] * 8)
+
+
+def surface(blocks, loss=0.0):
+    """Flat terrain at 0 and boxes."""
+    vertex, triangle, kind, owner, count = [np.zeros((0, 3))], [np.zeros((0, 3), np.int32)], [], [], 0
+    for b, (v, t, k) in enumerate(blocks):
+        vertex.append(v)
+        triangle.append(t + count)
+        kind.append(k)
+        owner.append(np.full(len(t), b, np.int32))
+        count += len(v)
+    kinds = np.concatenate(kind) if kind else np.zeros(0, int)
+    flat = np.zeros((2 * HALF_M, 2 * HALF_M), np.float32)
+    return Surface(
+        local_grid(flat, -HALF_M, HALF_M, 1.0, np.zeros(3)),
+        np.concatenate(vertex),
+        np.concatenate(triangle).astype(np.int32),
+        np.concatenate(owner) if owner else np.zeros(0, np.int32),
+        encode_face(kinds, np.zeros(len(kinds), np.int32)),
+        np.full(len(kinds), 0.3, np.float32),
+        np.full(len(kinds), loss, np.float32),
+        np.zeros(len(kinds), bool),
+    )
+
+
+def tilted(blocks, rng):
+    """The same boxes, each turned a little about every axis, so that no face is aligned."""
+    turned = []
+    for v, t, k in blocks:
+        middle = v.mean(axis=0)
+        q, _ = np.linalg.qr(np.eye(3) + 0.2 * rng.normal(size=(3, 3)))
+        turned.append(((v - middle) @ (q * np.sign(np.diag(q))).T + middle, t, k))
+    return turned
+
+
+TOWN = [
+    block(x, y, x + 6, y + 5, 6 + (x * 7 + y * 3) % 11) for x in range(-28, 24, 10) for y in range(-27, 24, 9)
+]
+
+
+def only(pattern):
+    return {name: float(name == pattern) for name in PATTERNS}
+
+
+def strips(preset, **changes):
+    settings = Scans(preset=preset, **{"density_per_m2": 30, "density_bounds_per_m2": (30, 30), **changes})
+    return plan(settings, 11, BOX, BOX).strips
+
+
+def first_hits(triangles, origin, direction, chunk=2000):
+    """Exact first hit per ray, all triangles tested in float64 (Möller, Trumbore): index or -1, distance."""
+    index, distance = np.full(len(origin), -1), np.full(len(origin), np.inf)
+    a, e1, e2 = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    for start in range(0, len(origin), chunk):
+        o, d = origin[start : start + chunk, None], direction[start : start + chunk, None]
+        p = np.cross(d, e2[None])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            det = (e1[None] * p).sum(-1)
+            s = o - a[None]
+            u = (s * p).sum(-1) / det
+            q = np.cross(s, e1[None])
+            v = (d * q).sum(-1) / det
+            t = (e2[None] * q).sum(-1) / det
+        t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
+        best = t.argmin(axis=1)
+        found = t[np.arange(len(t)), best]
+        index[start : start + chunk] = np.where(np.isfinite(found), best, -1)
+        distance[start : start + chunk] = found
+    return index, distance
+
+
+@pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
+def test_points_are_the_exact_first_hits(count):
+    scene = surface(tilted(TOWN, np.random.default_rng(0)))
+    flown = strips("none", density_per_m2=1.2 * count / 3600, pattern_shares=only("parallel"))[:1]
+    points, counts = cast(scene, flown, BOX)
+    path = flown[0].path
+    # the same rays again, from the aircraft, in float64 and without any of the code under test
+    time_s = points.pulse / path.pulse_rate_hz
+    turns = time_s * path.scan_rate_hz + path.scan_phase
+    angle = path.half_angle_rad * (2 * (turns - np.floor(turns)) - 1)
+    ahead = np.array([np.cos(path.heading_rad), np.sin(path.heading_rad)])
+    left = np.array([-ahead[1], ahead[0]])
+    origin = np.empty((len(time_s), 3))
+    start = np.array([path.start_x_m, path.start_y_m])
+    origin[:, :2] = start + np.outer(path.speed_m_per_s * time_s, ahead)
+    origin[:, 2] = path.altitude_m
+    direction = np.column_stack([np.outer(np.sin(angle), left), -np.cos(angle)])
+
+    corners = np.array([[-39.5, -39.5, 0], [39.5, -39.5, 0], [39.5, 39.5, 0], [-39.5, 39.5, 0]])
+    ground = np.array([corners[[0, 1, 2]], corners[[0, 2, 3]]])
+    triangles = np.concatenate([scene.vertex_m[scene.triangle], ground])
+    index, distance = first_hits(triangles, origin, direction)
+    expected = origin + distance[:, None] * direction
+    error_m = np.linalg.norm(points.xyz_mm / 1000 - expected, axis=1)
+    owner = np.append(scene.building, [-1, -1])[index]
+    # half a millimetre of rounding per axis; a ray that grazes an edge may go either way
+    wrong = (error_m > 1.5e-3) | (owner != points.building)
+    assert len(index) > 0.5 * count
+    assert wrong.mean() < 2e-4
+    assert counts["lost"] == 0
+
+
+def test_no_face_is_tagged_wrongly():
+    points, _ = cast(surface(TOWN), strips("none"), BOX)
+    x, y, z = points.xyz_mm.T / 1000
+    boxes = np.array([[*v.min(axis=0), *v.max(axis=0)] for v, _, _ in TOWN])
+    ground = points.building < 0
+    assert np.abs(z[ground]).max() <= 0.001
+    assert (points.face[ground] == -1).all()
+    kind, own = points.face[~ground] & 3, boxes[points.building[~ground]]
+    x, y, z = x[~ground], y[~ground], z[~ground]
+    to_wall = np.min([abs(x - own[:, 0]), abs(x - own[:, 3]), abs(y - own[:, 1]), abs(y - own[:, 4])], axis=0)
+    assert set(kind) == {ROOF, WALL}
+    assert np.abs(z - own[:, 5])[kind == ROOF].max() <= 0.001
+    assert to_wall[kind == WALL].max() <= 0.001
+    assert (z[kind == WALL] < own[kind == WALL, 5] + 0.001).all()
+
+
+def test_a_deep_courtyard_gets_no_points():
+    around = [
+        block(-20, -20, 20, -1, 30),
+        block(-20, 1, 20, 20, 30),
+        block(-20, -1, -1, 1, 30),
+        block(1, -1, 20, 1, 30),
+    ]
+    points, _ = cast(surface(around), strips("none", pattern_shares=only("conical")), BOX)
+    x, y, z = points.xyz_mm.T / 1000
+    inside = (abs(x) < 1.001) & (abs(y) < 1.001) & (z < 29.99)
+    # 18 degrees off nadir and more: at most 2.83 m / tan(18) = 8.7 m down
+    assert inside.sum() > 20
+    assert z[inside].min() > 30 - 2 * np.sqrt(2) / np.tan(np.radians(18))
+    assert (points.building[inside] >= 0).all()
+
+
+def digest(points):
+    h = hashlib.sha256()
+    for column in points:
+        h.update(np.ascontiguousarray(column).tobytes())
+    return h.hexdigest()
+
+
+@pytest.mark.parametrize(("preset", "most"), [("none", 1), ("paper", 1), ("hd", 1), ("hd", 5)])
+def test_points_do_not_depend_on_chunks_or_threads(preset, most):
+    changes = {"density_per_m2": 8, "density_bounds_per_m2": (8, 8), "max_returns": most}
+    scene, flown = surface(TOWN), strips(preset, **changes)
+    one, counts = cast(scene, flown, BOX)
+    for threads, chunk in ((1, 1000), (2, 5000), (3, 100_000)):
+        again, same = cast(scene, flown, BOX, threads, chunk)
+        assert digest(again) == digest(one) and same == counts
+
+
+GOLDEN = {
+    "none": "331d32b73379c17d4bc41d8aa3c4c9b706c69dcb622ec6762f86c7b113cde129",
+    "paper": "d7aeb20153e7fea3141cc86a7b5d63eb98be33dd9781b08b3adde15eeb16479f",
+    "hd": "97bc2674e324e39e1c5d3dce7719f5190abd71df1d57926fec4304a73c48ff13",
+    "hd, several returns": "999464e40cb297c5c95b85195de9cd6dd2a1d88829bb17dc2ad03338c1d86c65",
+}
+
+
+@pytest.mark.parametrize("case", GOLDEN)
+def test_points_are_the_same_on_every_machine(case):
+    preset, _, several = case.partition(", ")
+    flown = strips(preset, density_per_m2=4, density_bounds_per_m2=(4, 4), max_returns=5 if several else 1)
+    assert digest(cast(surface(TOWN), flown, BOX)[0]) == GOLDEN[case]
+
+
+@pytest.mark.parametrize("most", [2, 5])
+def test_several_returns_come_from_edges_only_and_in_order(most):
+    wide = {"divergence_mrad": (1, 1), "max_returns": most, "range_noise_m": (0, 0)}
+    flown = strips("hd", **wide)
+    plain, _ = cast(surface([]), flown, BOX)
+    assert (plain.num_returns == 1).all() and (plain.return_number == 1).all()
+
+    tower = surface([block(-10, -10, 10, 10, 20)])
+    points, counts = cast(tower, flown, BOX)
+    assert counts["recorded"] < len(points.pulse)
+    assert points.num_returns.max() == min(most, 3)  # roof, wall, ground
+    assert (points.return_number <= points.num_returns).all()
+    x, y, z = points.xyz_mm.T / 1000
+    first, second = np.flatnonzero(points.return_number == 1), np.flatnonzero(points.return_number == 2)
+    # both points of a pulse that are in the box lie next to each other
+    pair = second[np.isin(second - 1, first)]
+    assert len(pair) > 100
+    assert (points.pulse[pair] == points.pulse[pair - 1]).all()
+    assert (points.strip[pair] == points.strip[pair - 1]).all()
+    apart_m = np.linalg.norm(np.diff(points.xyz_mm[np.stack([pair - 1, pair])] / 1000, axis=0)[0], axis=1)
+    assert apart_m.min() > 0.3 and (z[pair] < z[pair - 1]).all()
+    # the beam is half a metre wide, and walls are seen at a slant
+    edge_m = np.abs(np.maximum(np.abs(x), np.abs(y))[pair - 1] - 10)
+    assert np.quantile(edge_m, 0.99) < 1.5
+    energy = points.intensity.astype(float)
+    alone = (points.num_returns == 1) & (points.building == 0) & (points.face & 3 == ROOF)
+    both = points.num_returns[pair - 1] == 2
+    assert energy[pair - 1][both].mean() < 0.8 * energy[alone].mean()
+
+
+def test_at_most_as_many_returns_as_wanted():
+    # a staircase under a wide beam: more surfaces than returns
+    stairs = [block(-10 + 0.4 * i, -10, -9.6 + 0.4 * i, 10, 4 * i + 1) for i in range(9)]
+    wide = {"divergence_mrad": (1.5, 1.5), "return_separation_m": 0.5}
+    most = [
+        cast(surface(stairs), strips("hd", **wide, max_returns=m), BOX)[0].num_returns.max()
+        for m in (1, 2, 3, 7)
+    ]
+    assert most[:3] == [1, 2, 3] and most[3] > 3
+
+
+def test_noise_has_the_planned_size():
+    scene, flown = surface([]), strips("paper")
+    exact = [replace(s, errors=s.errors._replace(noise_xy_m=0.0, noise_z_m=0.0)) for s in flown]
+    wide = BOX._replace(x_min_m=-35.0, x_max_m=35.0, y_min_m=-35.0, y_max_m=35.0)
+    noisy, clean = cast(scene, flown, wide)[0], cast(scene, exact, wide)[0]
+    key = [p.strip.astype(np.int64) << 40 | p.pulse for p in (noisy, clean)]
+    _, i, j = np.intersect1d(*key, return_indices=True)
+    assert len(i) > 50_000
+    delta = (noisy.xyz_mm[i] - clean.xyz_mm[j]) / 1000
+    np.testing.assert_allclose(delta.std(axis=0), [0.13, 0.13, 0.05], rtol=0.02)
+    np.testing.assert_allclose(delta.mean(axis=0), 0, atol=2e-3)
+    assert abs(np.corrcoef(delta.T) - np.eye(3)).max() < 0.02
+
+
+def test_hd_noise_is_small_on_planes_and_strips_are_shifted():
+    flown = strips("hd", divergence_mrad=(0.3, 0.3), strip_offset_z_m=0.5, cross_strip_share=1)
+    points, _ = cast(surface([]), flown, BOX)
+    seen = np.unique(points.strip)
+    assert len(seen) >= 2
+    for number in seen:
+        strip = flown[number]
+        z = points.xyz_mm[points.strip == number, 2] / 1000
+        assert z.mean() == pytest.approx(strip.errors.offset_z_m, abs=0.005)
+        # the footprint of 30 cm averages out on a plane: only the ranging noise is left
+        assert 0.012 < z.std() < 0.035
+    assert len({flown[number].errors.offset_z_m for number in seen}) == len(seen)
+
+
+def test_dark_roofs_lose_points_and_grazing_walls_more_than_roofs():
+    tower = [block(-15, -15, 15, 15, 30)]
+    flown = strips("hd", cross_strip_share=0)
+    bright, dark = (cast(surface(tower, loss), flown, BOX)[0] for loss in (0.0, 0.6))
+    share = (dark.building == 0).sum() / (bright.building == 0).sum()
+    assert share == pytest.approx(0.4, abs=0.03)
+    none = [replace(s, errors=s.errors._replace(min_intensity=0.0, base_loss=0.0)) for s in flown]
+    everything = cast(surface(tower), none, BOX)[0]
+    kept = {
+        kind: ((bright.face & 3 == kind) & (bright.building == 0)).sum()
+        / ((everything.face & 3 == kind) & (everything.building == 0)).sum()
+        for kind in (ROOF, WALL)
+    }
+    assert kept[WALL] < kept[ROOF]
+    assert kept[ROOF] > 0.98
+
+
+def test_scan_angle_and_intensity():
+    points, _ = cast(surface([]), strips("none", pattern_shares=only("parallel")), BOX)
+    degrees = points.scan_angle * 0.006
+    assert 0 < np.ptp(degrees) < 61 and np.abs(degrees).max() < 30.1
+    flown = strips("none", pattern_shares=only("parallel"))
+    for number, strip in enumerate(flown):
+        mine = points.strip == number
+        right = np.array([np.sin(strip.path.heading_rad), -np.cos(strip.path.heading_rad)])
+        across = (points.xyz_mm[mine, :2] / 1000 - [strip.path.start_x_m, strip.path.start_y_m]) @ right
+        np.testing.assert_allclose(
+            np.degrees(np.arctan2(across, strip.path.altitude_m)), degrees[mine], atol=0.005
+        )
+    assert points.intensity.min() > 0
+
+
+def test_a_miss_is_a_miss():
+    caster = Caster(surface([block(0, 0, 1, 1, 5)]))
+    origin = np.array([[0.6, 0.5, 9], [2, 2, 9]], np.float32)
+    hits = caster.hits(origin, np.array([[0, 0, -1]] * 2, np.float32))
+    assert hits[0] in (0, 1) and hits[1] == -1
+    assert Caster(surface([])).hits(origin, origin).tolist() == [-1, -1]
