@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class AbsoluteError:
-    """Mean and standard deviation of absolute errors, and over how many values they were pooled."""
+    """Mean and standard deviation (of the population) of absolute errors, and the number of values pooled."""
 
     mean: float
     std: float
@@ -26,7 +26,7 @@ def absolute_error(predicted: np.ndarray, truth: np.ndarray) -> AbsoluteError:
     """
     predicted, truth = np.asarray(predicted, float), np.asarray(truth, float)
     if predicted.shape != truth.shape:
-        raise ValueError(f"{predicted.shape} values predicted, {truth.shape} true ones")
+        raise ValueError(f"predicted has shape {predicted.shape}, truth {truth.shape}")
     return summarize_errors(np.abs(predicted - truth))
 
 

@@ -1,4 +1,4 @@
-"""What a mesh is by itself: number of triangles, closed, consistently oriented, manifold, its volume."""
+"""Facts of a mesh by itself: number of triangles, closed, consistently oriented, manifold, its volume."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 @dataclass(frozen=True)
 class MeshFacts:
-    """num_triangles: without degenerate ones. num_vertices: different ones that triangles use. watertight:
+    """num_triangles: without degenerate ones. num_vertices: distinct vertices that triangles use. watertight:
     every edge has two triangles. oriented: neighbours run through their common edge in opposite directions.
     manifold: both, and the triangles at each vertex form one fan. volume_m3: positive if the normals point
     outwards, NaN if not watertight. num_bodies: connected parts."""
@@ -51,7 +51,7 @@ def mesh_facts(vertex_m: np.ndarray, triangle: np.ndarray, weld_m: float = 1e-4)
 
 
 def _num_fans(triangle: np.ndarray) -> int:
-    """Fans of triangles around vertices, over all vertices: as many as vertices where each has just one.
+    """Number of fans of triangles around all vertices: equal to the number of vertices if each has one fan.
 
     Corners of two triangles belong to one fan where they share the vertex and an edge at it.
     """
@@ -63,6 +63,6 @@ def _num_fans(triangle: np.ndarray) -> int:
     order = np.lexsort(ends.T)
     ends, corners = ends[order], corners[order]
     same = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
-    one, other = corners[same].ravel(), corners[same + 1].ravel()
-    links = coo_array((np.ones(len(one)), (one, other)), shape=(triangle.size, triangle.size))
+    first, second = corners[same].ravel(), corners[same + 1].ravel()
+    links = coo_array((np.ones(len(first)), (first, second)), shape=(triangle.size, triangle.size))
     return int(connected_components(links, directed=False)[0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import stats
 
 
 @dataclass(frozen=True)
@@ -24,15 +25,18 @@ class Summary:
 def summarize(values: np.ndarray, generator: np.random.Generator, num_resamples: int = 1000) -> Summary:
     """Summary of the values that are not NaN; all NaN if there is none.
 
-    The interval is the percentile bootstrap (Efron 1979) over ``num_resamples`` draws with replacement.
+    The interval is the percentile bootstrap (Efron 1979) over ``num_resamples`` draws with replacement; of a
+    single value it is that value.
     """
     values = np.asarray(values, float)
     values = values[~np.isnan(values)]
     if not len(values):
-        nothing = float("nan")
-        return Summary(0, nothing, nothing, nothing, nothing, nothing, nothing, nothing)
+        return Summary(0, *[float("nan")] * 7)
     q1, median, q3 = np.quantile(values, [0.25, 0.5, 0.75])
-    means = [generator.choice(values, len(values)).mean() for _ in range(num_resamples)]
-    low, high = np.quantile(means, [0.025, 0.975])
+    low, high = values[0], values[0]
+    if len(values) > 1:
+        low, high = stats.bootstrap(
+            (values,), np.mean, n_resamples=num_resamples, method="percentile", rng=generator
+        ).confidence_interval
     statistics = (values.mean(), q1, median, q3, values.std(), low, high)
     return Summary(len(values), *map(float, statistics))

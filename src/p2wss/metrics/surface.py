@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import numpy as np
+import trimesh
+import trimesh.sample
+import trimesh.triangles
 
 
 def triangle_areas(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
     """Area of each triangle, square metres. vertex_m (v, 3), triangle (t, 3) -> (t,)."""
-    corner = np.asarray(vertex_m, float)[np.asarray(triangle, int)]
-    return np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    return np.asarray(trimesh.triangles.area(np.asarray(vertex_m, float)[np.asarray(triangle, int)]))
 
 
 def sample_surface(
     vertex_m: np.ndarray, triangle: np.ndarray, num_samples: int, generator: np.random.Generator
 ) -> np.ndarray:
-    """Points drawn uniformly by area over the triangles: float64 (num_samples, 3), or (0, 3) without area."""
-    area = triangle_areas(vertex_m, triangle)
-    total = area.sum()
-    if not total > 0:
+    """Points drawn uniformly by area over the triangles: float64 (num_samples, 3), or (0, 3) without area.
+
+    vertex_m (v, 3), triangle (t, 3). The same generator state gives the same points.
+    """
+    mesh = trimesh.Trimesh(np.asarray(vertex_m, float), np.asarray(triangle, int), process=False)
+    if not mesh.area > 0:
         return np.zeros((0, 3))
-    chosen = np.asarray(triangle, int)[generator.choice(len(area), num_samples, p=area / total)]
-    a, b, c = np.moveaxis(np.asarray(vertex_m, float)[chosen], 1, 0)
-    # the square root makes the density uniform over the triangle (Osada et al. 2002, section 4.2)
-    u = np.sqrt(generator.random(num_samples))[:, None]
-    v = generator.random(num_samples)[:, None]
-    return (1 - u) * a + u * (1 - v) * b + u * v * c
+    return np.asarray(trimesh.sample.sample_surface(mesh, num_samples, seed=generator)[0], float)
 
 
 def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """Exact distance of each point to the nearest triangle, metres. point_m (n, 3) -> (n,); inf without one.
+    """Exact distance of each point to the nearest triangle, metres. point_m (n, 3) -> (n,); inf without triangles.
 
-    A point is nearest to the inside of a triangle where its projection falls, else to one of the three edges.
+    The nearest place of a triangle is the projection of the point if that is inside, else on one of the edges.
     """
     point_m = np.asarray(point_m, float)
     nearest = np.full(len(point_m), np.inf)
