@@ -32,7 +32,7 @@ def add_parser(stages: Parsers) -> None:
         default=None,
         help="model.safetensors; none: fit only; default: the weights that came with p2wss, if any",
     )
-    command.add_argument("--no-refine", action="store_true", help="leave the network's values as they are")
+    command.add_argument("--no-fit", action="store_true", help="leave the network's values as they are")
     command.add_argument(
         "--id-field", default=None, help="column of building ids; default: the usual names, else a number"
     )
@@ -65,14 +65,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     from p2wss.reconstruct import exports
 
     config = _reconstruct_config(arguments)
-    weights = arguments.model or reconstruct.shipped_model()
-    if str(weights) == "none":
-        weights = None
-    if weights is None and not config.reconstruct.refine:
-        raise InputError("--no-refine needs a --model: without one, all there is is the fit")
+    weights = reconstruct.weights_to_use(arguments.model, config.reconstruct)
     predictor = None if weights is None else load_predictor(weights)
-    if predictor is not None and config.reconstruct.refine:
-        predictor = predictor.of_views(1)
     terrain, terrain_crs = (None, None) if arguments.terrain is None else read_terrain(arguments.terrain)
     read = footprints.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = footprints.clean_footprints(read, config.scenes)
@@ -105,8 +99,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
 def _reconstruct_config(arguments: argparse.Namespace) -> Config:
     """The config with what the command line says of its section ``reconstruct``."""
     said: dict[str, Any] = {}
-    if arguments.no_refine:
-        said["refine"] = False
+    if arguments.no_fit:
+        said["fit"] = False
     if arguments.format is not None:
         said["outputs"] = [name.strip() for name in arguments.format.split(",") if name.strip()]
         unknown = [name for name in said["outputs"] if name not in OUTPUT_SUFFIXES]

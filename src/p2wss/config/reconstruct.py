@@ -42,7 +42,16 @@ class Reconstruct(Section):
     )
     min_eave_height_m: float = Field(1, gt=0, description="lower predictions are raised to this")
     max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
-    refine: bool = Field(True, description="fit height, angles and classes to the points after the network")
+    fit: bool = Field(
+        True, description="fit height and angles to the points; false = the values of the network as they are"
+    )
+    num_views: int = Field(
+        1,
+        ge=1,
+        le=36,
+        description="views of a building, turned about its axis, that the network sees before a fit; without a fit "
+        "it sees model.decoding.num_rotations of its training",
+    )
     max_parts: int = Field(
         4, ge=1, le=16, description="heights of one building at most; 1 = the paper's model"
     )

@@ -42,6 +42,10 @@ class Predictor(Protocol):
         """Largest number of vertices of an exterior ring."""
         ...
 
+    def of_views(self, num_views: int) -> Predictor:
+        """The same network, which averages over so many views of a building."""
+        ...
+
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Parameters:
         """From points (n, 3) with z above the estimated ground, and rings as in :class:`Building`."""
         ...

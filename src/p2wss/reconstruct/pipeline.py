@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,10 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.clouds import Cloud, horizontal, same_crs
+from p2wss.data.clouds import Cloud, horizontal
 from p2wss.data.cropping import seen_share
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.points import crop_cloud
-from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.errors import InputError
 from p2wss.fit import fitting
 from p2wss.formats import cityjson
@@ -34,8 +32,6 @@ from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import Predictor, reconstruct_with_network
 
 METHOD = "point2wss"
-# ground is looked for this far away where there is none nearer
-MARGIN_M = 64.0
 # points that a residual is taken over
 _MAX_RESIDUAL_POINTS = 2048
 # buildings between two reports of progress
@@ -60,56 +56,6 @@ class Result:
     residual_m: float
     visible_share: float
     not_representable: bool
-
-
-def shipped_model() -> Path | None:
-    """The weights that came with the package; None in a package without."""
-    path = Path(str(files("p2wss"))) / "weights" / "point2wss.safetensors"
-    return path if path.is_file() else None
-
-
-def common_crs(
-    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
-) -> tuple[pyproj.CRS, str | None]:
-    """The one CRS of clouds and footprints, and a note if it was assumed. ``names``: of the two files.
-
-    Raises :class:`InputError` if two known ones differ, none is known, or it is not projected in metres.
-    """
-    note = None
-    if stated is not None:
-        try:
-            told = pyproj.CRS.from_user_input(stated)
-        except pyproj.exceptions.CRSError as error:
-            raise InputError(f"--crs {stated}: no such CRS; give one such as EPSG:28992") from error
-        if cloud is not None and not same_crs(cloud, told):
-            raise InputError(f"{names[0]} is in {cloud.name}, but --crs says {told.name}; leave --crs out")
-        cloud = cloud or told
-    if cloud is not None and frame is not None and not same_crs(cloud, frame):
-        told_by = names[0] if stated is None else f"{names[0]}, says --crs,"
-        raise InputError(
-            f"{told_by} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
-        )
-    crs = cloud or frame
-    if crs is None:
-        raise InputError(
-            f"neither {names[0]} nor {names[1]} tells its CRS; give it with --crs, as EPSG:28992"
-        )
-    if cloud is None:
-        note = f"{names[0]} tells no CRS: taken to be in {crs.name} as {names[1]}; --crs says otherwise"
-    flat = horizontal(crs)
-    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
-        raise InputError(
-            f"{names[0]}: {crs.name} is not a projected CRS in metres; reproject clouds and footprints"
-        )
-    return crs, note
-
-
-def window(frame: gpd.GeoDataFrame) -> Bounds:
-    """What a cloud must cover: the footprints and the ground around them."""
-    if not len(frame):
-        return 0.0, 0.0, 0.0, 0.0
-    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
-    return x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
 
 
 class Progress:
@@ -137,7 +83,7 @@ def run(
 ) -> list[Result]:
     """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order.
 
-    By the network, then fitted to the points unless ``config.refine`` is off; without a network, fitted only.
+    By the network, then fitted to the points unless ``config.fit`` is off; without a network, fitted only.
     progress: called now and then with the number of rows that are done, and of all.
     """
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
@@ -170,31 +116,48 @@ def run(
 def _results(
     buildings: Sequence[Building], status: Sequence[str], predictor: Predictor | None, config: Reconstruct
 ) -> list[Result]:
-    """One result per building, in order; without a try where the status of the footprint is not "ok"."""
-    usable = [i for i, told in enumerate(status) if told == "ok"]
-    chosen = [buildings[i] for i in usable]
-    method = method_name(predictor, config)
-    known = reconstruct_with_network(chosen, predictor, config, METHOD) if predictor else None
-    made = known if known is not None and not config.refine else fitting.fit(chosen, config, known, method)
-    made = with_fallback(made, chosen, config)
-    found = dict(zip(usable, made, strict=True))
+    """One result per building, in order; of those whose footprint has a status other than "ok" nothing is
+    reconstructed."""
+    usable = [i for i, value in enumerate(status) if value == "ok"]
+    reconstructions = reconstruct_buildings([buildings[i] for i in usable], predictor, config)
+    by_row = dict(zip(usable, reconstructions, strict=True))
     results = []
     for i, building in enumerate(buildings):
-        if i in found:
-            results.append(_result(building, found[i], config))
+        if i in by_row:
+            results.append(_result(building, by_row[i], config))
         else:
-            lost = no_mesh(building, method, status[i])
+            rejected = no_mesh(building, method_name(predictor, config), status[i])
             results.append(
-                Result(lost, "none", status[i], len(building.point_m), float("nan"), float("nan"), False)
+                Result(rejected, "none", status[i], len(building.point_m), float("nan"), float("nan"), False)
             )
     return results
+
+
+def reconstruct_buildings(
+    buildings: Sequence[Building], predictor: Predictor | None, config: Reconstruct
+) -> list[Reconstruction]:
+    """The product: one reconstruction per building, in order. ``p2wss reconstruct`` and the evaluation call it.
+
+    The network's values of ``config.num_views`` views, fitted to the points; with ``config.fit`` off the values
+    of as many views as the model was trained for; without a predictor the fit alone. Where these give no mesh, a
+    flat roof whose status has the reason (:func:`p2wss.reconstruct.flat.with_fallback`).
+    """
+    starts = None
+    if predictor is not None:
+        predictor = predictor.of_views(config.num_views) if config.fit else predictor
+        starts = reconstruct_with_network(buildings, predictor, config, METHOD)
+    if starts is None or config.fit:
+        reconstructions = fitting.fit(buildings, config, starts, method_name(predictor, config))
+    else:
+        reconstructions = starts
+    return with_fallback(reconstructions, buildings, config)
 
 
 def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
     """``point2wss``, ``point2wss+fit`` or ``fit``."""
     if predictor is None:
         return fitting.METHOD
-    return f"{METHOD}+{fitting.METHOD}" if config.refine else METHOD
+    return f"{METHOD}+{fitting.METHOD}" if config.fit else METHOD
 
 
 def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
@@ -206,28 +169,12 @@ def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) 
         )
 
 
-def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
-    """The footprints whose middle is in the tile."""
-    frame = frame[np.isfinite(frame["middle_x_m"])]
-    chosen = tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile
-    return frame[chosen].reset_index(drop=True)
-
-
-def output_stem(cloud: Path) -> str:
-    """Name of the outputs: the cloud's, without its endings.
-
-    >>> output_stem(Path("in/Semis_2021.copc.laz"))
-    'Semis_2021'
-    """
-    return cloud.stem.removesuffix(".copc")
-
-
 def _result(building: Building, made: Reconstruction, config: Reconstruct) -> Result:
     status = "none" if not made.has_mesh else "ok" if made.status == "ok" else "flat"
     reason = None if made.status == "ok" else made.status
     on_building = _on_building(building)
     residual_m = _residual_m(building.point_m[on_building], made)
-    fitted = config.refine or made.method == fitting.METHOD
+    fitted = config.fit or made.method == fitting.METHOD
     flagged = fitted and status == "ok" and residual_m > config.not_representable_m
     share = _visible_share(building, on_building)
     return Result(made, status, reason, len(building.point_m), residual_m, share, flagged)

@@ -17,6 +17,7 @@ import p2wss
 from p2wss import cli, reconstruct
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.nets import predictor
+from p2wss.reconstruct import inputs
 
 BOX = shapely.box(652000, 6861000, 652010, 6861008)
 
@@ -45,7 +46,7 @@ def run(place: Path, *more: str, cloud: str = "cloud.laz", footprints: str = "fo
 
 
 def test_files_named_after_the_cloud(place: Path) -> None:
-    assert run(place, "--no-refine") == 0
+    assert run(place, "--no-fit") == 0
     assert sorted(p.name for p in (place / "out").iterdir()) == [
         "cloud.city.jsonl",
         "cloud.glb",
@@ -57,7 +58,7 @@ def test_files_named_after_the_cloud(place: Path) -> None:
     assert row["eave_height_m"] == pytest.approx(6.0) and row["ground_z_m"] == pytest.approx(101.0)
 
 
-def test_refined_with_the_model_and_without(place: Path) -> None:
+def test_fitted_with_the_model_and_without(place: Path) -> None:
     outs = {}
     for name, options in {"point2wss+fit": ["--model", "m"], "fit": ["--model", "none"]}.items():
         files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", name)]
@@ -73,16 +74,17 @@ def test_refined_with_the_model_and_without(place: Path) -> None:
 def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     oracle = Oracle()
     monkeypatch.setattr(predictor, "load_predictor", lambda path: oracle)
-    assert run(place, "--no-refine") == 0 and oracle.num_views == 4
+    assert run(place, "--no-fit") == 0 and oracle.num_views == 4
     assert run(place) == 0 and oracle.num_views == 1
+    assert run(place, "--config", '{"reconstruct": {"num_views": 3}}') == 0 and oracle.num_views == 3
 
 
-def test_without_a_model_there_is_no_unrefined(
+def test_without_a_model_and_without_the_fit_there_is_nothing(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reconstruct, "shipped_model", lambda: None)
+    monkeypatch.setattr(inputs, "shipped_model", lambda: None)
     files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
-    assert cli.main(["reconstruct", *files, "--no-refine"]) == 2
+    assert cli.main(["reconstruct", *files, "--no-fit"]) == 2
     assert "--model" in capsys.readouterr().err
 
 
@@ -98,7 +100,7 @@ def test_weights_that_came_with_the_package_are_used(place: Path, monkeypatch: p
         (None, ["--model", "none"], "fit", []),
     ):
         loaded.clear()
-        monkeypatch.setattr(reconstruct, "shipped_model", lambda shipped=shipped: shipped)
+        monkeypatch.setattr(inputs, "shipped_model", lambda shipped=shipped: shipped)
         files = [str(place / part) for part in ("cloud.laz", "footprints.gpkg", "out")]
         assert cli.main(["reconstruct", *files, *options]) == 0 and loaded == wanted
         assert gpd.read_file(place / "out" / "cloud.gpkg")["method"].tolist() == [method]

@@ -166,8 +166,8 @@ def test_what_one_roof_cannot_be_is_flagged() -> None:
     two = scene.results(None, Reconstruct())
     assert two["tower"].reconstruction.num_parts == 2 and not two["tower"].not_representable
     # the network alone was not fitted: its error is no fault of the building
-    unrefined = scene.results(Oracle(), Reconstruct(refine=False))
-    assert not unrefined["tower"].not_representable
+    network_alone = scene.results(Oracle(), Reconstruct(fit=False))
+    assert not network_alone["tower"].not_representable
 
 
 def test_batches_and_progress_change_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -28,7 +28,7 @@ from p2wss.reconstruct import exports
 
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)
-UNREFINED = Reconstruct(refine=False)
+NETWORK_ALONE = Reconstruct(fit=False)
 
 
 def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
@@ -74,7 +74,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
         np.append(cloud.classification, 6).astype(np.uint8),
         LAMBERT,
     )
-    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", UNREFINED)
+    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", NETWORK_ALONE)
     assert [r.status for r in results] == ["ok", "none", "none", "flat"]
     assert results[1].reason == "no point" and results[3].reason == "fewer than 10 points"
     assert "4 buildings: 1 ok, 1 flat (fewer than 10 points: 1)" in reconstruct.summary(results)
@@ -99,7 +99,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
 def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
     place = shapely.box(652000, 6861000, 652010, 6861010)
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
-    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", UNREFINED)
+    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", NETWORK_ALONE)
     path = tmp_path / "a.glb"
     meshes = [exports.mesh(result) for result in results]
     path.write_bytes(glb(meshes, frame_around(meshes, "EPSG:2154"), {"code": "x"}))
@@ -116,7 +116,7 @@ def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
 def test_nothing_at_all_can_be_written() -> None:
     frame = gpd.GeoDataFrame({"building_id": []}, geometry=[], crs=LAMBERT)
     empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
-    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", UNREFINED)
+    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", NETWORK_ALONE)
     assert results == []
     assert len(reconstruct.city_json(results, LAMBERT).splitlines()) == 1
     assert len(reconstruct.table(results, LAMBERT)) == 0
@@ -124,7 +124,7 @@ def test_nothing_at_all_can_be_written() -> None:
 
 def test_no_overlap_is_one_clear_line() -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[shapely.box(900, 0, 910, 10)], crs=LAMBERT)
-    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", UNREFINED)
+    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", NETWORK_ALONE)
     with pytest.raises(InputError, match=r"no point near any of the 1 footprints of b\.gpkg"):
         reconstruct.check_overlap(results, Path("a.laz"), Path("b.gpkg"))
 
@@ -141,7 +141,7 @@ def test_real_clouds_give_watertight_buildings(
     frame = scenes.read_footprints(folder / "footprints.gpkg")
     points = read_clouds([folder / cloud], reconstruct.window(frame))
     crs, _ = reconstruct.common_crs(points.crs, frame.crs, None, NAMES)
-    results = reconstruct.run(cleaned(frame), points, Oracle(), place, UNREFINED)
+    results = reconstruct.run(cleaned(frame), points, Oracle(), place, NETWORK_ALONE)
     assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
     path = tmp_path / "out.city.jsonl"
     path.write_text(reconstruct.city_json(results, crs))

@@ -1,0 +1,102 @@
+"""What ``p2wss reconstruct`` works on and with: the weights, the one CRS, the footprints of a tile, what to read."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pyproj
+
+from p2wss.config import Reconstruct
+from p2wss.data.clouds import horizontal, same_crs
+from p2wss.data.tiling import Bounds, tiles_of_points
+from p2wss.errors import InputError
+
+# ground is looked for this far away where there is none nearer
+MARGIN_M = 64.0
+# the name of a file of weights that stands for no network
+NO_NETWORK = "none"
+
+
+def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
+    """The file of weights: ``model``, or without one that of the package, if there is any; None for no network,
+    which a ``model`` named "none" asks for.
+
+    Raises :class:`InputError` if there is neither a network nor a fit.
+    """
+    weights = shipped_model() if model is None else model
+    if weights is not None and str(weights) == NO_NETWORK:
+        weights = None
+    if weights is None and not config.fit:
+        raise InputError(
+            "without the fit (--no-fit, reconstruct.fit) a network is needed: give one with --model"
+        )
+    return weights
+
+
+def shipped_model() -> Path | None:
+    """The weights that came with the package; None in a package without."""
+    path = Path(str(files("p2wss"))) / "weights" / "point2wss.safetensors"
+    return path if path.is_file() else None
+
+
+def common_crs(
+    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
+) -> tuple[pyproj.CRS, str | None]:
+    """The one CRS of clouds and footprints, and a note if it was assumed. ``names``: of the two files.
+
+    Raises :class:`InputError` if two known ones differ, none is known, or it is not projected in metres.
+    """
+    note = None
+    if stated is not None:
+        try:
+            told = pyproj.CRS.from_user_input(stated)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"--crs {stated}: no such CRS; give one such as EPSG:28992") from error
+        if cloud is not None and not same_crs(cloud, told):
+            raise InputError(f"{names[0]} is in {cloud.name}, but --crs says {told.name}; leave --crs out")
+        cloud = cloud or told
+    if cloud is not None and frame is not None and not same_crs(cloud, frame):
+        told_by = names[0] if stated is None else f"{names[0]}, says --crs,"
+        raise InputError(
+            f"{told_by} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
+        )
+    crs = cloud or frame
+    if crs is None:
+        raise InputError(
+            f"neither {names[0]} nor {names[1]} tells its CRS; give it with --crs, as EPSG:28992"
+        )
+    if cloud is None:
+        note = f"{names[0]} tells no CRS: taken to be in {crs.name} as {names[1]}; --crs says otherwise"
+    flat = horizontal(crs)
+    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
+        raise InputError(
+            f"{names[0]}: {crs.name} is not a projected CRS in metres; reproject clouds and footprints"
+        )
+    return crs, note
+
+
+def window(frame: gpd.GeoDataFrame) -> Bounds:
+    """What a cloud must cover: the footprints and the ground around them."""
+    if not len(frame):
+        return 0.0, 0.0, 0.0, 0.0
+    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
+    return x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
+
+
+def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
+    """The footprints whose middle is in the tile."""
+    frame = frame[np.isfinite(frame["middle_x_m"])]
+    chosen = tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile
+    return frame[chosen].reset_index(drop=True)
+
+
+def output_stem(cloud: Path) -> str:
+    """Name of the outputs: the cloud's, without its endings.
+
+    >>> output_stem(Path("in/Semis_2021.copc.laz"))
+    'Semis_2021'
+    """
+    return cloud.stem.removesuffix(".copc")
