@@ -8,7 +8,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install eval_report test test-slow lint format config lock clean
+.PHONY: install eval_report test test-slow lint format config mini lock clean
 install: $(BIN)/.installed
 
 $(BIN)/.installed: envs/lock.txt pyproject.toml
@@ -41,6 +41,10 @@ format: install
 # the generated files of config/, from src/p2wss/config.py
 config: install
 	$(BIN)/python -m p2wss.config
+
+# the files of tests/mini, from src/p2wss/towns
+mini: install
+	p2wss towns --seed 652 --out tests/mini --lidar
 
 # newest versions that resolve together, within envs/constraints.txt
 lock:

@@ -22,6 +22,7 @@ pathvars:
     benchmarks=f"logs/{settings.region.name}/benchmarks",
 
 
+include: "workflow/rules/towns.smk"
 include: "workflow/rules/fetch.smk"
 include: "workflow/rules/scenes.smk"
 include: "workflow/rules/buildings.smk"

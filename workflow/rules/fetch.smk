@@ -12,20 +12,6 @@ localrules:
     fetch_lidar,
 
 
-rule draw_town:
-    output:
-        footprints="resources/towns/{seed}/bdtopo/BDTOPO_mini.gpkg",
-        dtm=directory("resources/towns/{seed}/rgealti"),
-    log:
-        "logs/towns/{seed}.log",
-    benchmark:
-        "logs/towns/{seed}.tsv"
-    conda:
-        "../../envs/p2wss.yaml"
-    shell:
-        "python tests/mini/make.py resources/towns/{wildcards.seed} --seed {wildcards.seed} > {log} 2>&1"
-
-
 rule fetch_footprints:
     input:
         drawn_town(settings.fetch.folder.footprints),

@@ -1,5 +1,6 @@
 """Classes of LiDAR points (LAS 1.4 R15, table 17)."""
 
+UNCLASSIFIED_CLASS = 1
 GROUND_CLASS = 2
 VEGETATION_CLASS = 5
 BUILDING_CLASS = 6

@@ -1,11 +1,10 @@
-"""The committed miniature is what its script draws, and has what the pipeline is to be tried on."""
+"""The committed miniature is what ``p2wss towns`` draws, and has what the pipeline is to be tried on."""
 
 from __future__ import annotations
 
-import importlib.util
+import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import geopandas as gpd
 import laspy
@@ -14,20 +13,9 @@ import pytest
 import shapely
 from places import MINI
 
+from p2wss.cli import main
 from p2wss.data.tiling import tiles_of_points
-
-LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
-FOOTPRINTS = "bdtopo/BDTOPO_mini.gpkg"
-
-
-@pytest.fixture(scope="module")
-def make() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make", MINI / "make.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["make"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+from p2wss.towns import FOOTPRINTS, LIDAR, MINIATURE_SEED, draw_town, write_town
 
 
 @pytest.fixture(scope="module")
@@ -39,26 +27,59 @@ def test_size() -> None:
     assert sum(path.stat().st_size for path in MINI.rglob("*") if path.is_file()) <= 5_000_000
 
 
-def test_script_draws_the_committed_files(
-    make: ModuleType, tmp_path: Path, footprints: gpd.GeoDataFrame
-) -> None:
-    """All but the cloud, which takes longer; contents, because SQLite's bytes depend on its version."""
-    rng = np.random.Generator(np.random.PCG64(make.SEED))
-    town = make.draw_town(rng)
-    make.write_terrain(tmp_path / "rgealti")
-    make.write_footprints(town, tmp_path / FOOTPRINTS, rng)
-    again = gpd.read_file(tmp_path / FOOTPRINTS)
+@pytest.fixture(scope="module")
+def town_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The miniature's footprints and terrain, drawn again by the command."""
+    folder = tmp_path_factory.mktemp("town")
+    assert main(["towns", "--seed", str(MINIATURE_SEED), "--out", str(folder)]) == 0
+    return folder
+
+
+def test_the_command_draws_the_committed_footprints(town_folder: Path, footprints: gpd.GeoDataFrame) -> None:
+    """Their contents, because SQLite's bytes depend on its version."""
+    again = gpd.read_file(town_folder / FOOTPRINTS)
     assert again.drop(columns="geometry").equals(footprints.drop(columns="geometry"))
     assert shapely.equals_exact(again.geometry, footprints.geometry, 1e-6).all()
-    for path in sorted((MINI / "rgealti").iterdir()):
-        assert (tmp_path / "rgealti" / path.name).read_text() == path.read_text()
+
+
+def test_the_command_draws_the_committed_terrain(town_folder: Path) -> None:
+    names = sorted(path.name for path in (MINI / "rgealti").iterdir())
+    assert sorted(path.name for path in (town_folder / "rgealti").iterdir()) == names
+    for name in names:
+        assert (town_folder / "rgealti" / name).read_bytes() == (MINI / "rgealti" / name).read_bytes()
+
+
+def test_without_the_option_there_is_no_cloud(town_folder: Path) -> None:
+    files = [path for path in town_folder.rglob("*") if path.is_file()]
+    assert sorted({path.parent.name for path in files}) == ["bdtopo", "rgealti"]
+
+
+def test_a_second_drawing_writes_the_same_bytes(town_folder: Path, tmp_path: Path) -> None:
+    write_town(tmp_path, MINIATURE_SEED, with_lidar=False)
+    assert (tmp_path / FOOTPRINTS).read_bytes() == (town_folder / FOOTPRINTS).read_bytes()
+
+
+def test_another_seed_draws_another_town(footprints: gpd.GeoDataFrame) -> None:
+    town = draw_town(np.random.Generator(np.random.PCG64(MINIATURE_SEED + 1)))
+    assert len(town) > 1000
+    assert {building.footprint.wkb for building in town}.isdisjoint(
+        shapely.to_wkb(shapely.force_2d(footprints.geometry.map(lambda shape: shape.geoms[0])))
+    )
+
+
+def test_the_drawing_is_independent_of_the_kernel() -> None:
+    """Its roofs judge the kernel's: they may not come from it."""
+    code = "import sys, p2wss.towns; print(*[name for name in sys.modules if name.startswith('p2wss.')])"
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "p2wss.towns" in modules and "p2wss.skeleton" not in modules and "p2wss.config" not in modules
 
 
 @pytest.mark.slow
-def test_script_draws_the_committed_cloud(make: ModuleType, tmp_path: Path) -> None:
-    make.main(tmp_path)
+def test_the_command_draws_the_committed_cloud(tmp_path: Path) -> None:
+    assert main(["towns", "--seed", str(MINIATURE_SEED), "--out", str(tmp_path), "--lidar"]) == 0
     again, committed = laspy.read(tmp_path / LIDAR), laspy.read(MINI / LIDAR)
     np.testing.assert_array_equal(again.points.array, committed.points.array)
+    assert again.header.generating_software == committed.header.generating_software
 
 
 def test_the_town_has_what_it_is_for(footprints: gpd.GeoDataFrame) -> None:

@@ -1,0 +1,27 @@
+"""``p2wss towns``: a made-up town in IGN's file formats."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from p2wss.cli.common import Parsers, log
+
+
+def add_parser(stages: Parsers) -> None:
+    """Add ``p2wss towns`` to the parser."""
+    about = "draw a made-up town: footprints, terrain and stand-in LiDAR in IGN's file formats"
+    command = stages.add_parser("towns", help=about, description=about)
+    command.add_argument("--seed", type=int, required=True, help="another seed draws another town")
+    command.add_argument("--out", type=Path, required=True, help="folder for bdtopo/, rgealti/ and lidar/")
+    command.add_argument(
+        "--lidar", action="store_true", help="also simulate the stand-in LiDAR of tile 0653_6861"
+    )
+    command.set_defaults(run=towns)
+
+
+def towns(arguments: argparse.Namespace) -> None:
+    from p2wss.towns import write_town
+
+    num_buildings = write_town(arguments.out, arguments.seed, arguments.lidar)
+    log.info(f"{arguments.out}: town {arguments.seed} with {num_buildings} buildings")

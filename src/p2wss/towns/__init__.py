@@ -1,0 +1,38 @@
+"""Made-up towns in IGN's own file formats, so that the whole pipeline runs, and trains, without a network.
+
+A town is footprints as BD TOPO delivers them, with its gaps and blemishes, terrain as RGE ALTI delivers it, and
+on request a *stand-in* for one LiDAR HD tile. Every town stands on the same ground; its seed decides the rest.
+The roofs of the stand-in come from the wings drawn here and never from the package's geometry kernel: an
+independent truth has to stay independent, so nothing here imports ``p2wss.skeleton``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from p2wss.towns.ign import write_footprints, write_terrain
+from p2wss.towns.lidar import write_lidar
+from p2wss.towns.plan import draw_town
+
+__all__ = ["MINIATURE_SEED", "draw_town", "write_footprints", "write_lidar", "write_terrain", "write_town"]
+
+MINIATURE_SEED = 652  # the town under tests/mini
+FOOTPRINTS = "bdtopo/BDTOPO_mini.gpkg"
+TERRAIN = "rgealti"
+LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
+
+
+def write_town(folder: Path, seed: int, with_lidar: bool) -> int:
+    """Draw the town of ``seed`` and write its files into ``folder``. Returns its number of buildings.
+
+    Footprints and terrain are the same with and without the LiDAR.
+    """
+    rng = np.random.Generator(np.random.PCG64(seed))
+    town = draw_town(rng)
+    write_terrain(folder / TERRAIN)
+    write_footprints(town, folder / FOOTPRINTS, rng)
+    if with_lidar:
+        write_lidar(town, folder / LIDAR, rng)
+    return len(town)

@@ -1,0 +1,121 @@
+"""What the stand-in survey sees from above: ground, roofs, dormers and chimneys on a fine raster, and trees."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import shapely
+
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.towns.buildings import DrawnBuilding, Wing
+from p2wss.towns.lots import block_side, rectangle, to_world
+from p2wss.towns.site import ground_z_m, in_lidar_tile
+
+CELL_M = 0.1
+AROUND_M = 4.0  # points further from a building are not written, to keep the file small
+
+
+class Surface:
+    """Height of the top surface and its class on a fine raster around the buildings."""
+
+    def __init__(self, buildings: list[DrawnBuilding], rng: np.random.Generator) -> None:
+        outlines = [building.footprint for building in buildings]
+        bounds = shapely.total_bounds(outlines)
+        self.x_min, self.y_min = np.floor(bounds[:2]) - 20
+        columns, rows = (np.ceil((bounds[2:] + 20 - (self.x_min, self.y_min)) / CELL_M)).astype(int)
+        x, y = np.meshgrid(self.x_min + CELL_M * np.arange(columns), self.y_min + CELL_M * np.arange(rows))
+        self.z = ground_z_m(x, y)
+        self.kind = np.full(self.z.shape, GROUND_CLASS, np.uint8)
+        for building in buildings:
+            corner = shapely.get_coordinates(building.footprint)
+            floor = float(np.median(ground_z_m(corner[:, 0], corner[:, 1])))
+            for wing in building.wings:
+                self._raise(wing.outline, _roof(wing, floor))
+            for outline, top_m in _details(building, rng):
+                self._raise(outline, _flat_top(floor + top_m))
+        coarse = max(1, round(0.5 / CELL_M))
+        near = shapely.union_all([outline.buffer(AROUND_M) for outline in outlines])
+        shapely.prepare(near)
+        self.coarse = coarse
+        self.mask = shapely.contains_xy(near, x[::coarse, ::coarse], y[::coarse, ::coarse])
+
+    def _raise(self, outline: np.ndarray, height: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Lift the surface to ``height`` inside a convex outline."""
+        low = np.floor((outline.min(axis=0) - (self.x_min, self.y_min)) / CELL_M).astype(int)
+        high = np.ceil((outline.max(axis=0) - (self.x_min, self.y_min)) / CELL_M).astype(int) + 1
+        window = (slice(low[1], high[1]), slice(low[0], high[0]))
+        x, y = np.meshgrid(
+            self.x_min + CELL_M * np.arange(low[0], high[0]), self.y_min + CELL_M * np.arange(low[1], high[1])
+        )
+        inside = shapely.contains_xy(shapely.Polygon(outline), x, y)
+        top = height(np.column_stack([x[inside], y[inside]]))
+        z, kind = self.z[window], self.kind[window]
+        z[inside] = np.where(kind[inside] == BUILDING_CLASS, np.maximum(z[inside], top), top)
+        kind[inside] = BUILDING_CLASS
+
+    def _cell(self, x: np.ndarray, y: np.ndarray, size: float) -> tuple[np.ndarray, np.ndarray]:
+        return np.rint((y - self.y_min) / size).astype(int), np.rint((x - self.x_min) / size).astype(int)
+
+    def near(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Whether points are near a building (and on the raster)."""
+        row, column = self._cell(x, y, CELL_M * self.coarse)
+        inside = (row >= 0) & (column >= 0) & (row < self.mask.shape[0]) & (column < self.mask.shape[1])
+        inside[inside] = self.mask[row[inside], column[inside]]
+        return inside
+
+    def at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(z, class) of the nearest cell."""
+        row, column = self._cell(x, y, CELL_M)
+        row, column = row.clip(0, self.z.shape[0] - 1), column.clip(0, self.z.shape[1] - 1)
+        return self.z[row, column], self.kind[row, column]
+
+
+def _roof(wing: Wing, floor_m: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda xy: floor_m + wing.eave_m + wing.rise_m(xy)
+
+
+def _flat_top(top_m: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda xy: np.full(len(xy), top_m)
+
+
+def _details(building: DrawnBuilding, rng: np.random.Generator) -> list[tuple[np.ndarray, float]]:
+    """Dormers and chimneys: (outline, top above the ground)."""
+    main = building.wings[0]
+    if building.kind not in ("house", "row", "block") or len(main.slopes) < 2:
+        return []
+    start, along, inward, length = block_side(main.outline, main.slopes[0])
+    depth = block_side(main.outline, main.slopes[0] + 1)[3]
+    tangent = np.tan(np.radians(main.pitch_deg))
+    details = []
+    if rng.random() < 0.6:
+        u = rng.uniform(0.15, 0.75) * length
+        outline = to_world(start, along, inward, rectangle(u, 0.55 * depth, u + 0.7, 0.55 * depth + 0.6))
+        details.append((outline, main.eave_m + depth / 2 * tangent + rng.uniform(0.5, 1)))
+    if depth / 2 * tangent > 2.4 and rng.random() < 0.45:
+        number = int(rng.integers(1, 3))
+        for u in (np.arange(number) + 0.5) * length / number - 0.8:
+            outline = to_world(start, along, inward, rectangle(u, 0.7, u + 1.6, 0.7 + 1.6 / tangent))
+            details.append((outline, main.eave_m + rng.uniform(1.8, 2.1)))
+    return details
+
+
+def draw_trees(buildings: list[DrawnBuilding], rng: np.random.Generator) -> np.ndarray:
+    """Crowns beside buildings: x, y, z of the centre, radius, half height. Float array (n, 5)."""
+    houses = shapely.union_all([building.footprint for building in buildings])
+    crowns = []
+    for building in buildings:
+        if rng.random() > 0.4:
+            continue
+        centre, reach = (
+            shapely.get_coordinates(building.footprint.centroid)[0],
+            np.sqrt(building.footprint.area),
+        )
+        angle, radius = rng.uniform(0, 2 * np.pi), rng.uniform(1.2, 3)
+        x, y = centre + (0.6 * reach + radius) * np.array([np.cos(angle), np.sin(angle)])
+        here = shapely.Point(x, y)
+        if houses.distance(here) < 0.6 * radius or not in_lidar_tile(here):
+            continue
+        half = radius * rng.uniform(0.9, 1.5)
+        crowns.append((x, y, float(ground_z_m(x, y)) + 1.6 + half, radius, half))
+    return np.array(crowns).reshape(-1, 5)
