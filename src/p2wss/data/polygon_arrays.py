@@ -16,31 +16,33 @@ from p2wss.skeleton.types import Polygons
 def to_polygons(geometries: Sequence[shapely.Polygon] | np.ndarray) -> Polygons:
     """The kernel's arrays of shapely polygons (no multipolygons), order and rings kept, closing vertices dropped.
 
-    An empty or missing geometry becomes a polygon without rings.
+    An empty or missing geometry becomes a polygon without rings. Raises ``ValueError`` for other geometries.
     """
-    shapes = np.asarray(geometries, dtype=object)
-    empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
-    if np.any(shapely.get_type_id(shapes[~empty]) != shapely.GeometryType.POLYGON):
+    shapes = np.array(geometries, dtype=object)
+    shapes[shapely.is_missing(shapes) | shapely.is_empty(shapes)] = shapely.Polygon()
+    if not len(shapes):
+        return Polygons.from_rings([])
+    if np.any(shapely.get_type_id(shapes) != shapely.GeometryType.POLYGON):
         raise ValueError("only polygons; split multipolygons first")
-    num_rings = np.where(empty, 0, shapely.get_num_interior_rings(shapes) + 1)
-    rings, _ = shapely.get_rings(shapes[~empty], return_index=True)
-    xy, ring = shapely.get_coordinates(rings, return_index=True)
-    counts = np.bincount(ring, minlength=len(rings)) if len(rings) else np.zeros(0, np.int64)
-    closing = np.zeros(len(xy), bool)
-    closing[np.cumsum(counts) - 1] = True
+    _, xy, (ring_offset, polygon_offset) = shapely.to_ragged_array(shapes, include_z=False)
+    num_rings = len(ring_offset) - 1
     return Polygons(
-        xy_m=xy[~closing],
-        ring_offset=np.concatenate([[0], np.cumsum(counts - 1)]).astype(np.int64),
-        polygon_offset=np.concatenate([[0], np.cumsum(num_rings)]).astype(np.int64),
+        xy_m=np.delete(xy, ring_offset[1:] - 1, axis=0),
+        ring_offset=ring_offset.astype(np.int64) - np.arange(num_rings + 1),
+        polygon_offset=polygon_offset.astype(np.int64),
     )
 
 
 def to_geometries(polygons: Polygons) -> np.ndarray:
     """Shapely polygons, an object array (num_polygons,); a polygon without rings becomes an empty one."""
-    shapes = [polygons.rings(p) for p in range(len(polygons))]
-    return np.array(
-        [shapely.Polygon(rings[0], rings[1:]) if rings else shapely.Polygon() for rings in shapes],
-        dtype=object,
+    start, end = polygons.ring_offset[:-1], polygons.ring_offset[1:]
+    # every ring once more ends with its first vertex
+    closed = np.insert(np.arange(len(polygons.xy_m)), end, start)
+    ring_offset = polygons.ring_offset + np.arange(len(polygons.ring_offset))
+    return np.asarray(
+        shapely.from_ragged_array(
+            shapely.GeometryType.POLYGON, polygons.xy_m[closed], (ring_offset, polygons.polygon_offset)
+        )
     )
 
 

@@ -8,34 +8,37 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "±": r"$\pm$",
-    "°": r"$^\circ$",
-    "²": r"$^2$",
-    "μ": r"$\mu$",
-    "σ": r"$\sigma$",
-    "–": "--",
-    "…": r"\dots{}",
-}
+_LATEX = str.maketrans(
+    {
+        "\\": r"\textbackslash{}",
+        "{": r"\{",
+        "}": r"\}",
+        "&": r"\&",
+        "%": r"\%",
+        "$": r"\$",
+        "#": r"\#",
+        "_": r"\_",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "±": r"$\pm$",
+        "°": r"$^\circ$",
+        "²": r"$^2$",
+        "μ": r"$\mu$",
+        "σ": r"$\sigma$",
+        "–": "--",
+        "…": r"\dots{}",
+    }
+)
 
 
 def to_csv(rows: Sequence[Sequence[Any]]) -> str:
     """Comma-separated text; numbers with four decimals, None and NaN as empty cells."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([[_cell(value, 4) for value in row] for row in rows])
+    csv.writer(text, lineterminator="\n").writerows([[_csv_cell(value) for value in row] for row in rows])
     return text.getvalue()
 
 
@@ -43,8 +46,16 @@ def to_latex(rows: Sequence[Sequence[Any]], caption: str, label: str) -> str:
     r"""A ``table`` for ``\input``, shrunk to the width of the line if wider; needs booktabs and graphicx.
 
     Header and rows as for :func:`to_csv`, numbers with two decimals, unknown cells as dashes."""
-    header, *body = rows
-    columns = "l" + "".join("l" if _is_text(body, i) else "r" for i in range(1, len(header)))
+    header, *body = ([escaped(value) if isinstance(value, str) else value for value in row] for row in rows)
+    # as objects: an integer stays one beside an empty cell
+    frame = pd.DataFrame(body, columns=header, dtype=object)
+    is_text = frame.map(lambda value: isinstance(value, str)).any()
+    tabular = frame.to_latex(
+        index=False,
+        na_rep="--",
+        float_format="%.2f",
+        column_format="l" + "".join("l" if text else "r" for text in is_text[1:]),
+    )
     lines = [
         r"% needs \usepackage{booktabs,graphicx}",
         r"\begin{table}",
@@ -52,13 +63,7 @@ def to_latex(rows: Sequence[Sequence[Any]], caption: str, label: str) -> str:
         rf"\caption{{{escaped(caption)}}}",
         rf"\label{{{label}}}",
         r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-        rf"\begin{{tabular}}{{{columns}}}",
-        r"\toprule",
-        _line(header),
-        r"\midrule",
-        *map(_line, body),
-        r"\bottomrule",
-        r"\end{tabular}}",
+        tabular.strip() + "}",
         r"\end{table}",
     ]
     return "\n".join(lines) + "\n"
@@ -70,18 +75,10 @@ def escaped(text: str) -> str:
     >>> escaped("50 % of #T_mean ± σ")
     '50 \\% of \\#T\\_mean $\\pm$ $\\sigma$'
     """
-    return "".join(_LATEX.get(letter, letter) for letter in text)
+    return text.translate(_LATEX)
 
 
-def _line(row: Sequence[Any]) -> str:
-    return " & ".join(escaped(_cell(value, 2) or "–") for value in row) + r" \\"
-
-
-def _is_text(body: Sequence[Sequence[Any]], column: int) -> bool:
-    return any(isinstance(row[column], str) for row in body)
-
-
-def _cell(value: Any, digits: int) -> str:
+def _csv_cell(value: Any) -> str:
     if value is None or (isinstance(value, float) and np.isnan(value)):
         return ""
-    return f"{value:.{digits}f}" if isinstance(value, float) else str(value)
+    return f"{value:.4f}" if isinstance(value, float) else str(value)
