@@ -1,107 +1,72 @@
-"""Triangles back to planar polygons with holes, as CityJSON stores them."""
+"""The faces of a labelled triangle mesh as planar polygons with holes, as CityJSON stores them.
+
+The kernel labels every triangle with the face that it was cut from, by kind and edge; a union of parts carries the
+same labels, with the number of the plane in place of the edge. So both give their faces by the same rule, without
+any geometric tolerance: triangles with equal labels that share a side are one face.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from p2wss.formats.cityjson import Surface
+from p2wss.metrics.planarity import face_of_triangle
 
 
 def planar_surfaces(
     vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, edge: np.ndarray
 ) -> list[Surface]:
-    """Polygons of a closed mesh whose triangles of one plane share their kind and edge, as the kernel's do.
+    """The faces of a closed mesh, in the order of their first triangles.
 
-    vertex_m (v, 3), triangle (t, 3), kind and edge (t,). Triangles of one kind and edge that share an edge
-    become one polygon; its exterior ring comes first, every ring runs as its triangles do. Vertices on a
-    straight side stay, where a neighbour has a corner.
+    vertex_m (v, 3), triangle (t, 3), kind and edge (t,). The exterior ring of a face comes first; every ring runs as
+    its triangles do. A vertex within a straight side is kept where a neighbour has a corner.
     """
-    half = {}
-    for t, corners in enumerate(np.asarray(triangle).tolist()):
-        for i in range(3):
-            half[corners[i], corners[(i + 1) % 3]] = t
-    label = list(zip(np.asarray(kind).tolist(), np.asarray(edge).tolist(), strict=True))
-    group = np.full(len(label), -1)
-    surfaces: list[Surface] = []
-    for first in range(len(label)):
-        if group[first] < 0:
-            number = len(surfaces)
-            members = _grow(first, number, np.asarray(triangle), half, label, group)
-            rings = _rings(members, np.asarray(triangle), half, group, number)
-            normal = np.cross(
-                vertex_m[triangle[members, 1]] - vertex_m[triangle[members, 0]],
-                vertex_m[triangle[members, 2]] - vertex_m[triangle[members, 0]],
-            ).sum(axis=0)
-            # only the exterior turns around the face's normal
-            rings.sort(key=lambda ring, n=normal: -_turning(np.asarray(vertex_m)[ring], n))  # type: ignore[misc]
-            surfaces.append(Surface(*label[first], [np.array(ring) for ring in rings]))
-    return surfaces
+    face = face_of_triangle(triangle, np.column_stack([kind, edge]))
+    face_of_side: dict[tuple[int, int], int] = {}
+    # of the triangle on the left of a side, the corner that is not on the side
+    apex: dict[tuple[int, int], int] = {}
+    for number, (a, b, c) in zip(face.tolist(), np.asarray(triangle).tolist(), strict=True):
+        for start, end, opposite in ((a, b, c), (b, c, a), (c, a, b)):
+            face_of_side[start, end], apex[start, end] = number, opposite
+    boundary: list[dict[tuple[int, int], None]] = [{} for _ in range(int(face.max(initial=-1)) + 1)]
+    for (start, end), number in face_of_side.items():
+        if face_of_side.get((end, start)) != number:
+            boundary[number][start, end] = None
+    _, first = np.unique(face, return_index=True)
+    return [
+        Surface(int(kind[t]), int(edge[t]), _exterior_first(np.asarray(vertex_m, float), _rings(sides, apex)))
+        for t, sides in zip(first, boundary, strict=True)
+    ]
 
 
-def _grow(
-    first: int,
-    number: int,
-    triangle: np.ndarray,
-    half: dict[tuple[int, int], int],
-    label: list[tuple[int, int]],
-    group: np.ndarray,
-) -> list[int]:
-    members, pending = [], [first]
-    group[first] = number
-    while pending:
-        t = pending.pop()
-        members.append(t)
-        corners = triangle[t].tolist()
-        for i in range(3):
-            other = half.get((corners[(i + 1) % 3], corners[i]))
-            if other is not None and group[other] < 0 and label[other] == label[first]:
-                group[other] = number
-                pending.append(other)
-    return members
+def _rings(boundary: dict[tuple[int, int], None], apex: dict[tuple[int, int], int]) -> list[np.ndarray]:
+    """The boundary sides of one face, joined to rings of vertices.
 
-
-def _rings(
-    members: list[int],
-    triangle: np.ndarray,
-    half: dict[tuple[int, int], int],
-    group: np.ndarray,
-    number: int,
-) -> list[list[int]]:
-    """Boundary loops: from one boundary edge to the next by turning around their common vertex inside the
-    polygon, so that rings that touch in a vertex stay apart."""
-
-    def is_boundary(a: int, b: int) -> bool:
-        other = half.get((b, a))
-        return other is None or group[other] != number
-
-    def following(a: int, b: int) -> tuple[int, int]:
-        t = half[a, b]
-        while True:
-            corners = triangle[t].tolist()
-            c = corners[(corners.index(b) + 1) % 3]
-            if is_boundary(b, c):
-                return b, c
-            t = half[c, b]
-
-    left = {
-        (int(triangle[t, i]), int(triangle[t, (i + 1) % 3])): None
-        for t in members
-        for i in range(3)
-        if is_boundary(int(triangle[t, i]), int(triangle[t, (i + 1) % 3]))
-    }
+    From a side the next one is found by turning around their common vertex within the face, so that rings that
+    touch in a vertex stay apart.
+    """
+    pending = dict(boundary)
     rings = []
-    while left:
-        start = next(iter(left))
-        ring, here = [], start
-        while here in left:
-            del left[here]
-            ring.append(here[0])
-            here = following(*here)
-        rings.append(ring)
+    while pending:
+        ring = []
+        start, end = next(iter(pending))
+        while (start, end) in pending:
+            del pending[start, end]
+            ring.append(start)
+            following = apex[start, end]
+            while (end, following) not in boundary:
+                following = apex[following, end]
+            start, end = end, following
+        rings.append(np.array(ring))
     return rings
 
 
-def _turning(ring_m: np.ndarray, normal: np.ndarray) -> float:
-    """Twice the ring's area, positive if it turns counter-clockwise about ``normal``, times its length."""
-    local = ring_m - ring_m[0]
-    return float(np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0) @ normal)
+def _exterior_first(vertex_m: np.ndarray, rings: list[np.ndarray]) -> list[np.ndarray]:
+    """The rings of one face; only the exterior turns about the face's normal."""
+    area = []
+    for ring in rings:
+        # Newell's formula: the vector along the normal, twice as long as the ring's area
+        local = vertex_m[ring] - vertex_m[ring[0]]
+        area.append(np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0))
+    turning = np.array(area) @ np.sum(area, axis=0)
+    return [rings[i] for i in np.argsort(-turning, kind="stable")]
