@@ -54,7 +54,7 @@ def test_real_footprints_from_fetch_to_crops(project):
     rejected = sum(n for reason, n in counts.items() if reason != "ok" and reason not in COURTYARD_REASONS)
     assert rejected <= 0.02 * sum(counts.values())
     logs = "".join(path.read_text() for path in (project.folder / "logs/olemps/buildings").glob("*.log"))
-    assert len(re.findall(r"\d+ buildings kept, \d+ rejected", logs)) == len(tiles)
+    assert len(re.findall(r"\d+ buildings ok, \d+ excluded", logs)) == len(tiles)
     manifest = json.loads((project.folder / "results/olemps/crops/manifest.json").read_text())
     assert manifest["num_rows"] >= 0.9 * counts["ok"]
 

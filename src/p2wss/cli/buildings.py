@@ -8,8 +8,8 @@ from pathlib import Path
 from p2wss.cli.common import (
     Parsers,
     add_command,
-    config_of,
-    log_counts,
+    log_status_counts,
+    read_config,
 )
 from p2wss.config import section_json
 from p2wss.data import files
@@ -31,11 +31,11 @@ def buildings(arguments: argparse.Namespace) -> None:
     from p2wss.data.schemas.buildings import BUILDINGS
     from p2wss.data.schemas.scene import read_scene
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     scene, facts = read_scene(arguments.scene)
     columns = build_scene(scene, config.buildings)
     status = columns["status"]
-    log_counts(arguments.out, status)
+    log_status_counts(arguments.out, status)
     failed = failed_fraction(scene["status"].to_numpy(), status)
     if failed > config.buildings.max_failed_fraction:
         raise InputError(

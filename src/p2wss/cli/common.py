@@ -1,4 +1,4 @@
-"""What the commands share: options, configs, threads and what they log."""
+"""Shared by the commands: options, configs, threads and log lines."""
 
 from __future__ import annotations
 
@@ -19,30 +19,67 @@ Parsers = argparse._SubParsersAction
 log = logging.getLogger("p2wss")
 
 
-def add_group(stages: Parsers, name: str, about: str) -> Parsers:
-    parser = stages.add_parser(name, help=about, description=about)
-    return parser.add_subparsers(required=True, metavar="PART")
+def add_group(parsers: Parsers, name: str, description: str) -> Parsers:
+    """Add a command that consists of parts, ``p2wss NAME PART``; returns where its parts are added."""
+    parser = parsers.add_parser(name, help=description, description=_sentence(description))
+    return parser.add_subparsers(required=True, metavar="PART", title="parts")
 
 
-def add_command(group: Parsers, name: str, run: Command, about: str) -> argparse.ArgumentParser:
-    parser = group.add_parser(name, help=about, description=about)
+def add_command(parsers: Parsers, name: str, run: Command, description: str) -> argparse.ArgumentParser:
+    """Add a command that calls ``run`` with the parsed arguments; it has the option ``--config``."""
+    parser = parsers.add_parser(name, help=description, description=_sentence(description))
     parser.add_argument(
-        "--config", default="{}", help="a YAML file, or sections as JSON; default: the built-in values"
+        "--config",
+        default="{}",
+        help="YAML file, or sections as JSON, that override the built-in settings (config/default.yaml)",
     )
     parser.set_defaults(run=run)
     return parser
 
 
-def add_training(command: argparse.ArgumentParser) -> None:
+def add_tile(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--tile``."""
     command.add_argument(
-        "--checkpoints", type=Path, required=True, help="folder to resume from; kept until the end"
+        "--tile", required=True, help="name of the tile: kilometres of its north-west corner, as in 0652_6862"
     )
-    command.add_argument("--threads", type=int, default=1)
-    command.add_argument("--device", choices=DEVICES, help="default: compute.device of the config")
 
 
-def use_threads(num_threads: int) -> None:
-    """Before torch is imported: on shared cores OpenMP threads that spin make small operations 40 times slower."""
+def add_threads(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--threads``."""
+    command.add_argument("--threads", type=int, default=1, help="number of CPU threads (default: 1)")
+
+
+def add_device(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--device`` for inference."""
+    command.add_argument(
+        "--device",
+        choices=DEVICES,
+        default="auto",
+        help="where the network runs (default: a GPU if there is one)",
+    )
+
+
+def add_training(command: argparse.ArgumentParser) -> None:
+    """Add the options of a training run."""
+    command.add_argument(
+        "--checkpoints",
+        type=Path,
+        required=True,
+        help="folder for checkpoints; an interrupted training resumes from it, a finished one deletes it",
+    )
+    add_threads(command)
+    command.add_argument(
+        "--device",
+        choices=DEVICES,
+        help="where the networks are trained (default: compute.device of the config)",
+    )
+
+
+def set_num_threads(num_threads: int) -> None:
+    """Limit torch to ``num_threads``. To be called before torch is imported elsewhere.
+
+    On shared cores, OpenMP threads that spin while they wait make small operations 40 times slower.
+    """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ.setdefault("GOMP_SPINCOUNT", "0")
     import torch
@@ -50,26 +87,32 @@ def use_threads(num_threads: int) -> None:
     torch.set_num_threads(num_threads)
 
 
-def config_of(arguments: argparse.Namespace) -> Config:
+def read_config(arguments: argparse.Namespace) -> Config:
+    """The config of ``--config``. Raises :class:`InputError` that names the key with an invalid value."""
     return load(arguments.config)
 
 
+def read_training_config(arguments: argparse.Namespace, stage: str) -> Config:
+    """The config of ``--config``, with the device of ``--device`` for the training of ``stage``."""
+    device = {} if arguments.device is None else {stage: {"compute": {"device": arguments.device}}}
+    return load(arguments.config, device)
+
+
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:
+    """Bounds of a tile and its margin, metres. Raises :class:`InputError` if ``tile`` is not a tile name."""
     try:
         return tile_bounds(tile, config.region.tile_size_m, margin_m)
     except ValueError as error:
         raise InputError(str(error)) from error
 
 
-def log_counts(out: Path, status: Iterable[str]) -> None:
-    """One line: how many rows are ok, and how many are not for which reason."""
+def log_status_counts(out: Path, status: Iterable[str]) -> None:
+    """Log one line: the number of buildings with status ok, and the number of others per reason."""
     counts = Counter(map(str, status))
     num_ok = counts.pop("ok", 0)
     reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none"
-    log.info(f"{out.name}: {num_ok} buildings kept, {sum(counts.values())} rejected ({reasons})")
+    log.info(f"{out.name}: {num_ok} buildings ok, {counts.total()} excluded ({reasons})")
 
 
-def config_on_device(arguments: argparse.Namespace, stage: str) -> Config:
-    """The config with the device of ``--device`` for the training of ``stage``."""
-    device = {} if arguments.device is None else {stage: {"compute": {"device": arguments.device}}}
-    return load(arguments.config, device)
+def _sentence(text: str) -> str:
+    return f"{text[0].upper()}{text[1:]}."

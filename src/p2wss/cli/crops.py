@@ -12,9 +12,9 @@ from p2wss.cli.common import (
     add_command,
     add_group,
     bounds_of_tile,
-    config_of,
     log,
-    log_counts,
+    log_status_counts,
+    read_config,
 )
 from p2wss.config import section_json
 from p2wss.data import files
@@ -44,7 +44,7 @@ def crops_scene(arguments: argparse.Namespace) -> None:
     from p2wss import crops
     from p2wss.data.schemas.buildings import BUILDINGS
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     facts = files.read_metadata(arguments.buildings)
     table = files.read_table(arguments.buildings, BUILDINGS)
     if facts["margin_m"] < config.crops.guard_m:
@@ -62,7 +62,7 @@ def crops_lidar(arguments: argparse.Namespace) -> None:
     from p2wss import crops
     from p2wss.data import footprints
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     tile_size_m = config.region.tile_size_m
     bounds = bounds_of_tile(arguments.tile, config)
     frame = footprints.clean_footprints(
@@ -79,7 +79,7 @@ def _write_crops(
     from p2wss.data.schemas.crops import CROPS
 
     found = {reason: count for reason, count in left_out.items() if count}
-    log_counts(out, ["ok"] * len(columns["num_points"]) + list(Counter(found).elements()))
+    log_status_counts(out, ["ok"] * len(columns["num_points"]) + list(Counter(found).elements()))
     metadata = files.provenance(config=config, code=fingerprint("crops"), tile=tile, crs=crs, left_out=found)
     files.write_table(out, columns, CROPS, metadata)
 
@@ -88,7 +88,7 @@ def crops_manifest(arguments: argparse.Namespace) -> None:
     from p2wss import crops
     from p2wss.crops.manifest import list_shards
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     shards = [(path, crops.SYNTHETIC) for path in arguments.scenes] + [
         (path, crops.LIDAR) for path in arguments.lidar
     ]

@@ -9,8 +9,8 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_training,
-    config_on_device,
-    use_threads,
+    read_training_config,
+    set_num_threads,
 )
 from p2wss.data import files
 from p2wss.provenance import fingerprint
@@ -26,12 +26,12 @@ def add_parser(stages: Parsers) -> None:
 
 
 def dvae(arguments: argparse.Namespace) -> None:
-    use_threads(arguments.threads)
+    set_num_threads(arguments.threads)
     from p2wss import dvae
     from p2wss.nets import training
     from p2wss.nets.dvae_file import save_dvae
 
-    config, code = config_on_device(arguments, "dvae").dvae, fingerprint("dvae")
+    config, code = read_training_config(arguments, "dvae").dvae, fingerprint("dvae")
     module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
     if not training.writes():
         return

@@ -11,10 +11,10 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_group,
-    config_of,
     log,
-    log_counts,
-    use_threads,
+    log_status_counts,
+    read_config,
+    set_num_threads,
 )
 from p2wss.config import Config, section_json
 from p2wss.data import files
@@ -77,13 +77,13 @@ def add_parser(stages: Parsers) -> None:
 
 
 def eval_predict(arguments: argparse.Namespace) -> None:
-    use_threads(arguments.threads)
+    set_num_threads(arguments.threads)
     from p2wss.eval import cases, parameters, predict
     from p2wss.eval.clock import CpuClock
     from p2wss.nets.predictor import load_predictor
     from p2wss.nets.weights import read_weights
 
-    config, clock = config_of(arguments), CpuClock()
+    config, clock = read_config(arguments), CpuClock()
     predictor = load_predictor(arguments.model, arguments.device)
     manifest = cases.read_manifest(arguments.manifest)
     found = cases.test_cases(manifest)
@@ -101,7 +101,7 @@ def eval_refine(arguments: argparse.Namespace) -> None:
     from p2wss.eval import cases, predict
     from p2wss.eval.clock import CpuClock
 
-    config, clock = config_of(arguments), CpuClock()
+    config, clock = read_config(arguments), CpuClock()
     found = cases.test_cases(cases.read_manifest(arguments.manifest))
     known = None if arguments.predictions is None else read_reconstructions(arguments.predictions)
     rows = predict.refine(found, known, config.reconstruct, clock)
@@ -116,7 +116,7 @@ def eval_baseline(arguments: argparse.Namespace) -> None:
     from p2wss.eval import baselines, cases
     from p2wss.eval.clock import CpuClock
 
-    config, clock = config_of(arguments), CpuClock()
+    config, clock = read_config(arguments), CpuClock()
     manifest = cases.read_manifest(arguments.manifest)
     found = cases.test_cases(manifest)
     made, run = baselines.baseline(arguments.name, found, manifest, config.eval, config.reconstruct, clock)
@@ -134,7 +134,7 @@ def _write_reconstructions(
     columns = reconstruction_columns(rows, [case.dataset for case in found])
     files.write_table(arguments.out, columns, RECONSTRUCTIONS, facts)
     files.write_json(arguments.out_cpu, {"method": facts["method"], "cpu_ms": clock.ms_per_building()})
-    log_counts(arguments.out, columns["status"])
+    log_status_counts(arguments.out, columns["status"])
 
 
 def eval_measure(arguments: argparse.Namespace) -> None:
@@ -142,7 +142,7 @@ def eval_measure(arguments: argparse.Namespace) -> None:
     from p2wss.data.schemas.reconstructions import read_reconstructions
     from p2wss.eval import cases, measure
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     found = cases.test_cases(cases.read_manifest(arguments.manifest))
     methods = [read_reconstructions(path) for path in arguments.reconstructions]
     rows = cases.columns_of(measure.measure(found, methods, config.eval), MEASURES.names)
@@ -151,7 +151,7 @@ def eval_measure(arguments: argparse.Namespace) -> None:
 
 
 def eval_ablation(arguments: argparse.Namespace) -> None:
-    use_threads(arguments.threads)
+    set_num_threads(arguments.threads)
     from p2wss.eval import ablation
 
     rows = ablation.measure(arguments.manifest, arguments.models, arguments.device)
@@ -163,7 +163,7 @@ def eval_ablation(arguments: argparse.Namespace) -> None:
 def eval_report(arguments: argparse.Namespace) -> None:
     from p2wss.eval import attribution, report
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     named = attribution.attribution(config, attribution.read(config.fetch.sources))
     footer = {"attribution": [*named, *config.eval.attribution]}
     inputs = report.read(

@@ -6,13 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from p2wss.cli.common import (
-    Parsers,
-    add_command,
-    bounds_of_tile,
-    config_of,
-    log,
-)
+from p2wss.cli.common import Parsers, add_command, add_tile, bounds_of_tile, log, read_config
 from p2wss.config import Config, load, section_json
 from p2wss.data import files
 from p2wss.errors import InputError
@@ -21,39 +15,47 @@ from p2wss.provenance import fingerprint
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss fetch`` to the parser."""
-    fetch = _fetch_group(stages)
-    command = add_command(fetch, "footprints", fetch_footprints, "footprints of the region")
-    command.add_argument("--out", type=Path, help="footprints.gpkg", required=True)
-    _downloads(command)
-    command = add_command(fetch, "dtm", fetch_dtm, "terrain of one tile and its margin")
-    command.add_argument("--tile", help="name of the tile, such as 0652_6862", required=True)
+    parts = _add_fetch_group(stages)
+    command = add_command(parts, "footprints", fetch_footprints, "get the footprints of the region")
+    command.add_argument("--out", type=Path, help="GeoPackage to write", required=True)
+    _add_downloads(command)
+    command = add_command(parts, "dtm", fetch_dtm, "get the terrain of one tile and its margin")
+    add_tile(command)
     command.add_argument(
-        "--out", type=Path, help="GeoTIFF, float32, NaN where there is no data", required=True
+        "--out",
+        type=Path,
+        help="GeoTIFF to write: float32 heights, NaN where there are no data",
+        required=True,
     )
-    _downloads(command)
-    command = add_command(fetch, "lidar", fetch_lidar, "LiDAR of one tile, as delivered")
-    command.add_argument("--tile", help="name of the tile, such as 0652_6862", required=True)
-    command.add_argument("--out", type=Path, help="LAZ or COPC", required=True)
-    _downloads(command)
+    _add_downloads(command)
+    command = add_command(parts, "lidar", fetch_lidar, "get the LiDAR of one tile as it is delivered")
+    add_tile(command)
+    command.add_argument("--out", type=Path, help="LAZ file to write", required=True)
+    _add_downloads(command)
     command = add_command(
-        fetch, "prepare", fetch_prepare, "LiDAR of one tile, cropped and with ground points"
+        parts, "prepare", fetch_prepare, "crop the LiDAR of one tile and find its ground points"
     )
-    command.add_argument("--tile", help="name of the tile, such as 0652_6862", required=True)
+    add_tile(command)
     command.add_argument(
-        "--out", type=Path, help="LAZ; where PDAL was run its pipeline stands beside it", required=True
+        "--clouds",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="delivered clouds, named TILE.laz: first that of the tile, then those of its neighbours",
     )
     command.add_argument(
-        "--clouds", type=Path, nargs="+", help="TILE.laz of the tile and of its neighbours", required=True
+        "--out", type=Path, required=True, help="LAZ file to write; a pipeline run by PDAL is kept beside it"
     )
 
 
 def fetch_region(arguments: argparse.Namespace) -> None:
+    """Estimate and download all data of a region; create its YAML file if it is new."""
     import yaml
 
     from p2wss.fetch import plan
 
     if arguments.region is None:
-        raise InputError("fetch: give --region NAME, and --bbox for a new one; p2wss fetch --help")
+        raise InputError("fetch: give --region NAME, with --bbox for a new region; see p2wss fetch --help")
     path = Path("config/regions", f"{arguments.region}.yaml")
     if arguments.bbox is not None:
         text = plan.region_yaml(
@@ -62,73 +64,77 @@ def fetch_region(arguments: argparse.Namespace) -> None:
         config = load(yaml.safe_load(text))
     else:
         text, config = "", load(path)
-    downloads = _downloads_of(config, None)
-    needs = plan.needs(config, downloads)
-    print(plan.table(config, needs))
+    downloads = _downloads_folder(config, None)
+    print(plan.format_estimates(config, plan.estimate_downloads(config, downloads)))
     if arguments.dry_run:
         return
     if text:
         if path.exists():
             raise InputError(
-                f"{path}: is there; take another name, or `p2wss fetch --region NAME` without --bbox"
+                f"{path}: already exists; choose another name, or omit --bbox to download this region"
             )
         files.write_text(path, text)
-        print(f"{path} written")
+        print(f"wrote {path}")
     plan.download(config, downloads, log)
-    print(f"everything is in {downloads}; now: snakemake -c2 eval_report --configfile {path}")
+    print(f"all data are in {downloads}; now run: snakemake -c2 eval_report --configfile {path}")
 
 
 def fetch_footprints(arguments: argparse.Namespace) -> None:
+    """Write the footprints of the region as a GeoPackage."""
     from p2wss.data.tiling import grown
     from p2wss.fetch import normalise, write_footprints
 
-    config = config_of(arguments)
-    source = _source(config, arguments)
-    found = source.footprints(grown(config.region.bounds_m, config.fetch.margin_m))
-    frame = normalise(found, config.region.crs, source.name)
+    config = read_config(arguments)
+    source = _open_source(config, arguments)
+    features = source.footprints(grown(config.region.bounds_m, config.fetch.margin_m))
+    frame = normalise(features, config.region.crs, source.name)
     if not len(frame):
         raise InputError(f"{source.name}: no building in region.bounds_m {config.region.bounds_m}")
     log.info(f"{arguments.out.name}: {len(frame)} buildings from {source.name}")
-    write_footprints(arguments.out, frame, _fetched(config))
+    write_footprints(arguments.out, frame, _provenance(config))
 
 
 def fetch_dtm(arguments: argparse.Namespace) -> None:
+    """Write the terrain of a tile and its margin as a GeoTIFF."""
     from p2wss.data.terrain import write_terrain
-    from p2wss.fetch import check_terrain
+    from p2wss.fetch import known_height_share
 
-    config = config_of(arguments)
-    source = _source(config, arguments)
+    config = read_config(arguments)
+    source = _open_source(config, arguments)
     terrain = source.dtm(bounds_of_tile(arguments.tile, config, config.fetch.margin_m))
-    share = check_terrain(
+    share = known_height_share(
         terrain, bounds_of_tile(arguments.tile, config), f"terrain of tile {arguments.tile}"
     )
     log.info(
-        f"{arguments.out.name}: {terrain.height_m.shape} heights, {terrain.cell_m} m apart, {share:.1%} known"
+        f"{arguments.out.name}: {terrain.height_m.shape[1]} x {terrain.height_m.shape[0]} cells of "
+        f"{terrain.cell_m} m; {share:.1%} of the tile has a height"
     )
-    write_terrain(arguments.out, terrain, config.region.crs, _fetched(config))
+    write_terrain(arguments.out, terrain, config.region.crs, _provenance(config))
 
 
 def fetch_lidar(arguments: argparse.Namespace) -> None:
-    from p2wss.fetch import delivered, write_cloud
+    """Write the LiDAR of a tile and its margin as one LAZ file, as delivered."""
+    from p2wss.fetch import delivery_window, write_cloud
 
-    config = config_of(arguments)
-    source = _source(config, arguments)
+    config = read_config(arguments)
+    source = _open_source(config, arguments)
     paths = source.lidar(bounds_of_tile(arguments.tile, config))
-    around = bounds_of_tile(arguments.tile, config, config.fetch.margin_m)
-    crs, bounds = delivered(config.region, config.fetch, around)
-    # files of the user's own are copied: they may be changed one day
+    bounds_with_margin = bounds_of_tile(arguments.tile, config, config.fetch.margin_m)
+    crs, bounds = delivery_window(config.region, config.fetch, bounds_with_margin)
+    # the user's files are copied, not linked, because the user may change them later
     num_points = write_cloud(arguments.out, paths, bounds, crs, link=config.fetch.source != "folder")
     log.info(f"{arguments.out.name}: {num_points} points from {', '.join(path.name for path in paths)}")
 
 
 def fetch_prepare(arguments: argparse.Namespace) -> None:
-    from p2wss.fetch import delivered
+    """Write the LiDAR of a tile, cropped and with ground points."""
+    from p2wss.fetch import delivery_window
     from p2wss.fetch.prepare import prepare
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     holes = [bounds_of_tile(path.stem, config) for path in arguments.clouds[1:]]
     bounds = bounds_of_tile(arguments.tile, config, config.fetch.margin_m)
-    crs, _ = delivered(config.region, config.fetch, bounds)
+    crs, _ = delivery_window(config.region, config.fetch, bounds)
     facts = prepare(
         arguments.out, arguments.clouds, bounds, holes, config.region.crs, crs, config.fetch.prepare
     )
@@ -137,19 +143,19 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
     )
 
 
-def _source(config: Config, arguments: argparse.Namespace) -> Any:
+def _open_source(config: Config, arguments: argparse.Namespace) -> Any:
     from p2wss.fetch import open_source
 
     offline = config.fetch.offline if arguments.offline is None else bool(arguments.offline)
     fetch = config.fetch.model_copy(update={"offline": offline})
-    return open_source(config.region, fetch, _downloads_of(config, arguments.downloads))
+    return open_source(config.region, fetch, _downloads_folder(config, arguments.downloads))
 
 
-def _downloads_of(config: Config, folder: Path | None) -> Path:
+def _downloads_folder(config: Config, folder: Path | None) -> Path:
     return folder or Path("resources/ign", config.region.vintage, "downloads")
 
 
-def _fetched(config: Config) -> dict[str, Any]:
+def _provenance(config: Config) -> dict[str, Any]:
     return files.provenance(
         vintage=config.region.vintage,
         crs=config.region.crs,
@@ -158,34 +164,51 @@ def _fetched(config: Config) -> dict[str, Any]:
     )
 
 
-def _fetch_group(stages: argparse._SubParsersAction) -> argparse._SubParsersAction:
-    """``p2wss fetch PART ..`` for the workflow, ``p2wss fetch --bbox ..`` for people."""
-    about = "get footprints, terrain and LiDAR of the region"
-    parser = stages.add_parser("fetch", help=about, description=about)
+def _add_fetch_group(stages: Parsers) -> Parsers:
+    """Add ``p2wss fetch --region ..``, for users, and the group ``p2wss fetch PART ..``, for the workflow."""
+    parser = stages.add_parser(
+        "fetch",
+        help="get footprints, terrain and LiDAR of a region",
+        description="Get footprints, terrain and LiDAR of a region from IGN's services or from files on disk. "
+        "With --region: estimate and download everything. The parts are the single steps of the workflow.",
+    )
     parser.add_argument(
         "--bbox",
         type=float,
         nargs=4,
         metavar=("X_MIN", "Y_MIN", "X_MAX", "Y_MAX"),
-        help="a new region: metres in --crs, rounded outwards to whole tiles",
+        help="create a new region with these bounds, in metres in --crs; rounded outwards to whole tiles",
     )
-    parser.add_argument("--region", metavar="NAME", help="its name; of a region there is without --bbox")
-    parser.add_argument("--vintage", default="", help="names resources/ign/VINTAGE; default: this year")
-    parser.add_argument("--crs", default="EPSG:2154", help="of the region; default: Lambert-93")
-    parser.add_argument("--lidar", nargs="*", default=[], metavar="TILE", help="tiles whose LiDAR is wanted")
     parser.add_argument(
-        "--dry-run", action="store_true", help="only show what would be downloaded; no request, no file"
+        "--region", metavar="NAME", help="name of the region: new with --bbox, else config/regions/NAME.yaml"
+    )
+    parser.add_argument(
+        "--vintage",
+        default="",
+        help="edition of the data of a new region, names its folder (default: this year)",
+    )
+    parser.add_argument(
+        "--crs", default="EPSG:2154", help="projected CRS of a new region (default: EPSG:2154, Lambert-93)"
+    )
+    parser.add_argument(
+        "--lidar", nargs="*", default=[], metavar="TILE", help="tiles of a new region whose LiDAR to download"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="only show the estimate; send no request and write no file"
     )
     parser.set_defaults(run=fetch_region)
-    return parser.add_subparsers(metavar="PART")
+    return parser.add_subparsers(metavar="PART", title="parts")
 
 
-def _downloads(command: argparse.ArgumentParser) -> None:
+def _add_downloads(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--downloads",
         type=Path,
-        help="folder of what was downloaded; default: resources/ign/VINTAGE/downloads",
+        help="folder in which downloads are stored (default: resources/ign/VINTAGE/downloads)",
     )
     command.add_argument(
-        "--offline", type=int, choices=(0, 1), help="1: send no request; default: fetch.offline of the config"
+        "--offline",
+        type=int,
+        choices=(0, 1),
+        help="1: send no request, use only stored downloads (default: fetch.offline of the config)",
     )

@@ -9,8 +9,8 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_training,
-    config_on_device,
-    use_threads,
+    read_training_config,
+    set_num_threads,
 )
 from p2wss.data import files
 from p2wss.provenance import fingerprint
@@ -27,11 +27,11 @@ def add_parser(stages: Parsers) -> None:
 
 
 def model(arguments: argparse.Namespace) -> None:
-    use_threads(arguments.threads)
+    set_num_threads(arguments.threads)
     from p2wss import model
     from p2wss.nets import training
 
-    config, code = config_on_device(arguments, "model").model, fingerprint("model")
+    config, code = read_training_config(arguments, "model").model, fingerprint("model")
     module, dvae_config = model.train(arguments.manifest, arguments.dvae, config, arguments.checkpoints, code)
     if not training.writes():
         return

@@ -10,9 +10,9 @@ from p2wss.cli.common import (
     DEVICES,
     Parsers,
     add_command,
-    config_of,
     log,
-    use_threads,
+    read_config,
+    set_num_threads,
 )
 from p2wss.config import OUTPUT_SUFFIXES, Config, section_json
 from p2wss.data import files
@@ -57,7 +57,7 @@ def add_parser(stages: Parsers) -> None:
 
 
 def reconstruct(arguments: argparse.Namespace) -> None:
-    use_threads(arguments.threads)
+    set_num_threads(arguments.threads)
     from p2wss import reconstruct
     from p2wss.data import clouds, footprints
     from p2wss.data.terrain import read_terrain
@@ -109,5 +109,5 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
             raise InputError(f"--format {arguments.format}: {told}; choose from {', '.join(OUTPUT_SUFFIXES)}")
     if arguments.per_building:
         said["per_building"] = True
-    config = config_of(arguments)
+    config = read_config(arguments)
     return config.model_copy(update={"reconstruct": config.reconstruct.model_copy(update=said)})

@@ -8,8 +8,8 @@ from pathlib import Path
 from p2wss.cli.common import (
     Parsers,
     add_command,
-    config_of,
     log,
+    read_config,
 )
 from p2wss.config import section_json
 from p2wss.data import files
@@ -40,7 +40,7 @@ def scans(arguments: argparse.Namespace) -> None:
     from p2wss.data.schemas.buildings import BUILDINGS
     from p2wss.data.terrain import read_terrain
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     facts = files.read_metadata(arguments.scene)
     table = files.read_table(arguments.buildings, BUILDINGS)
     if files.read_metadata(arguments.buildings)["tile"] != facts["tile"]:

@@ -11,9 +11,9 @@ from p2wss.cli.common import (
     add_command,
     add_group,
     bounds_of_tile,
-    config_of,
     log,
-    log_counts,
+    log_status_counts,
+    read_config,
 )
 from p2wss.config import section_json
 from p2wss.data import files
@@ -40,7 +40,7 @@ def scenes_index(arguments: argparse.Namespace) -> None:
     from p2wss.data.footprints import read_footprints
     from p2wss.scenes import count_buildings
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     counts = count_buildings(
         read_footprints(arguments.footprints), config.region.tile_size_m, config.scenes.min_area_m2
     )
@@ -58,7 +58,7 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.scenes import NEIGHBOUR_M, cut_scene, failed_fraction
 
-    config = config_of(arguments)
+    config = read_config(arguments)
     tile, tile_size_m, margin_m = arguments.tile, config.region.tile_size_m, config.scenes.margin_m
     frame = read_footprints(arguments.footprints, bounds=bounds_of_tile(tile, config, margin_m + NEIGHBOUR_M))
     terrain, dtm_crs = read_terrain(arguments.dtm)
@@ -69,7 +69,7 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
     scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
     if not scene["in_tile"].any():
         raise InputError(f"{arguments.footprints}: no building in tile {tile}; take it out of region.tiles")
-    log_counts(arguments.out, scene["status"][scene["in_tile"]])
+    log_status_counts(arguments.out, scene["status"][scene["in_tile"]])
     failed = failed_fraction(scene)
     if failed > config.scenes.max_failed_fraction:
         raise InputError(

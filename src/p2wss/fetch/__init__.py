@@ -1,7 +1,7 @@
-"""Stage 1, fetch: footprints, terrain and LiDAR from a service or from disk, in one form.
+"""Stage fetch: footprints, terrain and LiDAR, from IGN's services or from files on disk.
 
-Both sources answer the same three questions; what comes out is normalised, so that no later stage knows where
-it came from.
+Both kinds of source offer the same three methods (:class:`Source`). Their results are normalised, so that no
+later stage depends on where the data came from.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from p2wss.config import Fetch, Region
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
-from p2wss.fetch.batiment import normalise, write_footprints
+from p2wss.fetch.bdtopo import normalise, write_footprints
 from p2wss.fetch.cloud import write_cloud
 
 __all__ = [
     "Source",
-    "check_terrain",
-    "delivered",
+    "delivery_window",
+    "known_height_share",
     "normalise",
     "open_source",
     "write_cloud",
@@ -31,25 +31,28 @@ __all__ = [
 
 
 class Source(Protocol):
-    """Where data comes from. All bounds are (x_min, y_min, x_max, y_max) in the CRS of the region."""
+    """A source of data. All bounds are (x_min, y_min, x_max, y_max) in metres in the CRS of the region."""
 
-    name: str  # for messages
+    name: str  # used in messages
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
-        """Buildings that meet ``bounds``, with the columns of BD TOPO in either spelling."""
+        """Buildings that intersect ``bounds``, with the columns of BD TOPO in either spelling."""
         ...
 
     def dtm(self, bounds: Bounds) -> Terrain:
-        """Heights over ``bounds``, NaN where there are none."""
+        """Terrain heights over ``bounds``, NaN where there are no data."""
         ...
 
     def lidar(self, bounds: Bounds) -> list[Path]:
-        """LAS, LAZ or COPC files with the points in ``bounds``."""
+        """Paths of LAS, LAZ or COPC files that hold the points in ``bounds``."""
         ...
 
 
 def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
-    """The source that the config names; downloads: folder for what it gets or unpacks, kept for later runs."""
+    """Open the source that the config names.
+
+    downloads: folder for downloaded and unpacked files, which later runs reuse.
+    """
     if config.source == "folder":
         from p2wss.fetch.folder import FolderSource
 
@@ -59,22 +62,25 @@ def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     return GeoplateformeSource(config.geoplateforme, region.crs, downloads, config.offline)
 
 
-def delivered(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:
-    """The CRS in which the clouds come, and the window of it that holds ``bounds``."""
+def delivery_window(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:
+    """The CRS in which the clouds are delivered, and the window in that CRS that contains ``bounds``."""
     crs = (config.folder.lidar_crs if config.source == "folder" else "") or region.crs
     if crs == region.crs:
         return crs, bounds
-    from p2wss.fetch.folder import in_crs
+    from p2wss.fetch.folder import reproject_bounds
 
-    return crs, in_crs(bounds, region.crs, crs)
+    return crs, reproject_bounds(bounds, region.crs, crs)
 
 
-def check_terrain(terrain: Terrain, bounds: Bounds, name: str) -> float:
-    """Share of the cells in ``bounds`` that have a height. Raises :class:`InputError` if none has."""
+def known_height_share(terrain: Terrain, bounds: Bounds, name: str) -> float:
+    """Share (0 to 1) of the cells in ``bounds`` that have a height. name: used in messages.
+
+    Raises :class:`InputError` if all cells are no data.
+    """
     x_min, y_min, x_max, y_max = bounds
     share = float(np.isfinite(terrain.cut(bounds).height_m).mean())
     if share == 0:
         raise InputError(
-            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}, only no-data cells"
+            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}: all cells are no data"
         )
     return share

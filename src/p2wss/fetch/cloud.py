@@ -1,4 +1,4 @@
-"""One LAZ file per tile out of the files that hold its points."""
+"""Write one LAZ file per tile from the files that hold its points, and check delivered clouds."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
 _CHUNK_POINTS = 2_000_000
-_EDGE_M = 0.5  # tiles as delivered may have points on, or a little beyond, their edges
+_EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
 BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, RuntimeError, OSError)
 
 
 def read_header(path: Path) -> laspy.LasHeader:
-    """The header of a LAS, LAZ or COPC file. Raises :class:`InputError` if there is none."""
+    """The header of a LAS, LAZ or COPC file. Raises :class:`InputError` if the file is not readable."""
     try:
         with laspy.open(path) as reader:
             return reader.header
@@ -34,13 +34,14 @@ def read_header(path: Path) -> laspy.LasHeader:
 
 
 def check_cloud(path: Path, crs: str) -> None:
-    """Raise :class:`InputError` if the file is truncated or in another CRS than ``crs``."""
+    """Raise :class:`InputError` if the file is truncated or states a CRS that differs from ``crs``."""
     header = read_header(path)
-    found = header.parse_crs()
-    wanted = pyproj.CRS.from_user_input(crs)
-    if found is not None and not same_crs(found, wanted):
+    cloud_crs = header.parse_crs()
+    region_crs = pyproj.CRS.from_user_input(crs)
+    if cloud_crs is not None and not same_crs(cloud_crs, region_crs):
         raise InputError(
-            f"{path}: is in {found.name}, but the region in {wanted.name}; reproject it or set region.crs"
+            f"{path}: is in {cloud_crs.name}, but the region is in {region_crs.name}; "
+            "reproject the file or change region.crs"
         )
     if header.point_count == 0:
         return
@@ -49,20 +50,20 @@ def check_cloud(path: Path, crs: str) -> None:
         return
     try:
         with laspy.open(path) as reader:
-            # the last point is behind all others, and in LAZ behind a table at the very end of the file
+            # reading the last point of a LAZ file also needs the chunk table at the very end of the file
             reader.seek(header.point_count - 1)
-            whole = len(reader.read_points(1)) == 1
+            is_complete = len(reader.read_points(1)) == 1
     except BROKEN as error:
         raise InputError(f"{path}: is truncated: its last point cannot be read ({error})") from error
-    if not whole:
+    if not is_complete:
         raise InputError(
-            f"{path}: is truncated: its header counts {header.point_count} points, the last is missing"
+            f"{path}: is truncated: its header states {header.point_count} points, but the last is missing"
         )
 
 
 def _check_copc(path: Path) -> None:
-    # lazrs cannot seek in the chunks of COPC, which are of different sizes; but the records behind all chunks
-    # tell where the file ends: 60 bytes each, of which 8 their length (LAS 1.4, section 2.7)
+    # lazrs cannot seek in COPC, whose chunks differ in size. The extended records that follow the chunks give
+    # the end of the file: each has a header of 60 bytes, 8 of which state its length (LAS 1.4, section 2.7)
     header, size = read_header(path), path.stat().st_size
     end = header.start_of_first_evlr
     with path.open("rb") as file:
@@ -75,7 +76,7 @@ def _check_copc(path: Path) -> None:
         else:
             if end <= size:
                 return
-    raise InputError(f"{path}: is truncated: {size} of at least {end} bytes")
+    raise InputError(f"{path}: is truncated: it has {size} of at least {end} bytes")
 
 
 def write_cloud(
@@ -86,12 +87,14 @@ def write_cloud(
     holes: Sequence[Bounds] = (),
     link: bool = False,
 ) -> int:
-    """Write the points of ``paths`` as one LAZ file; returns their number.
+    """Write the points of ``paths`` that are in ``bounds`` and in none of ``holes`` as one LAZ file.
 
-    A single LAZ or COPC file whose points are all in ``bounds`` and in no hole is copied as it is (link: as a
-    hard link where that can be made, for files that nobody will change). Otherwise the points in ``bounds``
-    and in no hole are written, the west and south edges of each included, with the point format and scale of
-    the first file.
+    Of ``bounds`` and of each hole, the west and south edges belong to it and the others do not. The output
+    has the point format and scale of the first file. A single LAZ or COPC file that needs no cropping is
+    copied unchanged (link: as a hard link where the disk allows it, for files that nobody will change).
+    Returns the number of points.
+
+    Raises :class:`InputError` if a file is truncated or states a CRS that differs from ``crs``.
     """
     for path in paths:
         check_cloud(path, crs)
@@ -103,7 +106,7 @@ def write_cloud(
     header = laspy.LasHeader(version=first.version, point_format=first.point_format)
     header.scales, header.offsets = first.scales, first.offsets
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
-    written = 0
+    num_points = 0
     with (
         files.atomic(out) as temporary,
         laspy.open(temporary, "w", header=header, do_compress=True) as writer,
@@ -118,19 +121,19 @@ def write_cloud(
                     inside = points[keep]
                     piece = laspy.ScaleAwarePointRecord.zeros(len(inside), header=header)
                     piece.copy_fields_from(inside)
-                    # copied as integers of the file's own scale and offset
+                    # coordinates must be set as metres: each file has its own scale and offset
                     piece.x, piece.y, piece.z = (
                         np.asarray(inside.x),
                         np.asarray(inside.y),
                         np.asarray(inside.z),
                     )
                     writer.write_points(piece)
-                    written += len(piece)
-    return written
+                    num_points += len(piece)
+    return num_points
 
 
 def count_classes(path: Path) -> Counter[int]:
-    """Points per class of a cloud."""
+    """Number of points per LAS class. Raises :class:`InputError` if the file is not readable."""
     counts: Counter[int] = Counter()
     try:
         with laspy.open(path) as reader:
@@ -148,16 +151,16 @@ def _in(x: np.ndarray, y: np.ndarray, bounds: Bounds) -> np.ndarray:
 
 
 def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
-    """Whether a cloud lies in ``bounds`` and outside all holes, but for half a metre."""
+    """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
     header = read_header(path)
     (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
-    apart = all(
+    avoids_holes = all(
         min(x_max, hole[2]) - max(x_min, hole[0]) < _EDGE_M
         or min(y_max, hole[3]) - max(y_min, hole[1]) < _EDGE_M
         for hole in holes
     )
     inside = x_min >= bounds[0] - _EDGE_M and y_min >= bounds[1] - _EDGE_M
-    return apart and inside and x_max <= bounds[2] + _EDGE_M and y_max <= bounds[3] + _EDGE_M
+    return avoids_holes and inside and x_max <= bounds[2] + _EDGE_M and y_max <= bounds[3] + _EDGE_M
 
 
 def _copy(source: Path, target: Path, link: bool) -> None:
@@ -167,5 +170,5 @@ def _copy(source: Path, target: Path, link: bool) -> None:
             os.link(source, target)
             return
         except OSError:
-            pass  # another disk, or one without links
+            pass  # on another disk, or on one without hard links
     shutil.copyfile(source, target)

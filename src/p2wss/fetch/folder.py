@@ -1,4 +1,4 @@
-"""Files that are already on disk: BD TOPO, RGE ALTI and LiDAR HD as delivered, or others like them."""
+"""Source ``folder``: files on disk, such as BD TOPO, RGE ALTI and LiDAR HD as IGN delivers them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from p2wss.data.clouds import same_crs
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
-from p2wss.fetch import parquet
+from p2wss.fetch import geoparquet
 from p2wss.fetch.cloud import read_header
 
 log = logging.getLogger(__name__)
@@ -34,16 +34,16 @@ CLOUD = (".laz", ".las")
 
 
 class FolderSource:
-    """See :class:`p2wss.fetch.Source`."""
+    """Files on disk, see :class:`p2wss.fetch.Source`. unpacked: folder for grids unpacked from archives."""
 
     def __init__(self, config: Folder, crs: str, unpacked: Path) -> None:
         self.config = config
         self.crs = crs
         self.name = config.footprints
-        self.unpacked = unpacked  # where grids out of archives are kept
+        self.unpacked = unpacked
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
-        files = _files(self.config.footprints, VECTOR, "fetch.folder.footprints")
+        files = _list_files(self.config.footprints, VECTOR, "fetch.folder.footprints")
         return pd.concat(
             [read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files],
             ignore_index=True,
@@ -51,7 +51,7 @@ class FolderSource:
 
     def dtm(self, bounds: Bounds) -> Terrain:
         files = []
-        for path in _files(self.config.dtm, RASTER, "fetch.folder.dtm"):
+        for path in _list_files(self.config.dtm, RASTER, "fetch.folder.dtm"):
             if is_archive(path):
                 files += unpack(path, bounds, self.unpacked / path.name.split(".7z")[0])
             else:
@@ -59,23 +59,21 @@ class FolderSource:
         return mosaic(files, bounds, self.crs, self.config.dtm)
 
     def lidar(self, bounds: Bounds) -> list[Path]:
-        files = _files(self.config.lidar, CLOUD, "fetch.folder.lidar")
-        found = [path for path in files if _overlaps(path, self._clouds_bounds(bounds))]
-        if not found:
+        files = _list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
+        window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
+        paths = [path for path in files if _overlaps(path, window)]
+        if not paths:
             x_min, y_min, x_max, y_max = bounds
             raise InputError(
                 f"{self.config.lidar}: none of its {len(files)} files has points in "
                 f"{x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
             )
-        return found
-
-    def _clouds_bounds(self, bounds: Bounds) -> Bounds:
-        return in_crs(bounds, self.crs, self.config.lidar_crs or self.crs)
+        return paths
 
 
-def in_crs(bounds: Bounds, crs: str, other: Any) -> Bounds:
-    """The window of ``other`` that holds ``bounds`` of ``crs``; x comes first in both."""
-    target = pyproj.CRS.from_user_input(other)
+def reproject_bounds(bounds: Bounds, crs: str, target_crs: Any) -> Bounds:
+    """The smallest window in ``target_crs`` that contains ``bounds`` in ``crs``; x comes first in both."""
+    target = pyproj.CRS.from_user_input(target_crs)
     if same_crs(pyproj.CRS.from_user_input(crs), target):
         return bounds
     transformer = pyproj.Transformer.from_crs(crs, target, always_xy=True)
@@ -84,25 +82,26 @@ def in_crs(bounds: Bounds, crs: str, other: Any) -> Bounds:
 
 
 def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
-    """The features of a vector file that meet ``bounds``; the file's index is used, so it may be large.
+    """The features of a vector file that intersect ``bounds``, read through the file's spatial index.
 
-    layer: used if the file has a layer of that name, else its only layer. A file in degrees, such as IGN's
-    national GeoParquet, is brought into ``crs``; one in another projection comes as it is.
+    layer: name of the layer; a file with a single layer may use another name. Features in degrees, as in
+    IGN's national GeoParquet, are reprojected to ``crs``. Those in another projection are returned unchanged.
 
-    Raises :class:`InputError` for a file that is broken or has several layers of other names.
+    Raises :class:`InputError` if the file is broken, or has several layers and none is called ``layer``.
     """
     try:
         if path.suffix == ".parquet":
-            frame = parquet.read_window(path, lambda found: _window(bounds, crs, found))
+            frame = geoparquet.read_window(path, lambda file_crs: _window(bounds, crs, file_crs))
         else:
             layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
             if layer not in layers and len(layers) != 1:
                 raise InputError(
-                    f"{path}: no layer {layer}, but {', '.join(layers)}; set fetch.folder.footprints_layer"
+                    f"{path}: has no layer {layer}, but {', '.join(layers)}; "
+                    "set fetch.folder.footprints_layer"
                 )
             name = layer if layer in layers else layers[0]
             window = _window(bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
-            # IGN's shapefiles are in UTF-8, without the .cpg file that would say so
+            # IGN's shapefiles are in UTF-8 but lack the .cpg file that would state it
             encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
             try:
                 frame = pyogrio.read_dataframe(path, layer=name, bbox=window, encoding=encoding)
@@ -116,20 +115,21 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
     return frame[frame.intersects(shapely.box(*bounds))]
 
 
-def _window(bounds: Bounds, crs: str, found: Any) -> Bounds:
-    if found is None or not pyproj.CRS.from_user_input(found).is_geographic:
+def _window(bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
+    if file_crs is None or not pyproj.CRS.from_user_input(file_crs).is_geographic:
         return bounds
-    return in_crs(bounds, crs, found)
+    return reproject_bounds(bounds, crs, file_crs)
 
 
 def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
-    """Heights of all rasters that meet ``bounds``, on the grid of the first; NaN where no file has any.
+    """Heights from all rasters that intersect ``bounds``, on the grid of the first; NaN where none has data.
 
-    They are copied where the grids agree, and interpolated bilinearly where not.
+    Rasters whose grids agree are copied, others are interpolated bilinearly. name: used in messages.
 
-    Raises :class:`InputError` if no file meets ``bounds``, or one that does is unreadable or in another CRS.
+    Raises :class:`InputError` if no file covers ``bounds``, or if one that does is unreadable or in another
+    CRS than ``crs``.
     """
-    wanted = pyproj.CRS.from_user_input(crs)
+    region_crs = pyproj.CRS.from_user_input(crs)
     rasters: list[DatasetReader] = []
     try:
         for path in files:
@@ -141,10 +141,12 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
                 raster.close()
                 continue
             rasters.append(raster)
-            found = pyproj.CRS.from_user_input(raster.crs) if raster.crs else wanted  # .asc files tell none
-            if not same_crs(found, wanted):
+            # .asc files do not state a CRS
+            raster_crs = pyproj.CRS.from_user_input(raster.crs) if raster.crs else region_crs
+            if not same_crs(raster_crs, region_crs):
                 raise InputError(
-                    f"{path}: is in {found.name}, the region in {wanted.name}; reproject it or set region.crs"
+                    f"{path}: is in {raster_crs.name}, but the region is in {region_crs.name}; "
+                    "reproject the file or change region.crs"
                 )
         if not rasters:
             x_min, y_min, x_max, y_max = bounds
@@ -162,7 +164,7 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
 def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
     grid = rasters[0].transform
     cell = grid.a
-    # outwards to whole cells of the first raster's grid
+    # extended outwards to whole cells of the first raster's grid
     left = grid.c + np.floor((bounds[0] - grid.c) / cell) * cell
     right = grid.c + np.ceil((bounds[2] - grid.c) / cell) * cell
     bottom = grid.f - np.ceil((grid.f - bounds[1]) / cell) * cell
@@ -178,23 +180,25 @@ def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
             resampling=Resampling.bilinear,
         )
     except (rasterio.errors.RasterioIOError, rasterio.errors.RasterioError) as error:
-        raise InputError(f"{rasters[0].name} or a neighbour: unreadable or truncated: {error}") from error
+        raise InputError(
+            f"{rasters[0].name} or a neighbouring file: unreadable or truncated: {error}"
+        ) from error
     return Terrain(heights[0], transform.c, transform.f, cell)
 
 
-def _warn_of_gaps(covered: list[Bounds], bounds: Bounds, name: str) -> None:
-    """Name the square kilometres of ``bounds`` that no file meets, as IGN names its tiles."""
-    missing = [
+def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> None:
+    """Warn of the square kilometres of ``bounds`` that no file covers, named as IGN names its tiles."""
+    missing_tiles = [
         tile
         for tile in tiles_of_bounds(bounds, 1000)
-        if all(rasterio.coords.disjoint_bounds(other, tile_bounds(tile, 1000, -10)) for other in covered)
+        if all(rasterio.coords.disjoint_bounds(b, tile_bounds(tile, 1000, -10)) for b in raster_bounds)
     ]
-    if missing:
-        log.warning(f"{name}: no file for {', '.join(missing)}; no terrain there")
+    if missing_tiles:
+        log.warning(f"{name}: no file covers {', '.join(missing_tiles)}; the terrain is unknown there")
 
 
 def _overlaps(path: Path, bounds: Bounds) -> bool:
-    """Whether a cloud and ``bounds`` share more than an edge."""
+    """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre."""
     header = read_header(path)
     low, high = header.mins, header.maxs
     return bool(
@@ -204,13 +208,18 @@ def _overlaps(path: Path, bounds: Bounds) -> bool:
     )
 
 
-def _files(where: str, suffixes: tuple[str, ...], key: str) -> list[Path]:
-    """The files that a path, a folder (with those inside) or a pattern names, in order of their names."""
-    path = Path(where)
+def _list_files(location: str, suffixes: tuple[str, ...], key: str) -> list[Path]:
+    """The files at a path, in a folder and its subfolders, or that match a pattern, sorted by path.
+
+    key: the config key of ``location``, used in messages.
+    """
+    path = Path(location)
     if path.is_dir():
-        found = [file for file in path.rglob("*") if file.name.lower().endswith(suffixes) and file.is_file()]
+        paths = [file for file in path.rglob("*") if file.name.lower().endswith(suffixes) and file.is_file()]
     else:
-        found = [Path(name) for name in glob(where, recursive=True) if Path(name).is_file()]
-    if not found:
-        raise InputError(f"{key}: {where}: no such file, and no folder or pattern with {', '.join(suffixes)}")
-    return sorted(found)
+        paths = [Path(name) for name in glob(location, recursive=True) if Path(name).is_file()]
+    if not paths:
+        raise InputError(
+            f"{key}: {location}: no such file, and no folder or pattern with files {', '.join(suffixes)}"
+        )
+    return sorted(paths)

@@ -1,7 +1,7 @@
-"""IGN's Geoplateforme: footprints by WFS, terrain by WMS-Raster, LiDAR HD tiles by their index.
+"""Source ``geoplateforme``: IGN's services (WFS for footprints, WMS for terrain, an index of LiDAR HD tiles).
 
-Services and limits: https://cartes.gouv.fr (documentation of the Geoplateforme). All names are in the config,
-because they change.
+The services and their limits are documented at https://cartes.gouv.fr. All names of layers and attributes are
+settings, because IGN changes them.
 """
 
 from __future__ import annotations
@@ -28,26 +28,24 @@ from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.cloud import check_cloud
-from p2wss.fetch.http import Client, Gone, NoRanges, quote
-from p2wss.fetch.remote import write_window
+from p2wss.fetch.http import Client, NotFoundError, RangesUnsupportedError, quote
+from p2wss.fetch.remote_copc import write_window
 from p2wss.fetch.store import Request, Store
 
 log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3
 _OFFLINE = "; fetch.offline is set"
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+Result = TypeVar("Result")
 
 
-Answer = TypeVar("Answer")
-
-
-class _NotListed(InputError):
-    """An index of LiDAR tiles that cannot be read, or has none where one is wanted."""
+class _NotListedError(InputError):
+    """The index of LiDAR tiles cannot be read, or lists no tile in the bounds."""
 
 
 @dataclass(frozen=True)
 class _MapRequest:
-    """One GetMap request and the place of its cells in the whole."""
+    """One WMS GetMap request, and the block of cells of the whole raster that its response fills."""
 
     row: int
     column: int
@@ -57,7 +55,10 @@ class _MapRequest:
 
 
 class GeoplateformeSource:
-    """See :class:`p2wss.fetch.Source`. What comes is kept in ``downloads``; offline: nothing else is used."""
+    """IGN's services, see :class:`p2wss.fetch.Source`.
+
+    Responses are stored in ``downloads``. offline: use only stored responses; a missing one is an error.
+    """
 
     def __init__(
         self,
@@ -79,7 +80,7 @@ class GeoplateformeSource:
         windows = self.footprint_windows(bounds)
         self._check_offline(
             [
-                f"footprints in {_text(window)}"
+                f"footprints in {_format_bounds(window)}"
                 for window in windows
                 if not self.has_features(config.footprints_type, window, config.footprints_id)
             ]
@@ -90,11 +91,11 @@ class GeoplateformeSource:
             if len(windows) > 1:
                 log.info(f"footprints: window {number + 1} of {len(windows)}, {len(features)} features")
         if not features:
-            raise InputError(f"{self.name}: no building in {_text(bounds)}")
+            raise InputError(f"{self.name}: no building in {_format_bounds(bounds)}")
         return gpd.GeoDataFrame.from_features(features, crs=self.crs)
 
     def footprint_windows(self, bounds: Bounds) -> list[Bounds]:
-        """The squares that footprints are asked for by; a building on an edge comes with each."""
+        """The windows of the WFS requests for footprints. A building on an edge is in several responses."""
         edge = self.config.footprints_window_m
         if edge == 0:
             return [bounds]
@@ -106,7 +107,11 @@ class GeoplateformeSource:
         ]
 
     def dtm(self, bounds: Bounds) -> Terrain:
-        """Cells are centred on multiples of the resolution, as in IGN's files: nothing is resampled."""
+        """Terrain heights over ``bounds``.
+
+        Cells are centred on multiples of the resolution as in IGN's files, so that the service does not
+        resample them.
+        """
         cell, requests = self.config.dtm_resolution_m, self.map_requests(bounds)
         self._check_offline(
             [
@@ -124,57 +129,57 @@ class GeoplateformeSource:
         return Terrain(heights, left * cell, top * cell, cell)
 
     def lidar(self, bounds: Bounds) -> list[Path]:
-        """Tiles that share more than an edge with ``bounds``, by the first index whose addresses all work.
+        """Tiles that overlap ``bounds``, from the first index whose addresses all work.
 
-        Of COPC tiles of which only a small part is needed, only that part is read.
+        If only a small part of a COPC tile is needed, only that part is read.
         """
         reasons = []
         for type_name in self.config.lidar_types:
-            known = self.has_features(type_name, bounds, None)
-            if self.offline and not known:
+            is_stored = self.has_features(type_name, bounds, None)
+            if self.offline and not is_stored:
                 reasons.append(f"the index {type_name} is not in {self.store.folder}")
                 continue
             try:
                 return self._tiles(type_name, bounds)
-            except Gone as error:
-                if not known:
-                    reasons.append(f"{type_name} has an address of nothing: {error}")
+            except NotFoundError as error:
+                if not is_stored:
+                    reasons.append(f"{type_name} lists an address that does not exist: {error}")
                     continue
-            except _NotListed as error:
+            except _NotListedError as error:
                 reasons.append(str(error))
                 continue
-            # the index kept from an earlier run is out of date
+            # the index stored by an earlier run is out of date
             self.store.forget(self._features_path(type_name, bounds, None)[0])
             try:
                 return self._tiles(type_name, bounds)
-            except (Gone, _NotListed) as error:
+            except (NotFoundError, _NotListedError) as error:
                 reasons.append(str(error))
         raise InputError(
-            f"no LiDAR HD in {_text(bounds)}: {'; '.join(reasons)}{_OFFLINE if self.offline else ''}"
+            f"no LiDAR HD in {_format_bounds(bounds)}: {'; '.join(reasons)}{_OFFLINE if self.offline else ''}"
         )
 
     def has_lidar(self, bounds: Bounds) -> bool:
-        """Whether :meth:`lidar` would answer without a request."""
+        """Whether :meth:`lidar` needs no request."""
         for type_name in self.config.lidar_types:
             if self.has_features(type_name, bounds, None):
                 try:
                     urls = self._lidar_urls(type_name, bounds)
-                except _NotListed:
+                except _NotListedError:
                     continue
-                wanted = (self.tile_request(url, outline, bounds) for url, outline in urls)
-                return all(self.store.holds(path, request) for path, request in wanted)
+                tiles = (self.tile_request(url, outline, bounds) for url, outline in urls)
+                return all(self.store.holds(path, request) for path, request in tiles)
         return False
 
     def _tiles(self, type_name: str, bounds: Bounds) -> list[Path]:
         urls = self._lidar_urls(type_name, bounds)
-        wanted = [self.tile_request(url, outline, bounds) for url, outline in urls]
+        tiles = [self.tile_request(url, outline, bounds) for url, outline in urls]
         self._check_offline(
-            [request["url"] for path, request in wanted if not self.store.holds(path, request)]
+            [request["url"] for path, request in tiles if not self.store.holds(path, request)]
         )
-        return [self._tile(path, request, bounds) for path, request in wanted]
+        return [self._tile(path, request, bounds) for path, request in tiles]
 
     def tile_request(self, url: str, outline: Any, bounds: Bounds) -> tuple[Path, Request]:
-        """Where a tile, or a window of it, belongs, and what is asked for."""
+        """The path at which a tile, or a window of it, is stored, and the request for it."""
         share = outline.intersection(shapely.box(*bounds)).area / outline.area if outline is not None else 1.0
         if url.endswith(".copc.laz") and share < self.config.lidar_window_share:
             request = {"url": url, "bounds_m": ",".join(f"{value:.3f}" for value in bounds)}
@@ -188,19 +193,19 @@ class GeoplateformeSource:
         if "bounds_m" in request:
             try:
                 log.info(f"reading a window of {url}")
-                num_points = self._mended(
-                    url, lambda at: write_window(self.client, at, bounds, path, self.crs)
+                num_points = self._with_corrected_name(
+                    url, lambda address: write_window(self.client, address, bounds, path, self.crs)
                 )
                 log.info(f"{path.name}: {num_points} points")
-            except NoRanges as error:
-                log.warning(f"{error}; all of it is downloaded")
+            except RangesUnsupportedError as error:
+                log.warning(f"{error}; downloading the whole tile")
                 return self._tile(
                     self.store.folder / "lidar" / Path(urlsplit(url).path).name, {"url": url}, bounds
                 )
         else:
             log.info(f"downloading {url}")
             path.unlink(missing_ok=True)
-            self._mended(url, lambda at: self.client.download(at, path, magic=b"LASF"))
+            self._with_corrected_name(url, lambda address: self.client.download(address, path, magic=b"LASF"))
             try:
                 check_cloud(path, self.crs)
             except InputError:
@@ -214,6 +219,7 @@ class GeoplateformeSource:
             raise InputError(f"{self.store.folder}: {'; '.join(missing)} missing{_OFFLINE}")
 
     def has_features(self, type_name: str, bounds: Bounds, sort_by: str | None) -> bool:
+        """Whether the features of a WFS type in ``bounds`` are stored."""
         return self.store.holds(*self._features_path(type_name, bounds, sort_by))
 
     def _features_path(self, type_name: str, bounds: Bounds, sort_by: str | None) -> tuple[Path, Request]:
@@ -221,44 +227,46 @@ class GeoplateformeSource:
         return self.store.path("features", request, ".geojson"), request
 
     def _features(self, type_name: str, bounds: Bounds, id_field: str | None) -> list[dict[str, Any]]:
-        """All features of a WFS type; kept once they are complete."""
+        """All features of a WFS type in ``bounds``, from the store or the service; stored once complete."""
         path, request = self._features_path(type_name, bounds, id_field)
-        kept = self.store.read(path, request)
-        if kept is not None:
-            return json.loads(kept)["features"]
+        stored = self.store.read(path, request)
+        if stored is not None:
+            return json.loads(stored)["features"]
         features = self._all_pages(type_name, bounds, id_field)
         collection = {"type": "FeatureCollection", "features": features}
         self.store.write(path, request, json.dumps(collection, ensure_ascii=False).encode())
         return features
 
     def _all_pages(self, type_name: str, bounds: Bounds, id_field: str | None) -> list[dict[str, Any]]:
-        """Page by page until as many came as the service counts, each once.
+        """All features, requested page by page until their number is the one that the service states.
 
-        The service cuts pages without saying so, hence the next page starts behind what really came.
+        The service may cut a page without saying so, hence the next page starts after the features that were
+        received, not after those that were requested.
         """
-        found: dict[str, dict[str, Any]] = {}
+        features: dict[str, dict[str, Any]] = {}
         start, matched, empty_pages = 0, None, 0
         while matched is None or start < matched:
             page = self._page(type_name, bounds, start, id_field)
             matched = int(page["numberMatched"])
             for feature in page["features"]:
                 key = feature.get("properties", {}).get(id_field) if id_field else feature.get("id")
-                found[str(key if key is not None else len(found))] = feature
+                features[str(key if key is not None else len(features))] = feature
             start += len(page["features"])
             if not page["features"] and start < matched:
                 empty_pages += 1
                 if empty_pages == _ATTEMPTS_AT_EMPTY_PAGE:
                     raise InputError(
-                        f"{self.config.wfs_url} {type_name}: {start} of {matched} features, then empty pages"
+                        f"{self.config.wfs_url} {type_name}: the service sent {start} of {matched} features, "
+                        "then empty pages; try again later"
                     )
             if matched > self.config.page_size:
-                log.info(f"{type_name}: {start} of {matched}")
-        if len(found) < (matched or 0):
+                log.info(f"{type_name}: {start} of {matched} features")
+        if len(features) < (matched or 0):
             raise InputError(
-                f"{self.config.wfs_url} {type_name}: {matched} features, but pages repeat themselves and "
-                f"only {len(found)} differ; try again, or raise fetch.geoplateforme.page_size"
+                f"{self.config.wfs_url} {type_name}: pages overlap, and only {len(features)} of {matched} "
+                "features differ; try again, or raise fetch.geoplateforme.page_size"
             )
-        return list(found.values())
+        return list(features.values())
 
     def _feature_params(self, type_name: str, bounds: Bounds, sort_by: str | None) -> Request:
         params = {
@@ -287,13 +295,13 @@ class GeoplateformeSource:
         raise InputError(f"{self.config.wfs_url} {type_name}: expected GeoJSON features, got {quote(body)}")
 
     def map_requests(self, bounds: Bounds) -> list[_MapRequest]:
-        """The GetMap requests for ``bounds``, none larger than the service allows."""
-        config, most = self.config, self.config.dtm_max_pixels
+        """The WMS GetMap requests that cover ``bounds``, each of at most ``dtm_max_pixels`` per side."""
+        config, block = self.config, self.config.dtm_max_pixels
         left, top, num_rows, num_columns = _grid(bounds, config.dtm_resolution_m)
         requests = []
-        for row in range(0, num_rows, most):
-            for column in range(0, num_columns, most):
-                rows, columns = min(most, num_rows - row), min(most, num_columns - column)
+        for row in range(0, num_rows, block):
+            for column in range(0, num_columns, block):
+                rows, columns = min(block, num_rows - row), min(block, num_columns - column)
                 west, north = left + column, top - row
                 box = np.array([west, north - rows, west + columns, north]) * config.dtm_resolution_m
                 params = {
@@ -312,6 +320,7 @@ class GeoplateformeSource:
         return requests
 
     def has_map(self, request: _MapRequest) -> bool:
+        """Whether the response to a GetMap request is stored."""
         return self.store.holds(self._map_path(request), request.params)
 
     def _map_path(self, request: _MapRequest) -> Path:
@@ -319,16 +328,16 @@ class GeoplateformeSource:
         return self.store.path("terrain", request.params, suffix)
 
     def _heights(self, request: _MapRequest) -> np.ndarray:
-        """The heights of one GetMap request; kept once they are known to be heights."""
+        """The heights of one GetMap request; the response is stored once it decodes to heights."""
         path = self._map_path(request)
-        kept = self.store.read(path, request.params)
-        body = kept if kept is not None else self.client.get(self.config.wms_url, request.params)
-        heights = self._decoded(body, (request.rows, request.columns))
-        if kept is None:
+        stored = self.store.read(path, request.params)
+        body = stored if stored is not None else self.client.get(self.config.wms_url, request.params)
+        heights = self._decode_heights(body, (request.rows, request.columns))
+        if stored is None:
             self.store.write(path, request.params, body)
         return heights
 
-    def _decoded(self, body: bytes, shape: tuple[int, int]) -> np.ndarray:
+    def _decode_heights(self, body: bytes, shape: tuple[int, int]) -> np.ndarray:
         config, (rows, columns) = self.config, shape
         name = f"{config.wms_url} {config.dtm_layer}"
         expected = f"{config.dtm_format} of {columns} x {rows} heights"
@@ -337,22 +346,24 @@ class GeoplateformeSource:
                 raise InputError(f"{name}: expected {expected}, got {quote(body)}")
             heights = _from_geotiff(body, name)
         else:
-            # little-endian float32, north row first; only its length tells it from text
+            # little-endian float32, north row first; only the length distinguishes it from an error message
             if len(body) != 4 * rows * columns:
                 raise InputError(f"{name}: expected {expected}, got {len(body)} bytes: {quote(body)}")
             heights = np.frombuffer(body, "<f4").reshape(shape)
         if heights.shape != shape:
-            raise InputError(f"{name}: asked for {columns} x {rows} heights, got an array of {heights.shape}")
+            raise InputError(
+                f"{name}: requested {columns} x {rows} heights, got {heights.shape[1]} x {heights.shape[0]}"
+            )
         return heights
 
     def _lidar_urls(self, type_name: str, bounds: Bounds) -> list[tuple[str, Any]]:
-        """Address and outline of each tile of an index that shares more than an edge with ``bounds``."""
+        """URL and outline of each tile of an index that overlaps ``bounds`` by more than half a metre."""
         try:
             features = self._features(type_name, bounds, None)
         except InputError as error:
-            raise _NotListed(str(error)) from error
+            raise _NotListedError(str(error)) from error
         window = shapely.box(*bounds).buffer(-0.5, join_style="mitre")
-        found: dict[str, Any] = {}
+        outlines: dict[str, Any] = {}
         for feature in features:
             outline = shapely.geometry.shape(feature["geometry"]) if feature.get("geometry") else None
             properties = feature.get("properties", {})
@@ -360,29 +371,36 @@ class GeoplateformeSource:
                 (properties[name] for name in self.config.lidar_url_fields if properties.get(name)), None
             )
             if url and (outline is None or outline.intersects(window)):
-                found[self._safe(str(url))] = outline
-        if not found:
-            raise _NotListed(f"{type_name} has no tile there")
-        return sorted(found.items(), key=lambda item: item[0])
+                outlines[self._with_service_scheme(str(url))] = outline
+        if not outlines:
+            raise _NotListedError(f"{type_name} has no tile there")
+        return sorted(outlines.items(), key=lambda item: item[0])
 
-    def _safe(self, url: str) -> str:
-        """The index has http:// addresses of the same host as the service; they are asked for by https://."""
+    def _with_service_scheme(self, url: str) -> str:
+        """``url`` with the scheme of the WFS if it has the same host: the index lists http:// addresses."""
         parts, service = urlsplit(url), urlsplit(self.config.wfs_url)
         return urlunsplit(parts._replace(scheme=service.scheme)) if parts.netloc == service.netloc else url
 
-    def _mended(self, url: str, ask: Callable[[str], Answer]) -> Answer:
-        """What ``ask`` gets; some names in the index have a dash where the file has an underscore."""
+    def _with_corrected_name(self, url: str, download: Callable[[str], Result]) -> Result:
+        """The result of ``download(url)``.
+
+        Some file names in the index have a dash in place of an underscore: if the file is not found, the
+        corrected name is tried.
+        """
         try:
-            return ask(url)
-        except Gone:
-            other = re.sub(r"_(\d{4})-(\d{4})_", r"_\1_\2_", url)
-            if other == url:
+            return download(url)
+        except NotFoundError:
+            corrected = re.sub(r"_(\d{4})-(\d{4})_", r"_\1_\2_", url)
+            if corrected == url:
                 raise
-            return ask(other)
+            return download(corrected)
 
 
 def _grid(bounds: Bounds, cell: float) -> tuple[float, float, int, int]:
-    """Left and top edge in cells, rows and columns of cells centred on multiples that cover ``bounds``."""
+    """The grid of cells that covers ``bounds``, with cells centred on multiples of ``cell`` metres.
+
+    Returns the left and the top edge (in cells), the number of rows and the number of columns.
+    """
     left, top = float(np.floor(bounds[0] / cell)) - 0.5, float(np.ceil(bounds[3] / cell)) + 0.5
     columns = int(np.ceil(bounds[2] / cell) + 0.5 - left)
     return left, top, int(top - np.floor(bounds[1] / cell) + 0.5), columns
@@ -395,12 +413,13 @@ def _from_geotiff(body: bytes, name: str) -> np.ndarray:
             with MemoryFile(body) as file, file.open() as raster:
                 if raster.dtypes[0] != "float32":
                     raise InputError(
-                        f"{name}: expected heights as float32, got {raster.dtypes[0]}: a picture?"
+                        f"{name}: expected heights as float32, got {raster.dtypes[0]}; "
+                        "is the layer an image instead of heights?"
                     )
                 return raster.read(1)
     except (RasterioError, rasterio.errors.RasterioIOError) as error:
         raise InputError(f"{name}: not a readable GeoTIFF, or truncated: {error}") from error
 
 
-def _text(bounds: Bounds) -> str:
+def _format_bounds(bounds: Bounds) -> str:
     return f"{bounds[0]:.0f}..{bounds[2]:.0f}, {bounds[1]:.0f}..{bounds[3]:.0f}"

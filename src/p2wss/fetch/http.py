@@ -1,4 +1,4 @@
-"""Requests with manners: slow enough, patient with a busy service, and never fooled by half an answer."""
+"""HTTP requests that respect the service's limits, retry transient failures and detect incomplete responses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from p2wss.errors import InputError
 
 log = logging.getLogger(__name__)
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
-_GONE = {404, 410}
+_NOT_FOUND = {404, 410}
 _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
 _PROGRESS_BYTES = 50_000_000
@@ -29,24 +29,24 @@ _QUOTE_CHARACTERS = 200
 Result = TypeVar("Result")
 
 
-class Transient(Exception):
-    """A failure that may be gone at the next attempt. retry_after_s: how long the service asked to wait."""
+class TransientError(Exception):
+    """A failure that the next attempt may not meet. retry_after_s: the wait that the service asked for."""
 
     def __init__(self, reason: str, retry_after_s: float | None = None) -> None:
         super().__init__(reason)
         self.retry_after_s = retry_after_s
 
 
-class Gone(InputError):
-    """The service answered that there is nothing at this address: HTTP 404 or 410."""
+class NotFoundError(InputError):
+    """Nothing exists at this address: the service responded with HTTP 404 or 410."""
 
 
-class NoRanges(InputError):
-    """The service sends whole files only."""
+class RangesUnsupportedError(InputError):
+    """The service sends only whole files: it ignores Range requests."""
 
 
 class Client:
-    """HTTP GET within the limits of the config: requests per second, attempts, time per answer and in all."""
+    """HTTP GET within the limits of the config: request rate, attempts, timeout per request, total time."""
 
     def __init__(self, config: Geoplateforme, sleep: Callable[[float], None] = time.sleep) -> None:
         self.config = config
@@ -56,59 +56,61 @@ class Client:
         self._next_request = 0.0
 
     def get(self, url: str, params: dict[str, str] | None = None) -> bytes:
-        """The whole body. Raises :class:`InputError` with the address and what the service said."""
+        """The whole body. Raises :class:`InputError` with the address and the service's message."""
 
         def attempt(deadline: float) -> bytes:
-            with self._answer(url, params or {}, {}) as response:
+            with self._response(url, params or {}, {}) as response:
                 return b"".join(_body(response, deadline))
 
-        return self._patiently(url, attempt)
+        return self._with_retries(url, attempt)
 
     def range(self, url: str, start: int, end: int) -> tuple[bytes, int]:
-        """Bytes ``start`` to ``end`` (exclusive, or where the file ends), and the size of the whole file.
+        """Bytes ``start`` to ``end`` (exclusive, clipped to the end of the file), and the size of the file.
 
-        Raises :class:`NoRanges` if the service does not send parts of files.
+        Raises :class:`RangesUnsupportedError` if the service sends only whole files.
         """
 
         def attempt(deadline: float) -> tuple[bytes, int]:
-            with self._answer(url, {}, {"Range": f"bytes={start}-{end - 1}"}) as response:
+            with self._response(url, {}, {"Range": f"bytes={start}-{end - 1}"}) as response:
                 if response.status_code != 206 or _range_start(response) != start:
-                    raise NoRanges(f"{url}: does not send parts of files (HTTP {response.status_code})")
+                    raise RangesUnsupportedError(
+                        f"{url}: the service does not support Range requests (HTTP {response.status_code})"
+                    )
                 body = b"".join(_body(response, deadline))
                 size = int(response.headers["Content-Range"].rpartition("/")[2])
             if len(body) != min(end, size) - start:
-                raise Transient(f"{len(body)} bytes instead of {min(end, size) - start}")
+                raise TransientError(f"{len(body)} bytes instead of {min(end, size) - start}")
             return body, size
 
-        return self._patiently(url, attempt)
+        return self._with_retries(url, attempt)
 
     def download(self, url: str, path: Path, magic: bytes) -> None:
-        """A large file into ``path``, which appears once it is whole; it must begin with ``magic``.
+        """Download a large file to ``path``, which appears once it is complete; it must begin with ``magic``.
 
-        What has come so far stays beside it in ``<name>.part``; the next attempt, or the next run, asks for
-        the rest with a Range request, and begins anew if the service answers with the whole.
+        An incomplete file is kept beside it as ``<name>.part``. The next attempt, or the next run, asks for
+        the rest with a Range request, and starts again if the service sends the whole file.
         """
         part = path.with_name(f"{path.name}.part")
         path.parent.mkdir(parents=True, exist_ok=True)
 
         def attempt(deadline: float) -> None:
-            have = part.stat().st_size if part.exists() else 0
-            with self._answer(url, {}, {"Range": f"bytes={have}-"} if have else {}) as response:
-                resumed = response.status_code == 206 and _range_start(response) == have
-                if response.status_code == 416 or (response.status_code == 206 and not resumed):
+            start = part.stat().st_size if part.exists() else 0
+            with self._response(url, {}, {"Range": f"bytes={start}-"} if start else {}) as response:
+                is_resumed = response.status_code == 206 and _range_start(response) == start
+                if response.status_code == 416 or (response.status_code == 206 and not is_resumed):
                     part.unlink(missing_ok=True)
-                    raise Transient("the service has no such range")
+                    raise TransientError("the service has no such range")
                 total = _length(response)
-                if resumed and total is not None:
-                    total += have
-                come = have if resumed else 0
-                with part.open("ab" if resumed else "wb") as file:
+                if is_resumed and total is not None:
+                    total += start
+                num_bytes = start if is_resumed else 0
+                with part.open("ab" if is_resumed else "wb") as file:
                     for chunk in _body(response, deadline):
                         file.write(chunk)
-                        if (come + len(chunk)) // _PROGRESS_BYTES > come // _PROGRESS_BYTES:
-                            of = f" of {total / 1e6:.0f}" if total else ""
-                            log.info(f"{path.name}: {(come + len(chunk)) / 1e6:.0f}{of} MB")
-                        come += len(chunk)
+                        previous, num_bytes = num_bytes, num_bytes + len(chunk)
+                        if num_bytes // _PROGRESS_BYTES > previous // _PROGRESS_BYTES:
+                            of_total = f" of {total / 1e6:.0f}" if total else ""
+                            log.info(f"{path.name}: {num_bytes / 1e6:.0f}{of_total} MB")
             size = part.stat().st_size
             with part.open("rb") as file:
                 head = file.read(_QUOTE_CHARACTERS)
@@ -116,23 +118,23 @@ class Client:
                 part.unlink()
                 raise InputError(f"{url}: expected a file that begins with {magic!r}, got {quote(head)}")
             if total is not None and size < total:
-                raise Transient(f"{size} of {total} bytes")
+                raise TransientError(f"{size} of {total} bytes")
             if total is not None and size > total:
                 part.unlink()
-                raise Transient(f"{size} bytes instead of {total}")
+                raise TransientError(f"{size} bytes instead of {total}")
             part.replace(path)
 
         try:
-            self._patiently(url, attempt)
+            self._with_retries(url, attempt)
         except OSError as error:
             if error.errno == errno.ENOSPC:
                 part.unlink(missing_ok=True)
             raise InputError(f"{path}: not written: {error.strerror or error}") from error
 
-    def _patiently(self, url: str, attempt: Callable[[float], Result]) -> Result:
+    def _with_retries(self, url: str, attempt: Callable[[float], Result]) -> Result:
         deadline = time.monotonic() + self.config.max_wait_s
         retrying = tenacity.Retrying(
-            retry=tenacity.retry_if_exception_type(Transient),
+            retry=tenacity.retry_if_exception_type(TransientError),
             stop=tenacity.stop_after_attempt(self.config.max_attempts)
             | tenacity.stop_before_delay(self.config.max_wait_s),
             wait=_pause_s,
@@ -144,17 +146,17 @@ class Client:
         )
         try:
             return retrying(attempt, deadline)
-        except Transient as error:
+        except TransientError as error:
             raise InputError(
                 f"{url}: {error}, after {retrying.statistics.get('attempt_number', 1)} attempts; "
-                "try again later, or set fetch.source: folder and use files that you have"
+                "try again later, or set fetch.source: folder and use files that you already have"
             ) from error
 
     @contextmanager
-    def _answer(
+    def _response(
         self, url: str, params: dict[str, str], headers: dict[str, str]
     ) -> Iterator[requests.Response]:
-        """A streamed answer with a good status; a busy service or a broken connection becomes Transient."""
+        """A streamed response with a good status. A busy service or a broken connection: TransientError."""
         pause = self._next_request - time.monotonic()
         if pause > 0:
             self._sleep(pause)
@@ -164,22 +166,22 @@ class Client:
                 url, params=params, headers=headers, timeout=self.config.timeout_s, stream=True
             ) as response:
                 if response.status_code in _BUSY:
-                    raise Transient(f"HTTP {response.status_code}", _retry_after_s(response))
+                    raise TransientError(f"HTTP {response.status_code}", _retry_after_s(response))
                 if response.status_code >= 400 and response.status_code != 416:
-                    kind = Gone if response.status_code in _GONE else InputError
-                    raise kind(
+                    error_type = NotFoundError if response.status_code in _NOT_FOUND else InputError
+                    raise error_type(
                         f"{response.url}: HTTP {response.status_code} {response.reason}: "
                         f"{quote(response.content)}"
                     )
                 yield response
         except requests.RequestException as error:
-            raise Transient(
+            raise TransientError(
                 f"{type(error).__name__}: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
             ) from error
 
 
 def quote(body: bytes) -> str:
-    """The beginning of an answer, for a message."""
+    """The beginning of a response, in quotation marks, for a message."""
     text = " ".join(body[: 10 * _QUOTE_CHARACTERS].decode("utf-8", "replace").split())
     return f'"{text[:_QUOTE_CHARACTERS]}"' if text else "nothing"
 
@@ -187,7 +189,7 @@ def quote(body: bytes) -> str:
 def _body(response: requests.Response, deadline: float) -> Iterator[bytes]:
     for chunk in response.iter_content(_CHUNK_BYTES):
         if time.monotonic() > deadline:
-            raise Transient("the answer came too slowly (fetch.geoplateforme.max_wait_s)")
+            raise TransientError("the response took too long (fetch.geoplateforme.max_wait_s)")
         yield chunk
 
 
@@ -221,7 +223,7 @@ def _exception(state: tenacity.RetryCallState) -> BaseException | None:
 
 def _pause_s(state: tenacity.RetryCallState) -> float:
     error = _exception(state)
-    if isinstance(error, Transient) and error.retry_after_s is not None:
+    if isinstance(error, TransientError) and error.retry_after_s is not None:
         return error.retry_after_s
-    # half of it at random, so that jobs that failed together do not come back together
+    # half of the pause is random, so that jobs that failed together do not retry together
     return min(_LONGEST_PAUSE_S, 2.0**state.attempt_number) * random.uniform(0.5, 1.0)

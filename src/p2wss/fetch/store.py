@@ -1,4 +1,4 @@
-"""What a service sent, kept beside the vintage with a record of what was asked: none of it is asked for twice."""
+"""A store of downloaded responses, each with a record of its request, so that nothing is requested twice."""
 
 from __future__ import annotations
 
@@ -15,44 +15,45 @@ Request = dict[str, str]
 
 
 class Store:
-    """A folder of answers. Beside each stands ``<name>.json``: the request, size, SHA-256 and time."""
+    """A folder of responses. Beside each, ``<name>.json`` records the request, size, SHA-256 and time."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def path(self, kind: str, request: Request, suffix: str) -> Path:
-        """Where the answer to ``request`` belongs; kind: names its subfolder."""
+        """Where the response to ``request`` is stored; kind: name of the subfolder."""
         digest = hashlib.blake2b(json.dumps(request, sort_keys=True).encode(), digest_size=8).hexdigest()
         return self.folder / kind / f"{digest}{suffix}"
 
     def holds(self, path: Path, request: Request) -> bool:
-        """Whether ``path`` is the whole answer to ``request``, by its record; a damaged one is removed."""
-        record = _record(path)
+        """Whether ``path`` is the complete response to ``request``, by its record; a damaged one is removed."""
         if not path.is_file():
             return False
         try:
-            known = json.loads(record.read_text())
+            record = json.loads(_record_path(path).read_text())
         except (OSError, ValueError):
             return False
-        if known.get("request") != request:
+        if record.get("request") != request:
             return False
-        if path.stat().st_size == known["num_bytes"] and files.sha256(path) == known["sha256"]:
+        if path.stat().st_size == record["num_bytes"] and files.sha256(path) == record["sha256"]:
             return True
-        log.warning(f"{path}: is not what its record says; it is fetched again")
+        log.warning(f"{path}: size or checksum differs from its record; downloading it again")
         self.forget(path)
         return False
 
     def read(self, path: Path, request: Request) -> bytes | None:
+        """The stored response to ``request``, or None."""
         return path.read_bytes() if self.holds(path, request) else None
 
     def write(self, path: Path, request: Request, body: bytes) -> None:
+        """Store a complete response."""
         files.write_bytes(path, body)
         self.record(path, request)
 
     def record(self, path: Path, request: Request) -> None:
-        """Declare the file ``path`` whole."""
+        """Record that the file ``path`` is the complete response to ``request``."""
         files.write_json(
-            _record(path),
+            _record_path(path),
             {
                 "request": request,
                 "num_bytes": path.stat().st_size,
@@ -62,9 +63,10 @@ class Store:
         )
 
     def forget(self, path: Path) -> None:
+        """Delete a response and its record."""
         path.unlink(missing_ok=True)
-        _record(path).unlink(missing_ok=True)
+        _record_path(path).unlink(missing_ok=True)
 
 
-def _record(path: Path) -> Path:
+def _record_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.json")

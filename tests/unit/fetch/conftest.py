@@ -1,4 +1,4 @@
-"""Clouds of known shape, and a real PDAL where there is one."""
+"""Fixtures: clouds of known points, and an installed PDAL."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from places import ROOT
 
 @pytest.fixture(scope="session")
 def pdal_command() -> str:
-    """A ``pdal`` on the PATH, or the one that tests/pdal/make_root.sh has made."""
+    """A ``pdal`` on the PATH, or the one that tests/pdal/make_root.sh installed."""
     if shutil.which("pdal"):
         return "pdal"
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")

@@ -1,4 +1,4 @@
-"""Files as users have them: the miniature's in IGN's formats, and small ones made here to be wrong."""
+"""The source ``folder``: the miniature's files in IGN's formats, and small files with a defect each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rasterio.transform import from_origin
 
 from p2wss.config import Folder
 from p2wss.errors import InputError
-from p2wss.fetch import check_terrain, normalise, write_cloud, write_footprints
+from p2wss.fetch import known_height_share, normalise, write_cloud, write_footprints
 from p2wss.fetch.folder import FolderSource, mosaic
 
 MINI = ROOT / "tests" / "mini"
@@ -58,7 +58,7 @@ def test_window_of_the_miniature() -> None:
 
 
 @pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
-def test_shapefile_delivery_has_the_other_spelling() -> None:
+def test_shapefiles_have_other_column_names() -> None:
     found = source(footprints=OLEMPS / "BATIMENT.shp").footprints((664000, 6360000, 665000, 6361000))
     result = normalise(found, "EPSG:2154", "olemps").set_index("building_id")
     raw = gpd.read_file(OLEMPS / "BATIMENT.shp").set_index("ID").loc[result.index]
@@ -69,7 +69,7 @@ def test_shapefile_delivery_has_the_other_spelling() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".gpkg", ".parquet", ".geojson", ".fgb"])
-def test_other_formats_by_window(tmp_path: Path, suffix: str) -> None:
+def test_windows_of_other_formats(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"b{suffix}"
     frame = buildings(5)
     if suffix == ".parquet":
@@ -82,39 +82,43 @@ def test_other_formats_by_window(tmp_path: Path, suffix: str) -> None:
     assert list(found["building_id"]) == ["B1", "B2"]
 
 
-def test_several_files_and_a_building_in_two_of_them(tmp_path: Path) -> None:
+def test_a_building_in_two_files_is_returned_once(tmp_path: Path) -> None:
     buildings(3).to_file(tmp_path / "a.gpkg")
     buildings(5).iloc[2:].to_file(tmp_path / "b.gpkg")
     found = source(footprints=tmp_path / "*.gpkg").footprints((652000, 6861000, 652100, 6861100))
     assert list(normalise(found, "EPSG:2154", "ab")["building_id"]) == ["B0", "B1", "B2", "B3", "B4"]
 
 
-def test_missing_column_lists_what_there_is() -> None:
+def test_a_missing_column_is_an_error_that_lists_the_columns() -> None:
     frame = buildings().rename(columns={"hauteur": "height"})
-    with pytest.raises(InputError, match="x: no column hauteur or HAUTEUR; it has cleabs, height"):
+    with pytest.raises(
+        InputError, match="x: has no column hauteur or HAUTEUR; its columns are cleabs, height"
+    ):
         normalise(frame, "EPSG:2154", "x")
 
 
-def test_wrong_crs_names_both() -> None:
-    with pytest.raises(InputError, match=r"x: is in Amersfoort.*, but the region in RGF93 v1 / Lambert-93"):
+def test_a_wrong_crs_is_an_error_that_names_both() -> None:
+    with pytest.raises(
+        InputError, match=r"x: is in Amersfoort.*, but the region is in RGF93 v1 / Lambert-93"
+    ):
         normalise(buildings().to_crs("EPSG:28992"), "EPSG:2154", "x")
 
 
-def test_absent_attributes_are_null() -> None:
+def test_missing_attributes_are_null() -> None:
     result = normalise(buildings(hauteur=[None, 0.0, 4.5]), "EPSG:2154", "x")
     np.testing.assert_array_equal(result["hauteur_m"], [np.nan, 0.0, 4.5])
     assert result["nature"].isna().all() and result["num_floors"].isna().all()
 
 
-def test_a_building_without_id_is_named() -> None:
+def test_a_building_without_an_id_is_an_error() -> None:
     with pytest.raises(InputError, match="x: building number 2 has no cleabs"):
         normalise(buildings(cleabs=["a", None, "c"]), "EPSG:2154", "x")
 
 
-def test_several_layers_and_none_of_the_name(tmp_path: Path) -> None:
+def test_several_layers_without_the_named_one(tmp_path: Path) -> None:
     for layer in ("roads", "rivers"):
         buildings().to_file(tmp_path / "b.gpkg", layer=layer)
-    with pytest.raises(InputError, match="no layer batiment, but roads, rivers"):
+    with pytest.raises(InputError, match="has no layer batiment, but roads, rivers"):
         source(footprints=tmp_path / "b.gpkg").footprints((652000, 6861000, 652100, 6861100))
 
 
@@ -123,13 +127,13 @@ def test_no_file(tmp_path: Path) -> None:
         source(footprints=tmp_path / "nothing").footprints((0, 0, 1, 1))
 
 
-def test_no_vector_file(tmp_path: Path) -> None:
+def test_not_a_vector_file(tmp_path: Path) -> None:
     (tmp_path / "b.gpkg").write_text("<html>")
     with pytest.raises(InputError, match=r"b\.gpkg: not a readable vector file"):
         source(footprints=tmp_path).footprints((0, 0, 1, 1))
 
 
-def test_footprints_are_written_whole_and_with_their_origin(tmp_path: Path) -> None:
+def test_footprints_are_written_with_their_provenance(tmp_path: Path) -> None:
     out = tmp_path / "footprints.gpkg"
     frame = normalise(buildings(), "EPSG:2154", "x")
     write_footprints(out, frame, {"code": "abc"})
@@ -157,8 +161,8 @@ def write_asc(path: Path, x_nw: float, y_nw: float, size: int, cell: float, noda
     path.write_text(header + "\n".join(" ".join(f"{v:.2f}" for v in row) for row in z) + "\n")
 
 
-def test_miniature_terrain_is_a_copy_of_its_files() -> None:
-    """A window over four tiles, checked against the text of the files."""
+def test_terrain_of_the_miniature_equals_its_files() -> None:
+    """A window over four tiles equals the numbers in the files."""
     terrain = source(dtm=MINI / "rgealti").dtm((652900.0, 6860900.0, 653100.0, 6861100.0))
     assert terrain.cell_m == 5
     for name, rows, columns in [
@@ -174,7 +178,7 @@ def test_miniature_terrain_is_a_copy_of_its_files() -> None:
         np.testing.assert_allclose(terrain.height_m[row : row + 20, column : column + 20], text, atol=1e-4)
 
 
-def test_beyond_the_files_there_is_no_terrain() -> None:
+def test_terrain_outside_the_files_is_nan() -> None:
     terrain = source(dtm=MINI / "rgealti").dtm((651900.0, 6861500.0, 652100.0, 6861600.0))
     x = terrain.x_min_m + 5 * (np.arange(terrain.height_m.shape[1]) + 0.5)
     np.testing.assert_array_equal(
@@ -188,13 +192,13 @@ def test_nodata_becomes_nan(tmp_path: Path) -> None:
     known = np.isfinite(terrain.height_m)
     y = terrain.y_max_m - (np.arange(len(known)) + 0.5)
     np.testing.assert_array_equal(known[:, 0], y < 6861050)
-    assert check_terrain(terrain, (652000, 6861010, 652040, 6861040), "x") == 1
+    assert known_height_share(terrain, (652000, 6861010, 652040, 6861040), "x") == 1
     with pytest.raises(InputError, match="x: no heights in"):
-        check_terrain(terrain, (652000, 6861052, 652040, 6861058), "x")
+        known_height_share(terrain, (652000, 6861052, 652040, 6861058), "x")
 
 
 def test_another_cell_size_is_interpolated(tmp_path: Path) -> None:
-    """1 m beside 5 m: the plane comes out on both sides, to the width of a coarse cell."""
+    """A file with 1 m cells beside one with 5 m cells: a plane is reproduced on both sides of the seam."""
     write_asc(tmp_path / "a.asc", 652000, 6861099, 100, 1)
     write_asc(tmp_path / "b.asc", 652100, 6861095, 20, 5)
     files = [tmp_path / "a.asc", tmp_path / "b.asc"]
@@ -215,11 +219,11 @@ def test_terrain_in_another_crs(tmp_path: Path) -> None:
         crs="EPSG:28992", transform=from_origin(0, 10, 1, 1),
     ) as raster:  # fmt: skip
         raster.write(np.ones((1, 10, 10), np.float32))
-    with pytest.raises(InputError, match=r"a\.tif: is in Amersfoort.*the region in RGF93"):
+    with pytest.raises(InputError, match=r"a\.tif: is in Amersfoort.*the region is in RGF93"):
         source(dtm=tmp_path).dtm((0, 0, 10, 10))
 
 
-def test_terrain_elsewhere_and_no_raster(tmp_path: Path) -> None:
+def test_terrain_elsewhere_and_not_a_raster(tmp_path: Path) -> None:
     write_asc(tmp_path / "a.asc", 652000, 6861050, 50, 1)
     with pytest.raises(InputError, match=r"none of its 1 files covers 700000\.\.700100, 6600000\.\.6600100"):
         source(dtm=tmp_path).dtm((700000, 6600000, 700100, 6600100))
@@ -256,7 +260,7 @@ def write_points(path: Path, x: np.ndarray, y: np.ndarray, crs: str | None = "EP
     cloud.write(path)
 
 
-def test_one_laz_is_copied_as_it_is(tmp_path: Path) -> None:
+def test_a_single_laz_is_copied_unchanged(tmp_path: Path) -> None:
     paths = source(lidar=MINI / "lidar").lidar(TILE)
     assert paths == [LIDAR]
     out = tmp_path / "0653_6861.laz"
@@ -288,14 +292,14 @@ def test_several_files_are_merged_and_cropped(tmp_path: Path) -> None:
     assert cloud.header.parse_crs().to_epsg() == 2154
 
 
-def test_a_neighbour_that_shares_an_edge_is_left_alone(tmp_path: Path) -> None:
+def test_a_neighbour_that_only_shares_an_edge_is_not_read(tmp_path: Path) -> None:
     write_points(tmp_path / "a.laz", np.array([652900.0, 653000.0]), np.array([6860500.0, 6860600.0]))
     with pytest.raises(InputError, match="none of its 1 files has points in"):
         source(lidar=tmp_path).lidar(TILE)
 
 
 @pytest.mark.parametrize("keep", [0.9999, 0.5, 0.001])
-def test_truncated_laz_leaves_nothing(tmp_path: Path, keep: float) -> None:
+def test_a_truncated_laz_leaves_no_output(tmp_path: Path, keep: float) -> None:
     whole = LIDAR.read_bytes()
     broken = tmp_path / "broken.laz"
     broken.write_bytes(whole[: int(keep * len(whole))])
@@ -312,7 +316,7 @@ COPC = ROOT.parent / "shared" / "data" / "lidarhd_crops" / "77050_627755_LA93_IG
 
 @pytest.mark.skipif(not COPC.exists(), reason="no shared/data/lidarhd_crops")
 @pytest.mark.parametrize("keep", [1, 0.9999, 0.5, 0.1, 0.001])
-def test_real_copc_whole_and_truncated(tmp_path: Path, keep: float) -> None:
+def test_real_copc_complete_and_truncated(tmp_path: Path, keep: float) -> None:
     path, out = tmp_path / "a.copc.laz", tmp_path / "out.laz"
     path.write_bytes(COPC.read_bytes()[: int(keep * COPC.stat().st_size)])
     bounds = (770000.0, 6277000.0, 771000.0, 6278000.0)
@@ -327,7 +331,7 @@ def test_real_copc_whole_and_truncated(tmp_path: Path, keep: float) -> None:
 
 def test_lidar_in_another_crs(tmp_path: Path) -> None:
     write_points(tmp_path / "a.laz", np.array([653100.0]), np.array([6860500.0]), "EPSG:28992")
-    with pytest.raises(InputError, match=r"a\.laz: is in Amersfoort.*the region in RGF93"):
+    with pytest.raises(InputError, match=r"a\.laz: is in Amersfoort.*the region is in RGF93"):
         write_cloud(tmp_path / "out.laz", [tmp_path / "a.laz"], TILE, "EPSG:2154")
 
 
@@ -336,8 +340,8 @@ def test_lidar_in_another_crs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("covering", [True, False])
 @pytest.mark.parametrize("crs", ["OGC:CRS84", "EPSG:4171", "EPSG:2154"])
-def test_geoparquet_of_all_france_by_window(tmp_path: Path, crs: str, covering: bool) -> None:
-    """IGN's national file is in degrees, with the boxes as a column; both or neither may be so."""
+def test_window_of_the_national_geoparquet(tmp_path: Path, crs: str, covering: bool) -> None:
+    """IGN's national file is in degrees and has a column of bounding boxes; other files may lack either."""
     frame = buildings(200)
     frame.to_crs(crs).to_parquet(tmp_path / "b.parquet", write_covering_bbox=covering, row_group_size=20)
     window = (652105.0, 6861000.0, 652145.0, 6861010.0)
@@ -366,21 +370,21 @@ def test_an_empty_window_of_each_format(tmp_path: Path) -> None:
         assert len(normalise(found, "EPSG:2154", name)) == 0
 
 
-def test_a_parquet_file_that_is_none(tmp_path: Path) -> None:
+def test_not_a_parquet_file(tmp_path: Path) -> None:
     (tmp_path / "a.parquet").write_text("<html>")
     with pytest.raises(InputError, match=r"a\.parquet: not a readable vector file"):
         source(footprints=tmp_path / "a.parquet").footprints((0.0, 0.0, 1.0, 1.0))
 
 
-def test_square_kilometres_without_a_file_are_named(caplog: pytest.LogCaptureFixture) -> None:
+def test_square_kilometres_without_a_file_are_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     source(dtm=MINI / "rgealti").dtm((651900.0, 6861500.0, 652100.0, 6861600.0))
-    assert "no file for 0651_6862; no terrain there" in caplog.text
+    assert "no file covers 0651_6862; the terrain is unknown there" in caplog.text
     caplog.clear()
     source(dtm=MINI / "rgealti").dtm((652100.0, 6861500.0, 652200.0, 6861600.0))
     assert not caplog.text
 
 
-def test_clouds_in_another_crs_are_found_by_the_window_of_the_region(tmp_path: Path) -> None:
+def test_clouds_in_another_crs_are_selected_by_the_reprojected_window(tmp_path: Path) -> None:
     from pyproj import Transformer
 
     to_utm = Transformer.from_crs(2154, 32631, always_xy=True)

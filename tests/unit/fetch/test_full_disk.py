@@ -1,4 +1,4 @@
-"""A disk that fills up during a write, played by a limit on the size of files."""
+"""A disk that fills up during a write, simulated by a limit on the file size."""
 
 from __future__ import annotations
 

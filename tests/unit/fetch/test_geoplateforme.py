@@ -1,4 +1,4 @@
-"""The Geoplateforme, played by a local server that pages, caps and fails as the real one does."""
+"""The source ``geoplateforme``, against a local server that pages, truncates and fails like the real one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ REAL_FEATURE = SHARED / "data" / "geoplateforme" / "batiment_one_feature.json"
 
 @pytest.fixture
 def source(httpserver: HTTPServer, tmp_path: Path) -> Any:
-    """Makes sources that ask the local server and keep their downloads in one folder."""
+    """Creates sources that use the local server and share one folder of downloads."""
 
     def make(offline: bool = False, crs: str = "EPSG:2154", **settings: Any) -> GeoplateformeSource:
         config = Geoplateforme(
@@ -72,7 +72,7 @@ def serve_features(features: list[dict[str, Any]], cap: int = 5000, matched: Any
     return handler
 
 
-def test_pages_until_all_have_come(source: Any, httpserver: HTTPServer) -> None:
+def test_pages_are_requested_until_complete(source: Any, httpserver: HTTPServer) -> None:
     httpserver.expect_request("/wfs/ows").respond_with_handler(
         serve_features([building(i) for i in range(25)])
     )
@@ -94,7 +94,7 @@ def test_pages_that_the_server_cuts_short(source: Any, httpserver: HTTPServer) -
     assert len(httpserver.log) == 4
 
 
-def test_number_matched_that_grows_between_pages(source: Any, httpserver: HTTPServer) -> None:
+def test_number_of_features_that_grows_between_pages(source: Any, httpserver: HTTPServer) -> None:
     features = [building(i) for i in range(12)]
     handler = serve_features(features, matched=lambda start: 10 if start == 0 else 12)
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
@@ -105,7 +105,7 @@ def test_number_matched_that_grows_between_pages(source: Any, httpserver: HTTPSe
 def test_a_page_that_repeats_features_is_an_error(source: Any, httpserver: HTTPServer) -> None:
     features = [building(i) for i in [0, 1, 2, 3, 2, 3]]
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
-    with pytest.raises(InputError, match="6 features, but pages repeat themselves and only 4 differ"):
+    with pytest.raises(InputError, match="pages overlap, and only 4 of 6 features differ"):
         source(page_size=4).footprints(BOUNDS)
     assert len(httpserver.log) == 2
 
@@ -126,14 +126,14 @@ def test_an_exception_with_status_200_is_quoted(source: Any, httpserver: HTTPSer
     assert len(httpserver.log) == 1
 
 
-def test_no_building_at_all(source: Any, httpserver: HTTPServer) -> None:
+def test_no_building_in_the_bounds(source: Any, httpserver: HTTPServer) -> None:
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features([]))
     with pytest.raises(InputError, match=r"no building in 652000\.\.653000, 6861000\.\.6862000"):
         source().footprints(BOUNDS)
 
 
 @pytest.mark.skipif(not REAL_FEATURE.exists(), reason="no shared/data/geoplateforme")
-def test_a_feature_as_really_served(source: Any, httpserver: HTTPServer) -> None:
+def test_a_feature_of_the_real_service(source: Any, httpserver: HTTPServer) -> None:
     features = json.loads(REAL_FEATURE.read_text())["features"]
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
     found = source(crs="EPSG:4326").footprints((4.8, 45.7, 4.9, 45.8))
@@ -200,13 +200,13 @@ def test_terrain_is_centred_on_multiples(
     ("body", "message"),
     [
         (b"<ServiceException>Layer not defined</ServiceException>", "Layer not defined"),
-        (geotiff(np.zeros((21, 21)), 0, 0, 1, "uint8"), "got uint8: a picture"),
-        (geotiff(np.zeros((20, 21)), 0, 0, 1), "asked for 21 x 21 heights"),
+        (geotiff(np.zeros((21, 21)), 0, 0, 1, "uint8"), "got uint8; is the layer an image"),
+        (geotiff(np.zeros((20, 21)), 0, 0, 1), "requested 21 x 21 heights, got 21 x 20"),
         (geotiff(np.random.default_rng(0).random((21, 21)), 0, 0, 1)[:900], "truncated"),
         (b"", "got nothing"),
     ],
 )
-def test_terrain_that_is_none(source: Any, httpserver: HTTPServer, body: bytes, message: str) -> None:
+def test_invalid_terrain_responses(source: Any, httpserver: HTTPServer, body: bytes, message: str) -> None:
     httpserver.expect_request("/wms-r").respond_with_data(body, content_type="image/geotiff")
     with pytest.raises(InputError, match=message):
         source().dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
@@ -237,7 +237,7 @@ def tile_feature(x: int, y: int, **properties: Any) -> dict[str, Any]:
 
 
 def laz(tmp_path: Path, num_points: int = 5) -> bytes:
-    """A small whole cloud within ``BOUNDS``."""
+    """A small, complete cloud within ``BOUNDS``."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.001] * 3, [652000, 6861000, 0]
     cloud = laspy.LasData(header)
@@ -248,8 +248,8 @@ def laz(tmp_path: Path, num_points: int = 5) -> bytes:
     return (tmp_path / "made.laz").read_bytes()
 
 
-def test_lidar_tile_by_the_index(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
-    """The neighbour that only shares an edge is left alone; a dash in the name is mended after a 404."""
+def test_lidar_tile_from_the_index(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
+    """A neighbour that only shares an edge is not read; a dash in the name is corrected after a 404."""
     base = httpserver.url_for("/download/LHD_FXX_")
     features = [
         tile_feature(652, 6862, url_npl=f"{base}0652-6862_PTS_LAMB93_IGN69.copc.laz", url_mnt="other"),
@@ -273,7 +273,7 @@ def test_lidar_tile_by_the_index(source: Any, httpserver: HTTPServer, tmp_path: 
     assert record["num_bytes"] == len(body) and record["sha256"] == hashlib.sha256(body).hexdigest()
 
 
-def test_the_older_index_is_asked_when_the_current_one_is_gone(
+def test_the_older_index_is_used_if_the_current_one_is_gone(
     source: Any, httpserver: HTTPServer, tmp_path: Path
 ) -> None:
     def handler(request: Request) -> Response:
@@ -293,16 +293,16 @@ def test_a_place_without_lidar(source: Any, httpserver: HTTPServer, tmp_path: Pa
     assert list(tmp_path.rglob("*.laz")) == []
 
 
-def test_addresses_of_the_service_itself_use_its_scheme(tmp_path: Path) -> None:
+def test_addresses_on_the_host_of_the_service_use_its_scheme(tmp_path: Path) -> None:
     asked = GeoplateformeSource(Geoplateforme(), "EPSG:2154", tmp_path)
-    assert asked._safe("http://data.geopf.fr/a.laz") == "https://data.geopf.fr/a.laz"
-    assert asked._safe("http://elsewhere.example/a.laz") == "http://elsewhere.example/a.laz"
+    assert asked._with_service_scheme("http://data.geopf.fr/a.laz") == "https://data.geopf.fr/a.laz"
+    assert asked._with_service_scheme("http://elsewhere.example/a.laz") == "http://elsewhere.example/a.laz"
 
 
 # --- what is kept ---
 
 
-def test_a_rerun_asks_for_nothing(source: Any, httpserver: HTTPServer) -> None:
+def test_a_rerun_sends_no_request(source: Any, httpserver: HTTPServer) -> None:
     httpserver.expect_request("/wfs/ows").respond_with_handler(
         serve_features([building(i) for i in range(9)])
     )
@@ -315,7 +315,7 @@ def test_a_rerun_asks_for_nothing(source: Any, httpserver: HTTPServer) -> None:
     assert len(httpserver.log) == 3 + 9
 
 
-def test_records_tell_what_was_asked(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_records_hold_the_request(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/wms-r").respond_with_handler(serve_terrain)
     source().dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
     (path,) = (tmp_path / "downloads" / "terrain").glob("*.tif")
@@ -327,7 +327,7 @@ def test_records_tell_what_was_asked(source: Any, httpserver: HTTPServer, tmp_pa
 
 
 @pytest.mark.parametrize("damage", ["cut", "changed", "no record", "other request"])
-def test_a_damaged_answer_is_asked_for_again(
+def test_a_damaged_response_is_requested_again(
     source: Any, httpserver: HTTPServer, tmp_path: Path, damage: str
 ) -> None:
     httpserver.expect_request("/wms-r").respond_with_handler(serve_terrain)
@@ -347,7 +347,7 @@ def test_a_damaged_answer_is_asked_for_again(
     assert len(httpserver.log) == 2 and path.read_bytes() == body and record.exists()
 
 
-def test_offline_says_what_is_missing(source: Any, httpserver: HTTPServer) -> None:
+def test_offline_lists_what_is_missing(source: Any, httpserver: HTTPServer) -> None:
     asked = source(offline=True)
     with pytest.raises(
         InputError, match=r"footprints in 652000\.\.653000, .* missing; fetch\.offline is set"
@@ -360,7 +360,9 @@ def test_offline_says_what_is_missing(source: Any, httpserver: HTTPServer) -> No
     assert len(httpserver.log) == 0
 
 
-def test_offline_names_a_tile_that_the_index_has(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_offline_names_a_missing_tile_of_the_index(
+    source: Any, httpserver: HTTPServer, tmp_path: Path
+) -> None:
     url = httpserver.url_for("/t.laz")
     httpserver.expect_request("/wfs/ows").respond_with_handler(
         serve_features([tile_feature(652, 6862, url_npl=url)])
@@ -375,8 +377,8 @@ def test_offline_names_a_tile_that_the_index_has(source: Any, httpserver: HTTPSe
     assert len(httpserver.log) == 2
 
 
-def test_footprints_by_windows(source: Any, httpserver: HTTPServer) -> None:
-    """A server that answers by window: buildings on an edge come twice and are kept once."""
+def test_footprints_in_windows(source: Any, httpserver: HTTPServer) -> None:
+    """A server that responds per window: a building on an edge is in two responses and is returned once."""
     features = [building(i) for i in range(80)]
 
     def handler(request: Request) -> Response:
@@ -397,8 +399,8 @@ def test_footprints_by_windows(source: Any, httpserver: HTTPServer) -> None:
 # --- more faults ---
 
 
-def test_a_wrong_content_type_is_not_believed(source: Any, httpserver: HTTPServer) -> None:
-    """What counts is the content: a good one passes under a wrong name, a web page under the right one does not."""
+def test_a_wrong_content_type_is_an_error(source: Any, httpserver: HTTPServer) -> None:
+    """Only the content counts: valid features pass with a wrong content type, a web page with the right one fails."""
     body = json.dumps({"features": [building(1)], "numberMatched": 1})
     httpserver.expect_ordered_request("/wfs/ows").respond_with_data(body, content_type="text/html")
     httpserver.expect_ordered_request("/wfs/ows").respond_with_data("<html>", content_type="application/json")
@@ -408,7 +410,9 @@ def test_a_wrong_content_type_is_not_believed(source: Any, httpserver: HTTPServe
     assert len(httpserver.log) == 2
 
 
-def test_features_cut_with_a_right_length(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_truncated_features_with_a_correct_length(
+    source: Any, httpserver: HTTPServer, tmp_path: Path
+) -> None:
     body = json.dumps({"features": [building(1)], "numberMatched": 1})[:-40]
     httpserver.expect_request("/wfs/ows").respond_with_data(body, content_type="application/json")
     with pytest.raises(InputError, match="expected GeoJSON features, got"):
@@ -416,7 +420,7 @@ def test_features_cut_with_a_right_length(source: Any, httpserver: HTTPServer, t
     assert len(httpserver.log) == 1 and not (tmp_path / "downloads").exists()
 
 
-def test_a_tile_cut_with_a_right_length_is_not_kept(
+def test_a_truncated_tile_with_a_correct_length_is_not_stored(
     source: Any, httpserver: HTTPServer, tmp_path: Path
 ) -> None:
     whole = laz(tmp_path, 5000)
@@ -433,10 +437,10 @@ def test_a_tile_cut_with_a_right_length_is_not_kept(
 
 
 @pytest.mark.parametrize("status", [404, 410])
-def test_an_expired_address_of_a_kept_index(
+def test_an_expired_address_of_a_stored_index(
     source: Any, httpserver: HTTPServer, tmp_path: Path, status: int
 ) -> None:
-    """The index of an earlier run gives an address that is gone: the index is asked for again, once."""
+    """The stored index has an address that no longer exists: the index is requested again, once."""
     old, new = httpserver.url_for("/old.laz"), httpserver.url_for("/new.laz")
     urls = iter([old, new])
 
@@ -447,14 +451,14 @@ def test_an_expired_address_of_a_kept_index(
     httpserver.expect_request("/old.laz").respond_with_data("gone", status=status)
     httpserver.expect_request("/new.laz").respond_with_data(laz(tmp_path))
     asked = source(lidar_types=["IGNF_LIDAR-HD_METADONNEE:metadata"])
-    with pytest.raises(InputError, match=rf"has an address of nothing: .*HTTP {status}"):
+    with pytest.raises(InputError, match=rf"lists an address that does not exist: .*HTTP {status}"):
         asked.lidar(BOUNDS)
     assert len(httpserver.log) == 2
     assert [path.name for path in asked.lidar(BOUNDS)] == ["new.laz"]
     assert [request.path for request, _ in httpserver.log[2:]] == ["/old.laz", "/wfs/ows", "/new.laz"]
 
 
-def test_an_expired_address_sends_to_the_next_index(
+def test_an_expired_address_falls_back_to_the_next_index(
     source: Any, httpserver: HTTPServer, tmp_path: Path
 ) -> None:
     def handler(request: Request) -> Response:

@@ -1,4 +1,4 @@
-"""Faults of a service, played by a local server; the number of requests is counted each time."""
+"""Faults of a service, simulated by a local server. Each test counts the requests."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def client(pauses: list[float] | None = None, **settings: float) -> Client:
     return Client(config, sleep=(pauses if pauses is not None else []).append)
 
 
-def test_retry_after_is_obeyed(httpserver: HTTPServer) -> None:
+def test_retry_after_is_respected(httpserver: HTTPServer) -> None:
     httpserver.expect_ordered_request("/x").respond_with_data("", status=429, headers={"Retry-After": "5"})
     httpserver.expect_ordered_request("/x").respond_with_data("", status=429, headers={"Retry-After": "3"})
     httpserver.expect_ordered_request("/x").respond_with_data("fine")
@@ -45,7 +45,7 @@ def test_retry_after_may_be_a_date(httpserver: HTTPServer) -> None:
     assert len(httpserver.log) == 2 and 25 < max(pauses) <= 30
 
 
-def test_nobody_waits_for_a_day(httpserver: HTTPServer) -> None:
+def test_a_retry_after_of_a_day_is_an_error(httpserver: HTTPServer) -> None:
     headers = {"Retry-After": "86400"}
     httpserver.expect_request("/x").respond_with_data("", status=429, headers=headers)
     pauses: list[float] = []
@@ -54,7 +54,7 @@ def test_nobody_waits_for_a_day(httpserver: HTTPServer) -> None:
     assert len(httpserver.log) == 1 and max(pauses, default=0) < 600
 
 
-def test_server_errors_are_waited_out_with_growing_pauses(httpserver: HTTPServer) -> None:
+def test_server_errors_are_retried_with_growing_pauses(httpserver: HTTPServer) -> None:
     for _ in range(2):
         httpserver.expect_ordered_request("/x").respond_with_data("", status=500)
     httpserver.expect_ordered_request("/x").respond_with_data("fine")
@@ -65,21 +65,21 @@ def test_server_errors_are_waited_out_with_growing_pauses(httpserver: HTTPServer
     assert len(httpserver.log) == 3
 
 
-def test_a_service_that_stays_down_is_named(httpserver: HTTPServer) -> None:
+def test_a_service_that_stays_down_is_an_error(httpserver: HTTPServer) -> None:
     httpserver.expect_request("/x").respond_with_data("", status=503)
     with pytest.raises(InputError, match=r"/x: HTTP 503, after 4 attempts"):
         client(max_attempts=4).get(httpserver.url_for("/x"))
     assert len(httpserver.log) == 4
 
 
-def test_a_refusal_is_quoted_and_not_repeated(httpserver: HTTPServer) -> None:
+def test_a_refusal_is_quoted_and_not_retried(httpserver: HTTPServer) -> None:
     httpserver.expect_request("/x").respond_with_data("<html>unknown layer</html>", status=400)
     with pytest.raises(InputError, match=r'HTTP 400 BAD REQUEST: "<html>unknown layer</html>"'):
         client().get(httpserver.url_for("/x"))
     assert len(httpserver.log) == 1
 
 
-def test_no_answer_at_all() -> None:
+def test_no_response() -> None:
     with socketserver.TCPServer(("127.0.0.1", 0), None) as nobody:  # type: ignore[arg-type]
         port = nobody.server_address[1]
     with pytest.raises(InputError, match=r"after 2 attempts; try again later, or set fetch\.source: folder"):
@@ -107,7 +107,7 @@ def test_user_agent_and_redirect(httpserver: HTTPServer) -> None:
 
 @contextmanager
 def broken_server(answers: list[bytes]) -> Iterator[tuple[str, list[bytes]]]:
-    """Sends each of ``answers`` raw, then closes the connection; yields (url, requests so far)."""
+    """Sends each of ``answers`` as raw bytes, then closes the connection. Yields (url, list of requests)."""
     requests: list[bytes] = []
 
     class Handler(socketserver.BaseRequestHandler):
@@ -133,7 +133,7 @@ def test_connection_lost_in_the_body() -> None:
         assert len(requests) == 2
 
 
-def test_download_resumes_where_it_broke_off(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_an_interrupted_download_is_resumed(httpserver: HTTPServer, tmp_path: Path) -> None:
     big = b"LASF" + bytes(2_000_000)
     starts = []
 
@@ -160,7 +160,7 @@ def serve_ranges(request: Request) -> Response:
     return Response(BODY[start:], status=206 if start else 200, headers=headers if start else {})
 
 
-def test_download_of_an_earlier_run_is_finished(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_download_of_an_earlier_run_is_completed(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t").respond_with_handler(serve_ranges)
     (tmp_path / "t.laz.part").write_bytes(BODY[:1000])
     client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
@@ -168,7 +168,7 @@ def test_download_of_an_earlier_run_is_finished(httpserver: HTTPServer, tmp_path
     assert len(httpserver.log) == 1
 
 
-def test_a_part_longer_than_the_file_is_thrown_away(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_part_longer_than_the_file_is_discarded(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t").respond_with_handler(serve_ranges)
     (tmp_path / "t.laz.part").write_bytes(BODY + b"more")
     client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
@@ -176,7 +176,7 @@ def test_a_part_longer_than_the_file_is_thrown_away(httpserver: HTTPServer, tmp_
     assert len(httpserver.log) == 2
 
 
-def test_a_range_answered_with_the_whole(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_range_request_that_returns_the_whole_file(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t").respond_with_data(BODY)
     (tmp_path / "t.laz.part").write_bytes(b"LASF of another edition")
     client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
@@ -184,7 +184,7 @@ def test_a_range_answered_with_the_whole(httpserver: HTTPServer, tmp_path: Path)
     assert len(httpserver.log) == 1
 
 
-def test_a_web_page_is_no_tile(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_web_page_is_not_a_tile(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t").respond_with_data("<html>Moved, see our new site</html>")
     with pytest.raises(InputError, match="begins with b'LASF', got \"<html>Moved"):
         client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
@@ -192,8 +192,8 @@ def test_a_web_page_is_no_tile(httpserver: HTTPServer, tmp_path: Path) -> None:
     assert len(httpserver.log) == 1
 
 
-def test_a_slow_drip_is_cut(tmp_path: Path) -> None:
-    """Each piece comes within the timeout, the whole would take for ever."""
+def test_a_response_that_is_too_slow_is_an_error(tmp_path: Path) -> None:
+    """Each chunk comes within the timeout, but the whole response would never end."""
 
     class Drip(socketserver.BaseRequestHandler):
         def handle(self) -> None:
@@ -210,14 +210,14 @@ def test_a_slow_drip_is_cut(tmp_path: Path) -> None:
     with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Drip) as server:
         server.daemon_threads = True
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
-        with pytest.raises(InputError, match="too slowly"):
+        with pytest.raises(InputError, match="took too long"):
             client(max_attempts=1, max_wait_s=0.3).get(f"http://127.0.0.1:{server.server_address[1]}/x")
         stop.set()
         server.shutdown()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_a_disk_that_is_full_during_a_download(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_full_disk_during_a_download(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t").respond_with_data(BODY)
     (tmp_path / "t.laz.part").symlink_to("/dev/full")
     with pytest.raises(InputError, match=r"t\.laz: not written: No space left on device"):
@@ -226,7 +226,7 @@ def test_a_disk_that_is_full_during_a_download(httpserver: HTTPServer, tmp_path:
     assert len(httpserver.log) == 1
 
 
-def test_connection_reset_for_ever_is_named_and_counted(tmp_path: Path) -> None:
+def test_repeated_connection_resets_are_an_error_with_their_count(tmp_path: Path) -> None:
     answer = raw("200 OK", b"LASF" + bytes(600_000), Content_Length=2_000_000)
     with broken_server([answer]) as (url, requests):
         with pytest.raises(InputError, match="after 3 attempts"):

@@ -1,4 +1,4 @@
-"""What a region costs before it is asked for, the file of a new region, and a download of all of it."""
+"""Estimates for a region, the file of a new region, and the download of a whole region."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from werkzeug import Response
 from p2wss.cli import main
 from p2wss.config import load
 from p2wss.errors import InputError
-from p2wss.fetch.plan import download, needs, region_yaml, table
+from p2wss.fetch.plan import download, estimate_downloads, format_estimates, region_yaml
 
 from .test_geoplateforme import building, laz, serve_features, serve_terrain, tile_feature
 
@@ -33,7 +33,7 @@ def no_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("path", REGIONS, ids=lambda path: path.stem)
-def test_a_dry_run_of_every_region_asks_nothing_and_writes_nothing(
+def test_a_dry_run_of_every_region_sends_no_request_and_writes_no_file(
     path: Path, no_network: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     (tmp_path / "config" / "regions").mkdir(parents=True)
@@ -47,7 +47,7 @@ def test_a_dry_run_of_every_region_asks_nothing_and_writes_nothing(
     num_tiles = round((x_max - x_min) * (y_max - y_min) / 1e6)
     assert f"region {path.stem}: {num_tiles} tiles of 1000 m" in shown
     (terrain,) = (line.split() for line in shown.splitlines() if line.startswith("terrain"))
-    # 1201 x 1201 cells of 4 bytes a tile, one request a second
+    # 1201 x 1201 cells of 4 bytes per tile, one request per second
     assert terrain[1:4] == ["0", str(num_tiles), str(num_tiles)]
     assert float(terrain[4]) == pytest.approx(num_tiles * 1201**2 * 4 / 1e6, abs=0.5)
     assert int(terrain[5]) == num_tiles
@@ -56,19 +56,20 @@ def test_a_dry_run_of_every_region_asks_nothing_and_writes_nothing(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_seconds_follow_the_polite_rate(no_network: None, tmp_path: Path) -> None:
+def test_seconds_follow_the_request_rate(no_network: None, tmp_path: Path) -> None:
     config = load(REGIONS[0], {"fetch": {"geoplateforme": {"requests_per_s": 0.5}}})
-    found = needs(config, tmp_path)
-    (line,) = (line for line in table(config, found).splitlines() if line.startswith("in all"))
-    assert float(line.split()[4]) == 2 * sum(need.num_requests for need in found)
+    estimates = estimate_downloads(config, tmp_path)
+    lines = format_estimates(config, estimates).splitlines()
+    (line,) = (line for line in lines if line.startswith("total"))
+    assert float(line.split()[3]) == 2 * sum(estimate.num_requests for estimate in estimates)
 
 
-def test_files_on_disk_need_nothing(tmp_path: Path) -> None:
-    assert needs(load(), tmp_path) == []
-    assert "nothing to download" in table(load(), [])
+def test_files_on_disk_need_no_download(tmp_path: Path) -> None:
+    assert estimate_downloads(load(), tmp_path) == []
+    assert "nothing to download" in format_estimates(load(), [])
 
 
-def test_a_new_region_is_whole_tiles(tmp_path: Path) -> None:
+def test_a_new_region_is_rounded_to_whole_tiles(tmp_path: Path) -> None:
     text = region_yaml("old-town", [652100.5, 6861200, 653000, 6861999], "2026", "EPSG:2154", ["0652_6862"])
     region = load(yaml.safe_load(text)).region
     assert region.bounds_m == (652000, 6861000, 653000, 6862000)
@@ -79,7 +80,7 @@ def test_a_new_region_is_whole_tiles(tmp_path: Path) -> None:
         region_yaml("x", [653000, 6861000, 652000, 6862000], "", "EPSG:2154", [])
 
 
-def test_everything_of_a_region_and_then_nothing_more(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_download_of_a_region_is_complete_and_not_repeated(httpserver: HTTPServer, tmp_path: Path) -> None:
     features = [building(i) for i in range(30)]
     tile = tile_feature(652, 6862, url_npl=httpserver.url_for("/t.laz"))
     cloud = laz(tmp_path)
@@ -99,13 +100,13 @@ def test_everything_of_a_region_and_then_nothing_more(httpserver: HTTPServer, tm
     }
     config = load(yaml.safe_load(text), {"fetch": {"geoplateforme": service}})
     downloads = tmp_path / "downloads"
-    assert [need.num_missing for need in needs(config, downloads)] == [1, 1, 1]
+    assert [estimate.num_missing for estimate in estimate_downloads(config, downloads)] == [1, 1, 1]
     download(config, downloads, logging.getLogger())
     assert len(httpserver.log) == 2 + 1 + 2
-    after = needs(config, downloads)
-    assert [(need.num_there, need.num_missing, need.num_requests) for need in after] == [(1, 0, 0)] * 3
+    estimates = estimate_downloads(config, downloads)
+    assert [(e.num_stored, e.num_missing, e.num_requests) for e in estimates] == [(1, 0, 0)] * 3
 
-    # the workflow's own commands find everything there
+    # the commands of the workflow find everything in the downloads
     sections = json.dumps(
         {"region": config.region.model_dump(mode="json"), "fetch": config.fetch.model_dump(mode="json")}
     )
@@ -126,7 +127,7 @@ def test_everything_of_a_region_and_then_nothing_more(httpserver: HTTPServer, tm
     assert (tmp_path / "0652_6862.laz").read_bytes() == cloud
 
 
-def test_a_region_that_is_there_is_not_overwritten(
+def test_an_existing_region_is_not_overwritten(
     no_network: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     (tmp_path / "config" / "regions").mkdir(parents=True)
@@ -135,6 +136,6 @@ def test_a_region_that_is_there_is_not_overwritten(
     monkeypatch.chdir(tmp_path)
     bbox = ["--bbox", "652000", "6861000", "653000", "6862000"]
     assert main(["fetch", "--region", "x", *bbox]) == 2
-    assert "is there; take another name" in capsys.readouterr().err
+    assert "already exists; choose another name" in capsys.readouterr().err
     assert path.read_text() == "region: {name: x}\n"
     assert main(["fetch"]) == 2 and "give --region NAME" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Clouds made ready: what goes where, when PDAL is asked for, and what a real one makes of them."""
+"""Preparation of real clouds: cropping, the use of PDAL, and the results of an installed PDAL."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 
 from p2wss.config import Prepare
 from p2wss.errors import InputError
-from p2wss.fetch.prepare import in_words_of, pipeline, prepare, read_stages
+from p2wss.fetch.pdal import Window, for_version, pipeline, read_stages
+from p2wss.fetch.prepare import prepare
 
 STAGES = ROOT / "config" / "pdal" / "prepare.json"
 BRESSE = ROOT.parent / "shared" / "data" / "bresse_ign" / "lidar.laz"
@@ -38,7 +39,7 @@ def rows(points: np.ndarray) -> list[tuple[int, ...]]:
     return sorted(map(tuple, np.round(np.asarray(points) * 1000).astype(np.int64).tolist()))
 
 
-def test_a_classified_tile_is_passed_on_as_it_is(write_points, tmp_path):
+def test_a_classified_tile_is_linked_unchanged(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", scatter(1000, TILE), 2)
     out = tmp_path / "out" / "0652_6862.laz"
     facts = prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program"))
@@ -46,8 +47,8 @@ def test_a_classified_tile_is_passed_on_as_it_is(write_points, tmp_path):
     assert out.samefile(cloud), "no second copy of some hundred megabytes"
 
 
-def test_points_of_a_neighbour_tile_are_left_to_its_file(write_points, tmp_path):
-    """A user's file reaches over the tile: all within the margin is kept, but what the neighbour has."""
+def test_points_of_a_neighbouring_tile_are_not_written(write_points, tmp_path):
+    """A file that extends beyond its tile: points in the margin are written, except those of the neighbour."""
     points = scatter(5000, (651500, 6861000, 653500, 6862000))
     cloud = write_points("0652_6862.laz", points, 2)
     neighbour = write_points("0653_6862.laz", scatter(100, EAST), 2)
@@ -57,7 +58,7 @@ def test_points_of_a_neighbour_tile_are_left_to_its_file(write_points, tmp_path)
     assert rows(laspy.read(out).xyz) == rows(points[(x >= 651900) & (x < 653000)])
 
 
-def test_an_unclassified_cloud_without_pdal_tells_how_to_get_it(write_points, tmp_path):
+def test_an_unclassified_cloud_without_pdal_is_an_error_with_instructions(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", scatter(100, TILE), np.arange(100) % 2 * 5)
     out = tmp_path / "out.laz"
     message = r"no ground points \(class 2\) among the classes \[0, 5\].*no-such-program.*envs/pdal\.yaml"
@@ -68,22 +69,22 @@ def test_an_unclassified_cloud_without_pdal_tells_how_to_get_it(write_points, tm
     assert out.exists()
 
 
-def test_pdal_asked_for_but_not_there_is_a_warning_for_a_classified_cloud(write_points, tmp_path, caplog):
+def test_missing_pdal_is_only_a_warning_for_a_classified_cloud(write_points, tmp_path, caplog):
     cloud = write_points("0652_6862.laz", scatter(100, TILE), 2)
     settings = config(pdal_command="no-such-program", mode="pdal")
     assert prepare(tmp_path / "out.laz", [cloud], AROUND, [], L93, L93, settings)["by"] == "laspy"
-    assert "get it with conda (envs/pdal.yaml" in caplog.text
+    assert "install it with conda (envs/pdal.yaml" in caplog.text
 
 
 @pytest.mark.parametrize(
     ("script", "message"),
     [
         ("echo 'PDAL: readers.las: no good' >&2; exit 1", "PDAL failed: PDAL: readers.las: no good"),
-        ("exit 0", "PDAL wrote nothing"),
+        ("exit 0", "PDAL wrote no file"),
         ("sleep 5", "PDAL took longer than fetch.prepare.pdal_timeout_s 0.5"),
     ],
 )
-def test_a_pdal_that_fails_leaves_nothing(write_points, tmp_path, script, message):
+def test_a_failure_of_pdal_leaves_no_files(write_points, tmp_path, script, message):
     cloud = write_points("in/0652_6862.laz", scatter(100, TILE), 1)
     program = tmp_path / "pdal"
     program.write_text(f"#!/bin/sh\n{script}\n")
@@ -97,7 +98,9 @@ def test_a_pdal_that_fails_leaves_nothing(write_points, tmp_path, script, messag
 
 def test_pipeline_reads_crops_merges_and_writes():
     names = ["a.laz", "b.laz"]
-    steps = pipeline(names, "out.laz", AROUND, [EAST], L93, "EPSG:2949", 6, read_stages(STAGES))["pipeline"]
+    steps = pipeline(names, "out.laz", Window(AROUND, [EAST], L93, "EPSG:2949"), 6, read_stages(STAGES))[
+        "pipeline"
+    ]
     kinds = [step["type"] for step in steps]
     assert kinds[:7] == [
         "readers.las",
@@ -120,21 +123,21 @@ def test_pipeline_reads_crops_merges_and_writes():
         ("{}", "expected a list"),
         ("[{}]", "expected a list"),
         ("[", "not JSON"),
-        ('[{"type": "writers.las"}]', "only filters belong here"),
+        ('[{"type": "writers.las"}]', "only filters are allowed"),
     ],
 )
-def test_stages_that_are_none(tmp_path, text, message):
+def test_invalid_stages(tmp_path, text, message):
     (tmp_path / "s.json").write_text(text)
     with pytest.raises(InputError, match=message):
         read_stages(tmp_path / "s.json")
 
 
-def test_flags_in_the_words_of_an_older_pdal():
+def test_flags_are_rewritten_for_an_older_pdal():
     stages = read_stages(STAGES)
-    assert in_words_of('{"name": "Withheld"}', stages) == stages
-    (first, *others) = in_words_of('{"name": "ClassFlags"}', stages)
+    assert for_version('{"name": "Withheld"}', stages) == stages
+    (first, *others) = for_version('{"name": "ClassFlags"}', stages)
     assert first["limits"] == "ClassFlags[0:3],ClassFlags[8:11]" and others == stages[1:]
-    (first, *others) = in_words_of('{"name": "Classification"}', stages)
+    (first, *others) = for_version('{"name": "Classification"}', stages)
     assert first["limits"] == "Classification[0:127]" and others == stages[1:]
 
 
@@ -143,7 +146,7 @@ def test_flags_in_the_words_of_an_older_pdal():
 
 @pytest.mark.skipif(not BRESSE.exists(), reason="no shared/data/bresse_ign")
 def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
-    """IGN's LiDAR without its classes: the ground that PDAL finds is IGN's, and no roof is in it."""
+    """IGN's LiDAR without its classes: PDAL's ground agrees with IGN's and contains no roofs."""
     cloud = laspy.read(BRESSE)
     given = np.asarray(cloud.classification).copy()
     cloud.classification = np.ones(len(given), np.uint8)
@@ -163,7 +166,7 @@ def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
     assert len(found) > 0.97 * len(cloud)
     assert (classes[theirs == 2] == 2).mean() > 0.98
     assert (classes[theirs == 6] == 2).mean() < 0.01
-    # what IGN left unclassified and PDAL calls ground lies on IGN's ground
+    # points that IGN left unclassified and PDAL calls ground lie on IGN's ground
     tree = cKDTree(np.c_[cloud.x, cloud.y][given == 2])
     new = (classes == 2) & (theirs != 2)
     _, nearest = tree.query(np.c_[found.x, found.y][new])
@@ -178,7 +181,7 @@ def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
 
 
 def test_real_pdal_finds_the_ground_of_the_miniature(pdal_command, tmp_path):
-    """The stand-in cloud's own classes are exact, for it was drawn with them."""
+    """The classes of the stand-in cloud are exact, because it was simulated with them."""
     cloud = laspy.read(MINI)
     keep = (cloud.x < 653150) & (cloud.y > 6860850)
     cloud.points = cloud.points[keep]
@@ -196,9 +199,7 @@ def test_real_pdal_finds_the_ground_of_the_miniature(pdal_command, tmp_path):
     assert (classes[theirs == 6] == 2).mean() < 0.02
 
 
-def test_real_pdal_merges_drops_noise_and_keeps_the_ground_that_is_there(
-    pdal_command, write_points, tmp_path
-):
+def test_real_pdal_merges_drops_noise_and_keeps_classified_ground(pdal_command, write_points, tmp_path):
     points = scatter(3000, (652800, 6861400, 653300, 6861600))
     classes = np.random.default_rng(1).choice([1, 2, 6, 7, 18], len(points))
     withheld = np.random.default_rng(2).random(len(points)) < 0.1
@@ -217,7 +218,7 @@ def test_real_pdal_merges_drops_noise_and_keeps_the_ground_that_is_there(
 
 
 def test_real_pdal_on_a_cloud_of_an_old_format(pdal_command, tmp_path):
-    """LAS 1.2, without CRS, classes and numbers of returns, some points withheld."""
+    """A LAS 1.2 file without CRS, classes and numbers of returns, and with some withheld points."""
     rng = np.random.default_rng(0)
     points = scatter(4000, (652400, 6861400, 652460, 6861460))
     points[:, 2] = np.round(50 + 0.02 * (points[:, 0] - 652400), 3)
@@ -241,7 +242,7 @@ def test_real_pdal_on_a_cloud_of_an_old_format(pdal_command, tmp_path):
 
 
 def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
-    """The same place in UTM 31N: within a millimetre of pyproj."""
+    """A cloud in UTM 31N: its points agree with pyproj within a millimetre."""
     import pyproj
 
     points = scatter(500, (652400, 6861400, 652600, 6861600))

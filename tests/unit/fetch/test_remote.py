@@ -1,4 +1,4 @@
-"""Windows of a remote COPC file, against the same window of the file itself."""
+"""Windows of a remote COPC file, compared with the same windows of the local file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from werkzeug import Request, Response
 from p2wss.config import Geoplateforme
 from p2wss.errors import InputError
 from p2wss.fetch.geoplateforme import GeoplateformeSource
-from p2wss.fetch.http import Client, NoRanges
-from p2wss.fetch.remote import RemoteFile, write_window
+from p2wss.fetch.http import Client, RangesUnsupportedError
+from p2wss.fetch.remote_copc import RemoteFile, write_window
 
 COPC = SHARED / "data" / "lidarhd_crops" / "77050_627755_LA93_IGN69.copc.laz"
 WINDOW = (770505.0, 6277510.0, 770515.0, 6277520.0)
@@ -30,7 +30,7 @@ def client() -> Client:
 
 
 def serve(body: bytes, faults: dict[int, Callable[[Response], Response]] | None = None) -> Any:
-    """Answers Range requests; ``faults``: number of the request to what becomes of its answer."""
+    """Serves Range requests; ``faults`` maps the number of a request to what happens to its response."""
     count = 0
 
     def handler(request: Request) -> Response:
@@ -45,7 +45,7 @@ def serve(body: bytes, faults: dict[int, Callable[[Response], Response]] | None 
     return handler
 
 
-def test_any_part_in_any_order(httpserver: HTTPServer) -> None:
+def test_reads_of_any_range_in_any_order(httpserver: HTTPServer) -> None:
     rng = np.random.default_rng(0)
     body = rng.bytes(700_001)
     httpserver.expect_request("/f").respond_with_handler(serve(body))
@@ -61,7 +61,7 @@ def test_any_part_in_any_order(httpserver: HTTPServer) -> None:
 
 
 @needs_copc
-def test_a_window_is_the_same_as_that_of_the_file(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_a_remote_window_equals_the_window_of_the_file(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t.copc.laz").respond_with_handler(serve(COPC.read_bytes()))
     out = tmp_path / "window.laz"
     num_points = write_window(client(), httpserver.url_for("/t.copc.laz"), WINDOW, out, "EPSG:2154")
@@ -77,7 +77,7 @@ def test_a_window_is_the_same_as_that_of_the_file(httpserver: HTTPServer, tmp_pa
 
 
 @needs_copc
-def test_refusals_and_lost_bytes_on_the_way(httpserver: HTTPServer, tmp_path: Path) -> None:
+def test_refusals_and_truncated_responses_are_retried(httpserver: HTTPServer, tmp_path: Path) -> None:
     faults = {
         1: lambda response: Response(status=429, headers={"Retry-After": "5"}),
         3: lambda response: Response(status=500),
@@ -97,13 +97,13 @@ def test_refusals_and_lost_bytes_on_the_way(httpserver: HTTPServer, tmp_path: Pa
 
 def test_a_service_without_ranges(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t").respond_with_data(b"LASF and all the rest")
-    with pytest.raises(NoRanges, match="does not send parts of files"):
+    with pytest.raises(RangesUnsupportedError, match="does not support Range requests"):
         write_window(client(), httpserver.url_for("/t"), WINDOW, tmp_path / "w.laz", "EPSG:2154")
     assert len(httpserver.log) == 1 and list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("body", [b"<html>Moved</html>" * 50, b"LASF" + bytes(400)])
-def test_no_copc(httpserver: HTTPServer, tmp_path: Path, body: bytes) -> None:
+def test_not_copc(httpserver: HTTPServer, tmp_path: Path, body: bytes) -> None:
     httpserver.expect_request("/t").respond_with_handler(serve(body))
     with pytest.raises(InputError, match="/t: not a readable COPC file"):
         write_window(client(), httpserver.url_for("/t"), WINDOW, tmp_path / "w.laz", "EPSG:2154")
@@ -115,7 +115,7 @@ def test_no_copc(httpserver: HTTPServer, tmp_path: Path, body: bytes) -> None:
 
 @pytest.fixture
 def source(httpserver: HTTPServer, tmp_path: Path) -> GeoplateformeSource:
-    """An index of one tile, which is the real COPC file and is 50 m wide."""
+    """An index with one tile: a real COPC file, 50 m wide."""
     ring = [[770500, 6277500], [770550, 6277500], [770550, 6277550], [770500, 6277550], [770500, 6277500]]
     feature = {
         "type": "Feature",
@@ -143,7 +143,7 @@ def test_a_small_share_of_a_tile_is_read_as_a_window(source, httpserver) -> None
 
 
 @needs_copc
-def test_a_large_share_is_downloaded_whole(source, httpserver) -> None:
+def test_a_tile_that_is_mostly_needed_is_downloaded(source, httpserver) -> None:
     httpserver.expect_request("/t.copc.laz").respond_with_data(COPC.read_bytes())
     (path,) = source.lidar((770500.0, 6277500.0, 770550.0, 6277550.0))
     assert path.name == "t.copc.laz" and path.read_bytes() == COPC.read_bytes()
@@ -151,7 +151,7 @@ def test_a_large_share_is_downloaded_whole(source, httpserver) -> None:
 
 
 @needs_copc
-def test_a_window_where_ranges_are_not_served_becomes_the_whole(source, httpserver) -> None:
+def test_a_service_without_ranges_sends_the_whole_tile(source, httpserver) -> None:
     httpserver.expect_request("/t.copc.laz").respond_with_data(COPC.read_bytes())
     (path,) = source.lidar(WINDOW)
     assert path.name == "t.copc.laz" and path.read_bytes() == COPC.read_bytes()

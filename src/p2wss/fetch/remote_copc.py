@@ -1,7 +1,7 @@
-"""A window of a remote COPC file, read without the rest of it.
+"""Read a window of a remote COPC file without downloading the rest.
 
-laspy asks for parts of a file by HTTP with many requests at once and gives up at the first refusal. Here it
-reads from an object that asks for one block after the other, with the manners of :class:`Client`.
+laspy's own HTTP reader sends many requests at once and gives up at the first refusal. Here laspy reads from an
+object that fetches one block after another through :class:`Client`, within the limits of the config.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data import files as files
+from p2wss.data import files
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.http import Client
 
-_BLOCK_BYTES = 1 << 17  # nodes of a tile are some 10 to 500 kB
+_BLOCK_BYTES = 1 << 17  # the octree nodes of a LiDAR HD tile have 10 to 500 kB
 
 
 class RemoteFile(io.RawIOBase):
-    """A file behind an address: read in blocks by HTTP Range, each block once."""
+    """A file at a URL, read in blocks with HTTP Range requests; each block is requested once."""
 
     def __init__(self, client: Client, url: str) -> None:
         self.client = client
@@ -68,9 +68,10 @@ class RemoteFile(io.RawIOBase):
 
 
 def write_window(client: Client, url: str, bounds: Bounds, out: Path, crs: str) -> int:
-    """Write the points of a remote COPC file in ``bounds`` (edges included) as LAZ; returns their number.
+    """Write the points of a remote COPC file in ``bounds`` (edges included) as LAZ. Returns their number.
 
-    Raises :class:`InputError` if the file is no COPC or broken, :class:`NoRanges` if it comes only whole.
+    Raises :class:`InputError` if the file is broken or not COPC, and
+    :class:`~p2wss.fetch.http.RangesUnsupportedError` if the service sends only whole files.
     """
     x_min, y_min, x_max, y_max = bounds
     window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))

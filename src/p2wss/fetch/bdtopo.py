@@ -1,0 +1,84 @@
+"""The buildings of BD TOPO (layer ``batiment``), from any file or service, with the columns that we use."""
+
+from __future__ import annotations
+
+import json
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import pyproj
+import shapely
+
+from p2wss.data import files
+from p2wss.data.clouds import same_crs
+from p2wss.errors import InputError
+
+# our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
+SPELLINGS = {
+    "building_id": ("cleabs", "ID"),
+    "hauteur_m": ("hauteur", "HAUTEUR"),
+    "nature": ("nature", "NATURE"),
+    "usage": ("usage_1", "USAGE1"),
+    "num_floors": ("nombre_d_etages", "NB_ETAGES"),
+    "altitude_minimale_sol_m": ("altitude_minimale_sol", "Z_MIN_SOL"),
+    "altitude_minimale_toit_m": ("altitude_minimale_toit", "Z_MIN_TOIT"),
+}
+REQUIRED = ("building_id", "hauteur_m")
+TEXT = ("building_id", "nature", "usage")
+
+
+def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
+    """``frame`` with the columns of :data:`SPELLINGS` and 2D MultiPolygons, sorted by ``building_id``.
+
+    Missing attributes become null (text) or NaN (numbers). Of a building that occurs more than once, one row
+    is kept. name: the file or service, used in messages.
+
+    Raises :class:`InputError` if a required column is missing, a building has no id, or the CRS is missing or
+    differs from ``crs``.
+    """
+    if frame.crs is None:
+        raise InputError(f"{name}: has no CRS; set one with ogr2ogr -a_srs {crs}")
+    region_crs = pyproj.CRS.from_user_input(crs)
+    if not same_crs(pyproj.CRS.from_user_input(frame.crs), region_crs):
+        raise InputError(
+            f"{name}: is in {frame.crs.name}, but the region is in {region_crs.name}; "
+            "reproject the file or change region.crs"
+        )
+    file_columns = {column.lower(): column for column in frame.columns if column != frame.geometry.name}
+    columns: dict[str, pd.Series] = {}
+    for column, spellings in SPELLINGS.items():
+        source = next((file_columns[s.lower()] for s in spellings if s.lower() in file_columns), None)
+        if source is None and column in REQUIRED:
+            raise InputError(
+                f"{name}: has no column {' or '.join(spellings)}; "
+                f"its columns are {', '.join(file_columns.values()) or 'none'}"
+            )
+        values = frame[source] if source is not None else pd.Series(None, index=frame.index, dtype=object)
+        if column in TEXT:
+            columns[column] = values.astype("string")
+        else:
+            columns[column] = pd.to_numeric(values, errors="coerce").astype("float64")
+    geometry = shapely.force_2d(frame.geometry.to_numpy())
+    is_polygon = shapely.get_type_id(geometry) == shapely.GeometryType.POLYGON
+    geometry[is_polygon] = [shapely.MultiPolygon([polygon]) for polygon in geometry[is_polygon]]
+    result = gpd.GeoDataFrame(columns, geometry=geometry, crs=crs)
+    if result["building_id"].isna().any():
+        row = int(np.flatnonzero(result["building_id"].isna())[0])
+        raise InputError(f"{name}: building number {row + 1} has no {SPELLINGS['building_id'][0]} (its id)")
+    return result.drop_duplicates("building_id").sort_values("building_id").reset_index(drop=True)
+
+
+def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[str, Any]) -> None:
+    """Write a GeoPackage with a layer ``footprints``; ``metadata`` is stored as JSON under the key ``p2wss``."""
+    # built in memory, because SQLite reports a full disk as an error of some later, unrelated statement
+    file = BytesIO()
+    pyogrio.write_dataframe(
+        frame, file, layer="footprints", driver="GPKG", layer_metadata={"p2wss": json.dumps(metadata)}
+    )
+    with files.atomic(path) as temporary:
+        temporary.write_bytes(file.getbuffer())
