@@ -29,9 +29,9 @@ from scipy.special import expit
 from p2wss.config import Config
 from p2wss.data import files
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.eval import cases, measure
-from p2wss.eval.cases import SYNTHETIC, Case
+from p2wss.eval.cases import Case
 from p2wss.fit import confidence, fitting
 from p2wss.fit.evidence import Evidence
 from p2wss.fit.points import roof_points
@@ -41,7 +41,7 @@ from p2wss.nets import decoding
 from p2wss.reconstruct.network import reconstruct_with_network
 
 FEW = (None, 200, 80, 20)
-NETWORK, REFINED, FIT = "network", "network and fit", "fit"
+NETWORK, NETWORK_AND_FIT, FIT = "network", "network and fit", "fit"
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def read(manifest: Path, every: int) -> list[Case]:
     """Every k-th labelled building, of any split, by tile and id."""
     found: list[Case] = []
     for path, dataset in cases.read_manifest(manifest).shards:
-        if dataset == SYNTHETIC:
+        if dataset == SIMULATED:
             found += cases.from_crops(files.read_table(path, CROPS), dataset)
     return sorted((case for case in found if case.angle_deg is not None), key=lambda case: case.key)[::every]
 
@@ -115,7 +115,7 @@ def rows_of(listed: list[Case], predictor: Any) -> list[Row]:
                 if made.has_mesh and views.last is not None:
                     found += _row(NETWORK, count, place, own, made, views.last.probability[0])
                 known = reconstruct_with_network([building], one_view, config)
-                found += _fitted(REFINED, count, place, own, known)
+                found += _fitted(NETWORK_AND_FIT, count, place, own, known)
             found += _fitted(FIT, count, place, own, None)
     return found
 
@@ -216,7 +216,7 @@ def tables(title: str, rows: list[Row]) -> dict[str, Any]:
     """Half B by method and number of points."""
     print(f"{title}\n{'':28}buildings  stated   right     gap     AUC  correlation")
     figures: dict[str, Any] = {}
-    for method in (NETWORK, REFINED, FIT):
+    for method in (NETWORK, NETWORK_AND_FIT, FIT):
         for count in ("all together", *FEW):
             own = [
                 row
@@ -243,8 +243,8 @@ def real_clouds(data: Path, predictor: Any) -> dict[str, Any]:
     config = Config().reconstruct
     every = real.read(data, "delft", Config())
     figures: dict[str, Any] = {}
-    for name, network in ((FIT, None), (REFINED, predictor and predictor.of_views(1))):
-        if name == REFINED and predictor is None:
+    for name, network in ((FIT, None), (NETWORK_AND_FIT, predictor and predictor.of_views(1))):
+        if name == NETWORK_AND_FIT and predictor is None:
             continue
         for parts in (1, config.max_parts):
             own = config.model_copy(update={"max_parts": parts})

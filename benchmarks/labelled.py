@@ -1,4 +1,4 @@
-"""Refinement on simulated buildings, whose eave and angles are known: errors beside their bars, and why.
+"""The fit on simulated buildings, whose eave and angles are known: errors beside their bars, and why.
 
 Which edges are seen: :func:`p2wss.eval.parameters.seen_edges`.
 """
@@ -14,8 +14,9 @@ import numpy as np
 from p2wss import skeleton
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction
+from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval import cases, parameters, predict
-from p2wss.eval.cases import SYNTHETIC, Case
+from p2wss.eval.cases import Case
 from p2wss.eval.measure import points_on_building
 from p2wss.fit import fitting
 from p2wss.reconstruct.network import reconstruct_with_network
@@ -41,12 +42,12 @@ class Error:
 def read(manifest: Path) -> list[Case]:
     """The labelled test split."""
     listed = cases.test_cases(cases.read_manifest(manifest))
-    return [case for case in listed if case.dataset == SYNTHETIC and case.angle_deg is not None]
+    return [case for case in listed if case.dataset == SIMULATED and case.angle_deg is not None]
 
 
 def config() -> Reconstruct:
     """As the evaluation does: footprints as labelled, one height."""
-    return predict.for_dataset(Config().reconstruct, SYNTHETIC).model_copy(update={"max_parts": 1})
+    return predict.for_dataset(Config().reconstruct, SIMULATED).model_copy(update={"max_parts": 1})
 
 
 def errors(labelled: list[Case], made: list[Reconstruction]) -> list[Error]:
@@ -139,12 +140,12 @@ def figures(manifest: Path, predictor: Any) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, rows in made.items():
         found = errors(labelled, rows)
-        result[f"synthetic, {name}"] = told = summary(found)
+        result[f"simulated, {name}"] = told = summary(found)
         bars = [
             f"{key} {told[key]:.3f} (bar {bar:g}{'' if told[key] <= bar else ' MISSED'})"
             for key, bar in BARS.items()
         ]
         rest = [f"{key} {value:.3f}" for key, value in told.items() if key not in BARS]
-        print(f"synthetic, {name}: " + ", ".join(bars + rest), flush=True)
+        print(f"simulated, {name}: " + ", ".join(bars + rest), flush=True)
         print("    " + ", ".join(f"{key} {share:.0%}" for key, share in causes(found).items()), flush=True)
     return result

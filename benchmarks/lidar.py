@@ -193,7 +193,7 @@ def whole_scene(
     kept = scan if keep_scan else None
     del scan  # in the pipeline the crop is a process of its own
     start = time.process_time()
-    columns, _ = crops.crop_scene(buildings, cloud, Crops())
+    columns, _ = crops.crop_simulated(buildings, cloud, Crops())
     cropped = time.process_time() - start
     start = time.process_time()
     files.write_table(folder / "shard.parquet", columns, CROPS, {})

@@ -2,8 +2,8 @@
 
     python benchmarks/real.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model model.safetensors                         # beside it with the network
-    .. --synthetic results/mini/crops/manifest.json      # beside it the labelled test split
-    .. --sensitivity --synthetic results/mini/crops/manifest.json    # only what the thresholds change
+    .. --simulated results/mini/crops/manifest.json      # beside it the labelled test split
+    .. --sensitivity --simulated results/mini/crops/manifest.json    # only what the thresholds change
 
 ``--data`` holds ``delft_ahn3`` and ``bresse_ign``. The judge is a script of its own that shares no code with
 this package. Halves A and B: every second building of Delft by id.
@@ -182,14 +182,14 @@ def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
     figures = Figures()
     for title, row in rows.items():
         variant = title.removeprefix("delft, ").partition(", with")[0].partition(", half")[0]
-        bars = labelled.BARS if title.startswith("synthetic") else {}
+        bars = labelled.BARS if title.startswith("simulated") else {}
         if title.startswith("delft"):
             figures.at_least(f"{title}, closed", row["watertight"], 1.0)
             figures.at_least(f"{title}, meshes", row["meshes"], row["buildings"])
             bars = BARS.get(variant, {})
         for key, limit in bars.items():
             # the network alone is measured beside the fit, and has bars of its own in the training
-            if key in row and title != "synthetic, network":
+            if key in row and title != "simulated, network":
                 figures.at_most(f"{title}, {NAMES.get(key, key)}", row[key], limit)
     return figures
 
@@ -199,7 +199,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--judge", type=Path, required=True)
     parser.add_argument("--model", type=Path, default=None, help="beside it, from this network's results")
-    parser.add_argument("--synthetic", type=Path, default=None, help="manifest of crops with labels")
+    parser.add_argument("--simulated", type=Path, default=None, help="manifest of crops with labels")
     parser.add_argument("--sensitivity", action="store_true", help="only what other thresholds change")
     arguments = parser.parse_args()
     predictor = None
@@ -209,11 +209,11 @@ def main() -> int:
         predictor = load_predictor(arguments.model).of_views(1)  # as p2wss reconstruct does
     figures: dict[str, Any] = {}
     if arguments.sensitivity:
-        figures = thresholds.table(arguments.synthetic, read(arguments.data, "delft", Config()))
+        figures = thresholds.table(arguments.simulated, read(arguments.data, "delft", Config()))
         print(json.dumps(figures))
         return 0
-    if arguments.synthetic is not None:
-        figures |= labelled.figures(arguments.synthetic, predictor)
+    if arguments.simulated is not None:
+        figures |= labelled.figures(arguments.simulated, predictor)
     figures |= real(arguments, predictor)
     return against_bars(figures).end()
 

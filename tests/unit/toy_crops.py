@@ -17,12 +17,12 @@ def make(folder: Path, num: dict[str, int], seed: int = 0, lidar: int = 0) -> Pa
     """Write shards and a manifest of ``num`` buildings per split to ``folder``; returns the manifest."""
     rng = np.random.default_rng(seed)
     rows = [_building(rng, split, f"{split}-{i}") for split in SPLITS for i in range(num.get(split, 0))]
-    shards = [("synthetic", rows, "0001_0001.parquet")]
+    shards = [("simulated", rows, "0001_0001.parquet")]
     if lidar:
         real = [_building(rng, "none", f"lidar-{i}") for i in range(lidar)]
         for row in real:
             row.update(eave_height_m=None, label_ground_z_m=None, angle_deg=None, roof_type=None)
-        shards.append(("lidar", real, "hd/0002_0001.parquet"))
+        shards.append(("real", real, "hd/0002_0001.parquet"))
     listed = []
     for dataset, shard, name in shards:
         columns = {field.name: [row[field.name] for row in shard] for field in CROPS}

@@ -28,7 +28,7 @@ def test_trained_weights_are_used_as_they_are_and_the_town_of_the_config_is_draw
 def test_a_stage_is_a_target(project):
     jobs = rules_to_run(project.snakemake("-n", "scans"))
     assert {"cast_scan", "build_roofs", "cut_scene"} <= set(jobs)
-    assert not {"crop_scene", "dvae", "eval_report"} & set(jobs)
+    assert not {"crop_simulated", "dvae", "eval_report"} & set(jobs)
 
 
 def test_open_tiles_wait_for_the_checkpoint(project):

@@ -12,12 +12,12 @@ from checkout import REDUCED, Project, rules_to_run
 NOTHING = "Nothing to be done"
 SCANS_AND_WHAT_FOLLOWS = {
     "cast_scan",
-    "crop_scene",
+    "crop_simulated",
     "crops",
     "dvae",
     "model",
     "predict",
-    "refine",
+    "fit",
     "baseline",
     "measure",
     "reconstruct_tile",
@@ -69,7 +69,7 @@ def test_every_building_has_a_row_and_every_mesh_is_closed(done):
     for shard in manifest["shards"]:
         table = pq.read_table(results / "crops" / shard["path"], columns=["building_id", "split"])
         wanted |= {row["building_id"] for row in table.to_pylist() if row["split"] in ("test", "none")}
-    predictions = pq.read_table(results / "eval/predictions.parquet").to_pylist()
+    predictions = pq.read_table(results / "eval/point2wss.parquet").to_pylist()
     assert {row["building_id"] for row in predictions} == wanted
     with_mesh = [row for row in predictions if row["triangle"]]
     assert len(with_mesh) >= 0.98 * len(predictions)

@@ -101,7 +101,7 @@ def test_table_2_of_a_real_data_set_with_recorded_roofer(done, project):
     mean = dict(zip(header, rows[0], strict=True))
     # the judge of the real data gives Roofer 0.914
     assert abs(float(mean["Delft AHN3 / Roofer (recorded)"]) - 0.914) < 0.012
-    for ours in ("Point2WSS + refinement", "Refinement only"):
+    for ours in ("Point2WSS + fit", "Fit alone"):
         assert float(mean[f"Delft AHN3 / {ours}"]) < 0.95 < 1.5 * float(mean["Delft AHN3 / Point2WSS"])
     more = {row[0]: row[1:] for row in csv.reader((folder / "table2_more.csv").open())}
     at = [i for i, title in enumerate(more["Measure"]) if title.startswith("Delft")]

@@ -4,7 +4,7 @@
 rule ablation_model:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
+        simulated=simulated_shards,
         dvae="<results>/dvae/model.safetensors",
     output:
         weights="<results>/ablation/{variant}/model.safetensors",
@@ -32,7 +32,7 @@ rule ablation_model:
 rule ablation:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
+        simulated=simulated_shards,
         models=expand(
             "<results>/ablation/{variant}/model.safetensors", variant=list(settings.ablation.variants)
         ),

@@ -21,6 +21,7 @@ except InputError as error:
 
 wildcard_constraints:
     tile=TILE_PATTERN,
+    method=r"(point2wss\+)?fit",
     baseline="lod1|constant|roofer",
 
 

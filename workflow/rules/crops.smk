@@ -1,16 +1,20 @@
 """Crops. In: buildings and scans, or footprints and real LiDAR. Out: shards of building clouds and their manifest."""
 
+# what every later stage reads beside the manifest
+simulated_shards = every_tile("<results>/crops/simulated/{tile}.parquet")
+real_shards = expand("<results>/crops/real/{tile}.parquet", tile=settings.region.lidar_tiles)
 
-rule crop_scene:
+
+rule crop_simulated:
     input:
         buildings="<results>/buildings/{tile}.parquet",
         scan="<results>/scans/{tile}.laz",
     output:
-        shard="<results>/crops/{tile}.parquet",
+        shard="<results>/crops/simulated/{tile}.parquet",
     log:
-        "<logs>/crops/{tile}.log",
+        "<logs>/crops/simulated/{tile}.log",
     benchmark:
-        "<benchmarks>/crops/{tile}.tsv"
+        "<benchmarks>/crops/simulated/{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -19,19 +23,19 @@ rule crop_scene:
         config=section("crops"),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops scene --buildings {input.buildings} --scan {input.scan} --out {output.shard} --config {params.config:q} 2> {log}"
+        "p2wss crops simulated --buildings {input.buildings} --scan {input.scan} --out {output.shard} --config {params.config:q} 2> {log}"
 
 
-rule crop_lidar:
+rule crop_real:
     input:
         footprints="<results>/fetch/footprints.gpkg",
         clouds=lidar_around,
     output:
-        shard="<results>/crops_hd/{tile}.parquet",
+        shard="<results>/crops/real/{tile}.parquet",
     log:
-        "<logs>/crops_hd/{tile}.log",
+        "<logs>/crops/real/{tile}.log",
     benchmark:
-        "<benchmarks>/crops_hd/{tile}.tsv"
+        "<benchmarks>/crops/real/{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -40,15 +44,15 @@ rule crop_lidar:
         config=section("region", "scenes", "crops"),
         code=fingerprint("crops", "data.footprints"),
     shell:
-        "p2wss crops lidar --tile {wildcards.tile} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
+        "p2wss crops real --tile {wildcards.tile} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
         " --config {params.config:q} 2> {log}"
 
 
 rule crops:
     input:
         index="<results>/scenes/index.tsv",
-        scenes=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
     output:
         manifest="<results>/crops/manifest.json",
     log:
@@ -63,5 +67,5 @@ rule crops:
         config=section("crops"),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops manifest --out {output.manifest} --scenes {input.scenes} --lidar {input.lidar}"
+        "p2wss crops manifest --out {output.manifest} --simulated {input.simulated} --real {input.real}"
         " --config {params.config:q} 2> {log}"

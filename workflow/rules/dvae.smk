@@ -4,8 +4,8 @@
 rule dvae:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
     output:
         weights="<results>/dvae/model.safetensors",
         metrics="<results>/dvae/metrics.jsonl",

@@ -1,7 +1,7 @@
 """Eval. In: crops, model, metrics. Out: reconstructions by every method, their measures, the report with its tables."""
 
-# files of reconstructions: ours, then the baselines
-OURS = ["predictions", "refined", "fitted"]
+# our methods; each file of reconstructions is named after its method
+OURS = ["point2wss", "point2wss+fit", "fit"]
 # settings that only the report reads: no mesh depends on them
 REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst")
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
@@ -10,17 +10,17 @@ TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibrat
 rule predict:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
         model=weights,
     output:
-        predictions="<results>/eval/predictions.parquet",
+        reconstructions="<results>/eval/point2wss.parquet",
         parameters="<results>/eval/parameters.json",
-        cpu="<results>/eval/cpu/predictions.json",
+        cpu="<results>/eval/cpu/point2wss.json",
     log:
-        "<logs>/eval/predict.log",
+        "<logs>/eval/point2wss.log",
     benchmark:
-        "<benchmarks>/eval/predict.tsv"
+        "<benchmarks>/eval/point2wss.tsv"
     conda:
         "../../envs/p2wss.yaml"
     threads: 2
@@ -31,28 +31,28 @@ rule predict:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.predict", "eval.parameters", "nets.predictor"),
     shell:
-        "p2wss eval predict --manifest {input.manifest} --model {input.model} --out {output.predictions}"
+        "p2wss eval predict --manifest {input.manifest} --model {input.model} --out {output.reconstructions}"
         " --out-parameters {output.parameters} --out-cpu {output.cpu}"
         " --threads {threads} --config {params.config:q} 2> {log}"
 
 
-rule refine:
+rule fit:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
         predictions=branch(
-            lambda wildcards: wildcards.variant == "refined",
-            then="<results>/eval/predictions.parquet",
+            lambda wildcards: wildcards.method == "point2wss+fit",
+            then="<results>/eval/point2wss.parquet",
             otherwise=[],
         ),
     output:
-        reconstructions="<results>/eval/{variant,refined|fitted}.parquet",
-        cpu="<results>/eval/cpu/{variant,refined|fitted}.json",
+        reconstructions="<results>/eval/{method}.parquet",
+        cpu="<results>/eval/cpu/{method}.json",
     log:
-        "<logs>/eval/{variant}.log",
+        "<logs>/eval/{method}.log",
     benchmark:
-        "<benchmarks>/eval/{variant}.tsv"
+        "<benchmarks>/eval/{method}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -62,15 +62,15 @@ rule refine:
         code=fingerprint("eval.predict"),
         begin=lambda wildcards, input: f"--predictions {input.predictions}" if input.predictions else "",
     shell:
-        "p2wss eval refine --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.begin}"
+        "p2wss eval fit --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.begin}"
         " --config {params.config:q} 2> {log}"
 
 
 rule baseline:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
         recorded=branch(lambda wildcards: wildcards.baseline == "roofer", then=RECORDED, otherwise=[]),
     output:
         reconstructions="<results>/eval/{baseline}.parquet",
@@ -96,8 +96,8 @@ rule baseline:
 rule measure:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
         reconstructions=expand("<results>/eval/{name}.parquet", name=[*OURS, *settings.eval.baselines]),
     output:
         measures="<results>/eval/measures.parquet",

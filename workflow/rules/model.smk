@@ -4,8 +4,8 @@
 rule model:
     input:
         manifest="<results>/crops/manifest.json",
-        shards=every_tile("<results>/crops/{tile}.parquet"),
-        lidar=expand("<results>/crops_hd/{tile}.parquet", tile=settings.region.lidar_tiles),
+        simulated=simulated_shards,
+        real=real_shards,
         dvae="<results>/dvae/model.safetensors",
     output:
         weights="<results>/model/model.safetensors",

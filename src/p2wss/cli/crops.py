@@ -25,22 +25,22 @@ from p2wss.provenance import fingerprint
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss crops`` to the parser."""
     crops = add_group(stages, "crops", "points of each building")
-    command = add_command(crops, "scene", crops_scene, "from a simulated scan, with labels")
+    command = add_command(crops, "simulated", crops_simulated, "from a simulated scan, with labels")
     command.add_argument("--buildings", type=Path, required=True)
     command.add_argument("--scan", type=Path, required=True)
     command.add_argument("--out", type=Path, help="Parquet shard", required=True)
-    command = add_command(crops, "lidar", crops_lidar, "from real LiDAR, without labels")
+    command = add_command(crops, "real", crops_real, "from real LiDAR, without labels")
     command.add_argument("--tile", help="buildings of this tile", required=True)
     command.add_argument("--footprints", type=Path, required=True)
     command.add_argument("--out", type=Path, help="Parquet shard", required=True)
     command.add_argument("--clouds", type=Path, nargs="+", help="LAS, LAZ or COPC", required=True)
     command = add_command(crops, "manifest", crops_manifest, "list shards, with hashes and splits")
     command.add_argument("--out", type=Path, help="manifest.json", required=True)
-    command.add_argument("--scenes", type=Path, nargs="*", default=[], help="shards of simulated scans")
-    command.add_argument("--lidar", type=Path, nargs="*", default=[], help="shards of real LiDAR")
+    command.add_argument("--simulated", type=Path, nargs="*", default=[], help="shards of simulated scans")
+    command.add_argument("--real", type=Path, nargs="*", default=[], help="shards of real LiDAR")
 
 
-def crops_scene(arguments: argparse.Namespace) -> None:
+def crops_simulated(arguments: argparse.Namespace) -> None:
     from p2wss import crops
     from p2wss.data.schemas.buildings import BUILDINGS
 
@@ -54,11 +54,11 @@ def crops_scene(arguments: argparse.Namespace) -> None:
         )
     scan = crops.read_scan(arguments.scan)
     crops.check_crs(scan[0].crs, facts["crs"], str(arguments.scan))
-    columns, left_out = crops.crop_scene(table, scan, config.crops)
+    columns, left_out = crops.crop_simulated(table, scan, config.crops)
     _write_crops(arguments.out, columns, left_out, facts["tile"], facts["crs"], section_json(config, "crops"))
 
 
-def crops_lidar(arguments: argparse.Namespace) -> None:
+def crops_real(arguments: argparse.Namespace) -> None:
     from p2wss import crops
     from p2wss.data import footprints
 
@@ -68,7 +68,7 @@ def crops_lidar(arguments: argparse.Namespace) -> None:
     frame = footprints.clean_footprints(
         footprints.read_footprints(arguments.footprints, bounds=bounds), config.scenes
     )
-    columns, left_out = crops.crop_lidar(frame, arguments.clouds, arguments.tile, tile_size_m, config.crops)
+    columns, left_out = crops.crop_real(frame, arguments.clouds, arguments.tile, tile_size_m, config.crops)
     made_by = section_json(config, "region", "scenes", "crops")
     _write_crops(arguments.out, columns, left_out, arguments.tile, config.region.crs, made_by)
 
@@ -85,13 +85,11 @@ def _write_crops(
 
 
 def crops_manifest(arguments: argparse.Namespace) -> None:
-    from p2wss import crops
     from p2wss.crops.manifest import list_shards
+    from p2wss.data.schemas.crops import REAL, SIMULATED
 
     config = read_config(arguments)
-    shards = [(path, crops.SYNTHETIC) for path in arguments.scenes] + [
-        (path, crops.LIDAR) for path in arguments.lidar
-    ]
+    shards = [(path, SIMULATED) for path in arguments.simulated] + [(path, REAL) for path in arguments.real]
     listed = list_shards(shards, arguments.out.parent)
     made_by = files.provenance(config=section_json(config, "crops"), code=fingerprint("crops"))
     files.write_json(arguments.out, listed | made_by)

@@ -34,7 +34,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument("--out-cpu", type=Path, help="JSON: CPU time per building", required=True)
     command.add_argument("--threads", type=int, default=1)
     command.add_argument("--device", choices=DEVICES, default="auto")
-    command = add_command(evaluate, "refine", eval_refine, "fit the same buildings to their points")
+    command = add_command(evaluate, "fit", eval_fit, "fit the same buildings to their points")
     command.add_argument("--manifest", type=Path, required=True)
     command.add_argument("--out", type=Path, help="Parquet of reconstructions", required=True)
     command.add_argument("--out-cpu", type=Path, help="JSON: CPU time per building", required=True)
@@ -96,19 +96,19 @@ def eval_predict(arguments: argparse.Namespace) -> None:
     _write_reconstructions(arguments, found, rows, facts, clock)
 
 
-def eval_refine(arguments: argparse.Namespace) -> None:
+def eval_fit(arguments: argparse.Namespace) -> None:
     from p2wss.data.schemas.reconstructions import read_reconstructions
     from p2wss.eval import cases, predict
     from p2wss.eval.clock import CpuClock
 
     config, clock = read_config(arguments), CpuClock()
     found = cases.test_cases(cases.read_manifest(arguments.manifest))
-    known = None if arguments.predictions is None else read_reconstructions(arguments.predictions)
-    rows = predict.refine(found, known, config.reconstruct, clock)
+    predictions = None if arguments.predictions is None else read_reconstructions(arguments.predictions)
+    rows = predict.fit(found, predictions, config.reconstruct, clock)
     facts: dict[str, Any] = {"method": predict.FIT, "status": "ok"}
     if arguments.predictions is not None:
         begun = files.read_metadata(arguments.predictions)
-        facts = {"method": predict.REFINED, "status": "ok", "model": begun.get("model")}
+        facts = {"method": predict.NETWORK_AND_FIT, "status": "ok", "model": begun.get("model")}
     _write_reconstructions(arguments, found, rows, _eval_facts(config, **facts), clock)
 
 

@@ -25,7 +25,6 @@ from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
 from p2wss.skeleton.types import FaceKind, Polygons
 
-SYNTHETIC, LIDAR = "synthetic", "lidar"
 _READ_AT_ONCE = 1_000_000
 _REACH_M = 320.0  # int16 centimetres end at 327 m
 _NOT_INT16 = -32768
@@ -63,7 +62,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     return Cloud(xyz[0], xyz[1], xyz[2], classification, crs, strip), building, face
 
 
-def crop_scene(
+def crop_simulated(
     buildings: pa.Table, scan: tuple[Cloud, np.ndarray, np.ndarray], settings: Crops
 ) -> tuple[dict[str, Any], Counter[str]]:
     """Rows of ``io.CROPS`` for the buildings of one tile, with labels, and the number left out per reason.
@@ -98,7 +97,7 @@ def crop_scene(
     return columns, left_out
 
 
-def crop_lidar(
+def crop_real(
     frame: gpd.GeoDataFrame,
     clouds: Sequence[str | Path],
     tile: str,
@@ -188,7 +187,7 @@ def _rows(
     settings: Crops,
     left_out: Counter[str],
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Which polygons make a row, and the columns of ``io.CROPS`` that synthetic and real clouds share.
+    """Which polygons make a row, and the columns of ``io.CROPS`` that simulated and real clouds share.
 
     Adds to ``left_out`` the number of polygons that are too large or have too few points.
     """

@@ -13,11 +13,8 @@ import pyarrow.compute as pc
 
 from p2wss.data import files, polygon_arrays
 from p2wss.data.building import Building
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.errors import InputError
-
-SYNTHETIC = "synthetic"
-LIDAR = "lidar"
 
 
 @dataclass(frozen=True)
@@ -78,7 +75,7 @@ def test_cases(manifest: Manifest) -> list[Case]:
     cases: list[Case] = []
     for path, dataset in manifest.shards:
         table = files.read_table(path, CROPS)
-        if dataset == SYNTHETIC:
+        if dataset == SIMULATED:
             table = table.filter(pc.equal(table["split"], "test"))
         cases += from_crops(table, dataset)
     return cases
@@ -102,7 +99,7 @@ def train_medians(manifest: Manifest) -> Medians:
 def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     heights, angles = [np.zeros(0)], [np.zeros(0)]
     for path, dataset in manifest.shards:
-        if dataset == SYNTHETIC:
+        if dataset == SIMULATED:
             wanted = ["split", "eave_height_m", "label_ground_z_m", "ground_z_m", "angle_deg"]
             table = files.read_table(path, CROPS, columns=wanted)
             table = table.filter(pc.is_in(table["split"], pa.array(splits)))

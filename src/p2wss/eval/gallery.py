@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from p2wss.data.building import Reconstruction
-from p2wss.eval.cases import LIDAR, SYNTHETIC, Case
-from p2wss.eval.predict import FIT, NETWORK, REFINED
+from p2wss.data.schemas.crops import REAL, SIMULATED
+from p2wss.eval.cases import Case
+from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.eval.reasons import Reason, reason
 from p2wss.eval.tables import main_method
 
@@ -65,8 +66,8 @@ class Gallery:
         return self._reasons[key, method]
 
     def num_parts(self, key: Key) -> int:
-        """Heights that the refinement found, 1 where it was not run."""
-        for method in (REFINED, FIT):
+        """Number of parts that the fit found, 1 where it was not run."""
+        for method in (NETWORK_AND_FIT, FIT):
             made = self.reconstructions.get(method, {}).get(key)
             if made is not None and made.has_mesh:
                 return made.num_parts
@@ -84,60 +85,60 @@ class Gallery:
         return [
             Counterpart(
                 "7 (1)",
-                "Height error, synthetic",
+                "Height error, simulated",
                 "network only: the largest error of the eave's height where the angles are right within 5°",
-                self._top(SYNTHETIC, NETWORK, self._height_error, count),
+                self._top(SIMULATED, NETWORK, self._height_error, count),
             ),
             Counterpart(
                 "7 (2)",
                 "Height error, LiDAR",
                 "network only: the whole roof too high or too low, by the most",
-                self._top(LIDAR, NETWORK, self._shift, count),
+                self._top(REAL, NETWORK, self._shift, count),
             ),
             Counterpart(
                 "8",
                 "Discontinuous heights",
-                "buildings in which the refinement found parts: the network's one height is furthest off",
-                self._top(LIDAR, NETWORK, self._heights, count),
+                "buildings in which the fit found parts: the network's one height is furthest off",
+                self._top(REAL, NETWORK, self._heights, count),
             ),
             Counterpart(
                 "9",
                 "Garage or annex",
                 "network only: the most points in one place at the edge, more than 0.5 m below the roof",
-                self._top(LIDAR, NETWORK, self._because("garage or annex"), count),
+                self._top(REAL, NETWORK, self._because("garage or annex"), count),
             ),
             Counterpart(
                 "10",
                 "Dormer",
                 "our best variant: points in one place more than 0.5 m above the roof",
-                self._top(LIDAR, self.main, self._because("dormer"), count),
+                self._top(REAL, self.main, self._because("dormer"), count),
             ),
             Counterpart(
                 "11",
                 "Shed, hip or gable roof",
                 "our best variant: the least distance from points to mesh of each kind of roof",
-                self._good(LIDAR, count),
+                self._good(REAL, count),
             ),
             Counterpart(
                 "12",
                 "Missing planes of Roofer",
                 "Roofer: the largest share of points more than 0.5 m from its mesh",
                 [
-                    *self._top(LIDAR, ROOFER, _missing, count),
-                    *self._top(SYNTHETIC, ROOFER, _missing, count),
+                    *self._top(REAL, ROOFER, _missing, count),
+                    *self._top(SIMULATED, ROOFER, _missing, count),
                 ],
             ),
             Counterpart(
                 "13",
                 "Unrealistic structures of Roofer",
                 "Roofer: the mesh rises furthest above the highest point on the building",
-                self._top(LIDAR, ROOFER, _overshoot, count),
+                self._top(REAL, ROOFER, _overshoot, count),
             ),
             Counterpart(
                 "14",
                 "Artefacts of Roofer",
                 "Roofer: the most faces below 0.25 m²",
-                self._top(LIDAR, ROOFER, _small_faces, count),
+                self._top(REAL, ROOFER, _small_faces, count),
             ),
         ]
 
@@ -176,7 +177,7 @@ class Gallery:
         parts, far = self.num_parts(key), row["far_share"]
         if parts < 2 or far is None:
             return None
-        best = self.rows.get((LIDAR, self.main), {}).get(key)
+        best = self.rows.get((REAL, self.main), {}).get(key)
         after = "" if best is None or best["far_share"] is None else f", with parts {best['far_share']:.0%}"
         return far, f"{parts} parts; with one height {far:.0%} of the points are more than 0.5 m off{after}."
 

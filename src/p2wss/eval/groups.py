@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from p2wss.eval.predict import FIT, NETWORK, REFINED
+from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.eval.tables import numbers
 from p2wss.metrics import calibration as metrics
 from p2wss.metrics.calibration import Calibration
@@ -23,7 +23,7 @@ BY = {
     "confidence": "Confidence",
 }
 # methods that state a confidence, the best first
-STATED = (REFINED, FIT, NETWORK)
+STATED = (NETWORK_AND_FIT, FIT, NETWORK)
 MEDIANS = ("chamfer_m", "roof_chamfer_m", "points_to_mesh_m", "height_rmse_m")
 MEANS = ("height_error_m", "angle_error_deg")
 HEADER = ("dataset", "by", "group", "method", "num_buildings", "num_meshes")
@@ -118,7 +118,7 @@ def _values(measures: pa.Table, by: str) -> dict[tuple[str, str], float]:
 def _kinds(measures: pa.Table) -> dict[tuple[str, str], str]:
     """The label of the roof; without one the kind by the edges of our best reconstruction."""
     found: dict[tuple[str, str], str] = {}
-    rank = {REFINED: 0, FIT: 1, NETWORK: 2}
+    rank = {NETWORK_AND_FIT: 0, FIT: 1, NETWORK: 2}
     rows = measures.select(["tile", "building_id", "method", "roof_type", "roof_kind"]).to_pylist()
     for row in sorted(rows, key=lambda row: rank.get(row["method"], 3)):
         kind = row["roof_type"] or (row["roof_kind"] if row["method"] in rank else None)

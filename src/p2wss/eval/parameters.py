@@ -9,9 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from p2wss.data.building import Building, Reconstruction, ground_z_m
-from p2wss.eval.cases import SYNTHETIC, Case, Medians
+from p2wss.data.schemas.crops import SIMULATED
+from p2wss.eval.cases import Case, Medians
 from p2wss.eval.measure import points_on_building
-from p2wss.eval.predict import FIT, NETWORK, REFINED
+from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.metrics.absolute_error import absolute_error, vertex_error
 from p2wss.reconstruct.network import Predictor
 from p2wss.skeleton.queries import roof_points
@@ -21,7 +22,7 @@ Key = tuple[str, str, str]
 # a roof is seen with so many points on it, an edge with so many over its sloped face
 MIN_SEEN_POINTS = 10
 # the method behind a setting of Table 1
-SETTING_OF_METHOD = {NETWORK: "footprint_given", REFINED: "refined", FIT: "fitted"}
+SETTING_OF_METHOD = {NETWORK: "footprint_given", NETWORK_AND_FIT: NETWORK_AND_FIT, FIT: FIT}
 
 
 class MaskedPredictor(Predictor, Protocol):
@@ -67,7 +68,7 @@ def masked_errors(
             [np.tile(_middle(case.building), (len(case.building.rings[0]), 1)) for case in sequences],
         ),
     }
-    num_buildings = sum(case.dataset == SYNTHETIC for case in cases)
+    num_buildings = sum(case.dataset == SIMULATED for case in cases)
     return {
         "settings": settings,
         "num_buildings": num_buildings,
@@ -92,7 +93,7 @@ def with_reconstructions(
 
 
 def is_labelled(case: Case) -> bool:
-    return case.dataset == SYNTHETIC and case.angle_deg is not None
+    return case.dataset == SIMULATED and case.angle_deg is not None
 
 
 def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[str, float]]:

@@ -1,4 +1,4 @@
-"""Our own variants on the test split and on real LiDAR: the network, refined or not, and the fit alone."""
+"""Our own variants on the test split and on real LiDAR: the network, with and without the fit, and the fit alone."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.eval.cases import LIDAR, SYNTHETIC, Case
+from p2wss.data.schemas.crops import REAL, SIMULATED
+from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
 from p2wss.fit import fitting
 from p2wss.reconstruct.network import Predictor, reconstruct_with_network
 
 NETWORK, FIT = "point2wss", fitting.METHOD
-REFINED = f"{NETWORK}+{FIT}"
+NETWORK_AND_FIT = f"{NETWORK}+{FIT}"
 _NUM_WARM_UP = 10
 Method = Callable[[Sequence[Building], Reconstruct], list[Reconstruction]]
 
@@ -20,7 +21,7 @@ Method = Callable[[Sequence[Building], Reconstruct], list[Reconstruction]]
 def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
     """Simulated buildings keep their footprint, to which the labels belong, and their one height; real
     footprints are simplified, and real buildings may have parts."""
-    if dataset != SYNTHETIC:
+    if dataset != SIMULATED:
         return config
     return config.model_copy(update={"simplify_m": 0.0, "max_parts": 1})
 
@@ -34,22 +35,27 @@ def predict(
     )
 
 
-def refine(
+def fit(
     cases: Sequence[Case],
-    known: Mapping[tuple[str, str, str], Reconstruction] | None,
+    predictions: Mapping[tuple[str, str, str], Reconstruction] | None,
     config: Reconstruct,
     clock: CpuClock | None = None,
 ) -> list[Reconstruction]:
-    """Reconstructions fitted to the points, one per case, in order: from ``known``, the network's, by the key
-    of their case (method ``point2wss+fit``), or from nothing (method ``fit``)."""
-    if known is None:
+    """Reconstructions fitted to the points, one per case, in order.
+
+    They begin with ``predictions``, the network's, by the key of their case (method ``point2wss+fit``), or with
+    nothing (method ``fit``)."""
+    if predictions is None:
         return by_dataset(cases, lambda buildings, own: fitting.fit(buildings, own), config, clock)
     starts = {
-        id(case.building): known.get(case.key) or no_mesh(case.building, NETWORK, "not run") for case in cases
+        id(case.building): predictions.get(case.key) or no_mesh(case.building, NETWORK, "not run")
+        for case in cases
     }
     return by_dataset(
         cases,
-        lambda buildings, own: fitting.fit(buildings, own, [starts[id(b)] for b in buildings], REFINED),
+        lambda buildings, own: fitting.fit(
+            buildings, own, [starts[id(b)] for b in buildings], NETWORK_AND_FIT
+        ),
         config,
         clock,
     )
@@ -60,7 +66,7 @@ def by_dataset(
 ) -> list[Reconstruction]:
     """``method(buildings, config)`` for each data set with its own config; in the order of the cases."""
     found: dict[int, Reconstruction] = {}
-    for dataset in (SYNTHETIC, LIDAR):
+    for dataset in (SIMULATED, REAL):
         rows = [i for i, case in enumerate(cases) if case.dataset == dataset]
         if not rows:
             continue

@@ -16,18 +16,19 @@ import pyarrow.compute as pc
 from p2wss.config import Eval
 from p2wss.data import files
 from p2wss.data.building import Reconstruction
+from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.data.schemas.reconstructions import read_reconstructions
 from p2wss.errors import InputError
 from p2wss.eval import figures, groups, parameters, tables, texts
-from p2wss.eval.cases import LIDAR, SYNTHETIC, Case, read_manifest, test_cases
+from p2wss.eval.cases import Case, read_manifest, test_cases
 from p2wss.eval.gallery import Gallery, Shown, counts_of_reasons
-from p2wss.eval.predict import NETWORK, REFINED
+from p2wss.eval.predict import NETWORK, NETWORK_AND_FIT
 from p2wss.eval.viewer import viewer
 
 Key = tuple[str, str, str]
 # methods whose meshes stand in a picture, as far as they were run: with the points, four panels
-PICTURED = (NETWORK, REFINED, "roofer")
+PICTURED = (NETWORK, NETWORK_AND_FIT, "roofer")
 PICTURED_ELSE = ("fit", "lod1")
 
 
@@ -52,7 +53,7 @@ class Inputs:
 
 def dataset_names(config: Eval) -> dict[str, str]:
     """What the report calls the data sets."""
-    return {SYNTHETIC: "Synthetic", LIDAR: config.lidar_name}
+    return {SIMULATED: "Simulated", REAL: config.lidar_name}
 
 
 def read(

@@ -20,7 +20,8 @@ import shapely.affinity
 
 from p2wss.config import Eval
 from p2wss.data.building import Reconstruction, ground_z_m, no_mesh
-from p2wss.eval.cases import LIDAR, Case
+from p2wss.data.schemas.crops import REAL
+from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson
@@ -71,7 +72,7 @@ def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, st
     for path in paths:
         for solid in cityjson.read(path, LOD):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
-    chosen = [case for case in cases if case.dataset == LIDAR]
+    chosen = [case for case in cases if case.dataset == REAL]
     if not any(case.building.building_id in solids for case in chosen):
         return {}
     found = {}

@@ -11,33 +11,33 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from p2wss.config import Eval
+from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.seeds import generator
 from p2wss.eval.baselines import RECORDED
-from p2wss.eval.cases import LIDAR, SYNTHETIC
-from p2wss.eval.predict import FIT, NETWORK, REFINED
+from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.metrics.summary import Summary, summarize
 
 # in the order of the columns
 METHOD_NAMES = {
     "roofer": "Roofer",
     NETWORK: "Point2WSS",
-    REFINED: "Point2WSS + refinement",
-    FIT: "Refinement only",
+    NETWORK_AND_FIT: "Point2WSS + fit",
+    FIT: "Fit alone",
     "lod1": "LoD1 (flat)",
     "constant": "Constant",
 }
-OURS = (NETWORK, REFINED, FIT)
+OURS = (NETWORK, NETWORK_AND_FIT, FIT)
 
 # Queffelec et al., Point2WSS, Table 1: MAE and standard deviation
 PAPER_TABLE_1 = {"height_m": (0.23, 0.9), "angle_deg": (2.34, 5.35), "coordinate_m": (0.41, 0.93)}
 # Table 2: mean, Q1, Q2, Q3 and standard deviation of CD, mean and standard deviation of the triangles
 PAPER_TABLE_2 = {
-    (SYNTHETIC, "roofer"): (1.25, 0.63, 0.95, 1.48, 1.08, 24.9, 17.1),
-    (SYNTHETIC, NETWORK): (1.43, 0.59, 0.95, 1.72, 1.72, 17.2, 4.8),
-    (LIDAR, "roofer"): (0.97, 0.57, 0.73, 1.01, 0.93, 25.6, 19.2),
-    (LIDAR, NETWORK): (2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2),
+    (SIMULATED, "roofer"): (1.25, 0.63, 0.95, 1.48, 1.08, 24.9, 17.1),
+    (SIMULATED, NETWORK): (1.43, 0.59, 0.95, 1.72, 1.72, 17.2, 4.8),
+    (REAL, "roofer"): (0.97, 0.57, 0.73, 1.01, 0.93, 25.6, 19.2),
+    (REAL, NETWORK): (2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2),
 }
-PAPER_DATASETS = {SYNTHETIC: "Synthetic", LIDAR: "HD LiDAR"}
+PAPER_DATASETS = {SIMULATED: "Simulated", REAL: "HD LiDAR"}
 ROWS_1 = {
     "height_m": "Height (m)",
     "angle_deg": "Angles (°)",
@@ -50,8 +50,8 @@ SETTINGS_1 = {
     "all_masked": "Point2WSS, all masked",
     "all_masked_signs": "Point2WSS, signs masked too",
     "footprint_given": "Point2WSS, footprint given",
-    "refined": "Footprint given + refinement",
-    "fitted": "Refinement only",
+    NETWORK_AND_FIT: "Footprint given + fit",
+    FIT: "Fit alone",
     "constant": "Constant predictor",
 }
 ROWS_2 = ("mu_CD", "Q1_CD", "Q2_CD", "Q3_CD", "sigma_CD", "mu_#T", "sigma_#T")
@@ -124,8 +124,8 @@ class Column:
 
 
 def main_method(methods: Sequence[str]) -> str:
-    """Ours that is looked at closest: refined if there is such, else the network's."""
-    return next((name for name in (REFINED, NETWORK, FIT) if name in methods), NETWORK)
+    """Ours that is looked at closest: the network with the fit if there is one, else the network."""
+    return next((name for name in (NETWORK_AND_FIT, NETWORK, FIT) if name in methods), NETWORK)
 
 
 def ordered(runs: Sequence[Run]) -> list[Run]:
@@ -152,7 +152,7 @@ def table_1(parameters: Mapping[str, Any]) -> list[list[Any]]:
 def columns_2(details: Sequence[Detail], runs: Sequence[Run]) -> list[Column]:
     """Columns of Table 2: per data set the paper's two, then one per method; one not run has no values."""
     columns = []
-    for dataset in (SYNTHETIC, LIDAR):
+    for dataset in (SIMULATED, REAL):
         for method, name in (("roofer", "Roofer"), (NETWORK, "Ours")):
             columns.append(Column(dataset, method, name, "paper", PAPER_TABLE_2[dataset, method]))
         found = {detail.method: detail for detail in details if detail.dataset == dataset}
@@ -235,7 +235,8 @@ def details(
 ) -> list[Detail]:
     """Statistics per data set and method, in the order of their first rows.
 
-    cpu_ms: milliseconds per building, by method and data set; the refined network's has the network's added.
+    cpu_ms: milliseconds per building, by method and data set; of the fit after the network, the network's are
+    added.
     """
     found = []
     keys = list(
@@ -262,7 +263,7 @@ def details(
 
 
 def _cpu(cpu_ms: Mapping[str, Mapping[str, float]], dataset: str, method: str) -> float | None:
-    steps = (NETWORK, REFINED) if method == REFINED else (method,)
+    steps = (NETWORK, NETWORK_AND_FIT) if method == NETWORK_AND_FIT else (method,)
     known = [cpu_ms.get(step, {}).get(dataset) for step in steps]
     return None if None in known else sum(value for value in known if value is not None)
 

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.errors import InputError
 from p2wss.nets import parallel
 from p2wss.nets.augment import UNKNOWN
@@ -57,7 +57,7 @@ def load_buildings(
         shards = [
             (Path(manifest).parent / shard["path"], shard["dataset"], shard.get("sha256"))
             for shard in listed["shards"]
-            if shard["dataset"] == "synthetic" or (lidar and not labelled)
+            if shard["dataset"] == SIMULATED or (lidar and not labelled)
         ]
     except (TypeError, KeyError) as error:
         raise InputError(f"{manifest}: not a manifest of crops: no {error}") from error
@@ -65,7 +65,7 @@ def load_buildings(
 
     def parts() -> Iterator[Buildings]:
         for path, name, _ in shards:
-            part = _read(path, splits if name == "synthetic" else ["none"], limits, labelled, left_out)
+            part = _read(path, splits if name == SIMULATED else ["none"], limits, labelled, left_out)
             if len(part):
                 yield part
 

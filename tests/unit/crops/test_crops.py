@@ -54,7 +54,7 @@ def points_of(columns, row):
 
 def test_rows_hold_the_points_around_each_footprint(scanned):
     buildings, (cloud, owner, face) = scanned
-    columns, left_out = crops.crop_scene(buildings, (cloud, owner, face), Crops(max_points=1200))
+    columns, left_out = crops.crop_simulated(buildings, (cloud, owner, face), Crops(max_points=1200))
     assert sum(left_out.values()) == 0
     ids = columns["building_id"].to_pylist()
     assert ids == [row["building_id"] for row in buildings.to_pylist() if row["in_tile"]]
@@ -85,7 +85,7 @@ def test_rows_hold_the_points_around_each_footprint(scanned):
 
 def test_labels_stay_with_their_building(scanned):
     buildings, scan = scanned
-    columns, _ = crops.crop_scene(buildings, scan, Crops(min_points=1300))
+    columns, _ = crops.crop_simulated(buildings, scan, Crops(min_points=1300))
     source = {row["building_id"]: row for row in buildings.to_pylist()}
     kept = columns["building_id"].to_pylist()
     assert 0 < len(kept) < sum(row["in_tile"] for row in source.values())
@@ -107,7 +107,7 @@ def test_what_is_left_out_is_counted():
         np.array([652_500.0]), np.array([6_861_905.0]), np.array([80.0]), np.full(1, 2, np.uint8), None
     )
     none = np.full(1, -1, np.int32)
-    columns, left_out = crops.crop_scene(table([failed, unseen, huge]), (cloud, none, none), Crops())
+    columns, left_out = crops.crop_simulated(table([failed, unseen, huge]), (cloud, none, none), Crops())
     assert left_out == {"not-closed": 1, "too-few-points": 1, "too-large": 1}
     assert len(columns["num_points"]) == 0
 
@@ -196,7 +196,7 @@ def test_command_line_and_manifest(tmp_path, capsys):
     buildings = str(scene_files[2])
     scan, shard = str(tmp_path / "scan.laz"), str(tmp_path / "shards" / "a.parquet")
     survey = ["--out-survey", str(tmp_path / "scan.json")]
-    crop = ["crops", "scene", "--buildings", buildings, "--scan", scan, "--out", shard]
+    crop = ["crops", "simulated", "--buildings", buildings, "--scan", scan, "--out", shard]
     config = '{"scans": {"preset": "paper"}, "crops": {"block_size_m": 20}}'
     assert main(["scans", *scans_inputs(*scene_files), "--out", scan, *survey, "--config", config]) == 0
     assert main([*crop, "--config", config]) == 0
@@ -206,9 +206,9 @@ def test_command_line_and_manifest(tmp_path, capsys):
     rows = files.read_table(shard, CROPS)
     assert len(rows) > 10 and files.read_metadata(shard)["tile"] == TILE
     manifest = tmp_path / "out" / "manifest.json"
-    assert main(["crops", "manifest", "--out", str(manifest), "--scenes", shard, "--lidar", shard]) == 0
+    assert main(["crops", "manifest", "--out", str(manifest), "--simulated", shard, "--real", shard]) == 0
     listed = json.loads(manifest.read_text())
-    assert [s["dataset"] for s in listed["shards"]] == ["synthetic", "lidar"]
+    assert [s["dataset"] for s in listed["shards"]] == ["simulated", "real"]
     assert listed["shards"][0]["path"] == "../shards/a.parquet"
     assert listed["shards"][0]["sha256"] == files.sha256(shard)
     assert sum(listed["shards"][0]["splits"].values()) == len(rows)
@@ -220,7 +220,7 @@ def test_command_line_and_manifest(tmp_path, capsys):
     broken = tmp_path / "broken.laz"
     broken.write_bytes(Path(scan).read_bytes()[:20_000])
     for bad in (broken, tmp_path / "missing.laz", Path(scene_files[0])):
-        assert main(["crops", "scene", "--buildings", buildings, "--scan", str(bad), "--out", shard]) == 2
+        assert main(["crops", "simulated", "--buildings", buildings, "--scan", str(bad), "--out", shard]) == 2
         assert str(bad) in capsys.readouterr().err
     assert Path(shard).read_bytes() == first
 
@@ -287,7 +287,7 @@ def test_clouds_of_different_crs(tmp_path):
 
 def lidar_columns(footprint_file, clouds, tile, size_m):
     frame = scenes.clean_footprints(scenes.read_footprints(footprint_file), ScenesConfig())
-    return crops.crop_lidar(frame, clouds, tile, size_m, Crops())
+    return crops.crop_real(frame, clouds, tile, size_m, Crops())
 
 
 @needs_data

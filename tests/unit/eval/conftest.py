@@ -77,12 +77,12 @@ def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("crops")
     train = crop_columns(24, "0652_6862", True, 1, "train")
     test = crop_columns(16, "0652_6862", True, 2, "test")
-    synthetic = {name: [*train[name], *test[name]] for name in train}
-    synthetic["building_id"] = [f"b{i}" for i in range(40)]
-    synthetic["split"] = ["val"] * 4 + ["train"] * 20 + ["test"] * 16
+    simulated = {name: [*train[name], *test[name]] for name in train}
+    simulated["building_id"] = [f"b{i}" for i in range(40)]
+    simulated["split"] = ["val"] * 4 + ["train"] * 20 + ["test"] * 16
     lidar = crop_columns(12, "0653_6861", False, 3, "none")
     metadata = files.provenance(crs="EPSG:2154")
-    files.write_table(folder / "a.parquet", synthetic, CROPS, metadata)
+    files.write_table(folder / "a.parquet", simulated, CROPS, metadata)
     files.write_table(folder / "b.parquet", lidar, CROPS, metadata)
     manifest = folder / "manifest.json"
     manifest.write_text(
@@ -91,10 +91,10 @@ def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 "shards": [
                     {
                         "path": "a.parquet",
-                        "dataset": "synthetic",
+                        "dataset": "simulated",
                         "rows": {"val": 4, "train": 20, "test": 16},
                     },
-                    {"path": "b.parquet", "dataset": "lidar", "rows": {"none": 12}},
+                    {"path": "b.parquet", "dataset": "real", "rows": {"none": 12}},
                 ]
             }
         )

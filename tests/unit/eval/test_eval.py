@@ -93,7 +93,7 @@ def found(hamlet: Path) -> list[cases.Case]:
 
 
 def test_cases_are_the_test_split_and_all_lidar_in_metres(found: list[cases.Case]) -> None:
-    assert [c.dataset for c in found] == ["synthetic"] * 16 + ["lidar"] * 12
+    assert [c.dataset for c in found] == ["simulated"] * 16 + ["real"] * 12
     first = found[0]
     assert first.building.building_id == "b24" and first.eave_height_m == 4.0
     assert first.building.rings[0].tolist() == [[-5, -5], [7, -5], [7, 3], [-5, 3]]
@@ -116,7 +116,7 @@ def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path:
         row["split"] = "test"
     columns = {name: [row[name] for row in rows] for name in CROPS.names}
     files.write_table(tmp_path / "t.parquet", columns, CROPS, {})
-    manifest = cases.Manifest([(tmp_path / "t.parquet", "synthetic")])
+    manifest = cases.Manifest([(tmp_path / "t.parquet", "simulated")])
     medians = cases.train_medians(manifest)
     assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in rows]))
     assert np.isnan(cases.train_medians(cases.Manifest([])).angle_deg)
@@ -195,7 +195,7 @@ def measures(rows: list[dict[str, object]]) -> pa.Table:
 def test_table_2_has_the_papers_rows_and_figures() -> None:
     rows = [
         {
-            "dataset": "synthetic",
+            "dataset": "simulated",
             "method": "point2wss",
             "chamfer_m": cd,
             "num_triangles": t,
@@ -203,13 +203,13 @@ def test_table_2_has_the_papers_rows_and_figures() -> None:
         }
         for cd, t in ((1.0, 10), (2.0, 20), (4.0, 60))
     ]
-    rows.append({"dataset": "synthetic", "method": "point2wss", "status": "lost"})
+    rows.append({"dataset": "simulated", "method": "point2wss", "status": "lost"})
     details = tables.details(measures(rows), CONFIG)
     runs = [tables.Run("point2wss", "ok"), tables.Run("roofer", "not run: no program roofer was found")]
     table = tables.table_2(tables.columns_2(details, runs), report.dataset_names(CONFIG))
     assert (details[0].num_buildings, details[0].num_without_mesh) == (4, 1)
     assert [row[0] for row in table] == ["Statistic", *tables.ROWS_2]
-    ours = [row[table[0].index("Synthetic / Point2WSS")] for row in table[1:]]
+    ours = [row[table[0].index("Simulated / Point2WSS")] for row in table[1:]]
     expected = [7 / 3, 1.5, 2.0, 3.0, np.std([1, 2, 4]), 30, np.std([10, 20, 60])]
     assert ours == pytest.approx(expected)
     paper = [row[table[0].index("HD LiDAR / paper: Ours")] for row in table[1:]]
@@ -227,7 +227,7 @@ def test_roofer_is_run_and_read_back(found: list[cases.Case], tmp_path: Path) ->
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     tool = roofer_command.find(str(program))
     assert isinstance(tool, roofer_command.Roofer) and tool.version == "toy 1.0"
-    made = roofer.run(tool, found, {"synthetic": "EPSG:2154", "lidar": "EPSG:2154"}, CONFIG)
+    made = roofer.run(tool, found, {"simulated": "EPSG:2154", "real": "EPSG:2154"}, CONFIG)
     for case, one in zip(found, made, strict=True):
         mesh = trimesh.Trimesh(one.vertex_m, one.triangle)
         top = case.building.point_m[:, 2].max() - case.building.ground_z_m
@@ -263,7 +263,7 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     made = predict.predict(found, predictor, RECONSTRUCT)
     facts = files.provenance(method="point2wss", status="ok", code="0123")
     columns = reconstruction_columns(made, [case.dataset for case in found])
-    files.write_table(tmp_path / "predictions.parquet", columns, RECONSTRUCTIONS, facts)
+    files.write_table(tmp_path / "point2wss.parquet", columns, RECONSTRUCTIONS, facts)
     errors = parameters.masked_errors(found, made, predictor, cases.train_medians(manifest))
     files.write_json(tmp_path / "parameters.json", errors)
     config = json.dumps(
@@ -278,10 +278,10 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
 
     for name in ("lod1", "constant", "roofer"):
         run("baseline", "--name", name, "--manifest", hamlet, *outputs(name))
-    begin = ["--predictions", tmp_path / "predictions.parquet"]
-    run("refine", "--manifest", hamlet, *outputs("refined"), *begin)
-    run("refine", "--manifest", hamlet, *outputs("fitted"))
-    names = ("predictions", "refined", "fitted", "lod1", "constant", "roofer")
+    begin = ["--predictions", tmp_path / "point2wss.parquet"]
+    run("fit", "--manifest", hamlet, *outputs("point2wss+fit"), *begin)
+    run("fit", "--manifest", hamlet, *outputs("fit"))
+    names = ("point2wss", "point2wss+fit", "fit", "lod1", "constant", "roofer")
     rows = [tmp_path / f"{name}.parquet" for name in names]
     cpu = [tmp_path / f"{name}.json" for name in names[1:]]
     run("measure", "--manifest", hamlet, "--out", tmp_path / "measures.parquet", "--reconstructions", *rows)
@@ -311,7 +311,7 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
 
 def test_manifest_that_names_a_missing_shard_is_one_clear_line(tmp_path: Path) -> None:
     path = tmp_path / "manifest.json"
-    path.write_text('{"shards": [{"path": "gone.parquet", "dataset": "synthetic"}]}')
+    path.write_text('{"shards": [{"path": "gone.parquet", "dataset": "simulated"}]}')
     with pytest.raises(InputError, match=r"gone\.parquet, which does not exist"):
         cases.read_manifest(path)
     path.write_text("[]")

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from p2wss import crops, scenes
 from p2wss.config import Config, Eval, Reconstruct
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
 from p2wss.errors import InputError
 from p2wss.eval import baselines, cases, measure, roofer, roofer_command, tables
 from p2wss.metrics.surface import sample_surface
@@ -34,9 +34,9 @@ def real_cases(folder: str, cloud: str, tile: str, crs: int) -> list[cases.Case]
     config = Config()
     frame = scenes.read_footprints(DATA / folder / "footprints.gpkg")
     frame = scenes.clean_footprints(frame.to_crs(crs), config.scenes)
-    columns, _ = crops.crop_lidar(frame, [DATA / folder / cloud], tile, 1000, config.crops)
+    columns, _ = crops.crop_real(frame, [DATA / folder / cloud], tile, 1000, config.crops)
     table = pa.table({field.name: pa.array(columns[field.name], field.type) for field in CROPS})
-    return cases.from_crops(table, cases.LIDAR)
+    return cases.from_crops(table, REAL)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_every_building_measures_as_the_judge_says(rows: list[dict]) -> None:
 
 @needs_data
 def test_recorded_outputs_are_called_so_and_only_stand_for_real_buildings(delft: list[cases.Case]) -> None:
-    simulated = [cases.Case(cases.SYNTHETIC, *list(vars(case).values())[1:]) for case in delft[:3]]
+    simulated = [cases.Case(SIMULATED, *list(vars(case).values())[1:]) for case in delft[:3]]
     file = DATA / "delft_ahn3/roofer_lod22.city.jsonl"
     config = Eval(roofer_command=ABSENT, roofer_recorded=str(file))
     found, facts = baselines.baseline(

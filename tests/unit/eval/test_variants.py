@@ -17,6 +17,7 @@ import shapely
 
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
 from p2wss.eval.clock import CpuClock
@@ -37,7 +38,7 @@ def found(hamlet: Path) -> list[cases.Case]:
 @pytest.fixture(scope="module")
 def off(found: list[cases.Case]) -> list[Reconstruction]:
     """A network that is 40 cm too high and takes every roof for a hip of 30 degrees."""
-    height = [(case.eave_height_m or 5.0) + 0.4 if case.dataset == cases.SYNTHETIC else 5.0 for case in found]
+    height = [(case.eave_height_m or 5.0) + 0.4 if case.dataset == SIMULATED else 5.0 for case in found]
     buildings = [case.building for case in found]
     made = constant(buildings, np.array(height), 30.0, RECONSTRUCT, predict.NETWORK)
     return [replace(one, confidence=0.5) for one in made]
@@ -50,8 +51,8 @@ def made(
     known = {case.key: one for case, one in zip(found, off, strict=True)}
     every = {
         predict.NETWORK: off,
-        predict.REFINED: predict.refine(found, known, RECONSTRUCT),
-        predict.FIT: predict.refine(found, None, RECONSTRUCT),
+        predict.NETWORK_AND_FIT: predict.fit(found, known, RECONSTRUCT),
+        predict.FIT: predict.fit(found, None, RECONSTRUCT),
     }
     return {
         method: {case.key: one for case, one in zip(found, rows, strict=True)}
@@ -72,21 +73,25 @@ def measures_of(found: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
 
 def test_the_variants_are_what_their_names_say(found: list[cases.Case], made: dict) -> None:
     for case in found[:16]:
-        network, refined, fitted = (
-            made[name][case.key] for name in (predict.NETWORK, predict.REFINED, "fit")
+        network, network_and_fit, alone = (
+            made[name][case.key] for name in (predict.NETWORK, predict.NETWORK_AND_FIT, "fit")
         )
-        assert [one.method for one in (network, refined, fitted)] == ["point2wss", "point2wss+fit", "fit"]
+        assert [one.method for one in (network, network_and_fit, alone)] == [
+            "point2wss",
+            "point2wss+fit",
+            "fit",
+        ]
         # what the fit found, not what the network said
-        assert network.confidence == 0.5 and min(refined.confidence or 0, fitted.confidence or 0) > 0.5
-        assert refined.num_parts == fitted.num_parts == 1, "one height on simulated buildings"
+        assert network.confidence == 0.5 and min(network_and_fit.confidence or 0, alone.confidence or 0) > 0.5
+        assert network_and_fit.num_parts == alone.num_parts == 1, "one height on simulated buildings"
         assert case.eave_height_m is not None
-        assert abs((refined.eave_height_m or 0) - case.eave_height_m) < 0.15
+        assert abs((network_and_fit.eave_height_m or 0) - case.eave_height_m) < 0.15
         assert (network.eave_height_m or 0) - case.eave_height_m == pytest.approx(0.4, abs=1e-5)
 
 
 def test_real_buildings_may_have_parts_and_simpler_footprints() -> None:
-    own = predict.for_dataset(RECONSTRUCT, cases.LIDAR)
-    simulated = predict.for_dataset(RECONSTRUCT, cases.SYNTHETIC)
+    own = predict.for_dataset(RECONSTRUCT, REAL)
+    simulated = predict.for_dataset(RECONSTRUCT, SIMULATED)
     assert (own.max_parts, own.simplify_m) == (RECONSTRUCT.max_parts, RECONSTRUCT.simplify_m)
     assert (simulated.max_parts, simulated.simplify_m) == (1, 0.0) and own.max_parts > 1
 
@@ -100,17 +105,17 @@ def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[c
         return lod1(buildings, config)
 
     predict.by_dataset(found, work, RECONSTRUCT, clock)
-    assert calls == [10, 16, 10, 12] and clock.num_buildings == {"synthetic": 16, "lidar": 12}
+    assert calls == [10, 16, 10, 12] and clock.num_buildings == {"simulated": 16, "real": 12}
     ms = clock.ms_per_building()
-    assert 0 < ms["synthetic"] < 500 and ms["synthetic"] * 16 == pytest.approx(
-        1e3 * clock.seconds["synthetic"]
+    assert 0 < ms["simulated"] < 500 and ms["simulated"] * 16 == pytest.approx(
+        1e3 * clock.seconds["simulated"]
     )
     rows = [
-        {"dataset": "lidar", "method": m, "num_triangles": 4} for m in ("point2wss", "point2wss+fit", "fit")
+        {"dataset": "real", "method": m, "num_triangles": 4} for m in ("point2wss", "point2wss+fit", "fit")
     ]
     base = {field.name: None for field in MEASURES}
     measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
-    cpu = {"point2wss": {"lidar": 3.0}, "point2wss+fit": {"lidar": 5.0}}
+    cpu = {"point2wss": {"real": 3.0}, "point2wss+fit": {"real": 5.0}}
     got = {d.method: d.cpu_ms for d in tables.details(measured, CONFIG, cpu)}
     assert got == {"point2wss": 3.0, "point2wss+fit": 8.0, "fit": None}
 
@@ -173,21 +178,21 @@ def test_table_1_has_the_variants_and_what_is_seen(found: list[cases.Case], made
     assert settings["footprint_given"]["angle_deg"]["mean"] == pytest.approx(
         np.abs(truth - 30).mean(), abs=1e-4
     )
-    assert settings["refined"]["height_m"]["mean"] < 0.05 and settings["fitted"]["height_m"]["mean"] < 0.05
-    refined = [made["point2wss+fit"][case.key].angle_deg for case in found[:16]]
-    seen = np.concatenate(parameters.seen_edges(found[:16], refined))
-    assert settings["refined"]["angle_seen_deg"]["count"] == seen.sum() <= len(truth)
+    assert settings["point2wss+fit"]["height_m"]["mean"] < 0.05 and settings["fit"]["height_m"]["mean"] < 0.05
+    angles = [made["point2wss+fit"][case.key].angle_deg for case in found[:16]]
+    seen = np.concatenate(parameters.seen_edges(found[:16], angles))
+    assert settings["point2wss+fit"]["angle_seen_deg"]["count"] == seen.sum() <= len(truth)
     rows = tables.table_1(errors)
     assert [row[0] for row in rows[-2:]] == ["Height, roof seen (m)", "Angles, roof face seen (°)"]
     assert (
-        rows[1][rows[0].index("Footprint given + refinement MAE")] == settings["refined"]["height_m"]["mean"]
+        rows[1][rows[0].index("Footprint given + fit MAE")] == settings["point2wss+fit"]["height_m"]["mean"]
     )
 
 
 def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table) -> None:
-    header, *rows = groups.table(table, ["synthetic", "lidar"])
+    header, *rows = groups.table(table, ["simulated", "real"])
     records = [dict(zip(header, row, strict=True)) for row in rows]
-    for dataset, size in (("synthetic", 16), ("lidar", 12)):
+    for dataset, size in (("simulated", 16), ("real", 12)):
         for by in {r["by"] for r in records if r["dataset"] == dataset}:
             for method in made_methods(table):
                 own = [r for r in records if (r["dataset"], r["by"], r["method"]) == (dataset, by, method)]
@@ -197,17 +202,17 @@ def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table) -> Non
     flat = [
         row["points_to_mesh_m"]
         for row in plain
-        if row["dataset"] == "synthetic" and row["method"] == "fit" and row["roof_type"] == "flat"
+        if row["dataset"] == "simulated" and row["method"] == "fit" and row["roof_type"] == "flat"
     ]
     (told,) = [
         r
         for r in records
-        if (r["dataset"], r["by"], r["group"], r["method"]) == ("synthetic", "kind", "flat", "fit")
+        if (r["dataset"], r["by"], r["group"], r["method"]) == ("simulated", "kind", "flat", "fit")
     ]
     assert told["num_buildings"] == len(flat) == 4
     assert told["median_points_to_mesh_m"] == pytest.approx(np.median(flat))
     # real buildings are told by the edges of the best reconstruction, not by the network's hips
-    kinds = {r["group"] for r in records if (r["dataset"], r["by"]) == ("lidar", "kind")}
+    kinds = {r["group"] for r in records if (r["dataset"], r["by"]) == ("real", "kind")}
     assert {"flat", "gable"} <= kinds
 
 
@@ -219,7 +224,7 @@ def test_calibration_is_the_share_within_half_a_metre_and_five_degrees(
     found: list[cases.Case], table: pa.Table
 ) -> None:
     """The network: heights are right (0.4 m off), angles where they are from 25 to 35 degrees."""
-    own = groups.calibration(table, "synthetic", predict.NETWORK)
+    own = groups.calibration(table, "simulated", predict.NETWORK)
     shares = [
         (1 + (np.abs(case.angle_deg - 30) <= 5).sum()) / (1 + len(case.angle_deg))
         for case in found[:16]
@@ -230,9 +235,9 @@ def test_calibration_is_the_share_within_half_a_metre_and_five_degrees(
     assert own.gap == pytest.approx(abs(0.5 - np.mean(shares)))
     # the same value for all tells nothing apart
     assert own.auc in (0.5, pytest.approx(np.nan, nan_ok=True)) and np.isnan(own.correlation)
-    rows = groups.calibration_table(table, ["synthetic", "lidar"])
-    assert rows[-1][:2] == ["synthetic", predict.NETWORK] and rows[-1][4] == 16
-    assert {row[1] for row in rows[1:]} == {predict.NETWORK, predict.REFINED, predict.FIT}
+    rows = groups.calibration_table(table, ["simulated", "real"])
+    assert rows[-1][:2] == ["simulated", predict.NETWORK] and rows[-1][4] == 16
+    assert {row[1] for row in rows[1:]} == {predict.NETWORK, predict.NETWORK_AND_FIT, predict.FIT}
 
 
 SQUARE = [np.array([[0.0, 0], [8, 0], [8, 8], [0, 8]])]
@@ -262,7 +267,7 @@ def scene(height_m: np.ndarray, mesh_height_m: float = 5.0) -> tuple[cases.Case,
     point = np.column_stack([x, y, np.broadcast_to(height_m, (20, 20)).ravel()])
     building = Building("a", "t", (0.0, 0.0), [ring], point, np.full(400, 6, np.uint8), 0.0)
     (flat,) = constant([building], np.array([mesh_height_m]), 0.0, RECONSTRUCT)
-    return cases.Case(cases.LIDAR, building, 1.0, None, None, None, None), flat
+    return cases.Case(REAL, building, 1.0, None, None, None, None), flat
 
 
 def test_reasons_are_the_ones_that_were_built_in() -> None:
@@ -302,22 +307,24 @@ def test_the_gallery_shows_what_it_says(found: list[cases.Case], made: dict, tab
     by_key = {case.key: case for case in found}
     rows = table.to_pylist()
     gallery = Gallery(by_key, made, rows)
-    assert gallery.main == predict.REFINED
-    worst = gallery.worst("synthetic", 5)
+    assert gallery.main == predict.NETWORK_AND_FIT
+    worst = gallery.worst("simulated", 5)
     value = {
         (r["dataset"], r["tile"], r["building_id"]): r["points_to_mesh_m"]
         for r in rows
-        if r["method"] == predict.REFINED
+        if r["method"] == predict.NETWORK_AND_FIT
     }
-    expected = sorted((v for key, v in value.items() if key[0] == "synthetic"), reverse=True)[:5]
+    expected = sorted((v for key, v in value.items() if key[0] == "simulated"), reverse=True)[:5]
     assert [value[shown.key] for shown in worst] == expected
     assert all(shown.sentence.endswith(".") for shown in worst)
     figures = {own.figure: own for own in gallery.counterparts(2)}
     assert list(figures) == ["7 (1)", "7 (2)", "8", "9", "10", "11", "12", "13", "14"]
     # the network's hip is wrong by more than 5 degrees but for the hips of 40: none has right angles
     assert figures["7 (1)"].shown == [] and not figures["14"].shown, "no Roofer was run"
-    assert figures["11"].shown and all(shown.method == predict.REFINED for shown in figures["11"].shown)
-    assert all(count > 0 for _, count in counts_of_reasons(gallery, "synthetic"))
+    assert figures["11"].shown and all(
+        shown.method == predict.NETWORK_AND_FIT for shown in figures["11"].shown
+    )
+    assert all(count > 0 for _, count in counts_of_reasons(gallery, "simulated"))
 
 
 HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b> ± ° ² μ σ – …"
@@ -345,18 +352,18 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     runs = [tables.Run("roofer", "recorded", "recorded outputs: a.city.jsonl"), tables.Run("fit", "ok")]
     base = {field.name: None for field in MEASURES}
     rows = [
-        {"dataset": "lidar", "method": "roofer", "num_triangles": 10, "chamfer_m": 1.0},
-        {"dataset": "lidar", "method": "roofer", "status": "no mesh from Roofer"},
-        {"dataset": "synthetic", "method": "fit", "num_triangles": 10, "chamfer_m": 1.0},
+        {"dataset": "real", "method": "roofer", "num_triangles": 10, "chamfer_m": 1.0},
+        {"dataset": "real", "method": "roofer", "status": "no mesh from Roofer"},
+        {"dataset": "simulated", "method": "fit", "num_triangles": 10, "chamfer_m": 1.0},
     ]
     measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
     details = tables.details(measured, CONFIG)
     columns = tables.columns_2(details, runs)
-    names = {"synthetic": "Synthetic", "lidar": "Real"}
+    names = {"simulated": "Simulated", "real": "Real"}
     titles = tables.table_2(columns, names)[0]
-    assert "Real / Roofer (recorded)" in titles and "Synthetic / Roofer (no outputs recorded)" in titles
+    assert "Real / Roofer (recorded)" in titles and "Simulated / Roofer (no outputs recorded)" in titles
     more = tables.table_2_more(columns, names)
-    assert more[0] == ["Measure", "Synthetic / Refinement only", "Real / Roofer (recorded)"]
+    assert more[0] == ["Measure", "Simulated / Fit alone", "Real / Roofer (recorded)"]
     counts = {row[0]: row[1:] for row in more}
     assert counts["Buildings"] == [1, 2] and counts["Without a mesh"] == [0, 1]
     lost = tables.without_mesh(details, runs, names)
@@ -393,7 +400,7 @@ def test_a_picture_has_the_same_bytes_each_time_and_all_panels(found: list[cases
     first, second = (figures.data_uri(figures.building(case, panels), 60) for _ in range(2))
     assert first == second and len(figures.building(case, panels).axes) == 4
     bins = groups.calibration(
-        measures_of(found[:4], [made[predict.NETWORK]]), "synthetic", predict.NETWORK
+        measures_of(found[:4], [made[predict.NETWORK]]), "simulated", predict.NETWORK
     ).bins
     axes = figures.reliability_diagram({predict.NETWORK: bins}, tables.METHOD_NAMES, "x").axes[0]
     dots = axes.collections[0].get_offsets()

@@ -23,7 +23,7 @@ from p2wss.reconstruct.flat import constant, lod1
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 NAMES = {"point2wss": "Ours", "lod1": "LoD1 <flat>"}
-TITLES = {"synthetic": "Synthetic", "lidar": "LiDAR"}
+TITLES = {"simulated": "Simulated", "real": "LiDAR"}
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +148,7 @@ def path(view: Viewer, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_it_draws_turns_switches_and_toggles(browser: Any, path: Path) -> None:
     shown = Page(browser.new_page(viewport={"width": 1000, "height": 800}), path)
-    # the worst synthetic one has both meshes
+    # the worst simulated one has both meshes
     first, name = shown.pixels(), shown.building
     assert shown.page.locator("#viewer .ours").inner_text() == "the mesh of Ours"
     assert drawn(first) > 0.05

@@ -35,7 +35,7 @@ def rewrite(manifest: Path, tmp_path: Path, change: dict[int, dict[str, object]]
         rows[row].update(values)
     columns = {field.name: [row[field.name] for row in rows] for field in CROPS}
     files.write_table(tmp_path / "s.parquet", columns, CROPS, {})
-    files.write_json(tmp_path / "m.json", {"shards": [{"path": "s.parquet", "dataset": "synthetic"}]})
+    files.write_json(tmp_path / "m.json", {"shards": [{"path": "s.parquet", "dataset": "simulated"}]})
     return tmp_path / "m.json"
 
 
@@ -97,7 +97,7 @@ def test_nothing_left_and_broken_manifests_are_one_clear_line(manifest: Path, tm
     (tmp_path / "m.json").write_text('{"files": []}')
     with pytest.raises(InputError, match="not a manifest of crops"):
         load_buildings(tmp_path / "m.json", ["train"], LIMITS, labelled=True, lidar=False)
-    (tmp_path / "m.json").write_text('{"shards": [{"path": "gone.parquet", "dataset": "synthetic"}]}')
+    (tmp_path / "m.json").write_text('{"shards": [{"path": "gone.parquet", "dataset": "simulated"}]}')
     with pytest.raises(InputError, match=r"gone\.parquet: no such file"):
         load_buildings(tmp_path / "m.json", ["train"], LIMITS, labelled=True, lidar=False)
 

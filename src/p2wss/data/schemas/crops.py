@@ -6,6 +6,9 @@ import pyarrow as pa
 
 from p2wss.data.schemas.columns import FOOTPRINT, FRAME, IDENTITY, field
 
+# the two data sets of the crops: values of ``dataset`` in the manifest and in every table of eval
+SIMULATED, REAL = "simulated", "real"
+
 CROPS = pa.schema(
     [
         *IDENTITY,

@@ -8,7 +8,7 @@ from p2wss.data.schemas.columns import IDENTITY, field
 
 MEASURES = pa.schema(
     [
-        field("dataset", pa.string(), "synthetic (the test split) or lidar"),
+        field("dataset", pa.string(), "simulated (the test split) or real"),
         *IDENTITY,
         field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
         field("status", pa.string(), "of the reconstruction: 'ok', or why there is no mesh"),

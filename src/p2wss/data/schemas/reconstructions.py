@@ -16,7 +16,7 @@ from p2wss.skeleton.types import Polygons
 
 RECONSTRUCTIONS = pa.schema(
     [
-        field("dataset", pa.string(), "synthetic (the test split) or lidar"),
+        field("dataset", pa.string(), "simulated (the test split) or real"),
         *IDENTITY,
         field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
         *STATUS,
