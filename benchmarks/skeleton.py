@@ -29,7 +29,7 @@ from skeleton_samples import REGIMES, sample_angles, sample_footprints  # noqa: 
 from skeleton_solids import volumes  # noqa: E402
 
 from p2wss.config import Scenes  # noqa: E402
-from p2wss.scenes.roofs import Outline, draw_angles  # noqa: E402
+from p2wss.scenes.roofs import FootprintEdges, draw_angles  # noqa: E402
 from p2wss.skeleton import Polygons, Status, build, clean  # noqa: E402
 from p2wss.skeleton.footprint import load_footprint, set_angles  # noqa: E402
 from p2wss.skeleton.kinetic import simulate  # noqa: E402
@@ -155,7 +155,7 @@ def roof_angles(polygons: Polygons, seed: int) -> np.ndarray:
         rings = polygons.rings(k)
         if rings:
             radius = shapely.maximum_inscribed_circle(shapely.Polygon(rings[0], rings[1:]), 0.1).length
-            outline = Outline.from_rings(rings, np.zeros(sum(map(len, rings)), bool), radius)
+            outline = FootprintEdges.from_rings(rings, np.zeros(sum(map(len, rings)), bool), radius)
             angle.append(draw_angles(outline, str(k), config)[1])
     return np.concatenate(angle)
 

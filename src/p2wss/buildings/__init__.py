@@ -1,4 +1,4 @@
-"""Stage buildings: closed meshes by weighted straight skeleton (paper, section 3)."""
+"""Stage buildings: closed building meshes from the weighted straight skeleton (paper, section 3)."""
 
 from p2wss.buildings.build import build_scene, failed_fraction
 

@@ -1,4 +1,4 @@
-"""Stage 3, buildings: from each footprint, its height and its angles to a closed mesh (paper, section 3)."""
+"""Build the closed mesh of each footprint from its eave height and roof angles (paper, section 3)."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from p2wss.data import files, polygon_arrays
 
 
 def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
-    """The columns of :data:`p2wss.io.BUILDINGS`, one row per row of ``scene`` (:data:`p2wss.io.SCENE`).
+    """The columns of :data:`p2wss.data.schemas.buildings.BUILDINGS`, one row per row of ``scene``.
 
-    A row that the scene left out keeps its status; a row that the kernel rejects gets the kernel's reason.
-    Both have an empty mesh.
+    scene: the columns of :data:`p2wss.data.schemas.scene.SCENE` and a geometry. A row that the scene excludes
+    keeps its status. A row that the kernel rejects gets the kernel's reason. Both have an empty mesh.
     """
     num_buildings = len(scene)
     polygons = polygon_arrays.to_polygons(scene.geometry.to_numpy())
     origin_xy_m = polygon_arrays.origins(polygons)
     status = scene["status"].to_numpy(dtype=object).copy()
     usable = np.flatnonzero(status == "ok")
-    chosen = polygon_arrays.take(polygons, usable)
+    usable_polygons = polygon_arrays.take(polygons, usable)
     angle_deg = [np.asarray(scene["angle_deg"].iloc[i], dtype=float) for i in usable]
     ground_z_m = scene["ground_z_m"].to_numpy()
     base_z_m = scene["base_z_m"].to_numpy()
 
     meshes = skeleton.build(
-        _shifted(chosen, origin_xy_m[usable]),
+        _to_local(usable_polygons, origin_xy_m[usable]),
         np.concatenate(angle_deg) if angle_deg else np.zeros(0),
         scene["eave_height_m"].to_numpy(dtype=float)[usable],
         base_height_m=(base_z_m - ground_z_m)[usable],
@@ -57,18 +57,21 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
 
 
 def mesh_columns(meshes: skeleton.Meshes, rows: np.ndarray, num_rows: int) -> dict[str, Any]:
-    """The mesh columns of our tables: mesh i goes to row ``rows[i]`` (ascending), the other rows stay empty."""
+    """The mesh columns of a table with ``num_rows`` rows.
 
-    def scattered(values: np.ndarray, offset: np.ndarray, per_item: int) -> Any:
+    Mesh i is in row ``rows[i]`` (ascending); the other rows have empty lists.
+    """
+
+    def ragged_column(values: np.ndarray, offset: np.ndarray, values_per_item: int) -> Any:
         lengths = np.zeros(num_rows, np.int64)
-        lengths[rows] = np.diff(offset) * per_item
+        lengths[rows] = np.diff(offset) * values_per_item
         return files.ragged(values.ravel(), np.concatenate([[0], np.cumsum(lengths)]))
 
     return {
-        "vertex_xyz_m": scattered(meshes.vertex_m, meshes.vertex_offset, 3),
-        "triangle": scattered(meshes.triangle, meshes.triangle_offset, 3),
-        "triangle_kind": scattered(meshes.kind, meshes.triangle_offset, 1),
-        "triangle_edge": scattered(meshes.edge, meshes.triangle_offset, 1),
+        "vertex_xyz_m": ragged_column(meshes.vertex_m, meshes.vertex_offset, 3),
+        "triangle": ragged_column(meshes.triangle, meshes.triangle_offset, 3),
+        "triangle_kind": ragged_column(meshes.kind, meshes.triangle_offset, 1),
+        "triangle_edge": ragged_column(meshes.edge, meshes.triangle_offset, 1),
     }
 
 
@@ -78,7 +81,7 @@ def failed_fraction(scene_status: np.ndarray, status: np.ndarray) -> float:
     return float(np.mean(status[usable] != "ok")) if usable.any() else 0.0
 
 
-def _shifted(polygons: skeleton.Polygons, origin_xy_m: np.ndarray) -> skeleton.Polygons:
+def _to_local(polygons: skeleton.Polygons, origin_xy_m: np.ndarray) -> skeleton.Polygons:
     polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
     return skeleton.Polygons(
         polygons.xy_m - origin_xy_m[polygon], polygons.ring_offset, polygons.polygon_offset

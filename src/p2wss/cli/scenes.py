@@ -56,11 +56,13 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
     from p2wss.data.footprints import read_footprints
     from p2wss.data.schemas.scene import write_scene
     from p2wss.data.terrain import read_terrain, write_terrain
-    from p2wss.scenes import NEIGHBOUR_M, cut_scene, failed_fraction
+    from p2wss.scenes import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
 
     config = read_config(arguments)
     tile, tile_size_m, margin_m = arguments.tile, config.region.tile_size_m, config.scenes.margin_m
-    frame = read_footprints(arguments.footprints, bounds=bounds_of_tile(tile, config, margin_m + NEIGHBOUR_M))
+    frame = read_footprints(
+        arguments.footprints, bounds=bounds_of_tile(tile, config, margin_m + NEIGHBOUR_DISTANCE_M)
+    )
     terrain, dtm_crs = read_terrain(arguments.dtm)
     if not same_crs(dtm_crs, frame.crs):
         raise InputError(

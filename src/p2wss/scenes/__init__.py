@@ -1,10 +1,10 @@
-"""Stage 2, scenes: tiles of cleaned footprints with gutter, ground and roof angles (paper, 5.1)."""
+"""Stage scenes: tiles of clean footprints with eave heights, ground heights and roof angles (paper, section 5.1)."""
 
 from p2wss.data.footprints import clean_footprints, read_footprints, split_parts
-from p2wss.scenes.cut import NEIGHBOUR_M, count_buildings, cut_scene, failed_fraction
+from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, count_buildings, cut_scene, failed_fraction
 
 __all__ = [
-    "NEIGHBOUR_M",
+    "NEIGHBOUR_DISTANCE_M",
     "clean_footprints",
     "count_buildings",
     "cut_scene",

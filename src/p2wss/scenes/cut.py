@@ -1,4 +1,4 @@
-"""One tile: its buildings and those of its margin, each with heights and angles or the reason why not."""
+"""Cut a scene: the buildings of a tile and of its margin, with heights and roof angles or a reason for exclusion."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from p2wss.data.footprints import clean_footprints, split_parts
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds, tiles_of_points
 from p2wss.scenes.heights import eave_heights, ground_heights
-from p2wss.scenes.roofs import Outline, draw_angles
+from p2wss.scenes.roofs import FootprintEdges, draw_angles
 from p2wss.skeleton import Status
 
 NO_TERRAIN = "no-terrain"
 TOO_HIGH = "too-high"
-# buildings nearer than this stand wall to wall; the same wall is rarely drawn twice alike
+# footprints with a smaller gap share a party wall: data sets rarely draw the common wall twice alike
 _PARTY_GAP_M = 0.3
 _PARTY_SHARE = 0.5
-# neighbours are looked for this far beyond the margin: a building has the same party walls in each scene
-NEIGHBOUR_M = 20.0
+# footprints this far beyond the margin are read too, so that a building has the same party walls in each scene
+NEIGHBOUR_DISTANCE_M = 20.0
 
 
 def count_buildings(frame: gpd.GeoDataFrame, tile_size_m: float, min_area_m2: float) -> dict[str, int]:
-    """Number of footprints (multipolygons split) per tile, in order of tile names; see :func:`cut_scene`."""
+    """Number of footprints per tile (multipolygons split into parts), sorted by tile name.
+
+    :func:`cut_scene` assigns buildings to tiles in the same way.
+    """
     parts = split_parts(frame, min_area_m2)
-    counts = Counter(_tiles(parts, tile_size_m))
+    counts = Counter(_tile_names(parts, tile_size_m))
     counts.pop("", None)
     return dict(sorted(counts.items()))
 
@@ -37,12 +40,13 @@ def count_buildings(frame: gpd.GeoDataFrame, tile_size_m: float, min_area_m2: fl
 def cut_scene(
     frame: gpd.GeoDataFrame, terrain: Terrain, tile: str, tile_size_m: float, config: Scenes
 ) -> gpd.GeoDataFrame:
-    """The columns of :data:`p2wss.io.SCENE` and a geometry, sorted by building id.
+    """The scene of a tile: the columns of :data:`p2wss.data.schemas.scene.SCENE` and a geometry, sorted by id.
 
-    frame: footprints that meet the tile grown by ``margin_m`` + :data:`NEIGHBOUR_M` or more, with
-    ``building_id`` and the height columns of the fetch stage. A building belongs to the tile that holds the
-    middle of its bounding box before cleaning; others whose middle is in the margin have ``in_tile`` False. A
-    building that cannot be used keeps its row: empty geometry, no angles, NaN heights.
+    frame: footprints that intersect the tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
+    ``building_id`` and the height columns of the stage fetch. terrain: of the tile and its margin, in the same
+    CRS. A building belongs to the tile that contains the centre of its bounding box before cleaning; a
+    building whose centre is in the margin has ``in_tile`` False. An excluded building keeps its row, with the
+    reason as ``status``, an empty geometry, no angles and NaN heights.
     """
     result = clean_footprints(frame, config)
     polygons = result.geometry.to_numpy()
@@ -51,31 +55,30 @@ def cut_scene(
 
     x_min, y_min, x_max, y_max = tile_bounds(tile, tile_size_m, config.margin_m)
     x, y = result["middle_x_m"].to_numpy(), result["middle_y_m"].to_numpy()
-    near = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
-    chosen = np.flatnonzero(near)
-    result, polygons, status = result.iloc[chosen], polygons[chosen], status[chosen]
+    selection = np.flatnonzero((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
+    result, polygons, status = result.iloc[selection], polygons[selection], status[selection]
 
     height, source = eave_heights(result, config)
     median, lowest, known_share = ground_heights(polygons, terrain)
     status[(status == "ok") & (known_share < max(config.min_terrain_share, 1e-9))] = NO_TERRAIN
     status[(status == "ok") & (height > config.max_eave_height_m)] = TOO_HIGH
     usable = status == "ok"
-    roof_type = np.full(len(chosen), "none", dtype=object)
-    angle_deg = [np.zeros(0, np.float32) for _ in chosen]
+    roof_type = np.full(len(selection), "none", dtype=object)
+    angle_deg = [np.zeros(0, np.float32) for _ in selection]
     polygons[~usable] = shapely.Polygon()
     radius_m = shapely.length(shapely.maximum_inscribed_circle(np.where(usable, polygons, None)))
     rings = polygon_arrays.to_polygons(polygons)
     ids = result["building_id"].astype(str).to_numpy(dtype=object)
     for row in np.flatnonzero(usable):
-        outline = Outline.from_rings(rings.rings(int(row)), is_party[chosen[row]], radius_m[row])
-        roof_type[row], angles = draw_angles(outline, ids[row], config)
+        edges = FootprintEdges.from_rings(rings.rings(int(row)), is_party[selection[row]], radius_m[row])
+        roof_type[row], angles = draw_angles(edges, ids[row], config)
         angle_deg[row] = angles.astype(np.float32)
 
     scene = gpd.GeoDataFrame(
         {
             "building_id": ids,
             "tile": tile,
-            "in_tile": _tiles(result, tile_size_m) == tile,
+            "in_tile": _tile_names(result, tile_size_m) == tile,
             "status": status,
             "eave_height_m": np.where(usable, height, np.nan).astype(np.float32),
             "eave_height_source": source,
@@ -91,29 +94,35 @@ def cut_scene(
 
 
 def failed_fraction(scene: gpd.GeoDataFrame) -> float:
-    """Share of the tile's own buildings that were left out, those that are only too small not counted."""
+    """Share of the buildings of the tile (without its margin) that were excluded.
+
+    Footprints that are too small count neither as buildings nor as failures.
+    """
     status = scene["status"].to_numpy()[scene["in_tile"].to_numpy()]
     counted = status != Status.TOO_SMALL.reason
     return float(np.mean(status[counted] != "ok")) if counted.any() else 0.0
 
 
 def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
-    """Per polygon and edge (over all rings): is at least half of it within 0.3 m of another polygon?"""
+    """Per polygon: bool array (num_edges,), true for an edge of which at least half is within 0.3 m of another
+    polygon. Edges are numbered over all rings."""
     rings = polygon_arrays.to_polygons(polygons)
     offset = rings.vertex_offset
     starts, ends = rings.xy_m, rings.xy_m[_next_vertex(rings.ring_offset)]
     edges = np.asarray(shapely.linestrings(np.stack([starts, ends], axis=1)), dtype=object)
-    owner = np.repeat(np.arange(len(rings)), np.diff(offset))
-    edge, other = shapely.STRtree(polygons).query(edges, predicate="dwithin", distance=_PARTY_GAP_M)
-    foreign = owner[edge] != other
-    edge, other = edge[foreign], other[foreign]
-    touched, index = np.unique(other, return_inverse=True)
-    around = shapely.buffer(polygons[touched], _PARTY_GAP_M, quad_segs=2)
-    shared = shapely.length(shapely.intersection(edges[edge], around[index])) if len(edge) else np.zeros(0)
-    share = np.bincount(edge, weights=shared, minlength=len(edges)) / np.maximum(shapely.length(edges), 1e-9)
-    # a neighbour that only stands at a corner covers the end of the edge up to the gap
-    flags = share >= _PARTY_SHARE
-    return [flags[offset[p] : offset[p + 1]] for p in range(len(rings))]
+    polygon_of_edge = np.repeat(np.arange(len(rings)), np.diff(offset))
+    edge, polygon = shapely.STRtree(polygons).query(edges, predicate="dwithin", distance=_PARTY_GAP_M)
+    is_neighbour = polygon_of_edge[edge] != polygon
+    edge, polygon = edge[is_neighbour], polygon[is_neighbour]
+    neighbours, index = np.unique(polygon, return_inverse=True)
+    buffers = shapely.buffer(polygons[neighbours], _PARTY_GAP_M, quad_segs=2)
+    shared_m = shapely.length(shapely.intersection(edges[edge], buffers[index])) if len(edge) else np.zeros(0)
+    share = np.bincount(edge, weights=shared_m, minlength=len(edges)) / np.maximum(
+        shapely.length(edges), 1e-9
+    )
+    # a neighbour that only touches a corner covers the end of the edge up to the gap: less than the share
+    is_party = share >= _PARTY_SHARE
+    return [is_party[offset[p] : offset[p + 1]] for p in range(len(rings))]
 
 
 def _next_vertex(ring_offset: np.ndarray) -> np.ndarray:
@@ -123,10 +132,10 @@ def _next_vertex(ring_offset: np.ndarray) -> np.ndarray:
     return following
 
 
-def _tiles(parts: gpd.GeoDataFrame, tile_size_m: float) -> np.ndarray:
-    """Tile of each part, "" for one without a place."""
+def _tile_names(parts: gpd.GeoDataFrame, tile_size_m: float) -> np.ndarray:
+    """Tile of each part by its centre; "" for a part without coordinates."""
     x, y = parts["middle_x_m"].to_numpy(), parts["middle_y_m"].to_numpy()
-    there = np.isfinite(x) & np.isfinite(y)
+    is_finite = np.isfinite(x) & np.isfinite(y)
     names = np.full(len(parts), "", dtype=object)
-    names[there] = tiles_of_points(x[there], y[there], tile_size_m)
+    names[is_finite] = tiles_of_points(x[is_finite], y[is_finite], tile_size_m)
     return names

@@ -1,4 +1,4 @@
-"""Heights of a building: its gutter from BD TOPO, its ground from the terrain."""
+"""Heights of a building: its eave height from BD TOPO, its ground height from the terrain."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from p2wss.config import Scenes
 from p2wss.data.seeds import generator
 from p2wss.data.terrain import Terrain
 
-# gutter heights to draw from where nothing is known, metres, by BD TOPO's nature, then by its usage
+# ranges of eave heights to draw from where BD TOPO has none, by its attribute nature, then by its usage
 DRAWN_BY_NATURE_M = {
     "Serre": (2.5, 4.0),
     "Silo": (8.0, 20.0),
@@ -27,20 +27,20 @@ DRAWN_BY_USAGE_M = {
     "Résidentiel": (2.8, 7.0),
 }
 DRAWN_M = (2.5, 6.5)
-_STEP_M = 1.0  # between samples of the ground along an outline
+_STEP_M = 1.0  # between samples of the terrain along a footprint
 
 
 def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """(gutter height above the ground, metres; where it comes from), one per row.
+    """Eave height above the ground (float64, metres) and its source (text), one per row of ``frame``.
 
-    The first of these that is known and at least ``min_eave_height_m``:
+    The height is the first of these that is known and at least ``min_eave_height_m``:
 
-    1. "hauteur": BD TOPO's own;
+    1. "hauteur": BD TOPO's attribute, which is the height of the eave;
     2. "altitudes": altitude_minimale_toit - altitude_minimale_sol;
     3. "floors": num_floors x ``storey_height_m``;
-    4. "drawn": uniform over a range by nature or usage, from (seed, "scenes", building_id).
+    4. "drawn": drawn from a range by nature or usage, with a seed from (seed, "scenes", building_id).
 
-    Columns that ``frame`` lacks count as unknown.
+    A column that ``frame`` lacks counts as unknown.
     """
 
     def numbers(name: str) -> np.ndarray:
@@ -54,8 +54,8 @@ def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.nd
     height = np.full(len(frame), np.nan)
     source = np.full(len(frame), "drawn", dtype=object)
     for name, values in candidates.items():
-        use = np.isnan(height) & (values >= config.min_eave_height_m) & np.isfinite(values)
-        height[use], source[use] = values[use], name
+        rows = np.isnan(height) & (values >= config.min_eave_height_m) & np.isfinite(values)
+        height[rows], source[rows] = values[rows], name
     for row in np.flatnonzero(np.isnan(height)):
         low, high = _range_m(_text(frame, "nature", int(row)), _text(frame, "usage", int(row)))
         rng = generator(config.seed, "scenes", frame["building_id"].iloc[row], "height")
@@ -73,19 +73,19 @@ def _range_m(nature: str, usage: str) -> tuple[float, float]:
 
 
 def ground_heights(shapes: np.ndarray, terrain: Terrain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(median, lowest, known share) of the terrain along the outline of each polygon, sampled every metre.
+    """Terrain along the edges of each polygon, sampled every metre: median (m), lowest (m), share with data.
 
-    Arrays of len(shapes); NaN, NaN and 0 for an empty polygon or where no sample is known.
+    float64 arrays (len(shapes),): NaN, NaN and 0 for an empty polygon or one without terrain.
     """
-    num = len(shapes)
-    outline = shapely.segmentize(shapely.boundary(shapes), _STEP_M)
-    xy, owner = shapely.get_coordinates(outline, return_index=True)
+    num_shapes = len(shapes)
+    boundary = shapely.segmentize(shapely.boundary(shapes), _STEP_M)
+    xy, shape = shapely.get_coordinates(boundary, return_index=True)
     z = terrain.interpolated(xy[:, 0], xy[:, 1])
-    known = np.isfinite(z)
-    count = np.bincount(owner, minlength=num)
-    share = np.bincount(owner[known], minlength=num) / np.maximum(count, 1)
-    by_owner = pd.Series(z[known]).groupby(owner[known])
-    median, lowest = np.full(num, np.nan), np.full(num, np.nan)
-    rows = np.unique(owner[known])
-    median[rows], lowest[rows] = by_owner.median().to_numpy(), by_owner.min().to_numpy()
+    has_data = np.isfinite(z)
+    count = np.bincount(shape, minlength=num_shapes)
+    share = np.bincount(shape[has_data], minlength=num_shapes) / np.maximum(count, 1)
+    by_shape = pd.Series(z[has_data]).groupby(shape[has_data])
+    median, lowest = np.full(num_shapes, np.nan), np.full(num_shapes, np.nan)
+    rows = np.unique(shape[has_data])
+    median[rows], lowest[rows] = by_shape.median().to_numpy(), by_shape.min().to_numpy()
     return median, lowest, share

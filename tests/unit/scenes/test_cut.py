@@ -16,7 +16,7 @@ from p2wss.data.schemas.buildings import BUILDINGS
 from p2wss.data.schemas.scene import SCENE, read_scene, write_scene
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
-from p2wss.scenes import NEIGHBOUR_M, count_buildings, cut_scene, failed_fraction
+from p2wss.scenes import NEIGHBOUR_DISTANCE_M, count_buildings, cut_scene, failed_fraction
 from p2wss.scenes.cut import party_walls
 
 OLEMPS = SHARED / "data" / "olemps_bdtopo"
@@ -25,7 +25,7 @@ CONFIG = Scenes(margin_m=50)
 
 
 def town(seed: int = 0, number: int = 150) -> gpd.GeoDataFrame:
-    """Boxes on a 40 m grid over four tiles, some in rows that touch."""
+    """Boxes on a 40 m grid over four tiles, some of them in rows that touch."""
     rng = np.random.default_rng(seed)
     x = 652000 + 40 * rng.permutation(50)[:, None] + np.array([0.0, 8.0, 16.0])
     y = 6861000 + 40 * rng.permutation(50)[:, None] + np.zeros(3)
@@ -45,7 +45,7 @@ def flat(z: float = 40.0) -> Terrain:
 
 
 def window(frame: gpd.GeoDataFrame, tile: str, config: Scenes = CONFIG) -> gpd.GeoDataFrame:
-    x_min, y_min, x_max, y_max = tile_bounds(tile, TILE_M, config.margin_m + NEIGHBOUR_M)
+    x_min, y_min, x_max, y_max = tile_bounds(tile, TILE_M, config.margin_m + NEIGHBOUR_DISTANCE_M)
     return frame.cx[x_min:x_max, y_min:y_max]
 
 
@@ -85,7 +85,7 @@ def test_a_building_is_the_same_in_each_scene_and_in_any_order() -> None:
     assert len(seen) == len(frame)
 
 
-def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
+def test_columns_match_the_schema(tmp_path: Path) -> None:
     frame = town()
     frame.loc[3, "geometry"] = shapely.box(0, 0, 1, 1)
     scene = cut_scene(window(frame, TILES[0]), flat(), TILES[0], TILE_M, CONFIG)
@@ -101,7 +101,7 @@ def test_columns_are_those_of_the_contract(tmp_path: Path) -> None:
     assert (good["ground_z_m"] == 40).all() and (good["base_z_m"] == 40).all()
 
 
-def test_rejected_buildings_keep_their_row() -> None:
+def test_excluded_buildings_keep_their_row() -> None:
     frame = town(number=6)
     frame["geometry"] = [shapely.box(652100 + 30 * i, 6861500, 652110 + 30 * i, 6861510) for i in range(6)]
     frame.loc[1, "geometry"] = shapely.box(652130, 6861500, 652131, 6861501)
@@ -122,8 +122,8 @@ def test_an_empty_window_gives_an_empty_scene() -> None:
     assert failed_fraction(scene) == 0
 
 
-def test_party_walls_against_distances() -> None:
-    """A row of three, one set back, one 0.2 m apart, one far; the oracle measures points along each edge."""
+def test_party_walls_agree_with_sampled_distances() -> None:
+    """A row of three, one of them set back, one 0.2 m away, one far away. The reference samples points on the edges."""
     shapes = [
         shapely.box(0, 0, 8, 10),
         shapely.box(8, 2, 16, 12),
@@ -180,7 +180,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         ("0652_6862", '{"scenes": {"margin": 3}}', "scenes.margin: no such key"),
     ],
 )
-def test_bad_input_gets_one_line_and_leaves_what_was_there(
+def test_bad_input_gives_one_line_and_keeps_existing_files(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], tile: str, config: str, message: str
 ) -> None:
     footprints, dtm = write_inputs(tmp_path)
@@ -195,7 +195,7 @@ def test_bad_input_gets_one_line_and_leaves_what_was_there(
 @pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
 @pytest.mark.parametrize("sampler", ["realistic", "uniform"])
 def test_real_footprints(tmp_path: Path, sampler: str) -> None:
-    """Two tiles of BD TOPO through fetch, scenes and buildings: at most 2 % left out."""
+    """Two tiles of BD TOPO through fetch, scenes and buildings: at most 2 % of the buildings are excluded."""
     config = tmp_path / "olemps.yaml"
     config.write_text(
         f"""

@@ -18,7 +18,7 @@ def attributes(**columns: object) -> pd.DataFrame:
     )  # type: ignore[arg-type]
 
 
-def test_fallbacks_in_their_order() -> None:
+def test_fallbacks_are_used_in_order() -> None:
     nan = np.nan
     frame = attributes(
         hauteur_m=[6.2, nan, 0.0, nan, nan, 0.4],
@@ -35,7 +35,7 @@ def test_fallbacks_in_their_order() -> None:
     assert low <= height[4] <= high
 
 
-def test_draws_depend_on_the_building_alone() -> None:
+def test_drawn_heights_depend_only_on_the_building() -> None:
     frame = attributes(hauteur_m=[np.nan] * 5, usage=["Annexe"] * 5)
     height, source = eave_heights(frame, CONFIG)
     assert set(source) == {"drawn"} and len(set(height)) > 1
@@ -60,7 +60,7 @@ def slope(nodata: bool = False) -> Terrain:
     return Terrain(z, -0.5, 40.5, 1.0)
 
 
-def test_ground_along_the_outline_of_a_slope() -> None:
+def test_ground_along_a_footprint_on_a_slope() -> None:
     square = shapely.box(10, 10, 20, 20)
     median, lowest, share = ground_heights(np.array([square]), slope())
     assert lowest[0] == pytest.approx(1.0)
@@ -68,8 +68,8 @@ def test_ground_along_the_outline_of_a_slope() -> None:
     assert share[0] == 1
 
 
-def test_ground_against_brute_force() -> None:
-    """A rotated L with a courtyard; the outline sampled much finer."""
+def test_ground_agrees_with_dense_sampling() -> None:
+    """A rotated L with a courtyard, compared with a much denser sampling of its edges."""
     shape = shapely.Polygon(
         [(3, 3), (33, 12), (30, 22), (15, 18), (12, 30), (2, 27)], [[(8, 10), (10, 14), (12, 11)]]
     )

@@ -1,4 +1,4 @@
-"""The samplers of roof angles: allowed values, plausible roofs, and what the kernel makes of them."""
+"""The samplers of roof angles: allowed values, plausible roofs, and closed meshes for all of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import shapely.affinity
 from p2wss import skeleton
 from p2wss.config import RoofShares, Scenes
 from p2wss.data import polygon_arrays
-from p2wss.scenes.roofs import ANGLES_DEG, Outline, draw_angles
+from p2wss.scenes.roofs import ANGLES_DEG, FootprintEdges, draw_angles
 
 RECTANGLE = shapely.box(0, 0, 14, 8)
 L_SHAPE = shapely.Polygon([(0, 0), (16, 0), (16, 8), (7, 8), (7, 18), (0, 18)])
@@ -27,20 +27,20 @@ def only(roof_type: str) -> RoofShares:
     return RoofShares(**{**zero, roof_type: 1.0})
 
 
-def outline(shape: shapely.Polygon, party: list[int] | None = None) -> Outline:
+def edges_of(shape: shapely.Polygon, party: list[int] | None = None) -> FootprintEdges:
     polygons = polygon_arrays.to_polygons([shapely.orient_polygons(shape)])
     is_party = np.isin(np.arange(len(polygons.xy_m)), party or [])
     radius = shapely.maximum_inscribed_circle(shape).length
-    return Outline.from_rings(polygons.rings(0), is_party, radius)
+    return FootprintEdges.from_rings(polygons.rings(0), is_party, radius)
 
 
 def draws(shape: shapely.Polygon, config: Scenes, number: int = 200, party: list[int] | None = None):
-    found = [draw_angles(outline(shape, party), f"B{i}", config) for i in range(number)]
+    found = [draw_angles(edges_of(shape, party), f"B{i}", config) for i in range(number)]
     return [name for name, _ in found], np.array([angle for _, angle in found])
 
 
 def test_uniform_is_uniform() -> None:
-    """Each of the 28 values alike, edges independent: a chi-square of 27 degrees of freedom."""
+    """All 28 values are equally frequent and edges are independent: a chi-square test with 27 degrees of freedom."""
     names, angles = draws(L_SHAPE, Scenes(sampler="uniform"), 1000)
     assert set(names) == {"uniform"}
     counts = Counter(angles.ravel().astype(int).tolist())
@@ -50,15 +50,15 @@ def test_uniform_is_uniform() -> None:
     assert abs(np.corrcoef(angles[:, 0], angles[:, 1])[0, 1]) < 0.1
 
 
-def test_draws_depend_on_seed_and_building_alone() -> None:
-    first = draw_angles(outline(L_SHAPE), "B7", Scenes())
-    again = draw_angles(outline(L_SHAPE), "B7", Scenes())
+def test_angles_depend_only_on_seed_and_building() -> None:
+    first = draw_angles(edges_of(L_SHAPE), "B7", Scenes())
+    again = draw_angles(edges_of(L_SHAPE), "B7", Scenes())
     assert first[0] == again[0] and np.array_equal(first[1], again[1])
-    different = [draw_angles(outline(L_SHAPE), "B7", Scenes(seed=s))[1].tolist() for s in range(20)]
+    different = [draw_angles(edges_of(L_SHAPE), "B7", Scenes(seed=s))[1].tolist() for s in range(20)]
     assert len(set(map(tuple, different))) > 10
 
 
-def test_types_come_in_their_shares() -> None:
+def test_roof_types_have_their_shares() -> None:
     names, _ = draws(RECTANGLE, Scenes(), 1500)
     shares = RoofShares()
     counts = Counter(names)
@@ -66,9 +66,11 @@ def test_types_come_in_their_shares() -> None:
         assert counts[name.replace("_", "-")] / 1500 == pytest.approx(share, abs=0.04)
 
 
-def test_gable_on_a_rectangle_stands_on_the_short_sides() -> None:
+def test_gables_of_a_rectangle_are_on_its_short_sides() -> None:
     _, angles = draws(RECTANGLE, Scenes(roof_shares=only("gable")))
-    lengths = np.hypot(*np.diff(np.vstack([outline(RECTANGLE).xy_m, outline(RECTANGLE).xy_m[:1]]), axis=0).T)
+    lengths = np.hypot(
+        *np.diff(np.vstack([edges_of(RECTANGLE).xy_m, edges_of(RECTANGLE).xy_m[:1]]), axis=0).T
+    )
     assert (angles[:, lengths < 10] == 90).all()
     assert ((angles[:, lengths > 10] >= 20) & (angles[:, lengths > 10] <= 45)).all()
     same = angles[:, lengths > 10][:, 0] == angles[:, lengths > 10][:, 1]
@@ -76,17 +78,17 @@ def test_gable_on_a_rectangle_stands_on_the_short_sides() -> None:
 
 
 def test_gables_of_wings() -> None:
-    """An L and a T have a gable at each end of a wing, a U at its two; none is beside a reflex corner."""
+    """Gables are at the ends of the wings of an L, a T and a U, and never beside a reflex corner."""
     for shape, number in [(L_SHAPE, 2), (T_SHAPE, 3), (U_SHAPE, 2)]:
         names, angles = draws(shape, Scenes(roof_shares=only("gable")), 30)
         assert set(names) == {"gable"}
         assert ((angles == 90).sum(axis=1) == number).all()
 
 
-def test_a_step_in_a_wall_is_no_wing() -> None:
-    """A rectangle with a small step near a corner: the gables still stand on its short sides."""
+def test_a_step_in_a_wall_is_not_a_wing() -> None:
+    """A rectangle with a small step near a corner has its gables on the short sides."""
     stepped = shapely.Polygon([(0, 0), (12, 0), (12, 9), (5, 9), (5, 10), (0, 10)])
-    xy = outline(stepped).xy_m
+    xy = edges_of(stepped).xy_m
     short = [i for i in range(6) if xy[i, 0] == xy[(i + 1) % 6, 0] and abs(xy[i, 1] - xy[(i + 1) % 6, 1]) > 5]
     _, angles = draws(stepped, Scenes(roof_shares=only("gable")), 20)
     assert (angles[:, short] == 90).all() and ((angles == 90).sum(axis=1) == 2).all()
@@ -101,9 +103,9 @@ def test_hip_half_hip_flat_shed() -> None:
 
 
 def test_party_walls_are_vertical_and_ridges_follow_the_street() -> None:
-    """A house in a row, deeper than wide: without its neighbours it would get its gables on the street."""
+    """A row house deeper than wide: without its neighbours its gables would face the street."""
     house = shapely.box(0, 0, 6, 10)
-    xy = outline(house).xy_m
+    xy = edges_of(house).xy_m
     walls = [i for i in range(4) if xy[i, 0] == xy[(i + 1) % 4, 0]]
     for roof_type in ("gable", "hip", "half_hip"):
         names, angles = draws(house, Scenes(roof_shares=only(roof_type)), 20, party=walls)
@@ -124,18 +126,18 @@ def test_courtyards_have_eaves() -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES.keys())
-def test_never_vertical_beside_a_reflex_corner(shape: shapely.Polygon) -> None:
-    """Neither by type nor as a party wall."""
-    ring = outline(shape)
-    edge = ring.xy_m[ring.following] - ring.xy_m
-    before = np.argsort(ring.following)
+def test_no_vertical_edge_beside_a_reflex_corner(shape: shapely.Polygon) -> None:
+    """Neither from the roof type nor from a party wall."""
+    ring = edges_of(shape)
+    edge = ring.xy_m[ring.next_edge] - ring.xy_m
+    before = np.argsort(ring.next_edge)
     reflex = edge[before][:, 0] * edge[:, 1] - edge[before][:, 1] * edge[:, 0] < 0
-    beside = reflex | reflex[ring.following]
+    beside = reflex | reflex[ring.next_edge]
     _, angles = draws(shape, Scenes(), 200, party=list(range(len(edge))))
     assert (angles[:, beside] != 90).all()
 
 
-def test_wide_buildings_get_flat_or_gentle_roofs() -> None:
+def test_wide_buildings_get_flat_or_low_pitched_roofs() -> None:
     hall = shapely.box(0, 0, 60, 30)
     names, angles = draws(hall, Scenes(max_rise_m=7, roof_shares=only("gable")), 50)
     sloped = angles[(angles > 0) & (angles < 90)]
@@ -145,14 +147,14 @@ def test_wide_buildings_get_flat_or_gentle_roofs() -> None:
 
 
 @pytest.mark.parametrize("sampler", ["realistic", "uniform"])
-def test_every_draw_makes_a_building(sampler: str) -> None:
+def test_all_drawn_angles_give_a_closed_mesh(sampler: str) -> None:
     shapes, angles = [], []
     for turn in (0.0, 23.0):
         for shape in SHAPES.values():
             turned = shapely.orient_polygons(shapely.affinity.rotate(shape, turn))
             for i in range(25):
                 shapes.append(turned)
-                angles.append(draw_angles(outline(turned), f"B{i}", Scenes(sampler=sampler))[1])  # type: ignore[arg-type]
+                angles.append(draw_angles(edges_of(turned), f"B{i}", Scenes(sampler=sampler))[1])  # type: ignore[arg-type]
     meshes = skeleton.build(
         polygon_arrays.to_polygons(shapes),
         np.concatenate(angles),
