@@ -41,11 +41,7 @@ rule fit:
         manifest="<results>/crops/manifest.json",
         simulated=simulated_shards,
         real=real_shards,
-        predictions=branch(
-            lambda wildcards: wildcards.method == "point2wss+fit",
-            then="<results>/eval/point2wss.parquet",
-            otherwise=[],
-        ),
+        model=branch(lambda wildcards: wildcards.method == "point2wss+fit", then=weights, otherwise=[]),
     output:
         reconstructions="<results>/eval/{method}.parquet",
         cpu="<results>/eval/cpu/{method}.json",
@@ -55,15 +51,17 @@ rule fit:
         "<benchmarks>/eval/{method}.tsv"
     conda:
         "../../envs/p2wss.yaml"
+    threads: 2
     resources:
-        mem_mb=4000,
+        mem_mb=8000,
+        gpu=lambda wildcards: int(wildcards.method == "point2wss+fit"),
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
-        code=fingerprint("eval.predict"),
-        begin=lambda wildcards, input: f"--predictions {input.predictions}" if input.predictions else "",
+        code=fingerprint("eval.predict", "nets.predictor"),
+        model=lambda wildcards, input: f"--model {input.model}" if input.model else "",
     shell:
-        "p2wss eval fit --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.begin}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss eval fit --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.model}"
+        " --threads {threads} --config {params.config:q} 2> {log}"
 
 
 rule baseline:

@@ -34,13 +34,17 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument("--out-cpu", type=Path, help="JSON: CPU time per building", required=True)
     command.add_argument("--threads", type=int, default=1)
     command.add_argument("--device", choices=DEVICES, default="auto")
-    command = add_command(evaluate, "fit", eval_fit, "fit the same buildings to their points")
+    command = add_command(
+        evaluate, "fit", eval_fit, "reconstruct the same buildings as p2wss reconstruct does"
+    )
     command.add_argument("--manifest", type=Path, required=True)
     command.add_argument("--out", type=Path, help="Parquet of reconstructions", required=True)
     command.add_argument("--out-cpu", type=Path, help="JSON: CPU time per building", required=True)
     command.add_argument(
-        "--predictions", type=Path, default=None, help="begin with the network's; default: from nothing"
+        "--model", type=Path, default=None, help="weights of the network; default: without a network"
     )
+    command.add_argument("--threads", type=int, default=1)
+    command.add_argument("--device", choices=DEVICES, default="auto")
     command = add_command(
         evaluate, "baseline", eval_baseline, "reconstruct the same buildings with a baseline"
     )
@@ -81,7 +85,7 @@ def eval_predict(arguments: argparse.Namespace) -> None:
     from p2wss.eval import cases, parameters, predict
     from p2wss.eval.clock import CpuClock
     from p2wss.nets.predictor import load_predictor
-    from p2wss.nets.weights import read_weights
+    from p2wss.reconstruct.product import NETWORK
 
     config, clock = read_config(arguments), CpuClock()
     predictor = load_predictor(arguments.model, arguments.device)
@@ -89,27 +93,34 @@ def eval_predict(arguments: argparse.Namespace) -> None:
     found = cases.test_cases(manifest)
     rows = predict.predict(found, predictor, config.reconstruct, clock)
     errors = parameters.masked_errors(found, rows, predictor, cases.train_medians(manifest))
-    made_by = read_weights(arguments.model, "model")[1]
-    weights = {name: made_by[name] for name in ("version", "code", "config", "dvae_config")}
-    facts = _eval_facts(config, method=predict.NETWORK, status="ok", model=weights)
+    facts = _eval_facts(config, method=NETWORK, status="ok", model=_facts_of_weights(arguments.model))
     files.write_json(arguments.out_parameters, errors | {"p2wss": facts})
     _write_reconstructions(arguments, found, rows, facts, clock)
 
 
 def eval_fit(arguments: argparse.Namespace) -> None:
-    from p2wss.data.schemas.reconstructions import read_reconstructions
+    set_num_threads(arguments.threads)
     from p2wss.eval import cases, predict
     from p2wss.eval.clock import CpuClock
+    from p2wss.nets.predictor import load_predictor
+    from p2wss.reconstruct.product import FIT, NETWORK_AND_FIT
 
     config, clock = read_config(arguments), CpuClock()
     found = cases.test_cases(cases.read_manifest(arguments.manifest))
-    predictions = None if arguments.predictions is None else read_reconstructions(arguments.predictions)
-    rows = predict.fit(found, predictions, config.reconstruct, clock)
-    facts: dict[str, Any] = {"method": predict.FIT, "status": "ok"}
-    if arguments.predictions is not None:
-        begun = files.read_metadata(arguments.predictions)
-        facts = {"method": predict.NETWORK_AND_FIT, "status": "ok", "model": begun.get("model")}
+    facts: dict[str, Any] = {"method": FIT, "status": "ok"}
+    predictor = None
+    if arguments.model is not None:
+        predictor = load_predictor(arguments.model, arguments.device)
+        facts = {"method": NETWORK_AND_FIT, "status": "ok", "model": _facts_of_weights(arguments.model)}
+    rows = predict.fit(found, predictor, config.reconstruct, clock)
     _write_reconstructions(arguments, found, rows, _eval_facts(config, **facts), clock)
+
+
+def _facts_of_weights(path: Path) -> dict[str, Any]:
+    from p2wss.nets.weights import read_weights
+
+    facts = read_weights(path, "model")[1]
+    return {name: facts[name] for name in ("version", "code", "config", "dvae_config")}
 
 
 def eval_baseline(arguments: argparse.Namespace) -> None:

@@ -43,6 +43,17 @@ def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cropp
     return Cropped(point, inside, offset, ground_height(cloud, polygons, known))
 
 
+def on_centimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
+    """Points (n, 3) with x and y relative to an origin of whole metres, on the grid of centimetres on which crops
+    are stored: so that a building is the same to the bit whether it was stored or not."""
+    if not len(xyz_m):
+        return xyz_m.reshape(0, 3)
+    origin_z_m = np.round(np.median(xyz_m[:, 2]))
+    point_cm = np.rint(100 * (xyz_m - [*origin_xy_m, origin_z_m]))
+    point_cm[:, 2] += 100 * origin_z_m
+    return point_cm / 100
+
+
 def ground_height(
     cloud: Cloud, polygons: Polygons, nearest: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:

@@ -120,7 +120,7 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
     z, _ = files.list_column(table, "z_cm")
     classification, _ = files.list_column(table, "classification")
     angle, angle_offset = files.list_column(table, "angle_deg")
-    point_m = np.column_stack([x, y, z]) / 100.0
+    point_cm = np.column_stack([x, y, z]).astype(np.int64)
     plain = table.select(
         [
             "building_id",
@@ -143,7 +143,7 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
             row["tile"],
             (row["origin_x_m"], row["origin_y_m"]),
             polygons.rings(i),
-            point_m[own] + [0.0, 0.0, row["origin_z_m"]],
+            (point_cm[own] + [0, 0, round(100 * row["origin_z_m"])]) / 100.0,
             classification[own].astype(np.uint8),
             row["ground_z_m"],
         )

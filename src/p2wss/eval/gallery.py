@@ -11,9 +11,9 @@ import numpy as np
 from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.eval.cases import Case
-from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.eval.reasons import Reason, reason
 from p2wss.eval.tables import main_method
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 
 Key = tuple[str, str, str]
 Row = Mapping[str, Any]
@@ -66,7 +66,7 @@ class Gallery:
         return self._reasons[key, method]
 
     def num_parts(self, key: Key) -> int:
-        """Number of parts that the fit found, 1 where it was not run."""
+        """Heights that the fit has, 1 where it was not run."""
         for method in (NETWORK_AND_FIT, FIT):
             made = self.reconstructions.get(method, {}).get(key)
             if made is not None and made.has_mesh:
@@ -98,7 +98,7 @@ class Gallery:
             Counterpart(
                 "8",
                 "Discontinuous heights",
-                "buildings in which the fit found parts: the network's one height is furthest off",
+                "buildings that the fit cut into parts: the network's one height is furthest off",
                 self._top(REAL, NETWORK, self._heights, count),
             ),
             Counterpart(

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.eval.tables import numbers
 from p2wss.metrics import calibration as metrics
 from p2wss.metrics.calibration import Calibration
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 
 KIND = "kind"
 BY = {

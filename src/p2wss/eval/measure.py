@@ -81,9 +81,10 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
         "num_vertices": sum(map(len, building.rings)),
         "density_per_m2": num_inside / building.polygon.area,
         "roof_type": case.roof_type,
-        "roof_kind": None
-        if made.angle_deg is None
-        else roof_kind(made.rings, made.angle_deg, made.num_parts),
+        # a flat roof instead of a mesh of the method says nothing of the building
+        "roof_kind": roof_kind(made.rings, made.angle_deg, made.num_parts)
+        if made.angle_deg is not None and made.status == "ok"
+        else None,
         "visible_roof_share": case.visible_roof_share,
         "confidence": made.confidence,
         **dict.fromkeys(_MESH_MEASURES),

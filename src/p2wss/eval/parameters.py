@@ -12,9 +12,9 @@ from p2wss.data.building import Building, Reconstruction, ground_z_m
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval.cases import Case, Medians
 from p2wss.eval.measure import points_on_building
-from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.metrics.absolute_error import absolute_error, vertex_error
 from p2wss.reconstruct.network import Predictor
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import Polygons
 

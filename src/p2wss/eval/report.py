@@ -23,8 +23,8 @@ from p2wss.errors import InputError
 from p2wss.eval import figures, groups, parameters, tables, texts
 from p2wss.eval.cases import Case, read_manifest, test_cases
 from p2wss.eval.gallery import Gallery, Shown, counts_of_reasons
-from p2wss.eval.predict import NETWORK, NETWORK_AND_FIT
 from p2wss.eval.viewer import viewer
+from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
 
 Key = tuple[str, str, str]
 # methods whose meshes stand in a picture, as far as they were run: with the points, four panels
@@ -102,7 +102,7 @@ CAPTIONS = {
     "table1": "Parameters: mean absolute errors on the simulated test split, ours and the paper's.",
     "table2": "Buildings: Chamfer distance (m) and number of triangles, ours and the paper's.",
     "table2_more": "Buildings: what the paper leaves out. Means with 95 % bootstrap intervals over buildings.",
-    "without_mesh": "Buildings without a mesh, and why.",
+    "without_mesh": "Buildings without a mesh, or with a flat roof instead, and why.",
     "groups": "Errors by kind of building: medians of distances, means of errors against the labels.",
     "calibration": "Stated confidence and observed share of heights and angles within 0.5 m and 5°.",
     "worst": "The buildings that our best variant does worst, and why.",

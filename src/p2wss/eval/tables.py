@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,8 @@ from p2wss.config import Eval
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.seeds import generator
 from p2wss.eval.baselines import RECORDED
-from p2wss.eval.predict import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.metrics.summary import Summary, summarize
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 
 # in the order of the columns
 METHOD_NAMES = {
@@ -93,7 +93,8 @@ class Detail:
     """What was measured of a method on a data set.
 
     means: by the keys of :data:`MEANS`, over the buildings with a mesh. shares: by those of :data:`SHARES`, of
-    the meshes. reasons: status of the buildings without a mesh and how many have it. cpu_ms: per building.
+    the meshes. reasons: status of the buildings without a mesh and how many have it; flat_reasons: of those with a
+    flat roof instead. cpu_ms: per building.
     """
 
     dataset: str
@@ -103,10 +104,16 @@ class Detail:
     means: Mapping[str, Summary]
     shares: Mapping[str, float]
     cpu_ms: float | None
+    flat_reasons: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def num_without_mesh(self) -> int:
         return sum(self.reasons.values())
+
+    @property
+    def instead(self) -> dict[str, Mapping[str, int]]:
+        """The reasons by what the buildings have instead of a mesh of the method."""
+        return {"no mesh": self.reasons, "flat roof": self.flat_reasons}
 
 
 @dataclass(frozen=True)
@@ -204,19 +211,13 @@ def table_2_more(columns: Sequence[Column], dataset_names: Mapping[str, str]) ->
 def without_mesh(
     details: Sequence[Detail], runs: Sequence[Run], dataset_names: Mapping[str, str]
 ) -> list[Any]:
-    """Header and rows: data set, method, reason, buildings."""
+    """Header and rows: data set, method, what the buildings have instead, reason, buildings."""
     names = {run.method: run.name for run in runs}
-    rows: list[list[Any]] = [["Data set", "Method", "Reason", "Buildings"]]
+    rows: list[list[Any]] = [["Data set", "Method", "Instead", "Reason", "Buildings"]]
     for detail in details:
-        for reason, count in sorted(detail.reasons.items()):
-            rows.append(
-                [
-                    dataset_names[detail.dataset],
-                    names.get(detail.method, detail.method),
-                    reason,
-                    count,
-                ]
-            )
+        title = [dataset_names[detail.dataset], names.get(detail.method, detail.method)]
+        for instead, reasons in detail.instead.items():
+            rows += [[*title, instead, reason, count] for reason, count in sorted(reasons.items())]
     return rows
 
 
@@ -235,8 +236,7 @@ def details(
 ) -> list[Detail]:
     """Statistics per data set and method, in the order of their first rows.
 
-    cpu_ms: milliseconds per building, by method and data set; of the fit after the network, the network's are
-    added.
+    cpu_ms: milliseconds per building, by method and data set.
     """
     found = []
     keys = list(
@@ -246,26 +246,25 @@ def details(
         own = measures.filter(
             pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
         )
-        lost = own.filter(pc.is_null(own["num_triangles"]))["status"].to_pylist()
-        reasons = {reason: lost.count(reason) for reason in dict.fromkeys(lost)}
+        without_mesh = pc.is_null(own["num_triangles"])
+        is_flat = pc.and_not(pc.fill_null(pc.not_equal(own["status"], "ok"), False), without_mesh)
         found.append(
             Detail(
                 dataset,
                 method,
                 len(own),
-                reasons,
+                _counts(own.filter(without_mesh)["status"].to_pylist()),
                 {name: _summary(own, name, config, dataset, method) for name in MEANS},
                 {name: _share(own, name) for name in SHARES},
-                _cpu(cpu_ms or {}, dataset, method),
+                (cpu_ms or {}).get(method, {}).get(dataset),
+                _counts(own.filter(is_flat)["status"].to_pylist()),
             )
         )
     return found
 
 
-def _cpu(cpu_ms: Mapping[str, Mapping[str, float]], dataset: str, method: str) -> float | None:
-    steps = (NETWORK, NETWORK_AND_FIT) if method == NETWORK_AND_FIT else (method,)
-    known = [cpu_ms.get(step, {}).get(dataset) for step in steps]
-    return None if None in known else sum(value for value in known if value is not None)
+def _counts(values: Sequence[str]) -> dict[str, int]:
+    return {value: values.count(value) for value in dict.fromkeys(values)}
 
 
 def _share(table: pa.Table, name: str) -> float:

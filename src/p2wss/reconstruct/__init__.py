@@ -7,14 +7,13 @@ from p2wss.reconstruct.pipeline import (
     attributes,
     check_overlap,
     city_json,
-    method_name,
-    reconstruct_buildings,
     run,
     solid,
     summary,
     table,
     vertices_m,
 )
+from p2wss.reconstruct.product import method_name, reconstruct_buildings
 
 __all__ = [
     "Progress",

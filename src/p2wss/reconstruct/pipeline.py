@@ -21,17 +21,15 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.clouds import Cloud, horizontal
 from p2wss.data.cropping import seen_share
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.data.points import crop_cloud
+from p2wss.data.points import crop_cloud, on_centimetres
 from p2wss.errors import InputError
-from p2wss.fit import fitting
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Solid
 from p2wss.formats.polygons import planar_surfaces
 from p2wss.metrics.surface import distance_to_mesh
-from p2wss.reconstruct.flat import with_fallback
-from p2wss.reconstruct.network import Predictor, reconstruct_with_network
+from p2wss.reconstruct.network import Predictor
+from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 
-METHOD = "point2wss"
 # points that a residual is taken over
 _MAX_RESIDUAL_POINTS = 2048
 # buildings between two reports of progress
@@ -95,16 +93,16 @@ def run(
         buildings = []
         rows = range(first, min(first + _BATCH, len(frame)))
         for i in rows:
-            own = cropped.of(i)
-            place = [cloud.x_m[own] - origin_xy_m[i, 0], cloud.y_m[own] - origin_xy_m[i, 1], cloud.z_m[own]]
+            point = cropped.of(i)
+            xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
             buildings.append(
                 Building(
                     str(names[i]),
                     tile,
                     (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
                     [ring - origin_xy_m[i] for ring in polygons.rings(i)],
-                    np.column_stack(place),
-                    cloud.classification[own],
+                    on_centimetres(xyz_m, origin_xy_m[i]),
+                    cloud.classification[point],
                     float(cropped.ground_z_m[i]),
                 )
             )
@@ -133,33 +131,6 @@ def _results(
     return results
 
 
-def reconstruct_buildings(
-    buildings: Sequence[Building], predictor: Predictor | None, config: Reconstruct
-) -> list[Reconstruction]:
-    """The product: one reconstruction per building, in order. ``p2wss reconstruct`` and the evaluation call it.
-
-    The network's values of ``config.num_views`` views, fitted to the points; with ``config.fit`` off the values
-    of as many views as the model was trained for; without a predictor the fit alone. Where these give no mesh, a
-    flat roof whose status has the reason (:func:`p2wss.reconstruct.flat.with_fallback`).
-    """
-    starts = None
-    if predictor is not None:
-        predictor = predictor.of_views(config.num_views) if config.fit else predictor
-        starts = reconstruct_with_network(buildings, predictor, config, METHOD)
-    if starts is None or config.fit:
-        reconstructions = fitting.fit(buildings, config, starts, method_name(predictor, config))
-    else:
-        reconstructions = starts
-    return with_fallback(reconstructions, buildings, config)
-
-
-def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
-    """``point2wss``, ``point2wss+fit`` or ``fit``."""
-    if predictor is None:
-        return fitting.METHOD
-    return f"{METHOD}+{fitting.METHOD}" if config.fit else METHOD
-
-
 def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
     """Raise :class:`InputError` if not one building has a point."""
     if not any(result.num_points for result in results):
@@ -174,7 +145,7 @@ def _result(building: Building, made: Reconstruction, config: Reconstruct) -> Re
     reason = None if made.status == "ok" else made.status
     on_building = _on_building(building)
     residual_m = _residual_m(building.point_m[on_building], made)
-    fitted = config.fit or made.method == fitting.METHOD
+    fitted = config.fit or made.method == FIT
     flagged = fitted and status == "ok" and residual_m > config.not_representable_m
     share = _visible_share(building, on_building)
     return Result(made, status, reason, len(building.point_m), residual_m, share, flagged)

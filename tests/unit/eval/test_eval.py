@@ -8,7 +8,6 @@ import json
 import re
 import stat
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import trimesh
-from tiny_network import sure_of
+from knowing_network import Knowing
 
 from p2wss import cli
 from p2wss.config import Eval, Reconstruct
@@ -38,53 +37,12 @@ from p2wss.eval import (
     tables,
     texts,
 )
+from p2wss.nets import predictor as predictor_module
+from p2wss.nets import weights
 from p2wss.reconstruct.flat import lod1
 
 ROOFER = Path(__file__).with_name("toy_roofer.py")
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
-
-
-class Answer:
-    def __init__(self, height: np.ndarray, angle: list[np.ndarray]) -> None:
-        self.eave_height_m, self.angle_deg, self.confidence = height, angle, np.full(len(height), 0.5)
-        self.class_probability = [sure_of(own) for own in angle]
-
-
-class Knowing:
-    """Looks the truth up by footprint and heights; ``wrong_m`` and ``wrong_deg`` are added."""
-
-    max_num_vertices = 8
-
-    def __init__(self, known: Sequence[cases.Case], wrong_m: float = 0.0, wrong_deg: float = 0.0) -> None:
-        self.known, self.wrong_m, self.wrong_deg = known, wrong_m, wrong_deg
-
-    def _case(self, points: np.ndarray) -> cases.Case:
-        def same(case: cases.Case) -> bool:
-            own = case.building
-            shifted = points + np.array([0, 0, own.ground_z_m])
-            return len(points) == len(own.point_m) and np.allclose(shifted, own.point_m)
-
-        return next(case for case in self.known if same(case))
-
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Answer:
-        found = [self._case(points) for points in points_m]
-        height = np.array([case.eave_height_m or 5.0 for case in found]) + self.wrong_m
-        angle = [
-            np.full(sum(map(len, r)), 30.0) if c.angle_deg is None else c.angle_deg + self.wrong_deg
-            for c, r in zip(found, rings, strict=True)
-        ]
-        return Answer(height, angle)
-
-    def reconstruct_all_masked(
-        self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
-    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-        answer = self.predict(points_m, [[ring] for ring in footprints_m])
-        off = 0.3 if signs_visible else 0.6
-        return (
-            answer.eave_height_m,
-            [ring + np.array([off, 0.0]) for ring in footprints_m],
-            list(answer.angle_deg),
-        )
 
 
 @pytest.fixture(scope="module")
@@ -255,8 +213,13 @@ def test_roofer_that_fails_or_is_absent_makes_no_figure(
         baselines.baseline("lod2", found, manifest, CONFIG, RECONSTRUCT)
 
 
-def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Path) -> None:
-    """The commands as the rules run them, with a table of the truth in the network's place."""
+WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}}
+
+
+def test_report_from_files_is_one_self_contained_page(
+    hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands as the rules run them, with the truth in the network's place."""
     manifest = cases.read_manifest(hamlet)
     found = cases.test_cases(manifest)
     predictor = Knowing(found, 0.1)
@@ -278,8 +241,9 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
 
     for name in ("lod1", "constant", "roofer"):
         run("baseline", "--name", name, "--manifest", hamlet, *outputs(name))
-    begin = ["--predictions", tmp_path / "point2wss.parquet"]
-    run("fit", "--manifest", hamlet, *outputs("point2wss+fit"), *begin)
+    monkeypatch.setattr(predictor_module, "load_predictor", lambda path, device: predictor)
+    monkeypatch.setattr(weights, "read_weights", lambda path, kind: ({}, WEIGHTS_FACTS))
+    run("fit", "--manifest", hamlet, *outputs("point2wss+fit"), "--model", tmp_path / "model.safetensors")
     run("fit", "--manifest", hamlet, *outputs("fit"))
     names = ("point2wss", "point2wss+fit", "fit", "lod1", "constant", "roofer")
     rows = [tmp_path / f"{name}.parquet" for name in names]
@@ -304,7 +268,7 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
     assert "not run: eval.roofer_command is empty" in page
     assert page.count("Simulated scan of tile 0652_6862") == 1
-    assert "no real data" in page and "0123" in page
+    assert "no real data" in page and "0123" in page and "4567" in page
     assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
     assert "mu_CD" in (tmp_path / "table2.csv").read_text()
 

@@ -14,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import shapely
+from knowing_network import Knowing
 
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
@@ -26,6 +27,7 @@ from p2wss.eval.reasons import reason
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.fit.mesh import build_meshes
 from p2wss.reconstruct.flat import constant, lod1
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
 
@@ -36,23 +38,13 @@ def found(hamlet: Path) -> list[cases.Case]:
 
 
 @pytest.fixture(scope="module")
-def off(found: list[cases.Case]) -> list[Reconstruction]:
-    """A network that is 40 cm too high and takes every roof for a hip of 30 degrees."""
-    height = [(case.eave_height_m or 5.0) + 0.4 if case.dataset == SIMULATED else 5.0 for case in found]
-    buildings = [case.building for case in found]
-    made = constant(buildings, np.array(height), 30.0, RECONSTRUCT, predict.NETWORK)
-    return [replace(one, confidence=0.5) for one in made]
-
-
-@pytest.fixture(scope="module")
-def made(
-    found: list[cases.Case], off: list[Reconstruction]
-) -> dict[str, dict[tuple[str, str, str], Reconstruction]]:
-    known = {case.key: one for case, one in zip(found, off, strict=True)}
+def made(found: list[cases.Case]) -> dict[str, dict[tuple[str, str, str], Reconstruction]]:
+    """From a network that is 40 cm too high and takes every roof for a hip of 30 degrees."""
+    network = Knowing(found, wrong_m=0.4, slope_deg=30.0)
     every = {
-        predict.NETWORK: off,
-        predict.NETWORK_AND_FIT: predict.fit(found, known, RECONSTRUCT),
-        predict.FIT: predict.fit(found, None, RECONSTRUCT),
+        NETWORK: predict.predict(found, network, RECONSTRUCT),
+        NETWORK_AND_FIT: predict.fit(found, network, RECONSTRUCT),
+        FIT: predict.fit(found, None, RECONSTRUCT),
     }
     return {
         method: {case.key: one for case, one in zip(found, rows, strict=True)}
@@ -73,17 +65,15 @@ def measures_of(found: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
 
 def test_the_variants_are_what_their_names_say(found: list[cases.Case], made: dict) -> None:
     for case in found[:16]:
-        network, network_and_fit, alone = (
-            made[name][case.key] for name in (predict.NETWORK, predict.NETWORK_AND_FIT, "fit")
-        )
-        assert [one.method for one in (network, network_and_fit, alone)] == [
+        network, network_and_fit, fit = (made[name][case.key] for name in (NETWORK, NETWORK_AND_FIT, "fit"))
+        assert [one.method for one in (network, network_and_fit, fit)] == [
             "point2wss",
             "point2wss+fit",
             "fit",
         ]
         # what the fit found, not what the network said
-        assert network.confidence == 0.5 and min(network_and_fit.confidence or 0, alone.confidence or 0) > 0.5
-        assert network_and_fit.num_parts == alone.num_parts == 1, "one height on simulated buildings"
+        assert network.confidence == 0.5 and min(network_and_fit.confidence or 0, fit.confidence or 0) > 0.5
+        assert network_and_fit.num_parts == fit.num_parts == 1, "one height on simulated buildings"
         assert case.eave_height_m is not None
         assert abs((network_and_fit.eave_height_m or 0) - case.eave_height_m) < 0.15
         assert (network.eave_height_m or 0) - case.eave_height_m == pytest.approx(0.4, abs=1e-5)
@@ -117,7 +107,7 @@ def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[c
     measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
     cpu = {"point2wss": {"real": 3.0}, "point2wss+fit": {"real": 5.0}}
     got = {d.method: d.cpu_ms for d in tables.details(measured, CONFIG, cpu)}
-    assert got == {"point2wss": 3.0, "point2wss+fit": 8.0, "fit": None}
+    assert got == {"point2wss": 3.0, "point2wss+fit": 5.0, "fit": None}
 
 
 def test_seen_edges_are_those_with_points_over_a_sloped_face(found: list[cases.Case]) -> None:
@@ -224,7 +214,7 @@ def test_calibration_is_the_share_within_half_a_metre_and_five_degrees(
     found: list[cases.Case], table: pa.Table
 ) -> None:
     """The network: heights are right (0.4 m off), angles where they are from 25 to 35 degrees."""
-    own = groups.calibration(table, "simulated", predict.NETWORK)
+    own = groups.calibration(table, "simulated", NETWORK)
     shares = [
         (1 + (np.abs(case.angle_deg - 30) <= 5).sum()) / (1 + len(case.angle_deg))
         for case in found[:16]
@@ -236,8 +226,8 @@ def test_calibration_is_the_share_within_half_a_metre_and_five_degrees(
     # the same value for all tells nothing apart
     assert own.auc in (0.5, pytest.approx(np.nan, nan_ok=True)) and np.isnan(own.correlation)
     rows = groups.calibration_table(table, ["simulated", "real"])
-    assert rows[-1][:2] == ["simulated", predict.NETWORK] and rows[-1][4] == 16
-    assert {row[1] for row in rows[1:]} == {predict.NETWORK, predict.NETWORK_AND_FIT, predict.FIT}
+    assert rows[-1][:2] == ["simulated", NETWORK] and rows[-1][4] == 16
+    assert {row[1] for row in rows[1:]} == {NETWORK, NETWORK_AND_FIT, FIT}
 
 
 SQUARE = [np.array([[0.0, 0], [8, 0], [8, 8], [0, 8]])]
@@ -307,12 +297,12 @@ def test_the_gallery_shows_what_it_says(found: list[cases.Case], made: dict, tab
     by_key = {case.key: case for case in found}
     rows = table.to_pylist()
     gallery = Gallery(by_key, made, rows)
-    assert gallery.main == predict.NETWORK_AND_FIT
+    assert gallery.main == NETWORK_AND_FIT
     worst = gallery.worst("simulated", 5)
     value = {
         (r["dataset"], r["tile"], r["building_id"]): r["points_to_mesh_m"]
         for r in rows
-        if r["method"] == predict.NETWORK_AND_FIT
+        if r["method"] == NETWORK_AND_FIT
     }
     expected = sorted((v for key, v in value.items() if key[0] == "simulated"), reverse=True)[:5]
     assert [value[shown.key] for shown in worst] == expected
@@ -321,9 +311,7 @@ def test_the_gallery_shows_what_it_says(found: list[cases.Case], made: dict, tab
     assert list(figures) == ["7 (1)", "7 (2)", "8", "9", "10", "11", "12", "13", "14"]
     # the network's hip is wrong by more than 5 degrees but for the hips of 40: none has right angles
     assert figures["7 (1)"].shown == [] and not figures["14"].shown, "no Roofer was run"
-    assert figures["11"].shown and all(
-        shown.method == predict.NETWORK_AND_FIT for shown in figures["11"].shown
-    )
+    assert figures["11"].shown and all(shown.method == NETWORK_AND_FIT for shown in figures["11"].shown)
     assert all(count > 0 for _, count in counts_of_reasons(gallery, "simulated"))
 
 
@@ -354,7 +342,13 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     rows = [
         {"dataset": "real", "method": "roofer", "num_triangles": 10, "chamfer_m": 1.0},
         {"dataset": "real", "method": "roofer", "status": "no mesh from Roofer"},
-        {"dataset": "simulated", "method": "fit", "num_triangles": 10, "chamfer_m": 1.0},
+        {
+            "dataset": "simulated",
+            "method": "fit",
+            "num_triangles": 10,
+            "chamfer_m": 1.0,
+            "status": "too-few-points",
+        },
     ]
     measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
     details = tables.details(measured, CONFIG)
@@ -367,7 +361,10 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     counts = {row[0]: row[1:] for row in more}
     assert counts["Buildings"] == [1, 2] and counts["Without a mesh"] == [0, 1]
     lost = tables.without_mesh(details, runs, names)
-    assert lost[1:] == [["Real", "Roofer (recorded)", "no mesh from Roofer", 1]]
+    assert lost[1:] == [
+        ["Real", "Roofer (recorded)", "no mesh", "no mesh from Roofer", 1],
+        ["Simulated", "Fit alone", "flat roof", "too-few-points", 1],
+    ]
 
 
 def test_small_faces_overshoot_and_bent_faces_are_counted() -> None:
@@ -399,10 +396,8 @@ def test_a_picture_has_the_same_bytes_each_time_and_all_panels(found: list[cases
     panels = [(method, own[case.key]) for method, own in made.items()]
     first, second = (figures.data_uri(figures.building(case, panels), 60) for _ in range(2))
     assert first == second and len(figures.building(case, panels).axes) == 4
-    bins = groups.calibration(
-        measures_of(found[:4], [made[predict.NETWORK]]), "simulated", predict.NETWORK
-    ).bins
-    axes = figures.reliability_diagram({predict.NETWORK: bins}, tables.METHOD_NAMES, "x").axes[0]
+    bins = groups.calibration(measures_of(found[:4], [made[NETWORK]]), "simulated", NETWORK).bins
+    axes = figures.reliability_diagram({NETWORK: bins}, tables.METHOD_NAMES, "x").axes[0]
     dots = axes.collections[0].get_offsets()
     assert np.allclose(dots, [[b.stated, b.observed] for b in bins])
     plt.close("all")

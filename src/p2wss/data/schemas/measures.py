@@ -11,7 +11,11 @@ MEASURES = pa.schema(
         field("dataset", pa.string(), "simulated (the test split) or real"),
         *IDENTITY,
         field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
-        field("status", pa.string(), "of the reconstruction: 'ok', or why there is no mesh"),
+        field(
+            "status",
+            pa.string(),
+            "'ok', or why the method gave no mesh: then there is none, or the flat roof of the product",
+        ),
         field("num_points", pa.int32(), "points of the building's cloud"),
         field("num_vertices", pa.int32(), "vertices of the building's footprint, all rings"),
         field("density_per_m2", pa.float32(), "points inside the footprint, per m2 of it"),

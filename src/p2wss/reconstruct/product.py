@@ -1,0 +1,42 @@
+"""The product: the function behind ``p2wss reconstruct``, which the evaluation measures too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building, Reconstruction
+from p2wss.fit import fitting
+from p2wss.reconstruct.flat import with_fallback
+from p2wss.reconstruct.network import Predictor, reconstruct_with_network
+
+# names of the methods, in files and reports
+NETWORK, FIT = "point2wss", fitting.METHOD
+NETWORK_AND_FIT = f"{NETWORK}+{FIT}"
+
+
+def reconstruct_buildings(
+    buildings: Sequence[Building], predictor: Predictor | None, config: Reconstruct
+) -> list[Reconstruction]:
+    """The product: one reconstruction per building, in order.
+
+    The network's values of ``config.num_views`` views, fitted to the points; with ``config.fit`` off the values
+    of as many views as the model was trained for; without a predictor the fit alone. Where these give no mesh, a
+    flat roof of the method ``lod1`` whose status has the reason (:func:`p2wss.reconstruct.flat.with_fallback`).
+    """
+    starts = None
+    if predictor is not None:
+        predictor = predictor.of_views(config.num_views) if config.fit else predictor
+        starts = reconstruct_with_network(buildings, predictor, config, NETWORK)
+    if starts is None or config.fit:
+        reconstructions = fitting.fit(buildings, config, starts, method_name(predictor, config))
+    else:
+        reconstructions = starts
+    return with_fallback(reconstructions, buildings, config)
+
+
+def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
+    """``point2wss``, ``point2wss+fit`` or ``fit``."""
+    if predictor is None:
+        return FIT
+    return NETWORK_AND_FIT if config.fit else NETWORK

@@ -1,0 +1,120 @@
+"""What the report calls point2wss+fit and fit is what ``p2wss reconstruct`` writes, building by building."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyproj
+import pytest
+import shapely
+from oracle_network import Oracle
+
+from p2wss import cli, skeleton
+from p2wss.data.building import Reconstruction
+from p2wss.data.schemas.reconstructions import read_reconstructions
+from p2wss.metrics.surface import sample_surface
+from p2wss.nets import predictor, weights
+from p2wss.reconstruct import exports
+from p2wss.skeleton.types import FaceKind, Polygons
+
+TILE = "0652_6862"
+L_SHAPE = [(0, 0), (16, 0), (16, 6), (7, 6), (7, 13), (0, 13)]
+BOX = [(0, 0), (12, 0), (12, 8), (0, 8)]
+# notches that the product simplifies away
+NOTCHED = [(0, 0), (6, 0), (6, 0.1), (6.1, 0.1), (6.1, 0), (12, 0), (12, 8), (0, 8)]
+HOUSES = [
+    (BOX, [35, 90, 35, 90], 5.0),
+    (NOTCHED, [30] * 8, 4.5),
+    (L_SHAPE, [40, 90, 40, 40, 90, 40], 6.0),
+    (BOX, [0] * 4, 7.0),
+    # above 50 m the oracle gives no answer
+    (BOX, [0] * 4, 60.0),
+]
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with footprints.gpkg and a cloud in millimetres: the houses, one with two points on its roof and one
+    with none."""
+    folder, draw = tmp_path_factory.mktemp("place"), np.random.default_rng(5)
+    points, classes, shapes = [], [], []
+    for i, (ring, angle, height) in enumerate([*HOUSES, (BOX, [0] * 4, 4.0), (BOX, [0] * 4, 0.0)]):
+        corner = np.array([652100.13 + 40 * i, 6861200.37])
+        xy, ground = np.array(ring, float), 140.0 + i
+        shapes.append(shapely.Polygon(xy + corner))
+        around = draw.uniform(-0.9, -0.1, (60, 2)) * [1, 0] + draw.uniform(0, 8, (60, 2)) * [0, 1]
+        points.append(np.column_stack([around + corner, np.full(60, ground)]))
+        classes.append(np.full(60, 2))
+        if height:
+            polygon = Polygons.from_rings([[xy]])
+            vertex, triangle, kind, _ = skeleton.build(
+                polygon, np.array(angle, float), np.array([height])
+            ).mesh(0)
+            num_points = 400 if i < len(HOUSES) else 2
+            roof = sample_surface(vertex, triangle[kind >= FaceKind.ROOF], num_points, draw)
+            points.append(roof + draw.normal(0, 0.03, roof.shape) + [*corner, ground])
+            classes.append(np.full(num_points, 6))
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.001), np.array([652000, 6861000, 0])
+    header.add_crs(pyproj.CRS.from_epsg(2154))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = np.concatenate(points).T
+    las.classification = np.concatenate(classes).astype(np.uint8)
+    las.write(folder / "cloud.laz")
+    names = [f"house {i}" for i in range(len(shapes))]
+    gpd.GeoDataFrame({"cleabs": names}, geometry=shapes, crs=2154).to_file(folder / "footprints.gpkg")
+    return folder
+
+
+@pytest.mark.parametrize("method", ["point2wss+fit", "fit"])
+def test_the_report_measures_the_product(
+    method: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = {"reconstruct": {"num_views": 2, "dormers": True}, "crops": {"min_points": 10}}
+    oracles: list[Oracle] = []
+    monkeypatch.setattr(predictor, "load_predictor", lambda *_: oracles.append(Oracle()) or oracles[-1])
+    facts = {"version": "1", "code": "0", "config": {}, "dvae_config": {}}
+    monkeypatch.setattr(weights, "read_weights", lambda path, kind: ({}, facts))
+    products: list[Reconstruction] = []
+    write = exports.write
+
+    def capture(folder: Path, stem: str, results: list, *rest: object) -> list[str]:
+        products.extend(result.reconstruction for result in results)
+        return write(folder, stem, results, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(exports, "write", capture)
+
+    def run(*arguments: object) -> None:
+        assert cli.main([*map(str, arguments), "--config", json.dumps(config)]) == 0
+
+    footprints, cloud, shard = place / "footprints.gpkg", place / "cloud.laz", tmp_path / "shard.parquet"
+    run("crops", "real", "--tile", TILE, "--footprints", footprints, "--clouds", cloud, "--out", shard)
+    run("crops", "manifest", "--out", tmp_path / "manifest.json", "--real", shard)
+    model = ["--model", tmp_path / "m.safetensors"] if method == "point2wss+fit" else []
+    out = tmp_path / "out.parquet"
+    files = ["--manifest", tmp_path / "manifest.json", "--out", out, "--out-cpu", tmp_path / "cpu.json"]
+    run("eval", "fit", *files, *model)
+    run("reconstruct", cloud, footprints, tmp_path / "out", *(model or ["--model", "none"]), "--tile", TILE)
+
+    measured = {key[2]: row for key, row in read_reconstructions(out).items()}
+    assert len(measured) == len(HOUSES) + 2 == len(products)
+    assert [oracle.num_views for oracle in oracles] == ([2, 2] if model else [])
+    for product in products:
+        row = measured[product.building_id]
+        assert row.method == method and product.method in (method, "lod1")
+        assert (row.status, row.num_parts, row.ground_z_m) == (
+            product.status,
+            product.num_parts,
+            product.ground_z_m,
+        )
+        assert np.array_equal(row.vertex_m, product.vertex_m)
+        assert np.array_equal(row.triangle, product.triangle) and np.array_equal(row.kind, product.kind)
+        assert row.has_mesh == product.has_mesh
+    # without a network to begin with, few points give a flat roof and none give nothing
+    assert [product.status == "ok" for product in products] == [True] * 5 + [bool(model)] * 2
+    assert [product.has_mesh for product in products] == [True] * 6 + [bool(model)]
+    assert [product.method == "lod1" for product in products] == [False] * 5 + [not model, False]
