@@ -51,6 +51,8 @@ from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
 from p2wss.scans import caster
 from p2wss.scans import scan as scan_module
+from p2wss.scans.hits import Hits, empty_hits
+from p2wss.scans.surface import las_classes
 
 ROOT = Path(__file__).resolve().parents[1]
 TILE, TILE_SIZE_M, MARGIN_M = "0652_6862", 1000.0, 60.0
@@ -170,7 +172,7 @@ def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
     xyz = [scan.points.xyz_mm[:, i] * 0.001 for i in range(3)]
     for column, origin in zip(xyz, scan.origin_m, strict=True):
         column += origin
-    cloud = Cloud(*xyz, scan_module.point_classes(scan.points), pyproj.CRS(2154), scan.points.strip)
+    cloud = Cloud(*xyz, las_classes(scan.points.face), pyproj.CRS(2154), scan.points.strip)
     return cloud, scan.points.building, scan.points.face
 
 
@@ -179,11 +181,11 @@ def whole_scene(
 ) -> dict[str, Any]:
     """One scene from buildings to shard, with the seconds of each step."""
     meter = Meter()
-    meter.watch(scan_module, "_surface", "scene built")
+    meter.watch(scan_module, "build_surface", "scene built")
     meter.watch(caster.Caster, "__init__", "scene built")
     meter.watch(caster, "blocks_over", "pulses generated and culled")
     meter.watch(caster, "generate", "pulses generated and culled")
-    meter.watch(caster, "_hits", "cast")
+    meter.watch(caster.Caster, "first_hits", "cast")
     meter.watch(caster, "record", "noise, drop-out, tags")
     meter.watch(points_module, "crop_points", "crop")
     begin = time.process_time()
@@ -222,17 +224,17 @@ def peers_of_the_cast(
     trimesh gets ``num_slow`` of the rays in one call with its default arguments, which find all hits of a ray.
     """
     surfaces, rays = [], []
-    original = caster._hits
+    original = caster.Caster.first_hits
 
-    def keep(of: Any, surface: Any, origin: np.ndarray, direction: np.ndarray, found: Any) -> None:
+    def keep(self: caster.Caster, origin: np.ndarray, direction: np.ndarray, hits: Hits) -> None:
         if len(origin) and len(rays) < 40:
             rays.append((origin.copy(), direction.copy()))
-            surfaces.append(surface)
-        original(of, surface, origin, direction, found)
+            surfaces.append(self.surface)
+        original(self, origin, direction, hits)
 
-    caster._hits = keep
+    caster.Caster.first_hits = keep
     scans.simulate(buildings, terrain, TILE, size_m, settings())
-    caster._hits = original
+    caster.Caster.first_hits = original
     surface, count = surfaces[0], sum(len(origin) for origin, _ in rays)
     grid = surface.terrain
     rows, columns = grid.height_m.shape
@@ -252,13 +254,12 @@ def peers_of_the_cast(
     mesh = TriangleMesh(scene, vertex.astype(np.float32), triangle)
     scene.run(*(a[:1] for a in rays[0]))
     build = time.process_time() - start
-    ours, room = caster.Caster(surface), caster._empty_hits(max(len(origin) for origin, _ in rays))
+    ours, room = caster.Caster(surface), empty_hits(max(len(origin) for origin, _ in rays))
     best = {"ours": np.inf, "embreex": np.inf}
     for _ in range(2):
         start = time.process_time()
         for origin, direction in rays:
-            found = caster.Hits(*(column[: len(origin)] for column in room))
-            original(ours, surface, origin, direction, found)
+            ours.first_hits(origin, direction, Hits(*(column[: len(origin)] for column in room)))
         best["ours"] = min(best["ours"], time.process_time() - start)
         start = time.process_time()
         for origin, direction in rays:

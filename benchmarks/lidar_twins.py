@@ -23,10 +23,11 @@ from p2wss.data.clouds import Cloud
 from p2wss.data.points import crop_cloud
 from p2wss.data.schemas.buildings import BUILDINGS
 from p2wss.data.terrain import Terrain
-from p2wss.scans import scan as scan_module
 from p2wss.scans.caster import cast
-from p2wss.scans.clutter import clutter
+from p2wss.scans.clutter import add_clutter
 from p2wss.scans.pulses import PARALLEL, Box
+from p2wss.scans.scene import build_surface, local_buildings
+from p2wss.scans.surface import las_classes
 from p2wss.scans.survey import Strip, plan
 
 _ROOF_DEG = 30.0  # of every edge; the metrics look at walls and eaves
@@ -49,14 +50,14 @@ def twin(
     low, high = (np.array([f(cloud.x_m), f(cloud.y_m)]) for f in (np.min, np.max))
     origin = np.floor([*(low + high) / 2, np.nanmedian(height)])
     settings = Scans(preset="hd", density_per_m2=10, density_spread=0, attitude_deg=(0, 0), clutter=things)
-    surface = scan_module._surface(buildings, terrain, origin, settings)
-    surface, _ = clutter(surface, scan_module._houses(buildings, origin, 0), things)
+    surface = build_surface(buildings, terrain, origin, settings)
+    surface, _ = add_clutter(surface, local_buildings(buildings, origin, 0), things)
     z_low, z_high = surface.z_range_m()
     box = Box(*(low - origin[:2]), *(high - origin[:2]), z_low - 0.1, z_high + 0.1)
     flown, angles = _flown(laz, origin, box, plan(settings, 0, box, box).strips[0])
     points, _ = cast(surface, flown, box)
     x, y, z = (points.xyz_mm[:, i] / 1000 + origin[i] for i in range(3))
-    simulated = Cloud(x, y, z, scan_module.point_classes(points), None, points.strip)
+    simulated = Cloud(x, y, z, las_classes(points.face), None, points.strip)
     return simulated, points.num_returns, float(np.abs(angles).mean())
 
 

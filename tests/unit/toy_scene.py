@@ -1,4 +1,4 @@
-"""Small scenes for tests: gabled houses in columns of the pipeline's files, on terrain given by a formula."""
+"""Small scenes for tests: gabled houses, in the columns of the pipeline's files, on terrain from a formula."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def terrain(tile=TILE, size_m=TILE_SIZE_M, margin_m=MARGIN_M, cell_m=1.0) -> Ter
 
 
 def house(x0, y0, width, length, eave_m, angle_deg, name, tile=TILE, size_m=TILE_SIZE_M):
-    """A row of ``io.BUILDINGS``: a rectangle whose ridge runs along y; edges 1 and 3 carry the roof."""
+    """A row of ``BUILDINGS``: a rectangle whose ridge runs along y; edges 1 and 3 carry the roof."""
     corners = np.array([[0, 0], [width, 0], [width, length], [0, length]], float)
     around = ground_m(corners[:, 0] + x0, corners[:, 1] + y0)
     ground, base = float(np.median(around)), float(around.min()) - 0.2
@@ -70,7 +70,7 @@ def house(x0, y0, width, length, eave_m, angle_deg, name, tile=TILE, size_m=TILE
 
 
 def houses(tile=TILE, size_m=TILE_SIZE_M, spacing_m=20.0, seed=0):
-    """Rows of ``io.BUILDINGS`` all over the tile and 30 m around it."""
+    """Rows of ``BUILDINGS`` all over the tile and 30 m around it."""
     rng = np.random.default_rng(seed)
     x_min, y_min, x_max, y_max = tile_bounds(tile, size_m, 30.0)
     rows = []
@@ -84,7 +84,7 @@ def houses(tile=TILE, size_m=TILE_SIZE_M, spacing_m=20.0, seed=0):
 
 
 def write_scene(folder: Path, rows=None, dtm=None, tile=TILE, size_m=TILE_SIZE_M) -> tuple[Path, Path, Path]:
-    """(scene, dtm, buildings) as files; the scene holds what the stage scans reads of it, its metadata."""
+    """The files (scene, dtm, buildings); of the scene, the stage scans reads the metadata only."""
     rows = houses(tile, size_m) if rows is None else rows
     facts = files.provenance(tile=tile, tile_size_m=size_m, margin_m=MARGIN_M, crs="EPSG:2154")
     columns = {field.name: [row[field.name] for row in rows] for field in BUILDINGS}
@@ -97,7 +97,7 @@ def write_scene(folder: Path, rows=None, dtm=None, tile=TILE, size_m=TILE_SIZE_M
 
 
 def table(rows):
-    """Rows as the table that a stage gets."""
+    """The rows as the table that a stage takes."""
     import pyarrow as pa
 
     return pa.table(

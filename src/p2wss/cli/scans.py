@@ -68,8 +68,7 @@ def scans(arguments: argparse.Namespace) -> None:
     )
     files.write_json(arguments.out_survey, scan.facts | made_by)
     if arguments.picture:
-        from p2wss.scans.picture import scan_figure
-        from p2wss.scans.scan import busiest_place
+        from p2wss.scans.picture import densest_place, scan_figure
 
         with files.atomic(arguments.picture) as temporary:
-            scan_figure(scan.points, busiest_place(scan.points)).savefig(temporary, dpi=110)
+            scan_figure(scan.points, densest_place(scan.points)).savefig(temporary, dpi=110)

@@ -6,38 +6,42 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from p2wss.scans.returns import Points
-from p2wss.scans.surface import THING_KIND, is_tree
+from p2wss.scans.surface import CLUTTER_KIND, is_tree
 
 _WINDOW_M = 70.0
 _MAX_POINTS = 120_000
-_RAISE = np.radians(40.0)  # of the eye above the horizon, in the south
-# of matplotlib's tab20 what is not green, red or grey, which mean something here
+_ELEVATION = np.radians(40.0)  # of the viewpoint above the horizon, in the south
+# the colours of matplotlib's tab20 without green, red and grey, which have a meaning here
 _TAB20 = [0, 1, 2, 3, 8, 9, 10, 11, 12, 13, 16, 17, 18, 19]
-GROUND_COLOR, TREE_COLOR, THING_COLOR = "#b9b4a8", "#6f9a4c", "#c23b22"
+GROUND_COLOR, TREE_COLOR, CLUTTER_COLOR = "#b9b4a8", "#6f9a4c", "#c23b22"
 
 
 def scan_figure(points: Points, middle_m: np.ndarray) -> Figure:
     """Three panels of the points within 35 m of ``middle_m`` (2,), in the local frame, seen from the south.
 
-    By building: each has a colour, ground is grey, trees are green, what is no part of a label is red.
+    By building: each has a colour; the ground is grey, trees are green, other clutter is red. By strip and by
+    number of the return: each has a colour.
     """
     near = np.abs(points.xyz_mm[:, :2] / 1000 - middle_m).max(axis=1) < _WINDOW_M / 2
-    own = np.flatnonzero(near)
-    if len(own) > _MAX_POINTS:
-        own = own[:: len(own) // _MAX_POINTS + 1]
-    xyz = points.xyz_mm[own] / 1000
-    u, v = xyz[:, 0], xyz[:, 1] * np.sin(_RAISE) + xyz[:, 2] * np.cos(_RAISE)
-    order = np.argsort(-xyz[:, 1] + 0.01 * xyz[:, 2], kind="stable")  # what is near the eye is drawn last
-    own, u, v = own[order], u[order], v[order]
+    rows = np.flatnonzero(near)
+    if len(rows) > _MAX_POINTS:
+        rows = rows[:: len(rows) // _MAX_POINTS + 1]
+    xyz = points.xyz_mm[rows] / 1000
+    u, v = xyz[:, 0], xyz[:, 1] * np.sin(_ELEVATION) + xyz[:, 2] * np.cos(_ELEVATION)
+    order = np.argsort(
+        -xyz[:, 1] + 0.01 * xyz[:, 2], kind="stable"
+    )  # what is near the viewpoint is drawn last
+    rows, u, v = rows[order], u[order], v[order]
 
     figure = Figure(figsize=(15, 5.4), layout="constrained")
-    strip, number = points.strip[own], points.return_number[own]
+    strip, number = points.strip[rows], points.return_number[rows]
     panels: tuple[tuple[str, np.ndarray, dict[str, Any]], ...] = (
-        ("by building", _by_building(points, own), {"in no label": THING_COLOR, "trees": TREE_COLOR}),
+        ("by building", _by_building(points, rows), {"clutter": CLUTTER_COLOR, "trees": TREE_COLOR}),
         ("by strip", _by_number(strip), {f"strip {n}": _by_number(n) for n in np.unique(strip)}),
         ("by return", _by_number(number - 1), {f"return {n}": _by_number(n - 1) for n in np.unique(number)}),
     )
@@ -59,13 +63,25 @@ def scan_figure(points: Points, middle_m: np.ndarray) -> Figure:
     return figure
 
 
-def _by_building(points: Points, own: np.ndarray) -> np.ndarray:
+def densest_place(points: Points, cell_m: float = 50.0) -> np.ndarray:
+    """Middle of the cell with most buildings, float64 (2,) in the local frame; zero without a building."""
+    on_building = points.building >= 0
+    cell = np.floor(points.xyz_mm[on_building, :2] / (1000 * cell_m)).astype(np.int64)
+    pairs = np.unique(np.column_stack([cell, points.building[on_building]]), axis=0)[:, :2]
+    if not len(pairs):
+        return np.zeros(2)
+    cells, counts = np.unique(pairs, axis=0, return_counts=True)
+    middle: np.ndarray = (cells[counts.argmax()] + 0.5) * cell_m
+    return middle
+
+
+def _by_building(points: Points, rows: np.ndarray) -> np.ndarray:
     palette = colormaps["tab20"](_TAB20)[:, :3]
-    face, building = points.face[own], points.building[own]
+    face, building = points.face[rows], points.building[rows]
     color = palette[(building * 5) % len(palette)]
-    color[(face >= 0) & (face & 3 == THING_KIND)] = _rgb(THING_COLOR)
-    color[face < 0] = _rgb(GROUND_COLOR)
-    color[is_tree(face)] = _rgb(TREE_COLOR)
+    color[(face >= 0) & (face & 3 == CLUTTER_KIND)] = to_rgb(CLUTTER_COLOR)
+    color[face < 0] = to_rgb(GROUND_COLOR)
+    color[is_tree(face)] = to_rgb(TREE_COLOR)
     return color
 
 
@@ -73,7 +89,3 @@ def _by_number(number: np.ndarray | int) -> np.ndarray:
     palette = colormaps["Dark2"](np.arange(8))[:, :3]
     color: np.ndarray = palette[np.asarray(number).astype(int) % len(palette)]
     return color
-
-
-def _rgb(color: str) -> tuple[float, ...]:
-    return tuple(int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))

@@ -1,7 +1,7 @@
-"""The pulses of one strip: where each starts and which way it goes, and which of them can matter.
+"""The pulses of one strip: the ray of each, and which of them can reach the scene.
 
 Pulses are numbered from the start of their strip and handled in blocks of :data:`BLOCK_PULSES`. A block is
-about 0.1 ms of flight, so one test at its centre tells whether its pulses can reach the wanted box: two
+about 0.1 ms of flight, so one test at its centre shows whether its pulses can reach the box of the scene: two
 thirds of a survey are never generated. Within a block the attitude of the platform is constant (it turns by
 less than 4e-6 rad in that time, 5 mm on the ground).
 """
@@ -54,8 +54,8 @@ class StripPath(NamedTuple):
 
 
 class Box(NamedTuple):
-    """Pulses are wanted that pass over this box between its top (above every surface) and its bottom, local
-    frame."""
+    """A box in the local frame, from below to above every surface: only pulses that pass over it are
+    generated."""
 
     x_min_m: float
     y_min_m: float
@@ -66,13 +66,13 @@ class Box(NamedTuple):
 
 
 @entry
-def _platform(path: StripPath, t: float, place: np.ndarray) -> None:
-    """Write drift (3) and rotation matrix (9) of the platform at time ``t`` into ``place``."""
+def _platform(path: StripPath, t: float, pose: np.ndarray) -> None:
+    """Write drift (3) and rotation matrix (9) of the platform at time ``t`` into ``pose``."""
     position = min(max(t / path.knot_interval_s, 0.0), len(path.knots) - 1.000001)
     k = int(position)
     w = position - k
     for i in range(12):
-        place[i] = path.knots[k, i] + w * (path.knots[k + 1, i] - path.knots[k, i])
+        pose[i] = path.knots[k, i] + w * (path.knots[k + 1, i] - path.knots[k, i])
 
 
 @inlined
@@ -116,7 +116,7 @@ def _rotate(p: np.ndarray, x: float, y: float, z: float) -> tuple[float, float, 
 
 @entry
 def time_over(path: StripPath, box: Box, interval_s: float) -> float:
-    """Seconds during which the strip's spot on the plane z = 0 is inside ``box``; sampled about every
+    """Seconds during which the beam meets the plane z = 0 inside ``box``, from samples about every
     ``interval_s``."""
     hits = 0
     p = np.empty(12)
@@ -139,7 +139,7 @@ def time_over(path: StripPath, box: Box, interval_s: float) -> float:
 @entry
 def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
     """Blocks of pulses (int64, ascending) that may pass over ``box``: all that do, and few that do not."""
-    kept = np.empty(num_blocks, np.int64)
+    result = np.empty(num_blocks, np.int64)
     p = np.empty(12)
     n = 0
     half_s = 0.5 * BLOCK_PULSES / path.pulse_rate_hz
@@ -158,7 +158,7 @@ def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
         if wraps:
             first = floor((t - half_s) * path.scan_rate_hz + path.scan_phase)
             if floor((t + half_s) * path.scan_rate_hz + path.scan_phase) != first:  # the mirror jumps back
-                kept[n] = block
+                result[n] = block
                 n += 1
                 continue
         _platform(path, t, p)
@@ -177,9 +177,9 @@ def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
                 and max(y0, y1) + reach >= box.y_min_m
             )
         if overlaps:
-            kept[n] = block
+            result[n] = block
             n += 1
-    return kept[:n].copy()
+    return result[:n].copy()
 
 
 @entry
@@ -193,11 +193,11 @@ def generate(
     advance_m: np.ndarray,
     pulse: np.ndarray,
 ) -> int:
-    """Fill in the pulses of ``blocks`` that pass over ``box``, in the order of firing; returns how many.
+    """Fill in the pulses of ``blocks`` that pass over ``box``, in the order of firing; returns their number.
 
     Each is advanced in float64 to the plane of the box's top and only then rounded to float32, so that Embree
     sees short rays (rounding below 0.04 mm at 1 km). Outputs, room for ``len(blocks) * BLOCK_PULSES``: origin
-    and direction float32 (n, 3), advance_m float64 (n,), the length already travelled, pulse int64 (n,).
+    and direction float32 (n, 3), advance_m float64 (n,), the distance already travelled, pulse int64 (n,).
     """
     n = 0
     p = np.empty(12)
@@ -210,7 +210,7 @@ def generate(
     for block in blocks:
         _platform(path, (block + 0.5) * BLOCK_PULSES / path.pulse_rate_hz, p)
         pz = path.altitude_m + p[2]
-        turns, cosine, sine = 2.0, 0.0, 0.0  # none yet
+        turns, cosine, sine = 2.0, 0.0, 0.0  # of no pulse yet
         for i in range(block * BLOCK_PULSES, (block + 1) * BLOCK_PULSES):
             t = i * period_s
             turns += turn

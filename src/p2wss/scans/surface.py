@@ -1,22 +1,40 @@
-"""What the pulses hit: terrain, and buildings with the optical properties of each triangle."""
+"""What the pulses hit: the terrain, and triangles with optical properties. The face ids of the points."""
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
 
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS
 from p2wss.scans.terrain import TerrainGrid
 
 TERRAIN_REFLECTANCE = 0.25
+CLUTTER_KIND = 0  # of a face id: neither wall nor roof
+
+
+class ClutterKind(IntEnum):
+    """What stands on, at or over a building and is no part of its label; see :func:`encode_clutter`."""
+
+    DORMER = 0
+    CHIMNEY = 1
+    RAISED_PART = 2
+    PARAPET = 3
+    SKYLIGHT = 4
+    ANNEX = 5
+    TREE = 6
+    SHADE = 7
+    LOWER_PART = 8
 
 
 class Surface(NamedTuple):
-    """Terrain, and the triangles of the buildings (t), all in the local frame.
+    """The terrain and t triangles of buildings and clutter, all in the local frame.
 
-    vertex_m: float64 (v, 3). triangle: int32 (t, 3). building, face: int32 (t,), -1 and a :data:`TREE` for
-    trees. reflectance: float32 (t,), 0 to 1. loss: float32 (t,), share of echoes that do not come back.
-    porous: bool (t,), true where a beam goes on beside the triangle, as between leaves.
+    vertex_m: float64 (v, 3). triangle: int32 (t, 3). building: int32 (t,), -1 for trees. face: int32 (t,),
+    see :func:`encode_face` and :func:`encode_clutter`. reflectance: float32 (t,), 0 to 1. loss: float32 (t,),
+    share of the returns that the sensor does not detect. porous: bool (t,), true where part of the beam
+    passes beside the triangle, as between leaves.
     """
 
     terrain: TerrainGrid
@@ -29,34 +47,39 @@ class Surface(NamedTuple):
     porous: np.ndarray
 
     def z_range_m(self) -> tuple[float, float]:
-        """Lowest and highest z of all."""
+        """The lowest and the highest z of the terrain and the triangles."""
         z = self.vertex_m[self.triangle, 2]
         low, high = float(z.min(initial=np.inf)), float(z.max(initial=-np.inf))
         return min(self.terrain.min_m, low), max(self.terrain.max_m, high)
 
 
-# what stands on, at or over a building and is no part of its label; see encode_thing
-DORMER, CHIMNEY, RAISED_PART, PARAPET, SKYLIGHT, ANNEX, TREE, SHADE, LOWER_PART = range(9)
-THING_KIND = 0
-
-
 def encode_face(kind: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """Face id of building triangles: ``4 * (edge + 1) + kind``; kind as in :class:`skeleton.types.FaceKind`.
+    """Face ids of building triangles: ``4 * (edge + 1) + kind``; kind as in :class:`skeleton.types.FaceKind`.
 
     ``kind = face_id & 3`` (1 wall, 2 roof, 3 flat roof) and ``edge = (face_id >> 2) - 1``; terrain is -1.
     """
     return (4 * (edge.astype(np.int32) + 1) + kind.astype(np.int32)).astype(np.int32)
 
 
-def encode_thing(thing: np.ndarray) -> np.ndarray:
-    """Face id of what is no part of the label: ``4 * thing``, so that its kind is 0, neither roof nor wall.
+def encode_clutter(kind: np.ndarray) -> np.ndarray:
+    """Face ids of clutter: ``4 * kind`` with kind a :class:`ClutterKind`, so that ``face_id & 3`` is 0.
 
-    ``thing = face_id >> 2``: 0 dormer, 1 chimney, 2 raised part, 3 parapet, 4 skylight, 5 annex, 6 tree,
-    8 lower part.
+    Such points count neither as roof nor as wall.
     """
-    return (4 * np.asarray(thing)).astype(np.int32)
+    return (4 * np.asarray(kind)).astype(np.int32)
 
 
 def is_tree(face: np.ndarray) -> np.ndarray:
-    """Which face ids are trees, bool (n,)."""
-    return face == 4 * TREE
+    """Which face ids are those of trees, bool (n,)."""
+    return face == 4 * ClutterKind.TREE
+
+
+def las_classes(face: np.ndarray) -> np.ndarray:
+    """LAS class of points by their face ids, uint8 (n,): 2 ground, 5 vegetation, 6 building.
+
+    Clutter on and beside buildings has the building's class.
+    """
+    result = np.full(len(face), BUILDING_CLASS, np.uint8)
+    result[face < 0] = GROUND_CLASS
+    result[is_tree(face)] = VEGETATION_CLASS
+    return result

@@ -49,64 +49,66 @@ class Strip:
 
 @dataclass(frozen=True)
 class Survey:
-    """Strips over a scene, and ``parameters``: everything that was drawn, ready for JSON."""
+    """The strips over a scene, and ``parameters``: everything that was drawn at random, ready for JSON."""
 
     strips: list[Strip]
     parameters: dict[str, Any]
 
 
 def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
-    """Draw a survey whose strips cover ``box`` and whose mean density over ``area`` is the drawn one.
+    """Draw a survey whose strips cover ``box`` and whose mean density over ``area`` is the density drawn.
 
     Both boxes are in the local frame; heights are above the scene's median ground. ``seed`` is the scene's:
     the same settings, seed and boxes give the same survey.
     """
-    drawn = _parameters(settings, generator(seed, "survey"))
-    half_angle, heading = radians(drawn["half_angle_deg"]), radians(90 - drawn["heading_deg"])
-    swath_m = 2 * drawn["altitude_m"] * tan(half_angle)
-    spacing_m = swath_m * (1 - drawn["overlap"])
-    drawn |= {"swath_m": swath_m, "strip_spacing_m": spacing_m}
-    lines = _lines(box, heading, swath_m, spacing_m, drawn["strip_phase"])
-    if drawn["cross_strip"]:
+    parameters = _parameters(settings, generator(seed, "survey"))
+    half_angle, heading = radians(parameters["half_angle_deg"]), radians(90 - parameters["heading_deg"])
+    swath_m = 2 * parameters["altitude_m"] * tan(half_angle)
+    spacing_m = swath_m * (1 - parameters["overlap"])
+    parameters |= {"swath_m": swath_m, "strip_spacing_m": spacing_m}
+    lines = _lines(box, heading, swath_m, spacing_m, parameters["strip_phase"])
+    if parameters["cross_strip"]:
         lines += _lines(box, heading + np.pi / 2, swath_m, np.inf, 0.5)
 
     strips, start_s = [], 0.0
     for index, (x, y, direction, length_m) in enumerate(lines):
         rng = generator(seed, "strip", index)
-        duration_s = length_m / drawn["speed_m_per_s"]
+        duration_s = length_m / parameters["speed_m_per_s"]
         path = StripPath(
-            pattern=PATTERNS[drawn["pattern"]],
+            pattern=PATTERNS[parameters["pattern"]],
             half_angle_rad=half_angle,
             sin_half_angle=sin(half_angle),
             cos_half_angle=cos(half_angle),
-            scan_rate_hz=drawn["scan_rate_hz"],
+            scan_rate_hz=parameters["scan_rate_hz"],
             scan_phase=rng.uniform(),
             crossing_rad=radians(CROSSING_DEG),
             pulse_rate_hz=1.0,
             start_x_m=x,
             start_y_m=y,
-            altitude_m=drawn["altitude_m"],
+            altitude_m=parameters["altitude_m"],
             heading_rad=direction,
-            speed_m_per_s=drawn["speed_m_per_s"],
+            speed_m_per_s=parameters["speed_m_per_s"],
             duration_s=duration_s,
             knot_interval_s=_KNOT_INTERVAL_S,
-            knots=_knots(rng, duration_s, direction, drawn["drift_m"], radians(drawn["attitude_deg"])),
+            knots=_knots(
+                rng, duration_s, direction, parameters["drift_m"], radians(parameters["attitude_deg"])
+            ),
             # the 1/e^2 diameter of a Gaussian beam is four standard deviations
-            beam_sigma_rad=drawn["divergence_mrad"] * 1e-3 / 4,
+            beam_sigma_rad=parameters["divergence_mrad"] * 1e-3 / 4,
             beam_key=np.uint64(derive_seed(seed, "beam", index)),
         )
         errors = Errors(
-            noise_xy_m=drawn["noise_xy_m"],
-            noise_z_m=drawn["noise_z_m"],
-            noise_range_m=drawn["noise_range_m"],
-            offset_x_m=rng.normal(0, drawn["strip_offset_xy_m"]),
-            offset_y_m=rng.normal(0, drawn["strip_offset_xy_m"]),
-            offset_z_m=rng.normal(0, drawn["strip_offset_z_m"]),
-            base_loss=drawn["base_loss"],
-            min_intensity=drawn["min_intensity"],
-            speckle=drawn["speckle"],
-            reference_range_m=drawn["altitude_m"],
-            max_returns=drawn["max_returns"],
+            noise_xy_m=parameters["noise_xy_m"],
+            noise_z_m=parameters["noise_z_m"],
+            noise_range_m=parameters["noise_range_m"],
+            offset_x_m=rng.normal(0, parameters["strip_offset_xy_m"]),
+            offset_y_m=rng.normal(0, parameters["strip_offset_xy_m"]),
+            offset_z_m=rng.normal(0, parameters["strip_offset_z_m"]),
+            base_loss=parameters["base_loss"],
+            min_intensity=parameters["min_intensity"],
+            speckle=parameters["speckle"],
+            reference_range_m=parameters["altitude_m"],
+            max_returns=parameters["max_returns"],
             separation_m=settings.return_separation_m,
             key=np.uint64(derive_seed(seed, "noise", index)),
             loss_key=np.uint64(derive_seed(seed, "loss", index)),
@@ -117,11 +119,11 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
 
     seconds = sum(time_over(strip.path, area, _SAMPLE_INTERVAL_S) for strip in strips)
     area_m2 = (area.x_max_m - area.x_min_m) * (area.y_max_m - area.y_min_m)
-    drawn["pulse_rate_hz"] = float(drawn["density_per_m2"] * area_m2 / seconds)
+    parameters["pulse_rate_hz"] = float(parameters["density_per_m2"] * area_m2 / seconds)
     strips = [
-        Strip(s.path._replace(pulse_rate_hz=drawn["pulse_rate_hz"]), s.errors, s.start_s) for s in strips
+        Strip(s.path._replace(pulse_rate_hz=parameters["pulse_rate_hz"]), s.errors, s.start_s) for s in strips
     ]
-    drawn["strips"] = [
+    parameters["strips"] = [
         {
             "start_xy_m": [s.path.start_x_m, s.path.start_y_m],
             "heading_deg": float(90 - np.degrees(s.path.heading_rad)) % 360,
@@ -131,21 +133,21 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
         }
         for s in strips
     ]
-    return Survey(strips, drawn)
+    return Survey(strips, parameters)
 
 
 def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
-    """One draw of everything but the strips; a preset that does without an error has it at 0."""
+    """One random draw of everything but the strips; an error that a preset lacks is 0."""
     shares = settings.pattern_shares.model_dump()
     weights = np.array(list(shares.values()), float)
     pattern = str(rng.choice(list(shares), p=weights / weights.sum()))
     half_angle = settings.conical_half_angle_deg if pattern == "conical" else settings.line_half_angle_deg
     low, high = settings.density_bounds_per_m2
-    wanted = settings.density_per_m2 or (
+    target = settings.density_per_m2 or (
         _HD_DENSITY_PER_M2 if settings.preset == "hd" else _PAPER_DENSITY_PER_M2
     )
-    density = float(np.clip(wanted * np.exp(rng.normal(0, settings.density_spread)), low, high))
-    drawn: dict[str, Any] = {
+    density = float(np.clip(target * np.exp(rng.normal(0, settings.density_spread)), low, high))
+    parameters: dict[str, Any] = {
         "preset": settings.preset,
         "pattern": pattern,
         "density_per_m2": density,
@@ -171,9 +173,9 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
         "max_returns": settings.max_returns,
     }
     if settings.preset == "hd":
-        return drawn
-    # `none` is the same flight without any error, `paper` the simulator of the paper with its own errors
-    drawn |= dict.fromkeys(
+        return parameters
+    # `none` is the same flight without errors, `paper` the simulator of the paper with its own errors
+    parameters |= dict.fromkeys(
         (
             "drift_m",
             "attitude_deg",
@@ -188,9 +190,9 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
         ),
         0.0,
     )
-    drawn |= {"density_per_m2": wanted, "max_returns": 1}
+    parameters |= {"density_per_m2": target, "max_returns": 1}
     if settings.preset == "paper":
-        drawn |= {
+        parameters |= {
             "pattern": "conical",
             "altitude_m": _PAPER_ALTITUDE_M,
             "half_angle_deg": _PAPER_HALF_ANGLE_DEG,
@@ -202,7 +204,7 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
             "noise_xy_m": _PAPER_NOISE_XY_M,
             "noise_z_m": _PAPER_NOISE_Z_M,
         }
-    return drawn
+    return parameters
 
 
 def _lines(

@@ -1,4 +1,4 @@
-"""The cast against exact geometry, and what a sensor records."""
+"""The cast against exact geometry, and what the sensor records."""
 
 import hashlib
 from dataclasses import replace
@@ -92,9 +92,9 @@ def first_hits(triangles, origin, direction, chunk=2000):
             t = (e2[None] * q).sum(-1) / det
         t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf)
         best = t.argmin(axis=1)
-        found = t[np.arange(len(t)), best]
-        index[start : start + chunk] = np.where(np.isfinite(found), best, -1)
-        distance[start : start + chunk] = found
+        nearest = t[np.arange(len(t)), best]
+        index[start : start + chunk] = np.where(np.isfinite(nearest), best, -1)
+        distance[start : start + chunk] = nearest
     return index, distance
 
 
@@ -137,13 +137,13 @@ def test_no_face_is_tagged_wrongly():
     ground = points.building < 0
     assert np.abs(z[ground]).max() <= 0.001
     assert (points.face[ground] == -1).all()
-    kind, own = points.face[~ground] & 3, boxes[points.building[~ground]]
+    kind, box = points.face[~ground] & 3, boxes[points.building[~ground]]
     x, y, z = x[~ground], y[~ground], z[~ground]
-    to_wall = np.min([abs(x - own[:, 0]), abs(x - own[:, 3]), abs(y - own[:, 1]), abs(y - own[:, 4])], axis=0)
+    to_wall = np.min([abs(x - box[:, 0]), abs(x - box[:, 3]), abs(y - box[:, 1]), abs(y - box[:, 4])], axis=0)
     assert set(kind) == {ROOF, WALL}
-    assert np.abs(z - own[:, 5])[kind == ROOF].max() <= 0.001
+    assert np.abs(z - box[:, 5])[kind == ROOF].max() <= 0.001
     assert to_wall[kind == WALL].max() <= 0.001
-    assert (z[kind == WALL] < own[kind == WALL, 5] + 0.001).all()
+    assert (z[kind == WALL] < box[kind == WALL, 5] + 0.001).all()
 
 
 def test_a_deep_courtyard_gets_no_points():
@@ -224,7 +224,7 @@ def test_several_returns_come_from_edges_only_and_in_order(most):
     assert energy[pair - 1][both].mean() < 0.8 * energy[alone].mean()
 
 
-def test_at_most_as_many_returns_as_wanted():
+def test_no_pulse_has_more_returns_than_the_maximum():
     # a staircase under a wide beam: more surfaces than returns
     stairs = [block(-10 + 0.4 * i, -10, -9.6 + 0.4 * i, 10, 4 * i + 1) for i in range(9)]
     wide = {"divergence_mrad": (1.5, 1.5), "return_separation_m": 0.5}
@@ -286,11 +286,11 @@ def test_scan_angle_and_intensity():
     assert 0 < np.ptp(degrees) < 61 and np.abs(degrees).max() < 30.1
     flown = strips("none", pattern_shares=only("parallel"))
     for number, strip in enumerate(flown):
-        mine = points.strip == number
+        of_strip = points.strip == number
         right = np.array([np.sin(strip.path.heading_rad), -np.cos(strip.path.heading_rad)])
-        across = (points.xyz_mm[mine, :2] / 1000 - [strip.path.start_x_m, strip.path.start_y_m]) @ right
+        across = (points.xyz_mm[of_strip, :2] / 1000 - [strip.path.start_x_m, strip.path.start_y_m]) @ right
         np.testing.assert_allclose(
-            np.degrees(np.arctan2(across, strip.path.altitude_m)), degrees[mine], atol=0.005
+            np.degrees(np.arctan2(across, strip.path.altitude_m)), degrees[of_strip], atol=0.005
         )
     assert points.intensity.min() > 0
 
@@ -298,6 +298,6 @@ def test_scan_angle_and_intensity():
 def test_a_miss_is_a_miss():
     caster = Caster(surface([block(0, 0, 1, 1, 5)]))
     origin = np.array([[0.6, 0.5, 9], [2, 2, 9]], np.float32)
-    hits = caster.hits(origin, np.array([[0, 0, -1]] * 2, np.float32))
-    assert hits[0] in (0, 1) and hits[1] == -1
-    assert Caster(surface([])).hits(origin, origin).tolist() == [-1, -1]
+    triangle = caster.first_triangles(origin, np.array([[0, 0, -1]] * 2, np.float32))
+    assert triangle[0] in (0, 1) and triangle[1] == -1
+    assert Caster(surface([])).first_triangles(origin, origin).tolist() == [-1, -1]

@@ -1,4 +1,4 @@
-"""Clutter: where it stands, how it is marked, and that the label's own points stay what they are."""
+"""Clutter: where it stands, how it is tagged, and that the points on the labelled building stay as they are."""
 
 import numpy as np
 import pytest
@@ -7,18 +7,7 @@ from toy_scene import TILE, TILE_SIZE_M, ground_m, house, houses, table, terrain
 
 from p2wss import scans
 from p2wss.config import Clutter, Scans
-from p2wss.scans.scan import point_classes
-from p2wss.scans.surface import (
-    ANNEX,
-    CHIMNEY,
-    DORMER,
-    LOWER_PART,
-    PARAPET,
-    RAISED_PART,
-    SHADE,
-    SKYLIGHT,
-    TREE,
-)
+from p2wss.scans.surface import ClutterKind, las_classes
 
 NOTHING = dict.fromkeys(Clutter.model_fields, 0) | {"skylight_loss": (0, 0), "eave_overhang_m": (0, 0)}
 EXACT = {
@@ -48,12 +37,12 @@ def flat(row):
     return row | {"vertex_xyz_m": vertex.ravel(), "triangle_kind": kind, "angle_deg": [0.0] * 4}
 
 
-def places(scan, rows, thing):
-    """Of the points on a thing: building, depth inside the footprint, height above its ground, above its
-    roof, and the eave's height; float64 each."""
+def places(scan, rows, kind):
+    """Of the points on clutter of one kind: building, depth inside its footprint, height above its ground,
+    height above its roof, and its eave height; float64 each."""
     x, y, z = (scan.points.xyz_mm / 1000 + scan.origin_m).T
-    own = np.flatnonzero(scan.points.face == 4 * thing)
-    number = scan.points.building[own]
+    index = np.flatnonzero(scan.points.face == 4 * kind)
+    number = scan.points.building[index]
     facts = np.array(
         [
             [
@@ -63,14 +52,14 @@ def places(scan, rows, thing):
             for r in rows
         ]
     )[number]
-    u, v = x[own] - facts[:, 0], y[own] - facts[:, 1]
+    u, v = x[index] - facts[:, 0], y[index] - facts[:, 1]
     across = np.minimum(u, facts[:, 2] - u)
     depth = np.minimum(across, np.minimum(v, facts[:, 3] - v))
-    above = z[own] - facts[:, 4]
+    above = z[index] - facts[:, 4]
     return number, depth, above, above - facts[:, 5] - across * facts[:, 6], facts[:, 5]
 
 
-def test_what_the_label_describes_keeps_its_points_and_tags():
+def test_points_on_the_labelled_building_keep_their_places_and_tags():
     rows = houses()
     scan = survey(
         rows,
@@ -101,26 +90,26 @@ def test_what_the_label_describes_keeps_its_points_and_tags():
     names = ("ground", "wall", "roof", "tree", "other")
     assert sum(facts[f"num_{name}_points"] for name in names) == facts["num_points"]
     assert facts["num_other_points"] > 1000
-    assert not (scan.points.face == 4 * SHADE).any()  # what is missing has no points
-    classes = point_classes(scan.points)
-    assert set(classes[scan.points.face == 4 * TREE]) == {5}
-    assert set(classes[(scan.points.face >= 0) & (scan.points.face != 4 * TREE)]) == {6}
+    assert not (scan.points.face == 4 * ClutterKind.SHADE).any()  # a shade gives no returns
+    classes = las_classes(scan.points.face)
+    assert set(classes[scan.points.face == 4 * ClutterKind.TREE]) == {5}
+    assert set(classes[(scan.points.face >= 0) & (scan.points.face != 4 * ClutterKind.TREE)]) == {6}
     assert set(classes[ground]) == {2}
 
 
 @pytest.mark.parametrize(
-    ("thing", "share", "above_roof_m"),
+    ("kind", "share", "above_roof_m"),
     [
-        (DORMER, "dormer_share", (0.0, 1.4 + 1.1)),
-        (CHIMNEY, "chimney_share", (0.0, 1.6 + 0.5)),
-        (RAISED_PART, "raised_part_share", (0.0, 3.0 + 2.3)),
-        (SKYLIGHT, "skylight_share", (0.03, 0.06)),
+        (ClutterKind.DORMER, "dormer_share", (0.0, 1.4 + 1.1)),
+        (ClutterKind.CHIMNEY, "chimney_share", (0.0, 1.6 + 0.5)),
+        (ClutterKind.RAISED_PART, "raised_part_share", (0.0, 3.0 + 2.3)),
+        (ClutterKind.SKYLIGHT, "skylight_share", (0.03, 0.06)),
     ],
 )
-def test_things_on_roofs_stand_on_their_own_roof(thing, share, above_roof_m):
+def test_objects_on_roofs_stand_on_the_roof_of_their_building(kind, share, above_roof_m):
     rows = houses()
     scan = survey(rows, **{share: 1})
-    number, depth, _, above_roof, _ = places(scan, rows, thing)
+    number, depth, _, above_roof, _ = places(scan, rows, kind)
     assert len(np.unique(number)) > 0.5 * len({r for r in scan.points.building if r >= 0})
     assert depth.min() > -0.002
     assert above_roof.min() > above_roof_m[0] - 0.003
@@ -130,7 +119,7 @@ def test_things_on_roofs_stand_on_their_own_roof(thing, share, above_roof_m):
 def test_parapets_line_flat_roofs_only():
     rows = [flat(row) if i % 2 else row for i, row in enumerate(houses())]
     scan = survey(rows, parapet_share=1)
-    number, depth, above, _, eave = places(scan, rows, PARAPET)
+    number, depth, above, _, eave = places(scan, rows, ClutterKind.PARAPET)
     assert set(number) == set(scan.points.building[(scan.points.building & 1) == 1]) - {-1}
     assert depth.min() > -0.002 and depth.max() < 0.252
     assert ((above - eave) > -0.11).all() and ((above - eave) < 1.001).all()
@@ -139,14 +128,14 @@ def test_parapets_line_flat_roofs_only():
     assert np.unique(scan.points.building[level] & 1).tolist() == [1]
 
 
-def test_annexes_stand_beside_their_house_and_in_no_other():
+def test_annexes_stand_beside_their_building_and_in_no_other():
     rows = houses()
     scan = survey(rows, annex_share=1)
-    number, depth, above, _, eave = places(scan, rows, ANNEX)
+    number, depth, above, _, eave = places(scan, rows, ClutterKind.ANNEX)
     assert len(np.unique(number)) > 5
     assert depth.max() < 0 and depth.min() > -6 * np.sqrt(2)
     assert (above < eave - 0.29).all() and above.max() < 3.201
-    own = scan.points.face == 4 * ANNEX
+    own = scan.points.face == 4 * ClutterKind.ANNEX
     x, y = (scan.points.xyz_mm[own, :2] / 1000 + scan.origin_m[:2]).T
     for number, row in enumerate(rows):
         corners = row["footprint_xy_m"].reshape(-1, 2) + np.array([row["origin_x_m"], row["origin_y_m"]])
@@ -158,7 +147,7 @@ def test_annexes_stand_beside_their_house_and_in_no_other():
 def test_trees_hide_a_part_of_what_is_below():
     rows = houses()
     bare, scan = survey(rows), survey(rows, trees_per_building=1.5)
-    tree = scan.points.face == 4 * TREE
+    tree = scan.points.face == 4 * ClutterKind.TREE
     assert (scan.points.building[tree] == -1).all()
     x, y, z = (scan.points.xyz_mm / 1000 + scan.origin_m).T
     above = z[tree] - ground_m(x[tree], y[tree])
@@ -179,13 +168,14 @@ def test_skylights_and_shades_lose_points():
     bare = survey(rows).facts["pulses"]
     panes = survey(rows, skylight_share=1, skylight_loss=(1, 1))
     assert bare["lost"] == 0 and panes.facts["pulses"]["lost"] > 500
-    assert not (panes.points.face == 4 * SKYLIGHT).any()
+    assert not (panes.points.face == 4 * ClutterKind.SKYLIGHT).any()
     shaded = survey(rows, shade_share=1).facts["pulses"]
     assert shaded["lost"] > 0.01 * shaded["cast"]
 
 
 def on_house(scan, row, number):
-    """Of the points of one house: kind, distance inwards from the edge each is on, height above its roof."""
+    """Of the points of one house: kind of face, distance inwards from the footprint edge of the face, height
+    above the roof."""
     own = np.flatnonzero(scan.points.building == number)
     x, y, z = (scan.points.xyz_mm[own] / 1000 + scan.origin_m).T
     u, v = x - row["origin_x_m"], y - row["origin_y_m"]
@@ -197,7 +187,7 @@ def on_house(scan, row, number):
     return face & 3, inwards[np.clip((face >> 2) - 1, 0, 3), np.arange(len(own))], z - roof
 
 
-def test_walls_stand_back_under_the_eaves_and_roofs_stay():
+def test_walls_are_set_back_under_the_eaves_and_roofs_stay():
     rows = houses()
     bare, scan = survey(rows), survey(rows, eave_overhang_share=1, eave_overhang_m=(0.4, 0.4))
     walls = [0, 0]
@@ -227,7 +217,7 @@ def test_a_wall_against_a_neighbour_stays():
 def test_a_low_part_takes_the_place_of_the_roof_above_it():
     rows = houses()
     bare, scan = survey(rows), survey(rows, lower_part_share=1)
-    number, depth, above, _, _ = places(scan, rows, LOWER_PART)
+    number, depth, above, _, _ = places(scan, rows, ClutterKind.LOWER_PART)
     assert 10 < len(np.unique(number)) <= scan.facts["clutter"]["lower_part"]
     assert depth.min() > -0.022
     assert (above > 2.199).all() and np.median(above) < 3.201
@@ -235,7 +225,9 @@ def test_a_low_part_takes_the_place_of_the_roof_above_it():
     kind = scan.points.face & 3
     for name in np.unique(number):
         row = rows[name]
-        own = np.flatnonzero((scan.points.building == name) & (scan.points.face == 4 * LOWER_PART))
+        own = np.flatnonzero(
+            (scan.points.building == name) & (scan.points.face == 4 * ClutterKind.LOWER_PART)
+        )
         z = scan.points.xyz_mm[own, 2] / 1000 + scan.origin_m[2] - row["ground_z_m"]
         level = own[np.abs(z - z.min()) < 0.002]
         assert len(level) > 20 and 2.199 < z.min() < 3.201
@@ -258,10 +250,10 @@ def test_a_building_has_the_same_clutter_whatever_stands_around_it():
     rows = [house(652_540, 6_861_950, 10, 12, 6, 35.0, "A"), house(652_580, 6_861_920, 9, 12, 5, 40.0, "B")]
     shares = dict.fromkeys(("dormer_share", "chimney_share", "annex_share"), 1) | {"trees_per_building": 1}
     together, alone = (survey(r, **shares).points for r in (rows, rows[1:]))
-    # no third thing casts a shadow between the two, and the survey is that of the tile
-    for thing in (DORMER, CHIMNEY, ANNEX):
-        a = together.xyz_mm[(together.face == 4 * thing) & (together.building == 1)]
-        b = alone.xyz_mm[(alone.face == 4 * thing) & (alone.building == 0)]
+    # nothing else occludes either of the two, and the survey is that of the tile
+    for kind in (ClutterKind.DORMER, ClutterKind.CHIMNEY, ClutterKind.ANNEX):
+        a = together.xyz_mm[(together.face == 4 * kind) & (together.building == 1)]
+        b = alone.xyz_mm[(alone.face == 4 * kind) & (alone.building == 0)]
         assert len(a) > 0
         np.testing.assert_array_equal(np.sort(a, axis=0).max(axis=0), np.sort(b, axis=0).max(axis=0))
 

@@ -29,12 +29,12 @@ def rays(path, blocks, box):
 def test_culling_loses_no_pulse(pattern):
     for strip in survey(pattern, scan_rate_hz=(40, 250)).strips:
         path = strip.path
-        kept = blocks_over(path, path.num_blocks, BOX)
+        blocks = blocks_over(path, path.num_blocks, BOX)
         everything = rays(path, np.arange(path.num_blocks), BOX)
-        culled = rays(path, kept, BOX)
+        culled = rays(path, blocks, BOX)
         for a, b in zip(everything, culled, strict=True):
             np.testing.assert_array_equal(a, b)
-        assert len(kept) < 0.9 * path.num_blocks
+        assert len(blocks) < 0.9 * path.num_blocks
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
@@ -67,8 +67,8 @@ def test_beams_of_a_steady_flight(pattern):
 
 def test_rounding_of_rays_is_below_a_twentieth_of_a_millimetre():
     path = survey("parallel").strips[0].path
-    kept = blocks_over(path, path.num_blocks, BOX)
-    origin, direction, _, _ = rays(path, kept, BOX)
+    blocks = blocks_over(path, path.num_blocks, BOX)
+    origin, direction, _, _ = rays(path, blocks, BOX)
     # where float32 rays meet z = 0, against the same rays from the aircraft in float64
     ground = origin[:, :2] - (origin[:, 2] / direction[:, 2])[:, None] * direction[:, :2]
     exact = (

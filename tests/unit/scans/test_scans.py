@@ -1,4 +1,4 @@
-"""Stage scans: from a scene's files to a LAZ file whose points carry what they hit."""
+"""Stage scans: from the files of a scene to a LAZ file whose points are tagged with what they hit."""
 
 import json
 import resource
@@ -32,9 +32,13 @@ def test_every_point_lies_on_what_it_is_tagged_with(scan):
     np.testing.assert_allclose(z[ground], ground_m(x[ground], y[ground]), atol=0.002)
     checked = {1: 0, 2: 0}
     for number, row in enumerate(rows):
-        own = scan.points.building == number
-        kind, edge = scan.points.face[own] & 3, (scan.points.face[own] >> 2) - 1
-        u, v, w = x[own] - row["origin_x_m"], y[own] - row["origin_y_m"], z[own] - row["ground_z_m"]
+        on_house = scan.points.building == number
+        kind, edge = scan.points.face[on_house] & 3, (scan.points.face[on_house] >> 2) - 1
+        u, v, w = (
+            x[on_house] - row["origin_x_m"],
+            y[on_house] - row["origin_y_m"],
+            z[on_house] - row["ground_z_m"],
+        )
         width, length = row["footprint_xy_m"][4], row["footprint_xy_m"][5]
         # distance inwards from each edge: south, east, north, west
         inwards = np.stack([v, width - u, length - v, u])[edge, np.arange(len(u))]
@@ -58,7 +62,7 @@ def test_density_extent_and_counts(scan):
     json.dumps(facts)
 
 
-def test_buildings_of_the_margin_cast_shadows():
+def test_buildings_of_the_margin_occlude_the_ground_behind_them():
     tower = house(652_602, 6_861_930, 20, 40, 35, 30.0, "TOWER")
     assert not tower["in_tile"]
     dtm = terrain()
@@ -72,7 +76,7 @@ def test_buildings_of_the_margin_cast_shadows():
     assert counts[1] < 0.8 * counts[0]
 
 
-def test_a_building_that_sticks_out_of_its_tile_is_scanned_whole():
+def test_a_building_that_extends_beyond_its_tile_is_scanned_whole():
     long = house(652_560, 6_861_950, 75, 10, 6, 30.0, "LONG")
     assert long["in_tile"]
     scan = scans.simulate(table([long]), terrain(margin_m=80.0), TILE, TILE_SIZE_M, SETTINGS)
@@ -114,7 +118,7 @@ def test_terrain_that_cannot_be_used():
         scans.check_dtm_crs(pyproj.CRS(28992), pyproj.CRS(2154), "dtm.tif")
 
 
-def test_the_file_holds_it_all(scan, tmp_path):
+def test_the_file_has_every_column(scan, tmp_path):
     path = tmp_path / "scan.laz"
     scans.write_scan(path, scan, pyproj.CRS(2154))
     las = laspy.read(path)
@@ -145,10 +149,10 @@ def test_command_line(tmp_path):
         assert main(["scans", *inputs, *out, "--threads", threads, "--config", config]) == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    one, two = laspy.read(tmp_path / "a.laz"), laspy.read(tmp_path / "b.laz")
-    np.testing.assert_array_equal(one.points.array, two.points.array)
+    first, second = laspy.read(tmp_path / "a.laz"), laspy.read(tmp_path / "b.laz")
+    np.testing.assert_array_equal(first.points.array, second.points.array)
     survey = json.loads((tmp_path / "a.json").read_text())
-    assert survey["tile"] == TILE and survey["num_points"] == len(one.points)
+    assert survey["tile"] == TILE and survey["num_points"] == len(first.points)
     assert json.loads(survey["config"])["scans"]["density_per_m2"] == 4
 
 

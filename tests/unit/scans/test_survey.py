@@ -1,4 +1,4 @@
-"""Surveys: what is drawn stays in bounds, the scene is covered, and the density is the one asked for."""
+"""Surveys: parameters stay in their bounds, the scene is covered, and the density is the one required."""
 
 import json
 
@@ -36,7 +36,7 @@ def only(pattern):
 
 @pytest.mark.parametrize("pattern", PATTERNS)
 @pytest.mark.parametrize("seed", [0, 1])
-def test_density_is_the_one_asked_for_and_covers_everything(pattern, seed):
+def test_the_density_is_the_one_required_and_the_whole_area_is_covered(pattern, seed):
     settings = Scans(preset="none", density_per_m2=6, pattern_shares=only(pattern))
     survey = plan(settings, seed, AREA, AREA)
     points, counts = cast(flat_surface(), survey.strips, AREA)
@@ -48,11 +48,15 @@ def test_density_is_the_one_asked_for_and_covers_everything(pattern, seed):
     assert cells.min() > 0  # no cell of 10 m without a point
 
 
-def test_paper_preset_is_the_papers_simulator():
+def test_the_preset_paper_is_the_simulator_of_the_paper():
     survey = plan(Scans(preset="paper"), 3, AREA, AREA)
-    drawn = survey.parameters
-    assert (drawn["pattern"], drawn["altitude_m"], drawn["half_angle_deg"]) == ("conical", 1000, 20)
-    assert (drawn["noise_xy_m"], drawn["noise_z_m"]) == (0.13, 0.05)
+    parameters = survey.parameters
+    assert (parameters["pattern"], parameters["altitude_m"], parameters["half_angle_deg"]) == (
+        "conical",
+        1000,
+        20,
+    )
+    assert (parameters["noise_xy_m"], parameters["noise_z_m"]) == (0.13, 0.05)
     for strip in survey.strips:
         assert strip.path.beam_sigma_rad == 0 and strip.errors.base_loss == 0
         assert strip.errors.offset_z_m == 0
@@ -60,24 +64,26 @@ def test_paper_preset_is_the_papers_simulator():
     assert len(points.pulse) / 200**2 == pytest.approx(8, rel=0.05)
 
 
-def test_hd_draws_within_the_bounds_and_varies():
+def test_parameters_of_hd_vary_within_their_bounds():
     settings = Scans()
     patterns, headings = set(), []
     for seed in range(40):
-        drawn = plan(settings, seed, AREA, AREA).parameters
-        json.dumps(drawn)
-        patterns.add(drawn["pattern"])
-        headings.append(drawn["heading_deg"])
+        parameters = plan(settings, seed, AREA, AREA).parameters
+        json.dumps(parameters)
+        patterns.add(parameters["pattern"])
+        headings.append(parameters["heading_deg"])
         for name in ("altitude_m", "speed_m_per_s", "scan_rate_hz", "overlap", "attitude_deg", "base_loss"):
             low, high = getattr(settings, name)
-            assert low <= drawn[name] <= high
-        assert 5 <= drawn["density_per_m2"] <= 30
-        assert drawn["strip_spacing_m"] == pytest.approx(drawn["swath_m"] * (1 - drawn["overlap"]))
+            assert low <= parameters[name] <= high
+        assert 5 <= parameters["density_per_m2"] <= 30
+        assert parameters["strip_spacing_m"] == pytest.approx(
+            parameters["swath_m"] * (1 - parameters["overlap"])
+        )
     assert patterns == {"conical", "parallel", "cross_fire"}
     assert np.ptp(headings) > 300
 
 
 def test_a_seed_decides_everything():
-    one, same, other = (plan(Scans(), seed, AREA, AREA) for seed in (5, 5, 6))
-    assert one.parameters == same.parameters != other.parameters
-    assert one.strips[0].errors == same.strips[0].errors
+    first, same, other = (plan(Scans(), seed, AREA, AREA) for seed in (5, 5, 6))
+    assert first.parameters == same.parameters != other.parameters
+    assert first.strips[0].errors == same.strips[0].errors

@@ -47,22 +47,22 @@ def test_first_crossing_is_that_of_all_triangles(rough_m):
             [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), -np.cos(angle)], np.float64
         )
         expected = nearest_hit(triangles, origin, direction)
-        found, east, north = first_crossing(grid, *origin, *direction, np.inf)
+        distance, east, north = first_crossing(grid, *origin, *direction, np.inf)
         if expected < 0:
-            assert found < 0
+            assert distance < 0
             continue
         hits += 1
-        assert found == pytest.approx(expected, abs=1e-6)
+        assert distance == pytest.approx(expected, abs=1e-6)
         # the slope is that of the plane: a step along it stays on the surface's triangle
         normal = np.array([-east, -north, 1.0])
-        point = origin + found * direction
+        point = origin + distance * direction
         on_plane = np.abs((triangles[:, 0] - point) @ normal).min()
         assert on_plane < 1e-6
-        assert first_crossing(grid, *origin, *direction, found - 0.01)[0] < 0
+        assert first_crossing(grid, *origin, *direction, distance - 0.01)[0] < 0
     assert hits > 200
 
 
-def test_rays_over_many_blocks_find_the_same():
+def test_rays_over_many_blocks_have_the_same_crossing():
     # a hill in rolling ground: slanted rays pass several regions of 64 squares, steep ones stay in a square
     rng = np.random.default_rng(2)
     v, u = np.mgrid[:150, :200]
@@ -88,10 +88,12 @@ def test_no_terrain_where_there_is_no_data():
     height[5, 5] = np.nan
     grid = local_grid(height, 0.0, 10.0, 1.0, np.zeros(3))
 
-    def seen(x, y):
+    def has_terrain(x, y):
         return first_crossing(grid, x, y, 20.0, 0.0, 0.0, -1.0, np.inf)[0] > 0
 
-    assert seen(3.2, 4.1)
-    assert not seen(5.4, 4.6)  # the missing centre is at (5.5, 4.5): all six triangles around it are gone
-    assert seen(4.8, 3.7) and not seen(6.2, 4.2)
-    assert not seen(0.2, 5.0)  # beyond the outermost centres there is no triangle
+    assert has_terrain(3.2, 4.1)
+    assert not has_terrain(
+        5.4, 4.6
+    )  # the missing centre is at (5.5, 4.5): all six triangles around it are gone
+    assert has_terrain(4.8, 3.7) and not has_terrain(6.2, 4.2)
+    assert not has_terrain(0.2, 5.0)  # beyond the outermost centres there is no triangle

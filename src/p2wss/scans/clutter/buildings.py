@@ -1,0 +1,88 @@
+"""The buildings that get clutter, and what every kind of clutter needs: random draws, edges, rectangles."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from p2wss.scans.randomness import uniforms
+from p2wss.skeleton.types import Polygons
+
+_NUM_DRAWS = 64  # uniform draws per building and stream
+_STREAM_STEP = 2**20  # between the first draws of two streams
+
+
+class LocalBuildings(NamedTuple):
+    """n buildings in the local frame.
+
+    polygons: their footprints, empty for a building without a mesh. eave_z_m, ground_z_m, base_z_m: float64
+    (n,). key: uint64 (n,), of their random draws.
+    """
+
+    polygons: Polygons
+    eave_z_m: np.ndarray
+    ground_z_m: np.ndarray
+    base_z_m: np.ndarray
+    key: np.ndarray
+
+
+def draw_buildings(buildings: LocalBuildings, stream: int, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of a random ``share`` of the buildings with a mesh, and uniform draws for each, (n, 64).
+
+    ``stream`` numbers what is drawn, a :class:`surface.ClutterKind` for clutter.
+    """
+    first_draw = uniforms(buildings.key, stream * _STREAM_STEP, 1)[:, 0]
+    rows = np.flatnonzero((first_draw < share) & (np.diff(buildings.polygons.polygon_offset) > 0))
+    return rows, uniforms(buildings.key[rows], stream * _STREAM_STEP + 1, _NUM_DRAWS)
+
+
+def draw_for_all(buildings: LocalBuildings, stream: int, count: int) -> np.ndarray:
+    """``count`` uniform draws for every building, float64 (n, count)."""
+    return uniforms(buildings.key, stream * _STREAM_STEP, count)
+
+
+def between(u: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Uniform draws from [0, 1) moved to [low, high)."""
+    return low + u * (high - low)
+
+
+def left_of(direction: np.ndarray) -> np.ndarray:
+    """Directions (.., 2) turned left by a right angle: of a footprint edge, the direction inwards."""
+    return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
+
+
+def rectangles(middle: np.ndarray, along: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """Corners (k, 4, 2): middle (k, 2), unit direction (k, 2), half length and half width (k, 2)."""
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    a = signs[None, :, :1] * half_m[:, None, :1] * along[:, None]
+    b = signs[None, :, 1:] * half_m[:, None, 1:] * left_of(along)[:, None]
+    return middle[:, None] + a + b
+
+
+def next_edge(polygons: Polygons) -> np.ndarray:
+    """Number of the edge that starts where each edge ends, int64, aligned with the vertices."""
+    result = np.arange(len(polygons.xy_m)) + 1
+    filled = np.diff(polygons.ring_offset) > 0
+    result[polygons.ring_offset[1:][filled] - 1] = polygons.ring_offset[:-1][filled]
+    return result
+
+
+def edges(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
+    """Start (n, 2) and end (n, 2) of every edge, aligned with the vertices."""
+    return polygons.xy_m, polygons.xy_m[next_edge(polygons)]
+
+
+def draw_edges(
+    buildings: LocalBuildings, rows: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A random edge of each of ``rows``, longer ones with more probability: number, length in metres,
+    outward unit normal (k, 2)."""
+    start, end = edges(buildings.polygons)
+    length = np.linalg.norm(end - start, axis=1)
+    before = np.concatenate([[0.0], np.cumsum(length)])
+    offset = buildings.polygons.vertex_offset
+    target = before[offset[rows]] + u * (before[offset[rows + 1]] - before[offset[rows]])
+    edge = np.clip(np.searchsorted(before, target, side="right") - 1, offset[rows], offset[rows + 1] - 1)
+    along = (end - start)[edge] / np.maximum(length[edge], 1e-9)[:, None]
+    return edge, length[edge], -left_of(along)

@@ -1,0 +1,118 @@
+"""Where rays meet the surface first, exactly.
+
+Embree answers in float32 and, rarely, wrongly (near-parallel rays on thin triangles). So it is asked only
+which triangle a ray meets first. The point is computed here in float64 and must lie on that triangle, which
+also makes the points equal on machines whose Embree rounds differently.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from p2wss.scans.surface import Surface
+from p2wss.scans.terrain import crossing, frame_of
+from p2wss.skeleton.compiled import entry, inlined
+
+_ON_TRIANGLE_M = 0.005
+
+
+class Hits(NamedTuple):
+    """The first hit of each of n rays.
+
+    triangle: int32 (n,), -1 for the terrain. distance_m: float64 (n,), from the ray's origin, -1 if the ray
+    meets nothing. normal: float64 (n, 3), unit normal of the surface. height_m: float64 (n,), distance of the
+    surface's plane from the origin of the frame, along the normal.
+    """
+
+    triangle: np.ndarray
+    distance_m: np.ndarray
+    normal: np.ndarray
+    height_m: np.ndarray
+
+
+def empty_hits(num_rays: int) -> Hits:
+    """Arrays for the hits of ``num_rays`` rays, not initialised."""
+    return Hits(np.empty(num_rays, np.int32), np.empty(num_rays), np.empty((num_rays, 3)), np.empty(num_rays))
+
+
+@entry
+def locate(
+    origin: np.ndarray, direction: np.ndarray, embree_triangle: np.ndarray, surface: Surface, hits: Hits
+) -> None:
+    """Fill in ``hits``: where each ray meets the triangle that Embree names, or the terrain before it.
+
+    embree_triangle: int32 (n,), -1 where the ray meets no triangle.
+    """
+    grid, vertex, triangles = surface.terrain, surface.vertex_m, surface.triangle
+    frame, height, blocks, regions = frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m
+    hit_triangle, hit_m, hit_normal, hit_height = hits
+    for k in range(len(embree_triangle)):
+        ox, oy, oz = np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2])
+        dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
+        triangle = embree_triangle[k]
+        t, nx, ny, nz, offset = _on_triangle(vertex, triangles, triangle, ox, oy, oz, dx, dy, dz)
+        if t < 0:
+            triangle = -1
+        ground_t, east, north = crossing(
+            frame, height, blocks, regions, ox, oy, oz, dx, dy, dz, t if t >= 0 else np.inf
+        )
+        if ground_t >= 0:
+            triangle, t = -1, ground_t
+            nz = 1 / sqrt(1 + east * east + north * north)
+            nx, ny = -east * nz, -north * nz
+            offset = nx * (ox + t * dx) + ny * (oy + t * dy) + nz * (oz + t * dz)
+        hit_triangle[k], hit_m[k], hit_height[k] = triangle, t, offset
+        hit_normal[k, 0], hit_normal[k, 1], hit_normal[k, 2] = nx, ny, nz
+
+
+@inlined
+def _on_triangle(
+    vertex: np.ndarray,
+    triangles: np.ndarray,
+    triangle: int,
+    ox: float, oy: float, oz: float,
+    dx: float, dy: float, dz: float,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """Distance along the ray to a triangle, its unit normal, and the distance of its plane from the origin.
+
+    The distance is -1 if there is no triangle, or if the ray misses it: then Embree was wrong.
+    """
+    if triangle < 0:
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    i0, i1, i2 = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
+    ax, ay, az = vertex[i0, 0], vertex[i0, 1], vertex[i0, 2]
+    bx, by, bz = vertex[i1, 0], vertex[i1, 1], vertex[i1, 2]
+    cx, cy, cz = vertex[i2, 0], vertex[i2, 1], vertex[i2, 2]
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    per_length = 1 / sqrt(max(nx * nx + ny * ny + nz * nz, 1e-300))
+    slope = nx * dx + ny * dy + nz * dz
+    if slope == 0.0:
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    t = (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / slope
+    px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
+    nx, ny, nz = nx * per_length, ny * per_length, nz * per_length
+    if not (
+        _inside_edge(ax, ay, az, ux, uy, uz, nx, ny, nz, px, py, pz)
+        and _inside_edge(bx, by, bz, cx - bx, cy - by, cz - bz, nx, ny, nz, px, py, pz)
+        and _inside_edge(cx, cy, cz, -vx, -vy, -vz, nx, ny, nz, px, py, pz)
+    ):
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    return t, nx, ny, nz, nx * ax + ny * ay + nz * az
+
+
+@inlined
+def _inside_edge(
+    ax: float, ay: float, az: float,
+    ex: float, ey: float, ez: float,
+    nx: float, ny: float, nz: float,
+    px: float, py: float, pz: float,
+) -> bool:  # fmt: skip
+    """Whether p is on the inner side of the edge from a along e, or within :data:`_ON_TRIANGLE_M` of it."""
+    qx, qy, qz = px - ax, py - ay, pz - az
+    side = nx * (ey * qz - ez * qy) + ny * (ez * qx - ex * qz) + nz * (ex * qy - ey * qx)
+    return side >= 0 or side * side <= _ON_TRIANGLE_M**2 * (ex * ex + ey * ey + ez * ez)

@@ -1,0 +1,119 @@
+"""From the files of a scene to what the simulator works on: surface and buildings in the local frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyarrow as pa
+
+from p2wss.config import Scans
+from p2wss.data import files, polygon_arrays
+from p2wss.data.seeds import derive_seed, generator
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+from p2wss.scans.clutter import LocalBuildings
+from p2wss.scans.surface import Surface, encode_face
+from p2wss.scans.terrain import local_grid
+from p2wss.skeleton.types import FaceKind, Polygons
+
+
+def build_surface(buildings: pa.Table, terrain: Terrain, origin_m: np.ndarray, settings: Scans) -> Surface:
+    """The terrain and every building that has a mesh, relative to ``origin_m`` (3,).
+
+    The ground faces of the meshes are omitted, because no pulse can reach them. Raises :class:`InputError`
+    if the columns of the triangles differ in length.
+    """
+    flat_vertices, vertex_offset = files.list_column(buildings, "vertex_xyz_m")
+    flat_triangles, triangle_offset = files.list_column(buildings, "triangle")
+    kind, kind_offset = files.list_column(buildings, "triangle_kind")
+    edge, _ = files.list_column(buildings, "triangle_edge")
+    frame = np.stack(
+        [buildings[name].to_numpy() for name in ("origin_x_m", "origin_y_m", "ground_z_m")], axis=1
+    )
+    num_vertices, num_triangles = np.diff(vertex_offset) // 3, np.diff(triangle_offset) // 3
+    if not np.array_equal(np.diff(kind_offset), num_triangles):
+        raise InputError("buildings: triangle and triangle_kind differ in length; rerun the buildings stage")
+    vertices = flat_vertices.reshape(-1, 3) + np.repeat(frame - origin_m, num_vertices, axis=0)
+    building = np.repeat(np.arange(len(frame)), num_triangles)
+    triangles = flat_triangles.reshape(-1, 3) + (vertex_offset[building] // 3)[:, None]
+    is_roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
+    roof_reflectance, wall_reflectance, roof_loss = _optics(buildings["building_id"].to_pylist(), settings)
+    reflectance = np.where(is_roof, roof_reflectance[building], wall_reflectance[building])
+    reachable = kind != FaceKind.GROUND
+    return Surface(
+        terrain=local_grid(terrain.height_m, terrain.x_min_m, terrain.y_max_m, terrain.cell_m, origin_m),
+        vertex_m=np.ascontiguousarray(vertices),
+        triangle=triangles[reachable].astype(np.int32),
+        building=building[reachable].astype(np.int32),
+        face=encode_face(kind, edge)[reachable],
+        reflectance=reflectance[reachable].astype(np.float32),
+        loss=np.where(is_roof, roof_loss[building], 0)[reachable].astype(np.float32),
+        porous=np.zeros(int(reachable.sum()), bool),
+    )
+
+
+def _optics(building_ids: list[str], settings: Scans) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Reflectance of the roof and of the walls, and loss of the roof, per building; the same in every tile
+    that contains the building."""
+    columns = np.empty((3, len(building_ids)))
+    for i, building_id in enumerate(building_ids):
+        rng = generator(settings.seed, "scans", "optics", building_id)
+        is_dark = rng.uniform() < settings.dark_roof_share
+        loss = rng.uniform(*settings.dark_roof_loss)
+        columns[:, i] = rng.beta(4, 9), rng.beta(4, 9), loss if is_dark and settings.preset == "hd" else 0
+    return columns[0], columns[1], columns[2]
+
+
+def local_buildings(buildings: pa.Table, origin_m: np.ndarray, seed: int) -> LocalBuildings:
+    """The buildings that get clutter, relative to ``origin_m`` (3,)."""
+    polygons = polygon_arrays.from_columns(buildings)
+    xy = np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
+    shift = np.repeat(xy - origin_m[:2], np.diff(polygons.vertex_offset), axis=0)
+    has_mesh = np.array(buildings["status"].to_pylist(), dtype=object) == "ok"
+    num_rings = np.diff(polygons.polygon_offset)
+    ring_is_used = np.repeat(has_mesh, num_rings)
+    num_vertices = np.diff(polygons.ring_offset)
+    vertex_is_used = np.repeat(ring_is_used, num_vertices)
+    ground_z_m = buildings["ground_z_m"].to_numpy() - origin_m[2]
+    keys = [derive_seed(seed, "scans", "clutter", name) for name in buildings["building_id"].to_pylist()]
+    return LocalBuildings(
+        polygons=Polygons(
+            (polygons.xy_m + shift)[vertex_is_used],
+            np.concatenate([[0], np.cumsum(num_vertices[ring_is_used])]).astype(np.int64),
+            np.concatenate([[0], np.cumsum(num_rings * has_mesh)]).astype(np.int64),
+        ),
+        eave_z_m=ground_z_m + buildings["eave_height_m"].to_numpy().astype(float),
+        ground_z_m=ground_z_m,
+        base_z_m=buildings["base_z_m"].to_numpy() - origin_m[2],
+        key=np.array(keys, np.uint64),
+    )
+
+
+def scan_bounds(buildings: pa.Table, tile_bounds: Bounds, margin_m: float) -> Bounds:
+    """The tile and the footprints of its own buildings, which may extend beyond it, grown by ``margin_m``."""
+    in_tile = buildings["in_tile"].to_numpy()
+    x, y, row = _footprint_vertices(buildings)
+    x, y = x[in_tile[row]], y[in_tile[row]]
+    return (
+        min(tile_bounds[0], x.min(initial=np.inf)) - margin_m,
+        min(tile_bounds[1], y.min(initial=np.inf)) - margin_m,
+        max(tile_bounds[2], x.max(initial=-np.inf)) + margin_m,
+        max(tile_bounds[3], y.max(initial=-np.inf)) + margin_m,
+    )
+
+
+def buildings_without_terrain(buildings: pa.Table, terrain: Terrain) -> list[str]:
+    """Ids of the tile's own buildings with a footprint vertex where the terrain has no data."""
+    x, y, row = _footprint_vertices(buildings)
+    without = np.isnan(terrain.interpolated(x, y)) & buildings["in_tile"].to_numpy()[row]
+    return [buildings["building_id"][int(i)].as_py() for i in np.unique(row[without])]
+
+
+def _footprint_vertices(buildings: pa.Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x and y in the CRS and row of the building of every footprint vertex."""
+    values, offset = files.list_column(buildings, "footprint_xy_m")
+    row = np.repeat(np.arange(len(buildings)), np.diff(offset) // 2)
+    xy = values.reshape(-1, 2)
+    x = xy[:, 0] + buildings["origin_x_m"].to_numpy()[row]
+    y = xy[:, 1] + buildings["origin_y_m"].to_numpy()[row]
+    return x, y, row
