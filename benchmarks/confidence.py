@@ -103,7 +103,7 @@ def rows_of(listed: list[Case], predictor: Any) -> list[Row]:
     config = labelled.config()
     found: list[Row] = []
     views = None if predictor is None else Telling(predictor)
-    one_view = None if predictor is None else predictor.of_views(1)
+    one_view = None if predictor is None else predictor.with_num_views(1)
     for place, case in enumerate(listed):
         for count in FEW:
             building = case.building if count is None else real.thinned(case.building, count)
@@ -186,7 +186,7 @@ def coefficients(rows: list[Row]) -> dict[str, Any]:
     found["EDGE"], found["HEIGHT"] = _both(fits, confidence.edge_terms, confidence.height_terms)
     networks = [row for row in half if row.method == NETWORK and len(row.told) == len(row.right)]
     if networks:
-        found["ANGLE_ODDS"], found["HEIGHT_ODDS"] = _both(
+        found["ANGLE_CALIBRATION"], found["HEIGHT_CALIBRATION"] = _both(
             networks,
             lambda told: decoding.log_odds(told[1:])[:, None],
             lambda told: decoding.log_odds(told[:1]),
@@ -197,9 +197,9 @@ def coefficients(rows: list[Row]) -> dict[str, Any]:
 def restated(rows: list[Row], found: dict[str, Any]) -> list[Row]:
     """The rows with other coefficients."""
     confidence.EDGE, confidence.HEIGHT = found["EDGE"], found["HEIGHT"]
-    decoding.ANGLE_ODDS, decoding.HEIGHT_ODDS = (
-        found.get("ANGLE_ODDS", decoding.ANGLE_ODDS),
-        found.get("HEIGHT_ODDS", decoding.HEIGHT_ODDS),
+    decoding.ANGLE_CALIBRATION, decoding.HEIGHT_CALIBRATION = (
+        found.get("ANGLE_CALIBRATION", decoding.ANGLE_CALIBRATION),
+        found.get("HEIGHT_CALIBRATION", decoding.HEIGHT_CALIBRATION),
     )
     return [
         replace(
@@ -243,7 +243,7 @@ def real_clouds(data: Path, predictor: Any) -> dict[str, Any]:
     config = Config().reconstruct
     every = real.read(data, "delft", Config())
     figures: dict[str, Any] = {}
-    for name, network in ((FIT, None), (NETWORK_AND_FIT, predictor and predictor.of_views(1))):
+    for name, network in ((FIT, None), (NETWORK_AND_FIT, predictor and predictor.with_num_views(1))):
         if name == NETWORK_AND_FIT and predictor is None:
             continue
         for parts in (1, config.max_parts):

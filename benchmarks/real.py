@@ -206,7 +206,7 @@ def main() -> int:
     if arguments.model is not None:
         from p2wss.nets.predictor import load_predictor
 
-        predictor = load_predictor(arguments.model).of_views(1)  # as p2wss reconstruct does
+        predictor = load_predictor(arguments.model).with_num_views(1)  # as p2wss reconstruct does
     figures: dict[str, Any] = {}
     if arguments.sensitivity:
         figures = thresholds.table(arguments.simulated, read(arguments.data, "delft", Config()))

@@ -33,24 +33,24 @@ from figures import Figures, cpu_seconds, peak_mib
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss import dvae, model
 from p2wss.config import Config, load
 from p2wss.config import Dvae as DvaeConfig
+from p2wss.dvae import task as dvae_task
+from p2wss.model import task as model_task
 from p2wss.nets import dataset, discrete_vae, point2wss
-from p2wss.nets.dataset import Buildings
+from p2wss.nets.batch import batch_patches
+from p2wss.nets.builders import build_dvae, build_model, build_tokenizer, training_limits
+from p2wss.nets.dataset import BuildingDataset
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.dvae_file import dvae_sizes
-from p2wss.nets.modules import limits_of, make_module, make_tokenizer
-from p2wss.nets.network_patches import patches_of
+from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.predictor import Predictor
-from p2wss.nets.shards import Cut, with_patches
 
 # vertices of outlines and how often they occur, about as in the miniature's town
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
 
 
-def town(num: int, seed: int = 0) -> Buildings:
+def town(num: int, seed: int = 0) -> BuildingDataset:
     """Clouds of 200 to 3,000 points on roofs over regular outlines: as large as real ones, of no meaning."""
     rng = np.random.default_rng(seed)
     vertices = rng.choice(NUM_VERTICES, num, p=SHARES)
@@ -58,7 +58,7 @@ def town(num: int, seed: int = 0) -> Buildings:
     points = rng.uniform(-900, 900, (count.sum(), 3))
     points[:, 2] = np.abs(points[:, 2])
     corner = np.concatenate([np.arange(n) / n for n in vertices]) * 2 * np.pi
-    return Buildings(
+    return BuildingDataset(
         points_cm=points.astype(np.int16),
         point_offset=np.concatenate([[0], np.cumsum(count)]),
         ground_z_m=np.zeros(num, np.float32),
@@ -66,7 +66,7 @@ def town(num: int, seed: int = 0) -> Buildings:
         vertex_offset=np.concatenate([[0], np.cumsum(vertices)]),
         angle_deg=rng.choice([0, 30, 90], vertices.sum()).astype(np.float32),
         height_m=rng.uniform(3, 12, num).astype(np.float32),
-        num_left_out={},
+        num_excluded={},
     )
 
 
@@ -160,17 +160,19 @@ def plain(network: nn.Module) -> None:
 @contextmanager
 def no_buckets() -> Iterator[None]:
     """Batches of any lengths, padded to the longest building of all."""
-    window, dataset._BUCKET_WINDOW = dataset._BUCKET_WINDOW, 1
+    window, dataset._WINDOW_BATCHES = dataset._WINDOW_BATCHES, 1
     try:
         yield
     finally:
-        dataset._BUCKET_WINDOW = window
+        dataset._WINDOW_BATCHES = window
 
 
-def optimised(task: dvae._Task | model._Task, compiled: bool = False) -> Callable[[int], None]:
+def optimised(
+    task: dvae_task.DvaeTask | model_task.ModelTask, compiled: bool = False
+) -> Callable[[int], None]:
     """A step of training without the averaging of weights."""
     if compiled:
-        for part in task.heavy_parts():
+        for part in task.compilable_parts():
             part.compile()
     optimiser = torch.optim.AdamW(task.module.parameters(), foreach=True)
 
@@ -203,42 +205,44 @@ def alternating(
 @contextmanager
 def plain_patches(vae: DiscreteVae) -> Iterator[None]:
     """Tell the reference's graphs where the centres are, and measure patches through all pairs of points."""
-    real, chamfer = patches_of, discrete_vae.chamfer_l1
 
-    def patches_of(*arguments: Any) -> Patches:
-        found = real(*arguments)
+    def with_centres(*arguments: Any) -> Patches:
+        patches = batch_patches(*arguments)
         for part in vae.modules():
             if isinstance(part, PlainDgcnn):
-                part.centre = found.centre
-        return found
+                part.centre = patches.centre
+        return patches
 
-    patches_of, discrete_vae.chamfer_l1 = patches_of, plain_chamfer_l1
+    chamfer = discrete_vae.chamfer_l1
+    dvae_task.batch_patches = model_task.batch_patches = with_centres
+    discrete_vae.chamfer_l1 = plain_chamfer_l1
     try:
         yield
     finally:
-        patches_of, discrete_vae.chamfer_l1 = real, chamfer
+        dvae_task.batch_patches = model_task.batch_patches = batch_patches
+        discrete_vae.chamfer_l1 = chamfer
 
 
-def cutting(buildings: Buildings, config: DvaeConfig) -> tuple[Buildings, float, float]:
+def cutting(buildings: BuildingDataset, config: DvaeConfig) -> tuple[BuildingDataset, float, float]:
     """The buildings with patches kept, and CPU seconds per batch to compute patches and to fetch them."""
-    cut = Cut(config.num_points, config.num_patches, config.patch_size)
-    kept = with_patches(buildings, cut, torch.device("cpu"))
+    cut = PatchSettings(config.num_points, config.num_patches, config.patch_size)
+    kept = precompute_patches(buildings, cut, torch.device("cpu"))
     whole = np.flatnonzero(np.diff(buildings.point_offset) <= config.num_points)
     index = np.random.default_rng(0).choice(whole, config.optimiser.batch_size)
     batch = kept.batch(index, config.num_points, None)
     computed = cpu_seconds(
-        lambda: patches_of(replace(batch, patch_index=None), config.num_patches, config.patch_size)
+        lambda: batch_patches(replace(batch, patch_index=None), config.num_patches, config.patch_size)
     )
-    fetched = cpu_seconds(lambda: patches_of(batch, config.num_patches, config.patch_size))
+    fetched = cpu_seconds(lambda: batch_patches(batch, config.num_patches, config.patch_size))
     return kept, computed, fetched
 
 
-def loading(buildings: Buildings, config: Config, folder: Path) -> tuple[float, float]:
+def loading(buildings: BuildingDataset, config: Config, folder: Path) -> tuple[float, float]:
     """Clouds per second from a mapped file, and CPU seconds per batch of the model's stage."""
     path = folder / "points.i16"
     buildings.points_cm.tofile(path)
     mapped = np.memmap(path, np.int16, "r", shape=buildings.points_cm.shape).view(np.ndarray)
-    source = Buildings(**(vars(buildings) | {"points_cm": mapped}))
+    source = BuildingDataset(**(vars(buildings) | {"points_cm": mapped}))
     size, order = 64, np.random.default_rng(0).permutation(len(buildings))
     batches = [order[first : first + size] for first in range(0, len(order) - size, size)]
 
@@ -252,11 +256,11 @@ def loading(buildings: Buildings, config: Config, folder: Path) -> tuple[float, 
 
 
 def inference(config: Config, num: int) -> dict[str, float]:
-    """Buildings per CPU second, one view, and the most memory that this process ever held."""
+    """BuildingDataset per CPU second, one view, and the most memory that this process ever held."""
     buildings = town(num)
-    module = make_module(config.model, config.dvae, make_tokenizer(config.model))
+    module = build_model(config.model, config.dvae, build_tokenizer(config.model))
     decode = config.model.decoding.model_copy(update={"num_rotations": 1})
-    limits = limits_of(config.model, config.dvae, module.tokenizer)
+    limits = training_limits(config.model, config.dvae, module.tokenizer)
     predictor = Predictor(module, decode, config.dvae, config.model.max_vertices, limits)
     offset, ring = buildings.point_offset, buildings.vertex_offset
     clouds = [buildings.points_cm[offset[i] : offset[i + 1]] * np.float32(0.01) for i in range(num)]
@@ -302,10 +306,10 @@ def main() -> int:
 
     kept, computed, fetched = cutting(buildings, config.dvae)
     torch.manual_seed(0)
-    vae, plain_vae = (DiscreteVae(dvae_sizes(config.dvae)) for _ in range(2))
+    vae, plain_vae = (build_dvae(config.dvae) for _ in range(2))
     plain(plain_vae)
-    step = optimised(dvae._Task(vae, kept, buildings, config.dvae, device), options.compile)
-    plain_step = optimised(dvae._Task(plain_vae, buildings, buildings, config.dvae, device))
+    step = optimised(dvae_task.DvaeTask(vae, kept, buildings, config.dvae, device), options.compile)
+    plain_step = optimised(dvae_task.DvaeTask(plain_vae, buildings, buildings, config.dvae, device))
 
     def plainly(number: int) -> None:
         with plain_patches(plain_vae):
@@ -320,21 +324,21 @@ def main() -> int:
     )
     figures.at_least("dvae steps/s over the reference", theirs.min() / took.min(), 3)
 
-    tokenizer = make_tokenizer(config.model)
+    tokenizer = build_tokenizer(config.model)
 
     def network() -> point2wss.Point2Wss:
         torch.manual_seed(0)
-        return make_module(config.model, config.dvae, tokenizer)
+        return build_model(config.model, config.dvae, tokenizer)
 
     for part in (vae, plain_vae):
         part.eval().requires_grad_(False)
-    known = kept if model.keeps_patches(config.model.augmentation) else buildings
-    task = model._Task(network(), vae, known, buildings, config.model, config.dvae, device)
+    known = kept if model_task.preserves_patches(config.model.augmentation) else buildings
+    task = model_task.ModelTask(network(), vae, known, buildings, config.model, config.dvae, device)
     step = optimised(task, options.compile)
     whole = config.model.model_copy(update={"auxiliary_share": 1.0})
     other = network()
     plain(other)
-    task = model._Task(other, plain_vae, buildings, buildings, whole, config.dvae, device)
+    task = model_task.ModelTask(other, plain_vae, buildings, buildings, whole, config.dvae, device)
     with no_buckets():
         task.order.batch(0)
     longest = int(np.argmax(buildings.num_vertices))

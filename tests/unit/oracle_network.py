@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from tiny_network import sure_of
+from tiny_network import certain_probabilities
 
 
 @dataclass
@@ -17,7 +17,7 @@ class Answer:
 
     @property
     def class_probability(self) -> list[np.ndarray]:
-        return [sure_of(own) for own in self.angle_deg]
+        return [certain_probabilities(own) for own in self.angle_deg]
 
 
 class Oracle:
@@ -29,7 +29,7 @@ class Oracle:
         self.seen: list[Sequence[np.ndarray]] = []
         self.num_views = 4
 
-    def of_views(self, num_views: int) -> Oracle:
+    def with_num_views(self, num_views: int) -> Oracle:
         self.num_views = num_views
         return self
 

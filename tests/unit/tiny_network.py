@@ -23,7 +23,7 @@ SIZES = ModelSizes(
 )
 
 
-def sure_of(angle_deg: np.ndarray) -> np.ndarray:
+def certain_probabilities(angle_deg: np.ndarray) -> np.ndarray:
     """Probabilities (edges, 3) of 0 degrees, 90 degrees and a slope of a network that has no doubt."""
     kind = np.where(angle_deg == 0, 0, np.where(angle_deg == 90, 1, 2))
     return np.eye(3)[kind]

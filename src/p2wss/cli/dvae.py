@@ -28,14 +28,16 @@ def add_parser(stages: Parsers) -> None:
 def dvae(arguments: argparse.Namespace) -> None:
     set_num_threads(arguments.threads)
     from p2wss import dvae
-    from p2wss.nets import training
-    from p2wss.nets.dvae_file import save_dvae
+    from p2wss.nets import distributed
+    from p2wss.nets.metrics_log import read_metrics
+    from p2wss.nets.training_state import remove_checkpoints
+    from p2wss.nets.weights import save_dvae
 
     config, code = read_training_config(arguments, "dvae").dvae, fingerprint("dvae")
     module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
-    if not training.writes():
+    if not distributed.is_main_process():
         return
-    metrics = training.read_metrics(arguments.checkpoints)
+    metrics = read_metrics(arguments.checkpoints)
     files.write_text(arguments.out_metrics, metrics)
     save_dvae(module, arguments.out, config, code, metrics)
-    training.remove_checkpoints(arguments.checkpoints)
+    remove_checkpoints(arguments.checkpoints)

@@ -29,13 +29,16 @@ def add_parser(stages: Parsers) -> None:
 def model(arguments: argparse.Namespace) -> None:
     set_num_threads(arguments.threads)
     from p2wss import model
-    from p2wss.nets import training
+    from p2wss.nets import distributed
+    from p2wss.nets.metrics_log import read_metrics
+    from p2wss.nets.training_state import remove_checkpoints
+    from p2wss.nets.weights import save_model
 
     config, code = read_training_config(arguments, "model").model, fingerprint("model")
     module, dvae_config = model.train(arguments.manifest, arguments.dvae, config, arguments.checkpoints, code)
-    if not training.writes():
+    if not distributed.is_main_process():
         return
-    metrics = training.read_metrics(arguments.checkpoints)
+    metrics = read_metrics(arguments.checkpoints)
     files.write_text(arguments.out_metrics, metrics)
-    model.save(module, arguments.out, config, dvae_config, code, metrics)
-    training.remove_checkpoints(arguments.checkpoints)
+    save_model(module, arguments.out, config, dvae_config, code, metrics)
+    remove_checkpoints(arguments.checkpoints)

@@ -14,12 +14,14 @@ from p2wss.config import Dvae as DvaeConfig
 from p2wss.data import files
 from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
-from p2wss.nets import augment, compute, parallel, training
-from p2wss.nets.dataset import Limits, Order, ResidentBuildings, Source
+from p2wss.nets import augment, compute, distributed, training
+from p2wss.nets.batch import NETWORK_SCALE, batch_patches
+from p2wss.nets.builders import build_dvae
+from p2wss.nets.dataset import BatchSampler, BatchSource, ResidentDataset, TrainingLimits
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
-from p2wss.nets.dvae_file import dvae_sizes
-from p2wss.nets.network_patches import SCALE, patches_of
-from p2wss.nets.shards import Cut, describe, load_buildings, with_patches
+from p2wss.nets.patch_cache import PatchSettings, precompute_patches
+from p2wss.nets.shards import describe, load_dataset
+from p2wss.nets.training_state import cloud_cache_folder
 
 log = logging.getLogger("p2wss")
 # with a smaller share of its codes in use a tokenizer says nothing
@@ -35,24 +37,24 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
     codebook collapses.
     """
     device = compute.device_of(config.compute.device)
-    limits = Limits(config.min_points, max_vertices=0, max_length_m=0)
-    with parallel.processes(device):
-        cache = training.cache_folder(checkpoints)
-        buildings = load_buildings(manifest, ["train"], limits, False, config.use_lidar, cache)
-        cut = Cut(config.num_points, config.num_patches, config.patch_size)
-        buildings = with_patches(buildings, cut, device)
+    limits = TrainingLimits(config.min_points, max_vertices=0, max_length_m=0)
+    with distributed.process_group(device):
+        cache = cloud_cache_folder(checkpoints)
+        buildings = load_dataset(manifest, ["train"], limits, False, config.use_lidar, cache)
+        cut = PatchSettings(config.num_points, config.num_patches, config.patch_size)
+        buildings = precompute_patches(buildings, cut, device)
         log.info("dvae: train: %s", describe(buildings))
-        held_out = load_buildings(manifest, ["val"], limits, False, False, cache)
+        held_out = load_dataset(manifest, ["val"], limits, False, False, cache)
         torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
-        module = DiscreteVae(dvae_sizes(config)).to(device)
-        source = ResidentBuildings(buildings, device) if config.compute.resident else buildings
-        task = _Task(module, source, held_out, config, device)
+        module = build_dvae(config).to(device)
+        source = ResidentDataset(buildings, device) if config.compute.resident else buildings
+        task = DvaeTask(module, source, held_out, config, device)
         plan = training.Plan(
             config.seed, config.optimiser, 0.0, config.checkpoint_every_steps, config.compute
         )
         identity = {
             "stage": "dvae",
-            "config": training.what_is_learnt(config),
+            "config": training.training_config(config),
             "code": code,
             "data": files.sha256(manifest),
         }
@@ -61,12 +63,12 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
     return task.module
 
 
-class _Task:
+class DvaeTask:
     def __init__(
         self,
         module: DiscreteVae,
-        buildings: Source,
-        held_out: Source,
+        buildings: BatchSource,
+        held_out: BatchSource,
         config: DvaeConfig,
         device: torch.device,
     ) -> None:
@@ -77,19 +79,19 @@ class _Task:
         self.device = device
         self.num_dead_codes = 0
         self.progress = 0.0
-        self.order = Order(np.zeros(len(buildings)), config.optimiser.batch_size, config.seed)
+        self.order = BatchSampler(np.zeros(len(buildings)), config.optimiser.batch_size, config.seed)
 
-    def heavy_parts(self) -> Sequence[nn.Module]:
+    def compilable_parts(self) -> Sequence[nn.Module]:
         return [self.module]
 
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
         seed = derive_seed(config.seed, "dvae", "points", step)
-        batch = self.buildings.batch(parallel.own(self.order.batch(step)), config.num_points, seed)
+        batch = self.buildings.batch(distributed.shard(self.order.batch(step)), config.num_points, seed)
         batch = augment.rotate_randomly(augment.centre(batch.to(self.device)))
         progress = self.progress = step / config.optimiser.num_steps
         tau = temperature(progress, config.temperature_end)
-        patches = patches_of(batch, config.num_patches, config.patch_size)
+        patches = batch_patches(batch, config.num_patches, config.patch_size)
         with compute.autocast(config.compute, self.device):
             losses = self.module(patches, tau)
         weight = kl_weight(progress, config.kl_weight)
@@ -112,7 +114,7 @@ class _Task:
         for first in range(0, total, size):
             index = np.arange(first, min(first + size, total))
             batch = augment.centre(self.held_out.batch(index, config.num_points, None).to(self.device))
-            patches = patches_of(batch, config.num_patches, config.patch_size)
+            patches = batch_patches(batch, config.num_patches, config.patch_size)
             losses = module(patches, config.temperature_end)
             chamfer += float(losses["fine"]) * len(index)
             codes = losses["codes"][patches.valid]
@@ -123,7 +125,7 @@ class _Task:
             self.check_usage()
         return {
             # Chamfer-L1 of restored patches in metres
-            "val_chamfer_m": chamfer / count / SCALE,
+            "val_chamfer_m": chamfer / count / NETWORK_SCALE,
             "val_code_usage": 1 - self.num_dead_codes / config.num_tokens,
             "val_perplexity": float(_perplexity(used)),
             "val_dead_codes": float(self.num_dead_codes),

@@ -11,7 +11,7 @@ import numpy as np
 from p2wss.eval import cases
 from p2wss.nets.compute import DeviceName
 from p2wss.nets.predictor import load_predictor
-from p2wss.nets.shards import load_buildings
+from p2wss.nets.shards import load_dataset
 
 HEADER = (
     "variant",
@@ -48,7 +48,7 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
     rows = []
     for path in paths:
         predictor = load_predictor(path, device)
-        test = load_buildings(manifest, ["test"], predictor.limits, labelled=True, lidar=False)
+        test = load_dataset(manifest, ["test"], predictor.limits, labelled=True, include_real=False)
         height, angle = (np.abs(error) for error in predictor.errors(test, np.arange(len(test))))
         rows.append(
             Row(

@@ -19,19 +19,19 @@ from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
 from p2wss.data import files
 from p2wss.data.seeds import derive_seed
-from p2wss.nets import augment, compute, parallel, training
-from p2wss.nets.augment import Batch
-from p2wss.nets.dataset import Buildings, Order, ResidentBuildings, Source
+from p2wss.nets import augment, compute, distributed, training
+from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches
+from p2wss.nets.builders import build_model, build_tokenizer, training_limits
+from p2wss.nets.dataset import BatchSampler, BatchSource, BuildingDataset, ResidentDataset
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.dvae_file import load_dvae
 from p2wss.nets.masking import mask_parameters, mask_patches
-from p2wss.nets.modules import limits_of, make_module, make_tokenizer
-from p2wss.nets.network_patches import SCALE, patches_of
-from p2wss.nets.point2wss import Point2Wss, inference_weights
+from p2wss.nets.patch_cache import PatchSettings, precompute_patches
+from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Predictor
-from p2wss.nets.shards import Cut, describe, load_buildings, with_patches
+from p2wss.nets.shards import describe, load_dataset
+from p2wss.nets.training_state import cloud_cache_folder
 from p2wss.nets.transformer import Encoder
-from p2wss.nets.weights import write_weights
+from p2wss.nets.weights import load_dvae
 
 log = logging.getLogger("p2wss")
 
@@ -44,29 +44,29 @@ def train(
     Returns the weights to keep and the dvae's config. Raises :class:`InputError` for unusable input.
     """
     vae, dvae_config = load_dvae(tokens)
-    tokenizer = make_tokenizer(config)
-    limits = limits_of(config, dvae_config, tokenizer)
+    tokenizer = build_tokenizer(config)
+    limits = training_limits(config, dvae_config, tokenizer)
     device = compute.device_of(config.compute.device)
-    with parallel.processes(device):
-        cache = training.cache_folder(checkpoints)
-        buildings = load_buildings(manifest, ["train"], limits, True, False, cache)
-        held_out = load_buildings(manifest, ["val"], limits, True, False, cache)
-        if keeps_patches(config.augmentation):
-            cut = Cut(dvae_config.num_points, dvae_config.num_patches, dvae_config.patch_size)
-            buildings = with_patches(buildings, cut, device)
+    with distributed.process_group(device):
+        cache = cloud_cache_folder(checkpoints)
+        buildings = load_dataset(manifest, ["train"], limits, True, False, cache)
+        held_out = load_dataset(manifest, ["val"], limits, True, False, cache)
+        if preserves_patches(config.augmentation):
+            cut = PatchSettings(dvae_config.num_points, dvae_config.num_patches, dvae_config.patch_size)
+            buildings = precompute_patches(buildings, cut, device)
         log.info("model: train: %s", describe(buildings))
         log.info("model: val: %s", describe(held_out))
         torch.manual_seed(derive_seed(config.seed, "model", "weights"))
-        module = make_module(config, dvae_config, tokenizer)
+        module = build_model(config, dvae_config, tokenizer)
         module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
         log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
-        task = _Task(module.to(device), vae.to(device), buildings, held_out, config, dvae_config, device)
+        task = ModelTask(module.to(device), vae.to(device), buildings, held_out, config, dvae_config, device)
         plan = training.Plan(
             config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps, config.compute
         )
         identity = {
             "stage": "model",
-            "config": training.what_is_learnt(config),
+            "config": training.training_config(config),
             "code": code,
             "data": files.sha256(manifest),
             "dvae": files.sha256(tokens),
@@ -76,31 +76,15 @@ def train(
     return kept, dvae_config
 
 
-def save(
-    module: Point2Wss, path: Path, config: ModelConfig, dvae_config: DvaeConfig, code: str, metrics: str
-) -> None:
-    """Write what inference needs, with the configs of both stages, as safetensors, whole or not at all."""
-    tokenizer = module.tokenizer
-    facts = files.provenance(
-        kind="model",
-        config=config.model_dump(mode="json"),
-        dvae_config=dvae_config.model_dump(mode="json"),
-        words=tokenizer.words,
-        code=code,
-        measures=training.last_measures(metrics),
-    )
-    write_weights(path, inference_weights(module.state_dict()), facts)
-
-
-class _Task:
+class ModelTask:
     """The second stage as :func:`training.train` sees it."""
 
     def __init__(
         self,
         module: Point2Wss,
         vae: DiscreteVae,
-        buildings: Buildings,
-        held_out: Buildings,
+        buildings: BuildingDataset,
+        held_out: BuildingDataset,
         config: ModelConfig,
         dvae_config: DvaeConfig,
         device: torch.device,
@@ -108,23 +92,23 @@ class _Task:
         self.module = module
         self.vae = vae
         self.device = device
-        self.buildings: Source = buildings
+        self.buildings: BatchSource = buildings
         if config.compute.resident:
-            self.buildings = ResidentBuildings(buildings, device)
+            self.buildings = ResidentDataset(buildings, device)
         self.held_out = held_out
         self.config = config
         self.dvae_config = dvae_config
-        self.order = Order(buildings.num_vertices, config.optimiser.batch_size, config.seed)
+        self.order = BatchSampler(buildings.num_vertices, config.optimiser.batch_size, config.seed)
         self.constant_height = float(np.median(buildings.height_m))
         self.constant_angle = float(np.median(buildings.angle_deg))
 
-    def heavy_parts(self) -> Sequence[nn.Module]:
+    def compilable_parts(self) -> Sequence[nn.Module]:
         return [*(part for part in self.module.modules() if isinstance(part, Encoder)), self.vae.to_logits]
 
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
         seed = derive_seed(config.seed, "model", "points", step)
-        own = parallel.own(self.order.batch(step))
+        own = distributed.shard(self.order.batch(step))
         batch = self.buildings.batch(own, self.dvae_config.num_points, seed).to(self.device)
         batch = augmented(batch, config, self.dvae_config.min_points)
         tokenizer = self.module.tokenizer
@@ -139,13 +123,13 @@ class _Task:
             masking.table1_share,
             masking.random_ratio,
         )
-        patches = patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
+        patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
         auxiliary = patches[: max(round(config.auxiliary_share * len(own)), 1)]
         patch_masked = mask_patches(auxiliary, masking.patch_ratio)
         with compute.autocast(config.compute, self.device):
             losses = self.module.losses(
                 patches,
-                batch.ground_z * SCALE,
+                batch.ground_z * NETWORK_SCALE,
                 patch_masked,
                 self.vae.tokens(auxiliary),
                 tokens,
@@ -161,7 +145,7 @@ class _Task:
         assert isinstance(module, Point2Wss)
         # one view: the learning curve needs no more
         decode = self.config.decoding.model_copy(update={"num_rotations": 1})
-        limits = limits_of(self.config, self.dvae_config, module.tokenizer)
+        limits = training_limits(self.config, self.dvae_config, module.tokenizer)
         predictor = Predictor(module, decode, self.dvae_config, self.config.max_vertices, limits)
         index = np.arange(min(len(self.held_out), self.config.num_validation))
         height, angle = predictor.errors(self.held_out, index)
@@ -176,7 +160,7 @@ class _Task:
         }
 
 
-def keeps_patches(change: Augmentation) -> bool:
+def preserves_patches(change: Augmentation) -> bool:
     """Whether the same points make a patch however a building is changed: it is turned and scaled only."""
     return change.keep_points == (1, 1) and not (change.occlusion_share or change.lift_m or change.jitter_m)
 

@@ -3,42 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from p2wss.nets.batch import Batch
 from p2wss.nets.tokenizer import mirror_rings
-
-# fills the rows of a patch_index that are to be computed: no index, and no ~index of 32,767 points
-UNKNOWN = -(2**15)
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Buildings in metres, in any local frame; padded.
-
-    points: float32 (b, p, 3). valid: bool (b, p). ground_z: float32 (b,), ground estimated from the cloud.
-    height: float32 (b,), gutter above ground_z. xy: float32 (b, n, 2), exterior ring, counter-clockwise.
-    angle: float32 (b, n), degrees, of the edge that leaves each vertex. num_vertices: int64 (b,).
-    patch_index: int16 (b, g, k), :func:`~p2wss.nets.patches.patch_index` of the clouds where it is known, and
-    ``UNKNOWN`` in the rows where it is not. What changes a cloud's shape or its points drops it.
-    """
-
-    points: Tensor
-    valid: Tensor
-    ground_z: Tensor
-    height: Tensor
-    xy: Tensor
-    angle: Tensor
-    num_vertices: Tensor
-    patch_index: Tensor | None = None
-
-    def to(self, device: torch.device) -> Batch:
-        return Batch(**{name: value.to(device) for name, value in vars(self).items() if value is not None})
-
-    def __getitem__(self, rows: Tensor) -> Batch:
-        return Batch(**{name: value[rows] for name, value in vars(self).items() if value is not None})
 
 
 def centre(batch: Batch) -> Batch:

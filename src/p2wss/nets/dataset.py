@@ -1,13 +1,12 @@
-"""Buildings for training and evaluation: from the shards of ``crops`` to padded batches.
+"""Buildings for training and evaluation as ragged arrays, from which padded batches are cut.
 
-Points stay int16 centimetres in one flat array, as in the shards; a batch is cut out of it, thinned and
-turned into metres when it is needed. The array is a file that is mapped into memory, decoded once from the
-shards (:func:`load`), or a tensor in the memory of a GPU (:class:`ResidentBuildings`).
+Points stay int16 centimetres in one flat array, as in the shards of ``crops``; the points of a batch are cut out
+of it, thinned and converted to metres on demand. The array is either a file mapped into memory
+(:func:`p2wss.nets.shards.load_dataset`) or a tensor in the memory of a GPU (:class:`ResidentDataset`).
 """
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,25 +17,14 @@ from numba import njit
 from torch import Tensor
 
 from p2wss.data.seeds import generator
-from p2wss.nets.augment import Batch
+from p2wss.nets.batch import Batch
 
-log = logging.getLogger("p2wss")
-
-_CLOUD_COLUMNS = ["split", "num_points", "origin_z_m", "x_cm", "y_cm", "z_cm", "ground_z_m"]
-_LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_ground_z_m", "angle_deg"]
-# share of a cloud's points that lie below the ground where the cloud has no ground of its own
-_GROUND_QUANTILE = 0.02
-# batches are sorted by length within a window of so many, so that little of them is padding
-_BUCKET_WINDOW = 8
-# clouds whose patches are found together
-_PATCH_BATCH = 128
-_PROGRESS_EVERY_S = 10.0
-# names the layout of the decoded files: other numbers are decoded anew
-_CACHE_VERSION = 1
-_MASK = (1 << 64) - 1
+# batches are sorted by length within a window of so many batches, so that few positions are padding
+_WINDOW_BATCHES = 8
+_MASK_64 = (1 << 64) - 1
 
 
-class Source(Protocol):
+class BatchSource(Protocol):
     """Where batches come from."""
 
     def __len__(self) -> int: ...
@@ -47,16 +35,16 @@ class Source(Protocol):
     def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
         """The buildings ``index`` as a padded batch; clouds of more than ``num_points`` are thinned.
 
-        ``seed`` draws the points kept, for each building on its own; without one they depend on the size of
-        the cloud alone.
+        ``seed`` selects the points to keep, for each building independently; without a seed the selection
+        depends on the size of the cloud only.
         """
 
 
 @dataclass(frozen=True)
-class Limits:
-    """What a building must satisfy to be trained on. Others are left out and counted.
+class TrainingLimits:
+    """What a building must satisfy to be trained on. Others are excluded and counted.
 
-    ``max_length_m`` bounds the gutter height and the distance of vertices from the middle of the cloud.
+    ``max_length_m`` bounds the eave height and the distance of vertices from the centroid of the cloud.
     """
 
     min_points: int
@@ -65,15 +53,15 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Buildings:
-    """Many buildings, ragged.
+class BuildingDataset:
+    """Many buildings, ragged, in the memory of the host.
 
     points_cm: int16 (num_points, 3), local. point_offset: int64 (n + 1,). ground_z_m: float32 (n,), local;
     where the crop has none, :func:`ground_from_points`. xy_m: float32 (num_vertices, 2), local exterior
     rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i
-    leaves vertex i. height_m: float32 (n,), gutter above ``ground_z_m``. num_left_out: per reason.
-    folder: from which the arrays are mapped, if they are. patch_index: int16 (n, g, k), see
-    :func:`with_patches`.
+    leaves vertex i. height_m: float32 (n,), eave above ``ground_z_m``. num_excluded: buildings per reason.
+    folder: the cache that the arrays are mapped from, if any. patch_index: int16 (n, g, k), see
+    :func:`p2wss.nets.patch_cache.precompute_patches`.
 
     Without labels (``labelled=False``) the rings are empty and the heights NaN.
     """
@@ -85,7 +73,7 @@ class Buildings:
     vertex_offset: np.ndarray
     angle_deg: np.ndarray
     height_m: np.ndarray
-    num_left_out: dict[str, int]
+    num_excluded: dict[str, int]
     folder: Path | None = None
     patch_index: np.ndarray | None = None
 
@@ -97,12 +85,12 @@ class Buildings:
         return np.diff(self.vertex_offset)
 
     def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
-        """See :class:`Source`. On the CPU."""
+        """See :class:`BatchSource`. On the CPU."""
         index = np.asarray(index, np.int64)
         count = self.point_offset[index + 1] - self.point_offset[index]
         width = int(min(count.max(), num_points))
         points = np.empty((len(index), width, 3), np.float32)
-        _gather(self.points_cm, self.point_offset, index, _states(index, count, seed), points)
+        _gather(self.points_cm, self.point_offset, index, _random_states(index, count, seed), points)
         xy, angle, num_vertices = self.rings(index)
         return Batch(
             points=torch.from_numpy(points),
@@ -121,80 +109,85 @@ class Buildings:
         num_vertices = self.vertex_offset[index + 1] - first
         position = np.arange(max(int(num_vertices.max()), 1))
         inside = position < num_vertices[:, None]
-        which = np.where(inside, first[:, None] + position, 0)
+        vertex = np.where(inside, first[:, None] + position, 0)
         if not len(self.xy_m):
             return np.zeros((*inside.shape, 2), np.float32), np.zeros(inside.shape, np.float32), num_vertices
-        return self.xy_m[which] * inside[..., None], self.angle_deg[which] * inside, num_vertices
+        return self.xy_m[vertex] * inside[..., None], self.angle_deg[vertex] * inside, num_vertices
 
 
-class ResidentBuildings:
-    """The clouds of :class:`Buildings` in the memory of a device, where batches are cut too."""
+class ResidentDataset:
+    """The clouds of a :class:`BuildingDataset` in the memory of a device, where batches are cut too."""
 
-    def __init__(self, buildings: Buildings, device: torch.device) -> None:
-        self._buildings = buildings
+    def __init__(self, dataset: BuildingDataset, device: torch.device) -> None:
+        self._dataset = dataset
         self._device = device
-        self._points_cm = torch.from_numpy(np.array(buildings.points_cm)).to(device)
+        self._points_cm = torch.from_numpy(np.array(dataset.points_cm)).to(device)
         self._patch_index: Tensor | None = None
-        if buildings.patch_index is not None:
-            self._patch_index = torch.from_numpy(np.array(buildings.patch_index)).to(device)
+        if dataset.patch_index is not None:
+            self._patch_index = torch.from_numpy(np.array(dataset.patch_index)).to(device)
 
     def __len__(self) -> int:
-        return len(self._buildings)
+        return len(self._dataset)
 
     @property
     def num_vertices(self) -> np.ndarray:
-        return self._buildings.num_vertices
+        return self._dataset.num_vertices
 
     def batch(self, index: np.ndarray, num_points: int, seed: int | None) -> Batch:
-        """See :class:`Source`. With a seed other points are kept than on the CPU, from the same law."""
+        """See :class:`BatchSource`. With a seed the points are drawn from the same distribution as on the CPU, but
+        they are others."""
         if seed is None:
-            return self._buildings.batch(index, num_points, None).to(self._device)
-        own, device = self._buildings, self._device
+            return self._dataset.batch(index, num_points, None).to(self._device)
+        dataset, device = self._dataset, self._device
         index = np.asarray(index, np.int64)
-        first = torch.from_numpy(own.point_offset[index]).to(device)
-        count = torch.from_numpy(own.point_offset[index + 1]).to(device) - first
-        widest = int((own.point_offset[index + 1] - own.point_offset[index]).max())
+        first = torch.from_numpy(dataset.point_offset[index]).to(device)
+        count = torch.from_numpy(dataset.point_offset[index + 1]).to(device) - first
+        widest = int((dataset.point_offset[index + 1] - dataset.point_offset[index]).max())
         position = torch.arange(widest, device=device)
         valid = position < count[:, None]
-        which = first[:, None] + position
+        row = first[:, None] + position
         if widest > num_points:
             random = torch.Generator(device).manual_seed(seed)
             key = torch.rand(valid.shape, device=device, generator=random).masked_fill(~valid, 2)
-            order = key.topk(num_points, largest=False, sorted=False)[1].sort(1)[0]
-            which, valid = which.gather(1, order), valid.gather(1, order)
-        points = self._points_cm[which.masked_fill(~valid, 0)] * 0.01
-        xy, angle, num_vertices = map(torch.from_numpy, own.rings(index))
+            selected = key.topk(num_points, largest=False, sorted=False)[1].sort(1)[0]
+            row, valid = row.gather(1, selected), valid.gather(1, selected)
+        points = self._points_cm[row.masked_fill(~valid, 0)] * 0.01
+        patch_index = self._patch_index
+        if patch_index is not None:
+            patch_index = patch_index[torch.from_numpy(index).to(device)]
+        xy, angle, num_vertices = map(torch.from_numpy, dataset.rings(index))
         return Batch(
             points=points * valid[..., None],
             valid=valid,
-            ground_z=torch.from_numpy(own.ground_z_m[index]).to(device),
-            height=torch.from_numpy(own.height_m[index]).to(device),
+            ground_z=torch.from_numpy(dataset.ground_z_m[index]).to(device),
+            height=torch.from_numpy(dataset.height_m[index]).to(device),
             xy=xy.to(device),
             angle=angle.to(device),
             num_vertices=num_vertices.to(device),
-            patch_index=None
-            if self._patch_index is None
-            else self._patch_index[torch.from_numpy(index).to(device)],
+            patch_index=patch_index,
         )
 
 
 def thin(count: int, num_points: int) -> np.ndarray:
     """Indices of at most ``num_points`` of ``count`` points; the same for the same count."""
     chosen = np.empty(min(count, num_points), np.int64)
-    _select(count, _states(np.zeros(1, np.int64), np.array([count]), None)[0], chosen)
+    _select(count, _random_states(np.zeros(1, np.int64), np.array([count]), None)[0], chosen)
     return chosen
 
 
-def _states(index: np.ndarray, count: np.ndarray, seed: int | None) -> np.ndarray:
-    """uint64 (b,): where the random numbers of each cloud begin."""
+def _random_states(index: np.ndarray, count: np.ndarray, seed: int | None) -> np.ndarray:
+    """uint64 (b,): the initial state of the random numbers of each cloud."""
     if seed is None:
         return count.astype(np.uint64) * np.uint64(0xD1342543DE82EF95)
-    return index.astype(np.uint64) * np.uint64(0xD1342543DE82EF95) + np.uint64(seed & _MASK)
+    return index.astype(np.uint64) * np.uint64(0xD1342543DE82EF95) + np.uint64(seed & _MASK_64)
 
 
 @njit(cache=True, nogil=True)
 def _select(count: int, state: Any, chosen: np.ndarray) -> None:
-    """Every subset of ``len(chosen)`` of ``count`` alike (selection sampling, Knuth; random: splitmix64)."""
+    """Fill ``chosen`` with a random subset of ``range(count)``, each equally likely, in ascending order.
+
+    Selection sampling (Knuth, The Art of Computer Programming, algorithm 3.4.2 S); random numbers: splitmix64.
+    """
     wanted = len(chosen)
     taken = 0
     for i in range(count):
@@ -216,7 +209,7 @@ def _select(count: int, state: Any, chosen: np.ndarray) -> None:
 def _gather(
     points_cm: np.ndarray, offset: np.ndarray, index: np.ndarray, state: np.ndarray, points: np.ndarray
 ) -> None:
-    """Fill ``points`` (b, p, 3) with the chosen points in metres, and zeros."""
+    """Fill ``points`` (b, p, 3) with the selected points in metres, and padding with zeros."""
     width = points.shape[1]
     chosen = np.empty(width, np.int64)
     metre = np.float32(0.01)
@@ -235,28 +228,11 @@ def _gather(
             points[row, count:] = 0
 
 
-def ground_from_points(z: np.ndarray) -> float:
-    """Ground under a cloud that tells none: a low quantile of its heights (n,)."""
-    return float(np.quantile(z, _GROUND_QUANTILE))
+class BatchSampler:
+    """Which buildings the batch of each step holds: a function of (seed, step) alone.
 
-
-def batches(num_vertices: np.ndarray, batch_size: int, rng: np.random.Generator) -> list[np.ndarray]:
-    """One epoch: every building once (the remainder waits for the next epoch), similar lengths together."""
-    order = rng.permutation(len(num_vertices))
-    batch_size = min(batch_size, len(order))
-    order = order[: len(order) // batch_size * batch_size]
-    window = batch_size * _BUCKET_WINDOW
-    cut = []
-    for first in range(0, len(order), window):
-        part = order[first : first + window]
-        part = part[np.argsort(num_vertices[part], kind="stable")]
-        # within a batch the order is random: the first rows are those of the auxiliary losses
-        cut += [rng.permutation(batch) for batch in np.split(part, len(part) // batch_size)]
-    return [cut[i] for i in rng.permutation(len(cut))]
-
-
-class Order:
-    """Which buildings the batch of each step holds: a function of (seed, step) alone."""
+    An epoch visits every building once; the remainder that fills no batch waits for the next epoch.
+    """
 
     def __init__(self, num_vertices: np.ndarray, batch_size: int, seed: int) -> None:
         self.num_vertices, self.batch_size, self.seed = num_vertices, batch_size, seed
@@ -264,14 +240,27 @@ class Order:
         self._batches: list[np.ndarray] = []
 
     def batch(self, step: int) -> np.ndarray:
-        epoch, within = divmod(step, max(len(self.num_vertices) // self.batch_size, 1))
+        """Indices (b,) of the buildings of ``step``."""
+        epoch, position = divmod(step, max(len(self.num_vertices) // self.batch_size, 1))
         if epoch != self._epoch:
             rng = generator(self.seed, "order", epoch)
-            self._epoch, self._batches = epoch, batches(self.num_vertices, self.batch_size, rng)
-        return self._batches[within]
+            self._epoch = epoch
+            self._batches = similar_length_batches(self.num_vertices, self.batch_size, rng)
+        return self._batches[position]
 
 
-_FLAT = ("ground_z_m", "xy_m", "angle_deg", "height_m")
-
-
-_OFFSETS = ("point_offset", "vertex_offset")
+def similar_length_batches(
+    num_vertices: np.ndarray, batch_size: int, rng: np.random.Generator
+) -> list[np.ndarray]:
+    """The batches of one epoch, in random order, each of buildings with similar numbers of vertices."""
+    order = rng.permutation(len(num_vertices))
+    batch_size = min(batch_size, len(order))
+    order = order[: len(order) // batch_size * batch_size]
+    window_size = batch_size * _WINDOW_BATCHES
+    batches = []
+    for first in range(0, len(order), window_size):
+        window = order[first : first + window_size]
+        window = window[np.argsort(num_vertices[window], kind="stable")]
+        # random within a batch: the auxiliary losses are those of its first rows
+        batches += [rng.permutation(batch) for batch in np.split(window, len(window) // batch_size)]
+    return [batches[i] for i in rng.permutation(len(batches))]

@@ -25,7 +25,7 @@ CONFIDENT_ANGLE_DEG = 5
 # The mean of several views is too modest, and so is a product of digits about a height. What becomes of the logarithm
 # of the odds that a height or an angle is right, coefficients of 1 and of itself:
 # python benchmarks/confidence.py MANIFEST .. --model models/point2wss.safetensors --fit
-HEIGHT_ODDS, ANGLE_ODDS = (1.99, 0.76), (0.66, 0.97)
+HEIGHT_CALIBRATION, ANGLE_CALIBRATION = (1.99, 0.76), (0.66, 0.97)
 _LEAST_PROBABILITY = 1e-3
 
 
@@ -36,7 +36,7 @@ def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int,
     """
     joint = torch.ones(*logits.shape[:-2], 1, device=logits.device)
     for index, place in enumerate(places):
-        digit = F.softmax(logits[..., index, tokenizer.digit_words(place)].float(), -1)
+        digit = F.softmax(logits[..., index, tokenizer.digit_tokens(place)].float(), -1)
         joint = (joint[..., :, None] * digit[..., None, :]).flatten(-2)
     return joint
 
@@ -85,8 +85,8 @@ def expected_share(probability: np.ndarray) -> float:
     """The share of a building's numbers that is to be expected within 0.5 m and 5 degrees, from probabilities
     (1 + n,) as the network tells them: of the height, then of the angles."""
     odds = log_odds(probability)
-    odds[0] = HEIGHT_ODDS[0] + HEIGHT_ODDS[1] * odds[0]
-    odds[1:] = ANGLE_ODDS[0] + ANGLE_ODDS[1] * odds[1:]
+    odds[0] = HEIGHT_CALIBRATION[0] + HEIGHT_CALIBRATION[1] * odds[0]
+    odds[1:] = ANGLE_CALIBRATION[0] + ANGLE_CALIBRATION[1] * odds[1:]
     return float(expit(odds).mean())
 
 

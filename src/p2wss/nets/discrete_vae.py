@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss.nets import parallel
+from p2wss.nets import distributed
 from p2wss.nets.layers import BatchNorm, PlaceLinear
 from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.pointwise import norm_relu_linear
@@ -294,7 +294,7 @@ def chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
         to_given, to_made = distance.min(-1)[1], distance.min(-2)[1]
     forth = _distance(made, _pick(given, to_given)).mean(-1)
     back = _distance(_pick(made, to_made), given).mean(-1)
-    return ((forth + back) * valid).sum() / (2 * parallel.average_count(valid.sum()))
+    return ((forth + back) * valid).sum() / (2 * distributed.average_count(valid.sum()))
 
 
 def _pick(points: Tensor, index: Tensor) -> Tensor:

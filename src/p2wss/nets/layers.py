@@ -6,20 +6,20 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss.nets import parallel
+from p2wss.nets import distributed
 
 
 class BatchNorm(nn.BatchNorm1d):
     """Batch norm of rows (n, channels), with the moments of the rows of all processes (on CPUs too)."""
 
     def forward(self, x: Tensor) -> Tensor:
-        if not self.training or parallel.num_processes() == 1:
+        if not self.training or distributed.num_processes() == 1:
             return super().forward(x)
         rows = x.float()
         # equally many rows in each process
-        mean, square = parallel.average(torch.stack([rows.mean(0), rows.square().mean(0)]))
+        mean, square = distributed.average(torch.stack([rows.mean(0), rows.square().mean(0)]))
         var = square - mean.square()
-        self.track(mean, var, len(x) * parallel.num_processes())
+        self.track(mean, var, len(x) * distributed.num_processes())
         scale = self.weight * torch.rsqrt(var + self.eps)
         return (rows * scale + (self.bias - mean * scale)).to(x.dtype)
 

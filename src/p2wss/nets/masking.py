@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from p2wss.nets import tokenizer as words
 from p2wss.nets.patches import Patches, squared_distance
+from p2wss.nets.tokenizer import KIND_ANGLE, KIND_COORDINATE, KIND_FRAME, KIND_HEIGHT, KIND_PAD
 
 
 def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
@@ -37,10 +37,10 @@ def mask_parameters(
     draw = torch.rand(batch, 1, device=device)
     ratio = random_ratio[0] + (random_ratio[1] - random_ratio[0]) * torch.rand(batch, 1, device=device)
     random = torch.rand(kind.shape, device=device) < ratio
-    random &= (kind != words.KIND_PAD) & (kind != words.KIND_FRAME)
-    asked = (kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE)
+    random &= (kind != KIND_PAD) & (kind != KIND_FRAME)
+    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
     return torch.where(
         draw < inference_share,
         asked,
-        torch.where(draw < inference_share + table1_share, asked | (kind == words.KIND_COORDINATE), random),
+        torch.where(draw < inference_share + table1_share, asked | (kind == KIND_COORDINATE), random),
     )

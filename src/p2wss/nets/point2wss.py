@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss.nets import parallel
+from p2wss.nets import distributed
 from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.layers import PlaceLinear
 from p2wss.nets.patches import Patches
@@ -88,13 +88,13 @@ class SequenceEncoder(nn.Module):
         dim = sizes.dim
         self.tokenizer = tokenizer
         self.max_vertices = sizes.max_vertices
-        self.word = nn.Embedding(tokenizer.num_words, dim)
+        self.word = nn.Embedding(tokenizer.vocabulary_size, dim)
         # a position is the slot within the header or a vertex, and the vertex; the last rows mean "none"
         self.slot = nn.Embedding(tokenizer.header_length + tokenizer.block_length + 1, dim)
         self.vertex = nn.Embedding(sizes.max_vertices + 1, dim)
         self.encoder = Encoder(dim, sizes.sequence_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
-        value = tokenizer.word_value
-        self.register_buffer("word_value", value, persistent=False)
+        value = tokenizer.token_value
+        self.register_buffer("token_value", value, persistent=False)
         self.numerical: Tensor | None
         self.register_buffer(
             "numerical",
@@ -137,7 +137,7 @@ def numerical_encoding(value: Tensor, dim: int) -> Tensor:
 
 
 def edge_features(
-    tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, word_value: Tensor, scale: float
+    tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, token_value: Tensor, scale: float
 ) -> Tensor:
     """Both ends, length and outward normal of each edge, read from the tokens; zeros where any is hidden.
 
@@ -151,7 +151,7 @@ def edge_features(
     for slot in (tokenizer.x_slot, tokenizer.y_slot):
         words = block[..., slot : slot + 1 + count]
         visible &= (words != MASK).all(-1)
-        axes.append(word_value[words[..., 1:]].sum(-1) * torch.where(words[..., 0] == MINUS, -1, 1))
+        axes.append(token_value[words[..., 1:]].sum(-1) * torch.where(words[..., 0] == MINUS, -1, 1))
     start = torch.stack(axes, -1) * scale
     position = torch.arange(block.shape[1], device=tokens.device)
     following = (position + 1) % num_vertices[:, None].clamp(min=1)
@@ -231,7 +231,7 @@ class Point2Wss(nn.Module):
         if sizes.edge_attention:
             self.look = EdgeAttention(dim, sizes.num_heads)
         self.cloud_head = nn.Linear(dim, sizes.num_tokens)
-        self.sequence_head = nn.Linear(dim, tokenizer.num_words)
+        self.sequence_head = nn.Linear(dim, tokenizer.vocabulary_size)
         self.align_cloud = nn.Linear(dim, sizes.align_dim)
         self.align_sequence = nn.Linear(dim, sizes.align_dim)
         self.logit_scale = nn.Parameter(torch.tensor(INITIAL_LOGIT_SCALE))
@@ -294,8 +294,8 @@ class Point2Wss(nn.Module):
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
-        z_p = parallel.gather(F.normalize(self.align_cloud(cloud).float(), dim=-1))
-        z_s = parallel.gather(F.normalize(self.align_sequence(sequence).float(), dim=-1))
+        z_p = distributed.gather(F.normalize(self.align_cloud(cloud).float(), dim=-1))
+        z_s = distributed.gather(F.normalize(self.align_sequence(sequence).float(), dim=-1))
         logits = self.logit_scale.clamp(max=MAX_LOGIT_SCALE).exp() * z_p @ z_s.T
         target = torch.arange(len(logits), device=logits.device)
         return (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target)) / 2
@@ -307,7 +307,7 @@ class Point2Wss(nn.Module):
         B^2 fused features; exact.
         """
         weight, bias = self.match.weight.float(), self.match.bias.float()
-        g_p, g_s = parallel.gather(g_p.float()), parallel.gather(g_s.float())
+        g_p, g_s = distributed.gather(g_p.float()), distributed.gather(g_s.float())
         logits = torch.stack([(g_p * row) @ g_s.T for row in weight], -1) + bias
         target = torch.eye(len(g_p), dtype=torch.int64, device=g_p.device)
         if balanced:
@@ -343,7 +343,7 @@ class Point2Wss(nn.Module):
         return self.sequence_head(self.sequence_cross(x, present, None, cloud, valid, asked))
 
     def _edges(self, tokens: Tensor, num_vertices: Tensor) -> Tensor:
-        value = self.sequence.get_buffer("word_value")
+        value = self.sequence.get_buffer("token_value")
         return edge_features(self.tokenizer, tokens, num_vertices, value, self.scale)
 
     def _look(self, x: Tensor, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor) -> Tensor:
@@ -357,7 +357,7 @@ class Point2Wss(nn.Module):
 
 def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
     """Mean over the tokens of all processes; 0 where none is masked."""
-    count = parallel.average_count(torch.tensor(len(label), device=label.device))
+    count = distributed.average_count(torch.tensor(len(label), device=label.device))
     return F.cross_entropy(logits.float(), label, reduction="sum") / count
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from p2wss.nets import parallel
+from p2wss.nets import distributed
 from p2wss.nets.layers import BatchNorm
 
 # numbers of the widest layer per thread and piece: a few such arrays fit into 1 MiB
@@ -39,7 +39,7 @@ def norm_relu_linear(
             rows, offset, norm.weight, norm.bias, weight, bias, num_pooled, norm
         )
         if norm.training:
-            norm.track(mean, variance, len(pooled) * rows.shape[1] * parallel.num_processes())
+            norm.track(mean, variance, len(pooled) * rows.shape[1] * distributed.num_processes())
         return pooled, y
     z = rows if offset is None else rows + offset[:, None]
     h = F.relu(norm(z.flatten(0, 1))).unflatten(0, z.shape[:2])
@@ -72,7 +72,7 @@ class _NormReluLinear(torch.autograd.Function):
             for _, z in _pieces(rows, offset, weight):
                 total[0] += z.sum(0)
                 total[1] += z.square().sum(0)
-            moments = parallel.average(total / (groups * k))
+            moments = distributed.average(total / (groups * k))
         else:
             mean, variance = norm.get_buffer("running_mean").double(), norm.get_buffer("running_var").double()
             moments = torch.stack([mean, variance + mean.square()])
@@ -131,7 +131,7 @@ class _NormReluLinear(torch.autograd.Function):
         d_scale = torch.where(scale.abs() < 1e-6, 0.0, d_scale)
         d_moments, d_gamma, d_beta = torch.autograd.grad(affine, leaves, (d_scale, d_shift))
         # the moments are those of all processes
-        d_moments = torch.zeros_like(d_moments) if ctx.constant else parallel.average(d_moments)
+        d_moments = torch.zeros_like(d_moments) if ctx.constant else distributed.average(d_moments)
         # then with it: d_z scale + d_m / n + 2 z d_q / n
         d_mean, d_square = (d_moments * torch.tensor([[1.0], [2.0]]) / (groups * k)).to(rows.dtype)
         if offset is None or d_offset is None:

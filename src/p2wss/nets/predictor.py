@@ -13,18 +13,15 @@ from torch import Tensor
 
 from p2wss.config import Decoding
 from p2wss.config import Dvae as DvaeConfig
-from p2wss.config import Model as ModelConfig
 from p2wss.nets import augment, compute, dataset, decoding
-from p2wss.nets import tokenizer as words
-from p2wss.nets.augment import Batch
+from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches
+from p2wss.nets.builders import training_limits
 from p2wss.nets.compute import DeviceName
-from p2wss.nets.dataset import Buildings, Limits
-from p2wss.nets.modules import limits_of, make_module, make_tokenizer
-from p2wss.nets.network_patches import SCALE, patches_of
+from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 from p2wss.nets.patches import Patches
-from p2wss.nets.point2wss import Point2Wss, inference_weights
-from p2wss.nets.tokenizer import roll_index
-from p2wss.nets.weights import of_this_version, read_weights
+from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, roll_index
+from p2wss.nets.weights import load_model
 
 # on a CPU what lies between two layers should fit into the cache: 64 take a tenth longer
 INFERENCE_BATCH = {"cpu": 16, "cuda": 256}
@@ -37,18 +34,9 @@ def load_predictor(path: Path, device: DeviceName = "auto") -> Predictor:
 
     Raises :class:`InputError` for a file that is none, and for a device that there is not.
     """
-    state, facts = read_weights(path, "model")
-    with of_this_version(path, facts):
-        config = ModelConfig.model_validate(facts["config"])
-        dvae_config = DvaeConfig.model_validate(facts["dvae_config"])
-        tokenizer = make_tokenizer(config)
-        module = make_module(config, dvae_config, tokenizer)
-        module.load_state_dict(state, strict=False)
-        missing = set(inference_weights(module.state_dict())) - set(state)
-        if missing:
-            raise ValueError(f"no weights {min(missing)}")
+    module, config, dvae_config = load_model(path)
     module.to(compute.device_of(device))
-    limits = limits_of(config, dvae_config, tokenizer)
+    limits = training_limits(config, dvae_config, module.tokenizer)
     return Predictor(module, config.decoding, dvae_config, config.max_vertices, limits)
 
 
@@ -80,7 +68,7 @@ class Predictor:
         decode: Decoding,
         dvae_config: DvaeConfig,
         max_num_vertices: int,
-        limits: Limits,
+        limits: TrainingLimits,
     ) -> None:
         # of the buildings that it was trained on
         self.limits = limits
@@ -92,7 +80,7 @@ class Predictor:
         self._max_num_vertices = max_num_vertices
         self._batch_size = INFERENCE_BATCH[self.device.type]
 
-    def of_views(self, num_rotations: int) -> Predictor:
+    def with_num_views(self, num_rotations: int) -> Predictor:
         """The same network, asked for so many views: one is enough for a start that is fitted afterwards."""
         decode = self.decode.model_copy(update={"num_rotations": num_rotations})
         return Predictor(self.module, decode, self.dvae_config, self._max_num_vertices, self.limits)
@@ -156,11 +144,13 @@ class Predictor:
                 height[i], angle[i], xy[i] = heights[row], angles[row, :num], places[row, :num] + shift
         return height, xy, angle
 
-    def errors(self, buildings: Buildings, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def errors(self, buildings: BuildingDataset, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed errors, footprint given, of labelled buildings: heights (n,) m, angles (edges,) degrees."""
         heights = np.empty(len(index), np.float32)
         angles = [np.empty(0)] * len(index)
-        for own in self._alike(np.diff(buildings.point_offset)[index], buildings.num_vertices[index]):
+        for own in self._similar_size_batches(
+            np.diff(buildings.point_offset)[index], buildings.num_vertices[index]
+        ):
             batch = augment.centre(buildings.batch(index[own], self.dvae_config.num_points, None))
             height, angle, _, _ = self._decode(batch)
             heights[own] = height - batch.height.numpy()
@@ -169,7 +159,7 @@ class Predictor:
                 angles[i] = wrong[row, : batch.num_vertices[row]]
         return heights, np.concatenate(angles)
 
-    def _alike(self, num_points: np.ndarray, num_vertices: np.ndarray) -> Iterator[np.ndarray]:
+    def _similar_size_batches(self, num_points: np.ndarray, num_vertices: np.ndarray) -> Iterator[np.ndarray]:
         """Indices (n,) of all buildings, by batches of similar sizes: hardly any of a batch is padding."""
         order = np.lexsort([np.minimum(num_points, self.dvae_config.num_points), num_vertices])
         vertices = num_vertices[order]
@@ -191,7 +181,9 @@ class Predictor:
         self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]
     ) -> Iterator[tuple[np.ndarray, Batch]]:
         """Centred batches of similar sizes; buildings that the number format cannot hold are left out."""
-        for index in self._alike(np.array([*map(len, points_m)]), np.array([*map(len, exterior)])):
+        for index in self._similar_size_batches(
+            np.array([*map(len, points_m)]), np.array([*map(len, exterior)])
+        ):
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
             reach = batch.xy.norm(dim=-1).amax(1) * 10**self.tokenizer.coord_decimals
             fits = reach.numpy() < self.tokenizer.max_coord
@@ -234,9 +226,9 @@ class Predictor:
         """
         tokenizer, decode = self.tokenizer, self.decode
         batch = batch.to(self.device)
-        patches = patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
+        patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
         heights = angles = torch.zeros((), device=self.device)
-        asked = tokenizer.asked(batch.xy.shape[1]).to(self.device)
+        asked = tokenizer.target_positions(batch.xy.shape[1]).to(self.device)
         for view in range(decode.num_rotations):
             turned, seen = _turned(batch, patches, 2 * math.pi * view / decode.num_rotations)
             parameters, start = tokenizer.canonical(
@@ -269,11 +261,13 @@ class Predictor:
             tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
         )
         tokens, kind = tokenizer.masked(parameters)
-        hidden = (kind == words.KIND_COORDINATE) | ((kind == words.KIND_SIGN) & (not signs_visible))
-        tokens = tokens.masked_fill(hidden, words.MASK)
-        patches = patches_of(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
+        hidden = (kind == KIND_COORDINATE) | ((kind == KIND_SIGN) & (not signs_visible))
+        tokens = tokens.masked_fill(hidden, MASK)
+        patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
         logits = self._logits(tokens, batch, patches)
-        heights, angle = self._distributions(logits[:, tokenizer.asked(batch.xy.shape[1]).to(self.device)])
+        heights, angle = self._distributions(
+            logits[:, tokenizer.target_positions(batch.xy.shape[1]).to(self.device)]
+        )
         height = decoding.decode(heights, mode)
         angle = decoding.constrain(angle, decoding.angle_support(self.decode.angle_support).to(self.device))
         signs, block_logits = tokenizer.blocks(tokens), tokenizer.blocks(logits)
@@ -283,8 +277,8 @@ class Predictor:
             size = decoding.decode(
                 decoding.number_distribution(digits, tokenizer, tokenizer.coord_places), mode
             )
-            guessed = block_logits[..., slot, [words.PLUS, words.MINUS]].argmax(-1) == 1
-            negative = signs[..., slot] == words.MINUS if signs_visible else guessed
+            guessed = block_logits[..., slot, [PLUS, MINUS]].argmax(-1) == 1
+            negative = signs[..., slot] == MINUS if signs_visible else guessed
             axes.append(torch.where(negative, -size, size))
         back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
         xy = torch.stack(axes, -1).gather(1, back[..., None].expand(-1, -1, 2))
@@ -295,12 +289,12 @@ class Predictor:
         )
 
     def _logits(self, tokens: Tensor, batch: Batch, patches: Patches, asked: Tensor | None = None) -> Tensor:
-        ground_z = batch.ground_z * SCALE
+        ground_z = batch.ground_z * NETWORK_SCALE
         cloud, valid = self.module.cloud_features(patches, ground_z)
         return self.module.restore(tokens, batch.num_vertices, patches, ground_z, cloud, valid, asked)
 
     def _distributions(self, logits: Tensor) -> tuple[Tensor, Tensor]:
-        """Of the heights (b, 10^k) and of the angles (b, n, 100), from logits at ``Tokenizer.asked``."""
+        """Of the heights (b, 10^k) and of the angles (b, n, 100), from logits at ``Tokenizer.target_positions``."""
         tokenizer = self.tokenizer
         height, angle = logits.tensor_split([len(tokenizer.height_places)], 1)
         digits = angle.unflatten(1, (-1, len(tokenizer.angle_places)))

@@ -67,8 +67,10 @@ class Tokenizer:
         self.height_places = self.places
         self.coord_places = tuple(place for place in self.places if place >= -coord_decimals)
         self.angle_places = (1, 0)
-        self.num_words = FIRST_DIGIT + 10 * len(self.places)
-        self.words = SPECIAL + tuple(f"[{digit}·10^{place}]" for place in self.places for digit in range(10))
+        self.vocabulary_size = FIRST_DIGIT + 10 * len(self.places)
+        self.vocabulary = SPECIAL + tuple(
+            f"[{digit}·10^{place}]" for place in self.places for digit in range(10)
+        )
         self.max_height = 10 ** len(self.height_places) - 1
         self.max_coord = 10 ** len(self.coord_places) - 1
 
@@ -84,7 +86,7 @@ class Tokenizer:
         self.x_slot, self.y_slot = 2, 4 + len(self.coord_places)
         self.angle_slot = self.block_length - len(self.angle_places)
         # value of each word, 0 for those that are no digits
-        self.word_value = torch.tensor(
+        self.token_value = torch.tensor(
             [0.0] * FIRST_DIGIT + [digit * 10.0**place for place in self.places for digit in range(10)]
         )
 
@@ -222,7 +224,7 @@ class Tokenizer:
         kind = self.kinds(tokens.shape, parameters.num_vertices)
         return tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK), kind
 
-    def asked(self, n: int) -> Tensor:
+    def target_positions(self, n: int) -> Tensor:
         """int64 (r,): positions of the digits of the height, then of the angles of n vertices, edge by edge."""
         kind = torch.cat([self._header[1], self._block[1].repeat(n)])
         return torch.cat([(kind == KIND_HEIGHT).nonzero()[:, 0], (kind == KIND_ANGLE).nonzero()[:, 0]])
@@ -242,7 +244,7 @@ class Tokenizer:
         )
         return ((words - first) * powers).sum(-1)
 
-    def digit_words(self, place: int) -> slice:
+    def digit_tokens(self, place: int) -> slice:
         """The ten words of a place, as a slice of the vocabulary."""
         first = FIRST_DIGIT + 10 * self.places.index(place)
         return slice(first, first + 10)

@@ -1,4 +1,4 @@
-"""Files of trained weights (safetensors) with what made them."""
+"""Files of trained weights: safetensors with the configs, the code's fingerprint and the last measures."""
 
 from __future__ import annotations
 
@@ -11,45 +11,109 @@ from typing import Any
 from torch import Tensor
 
 from p2wss import __version__
+from p2wss.config import Dvae as DvaeConfig
+from p2wss.config import Model as ModelConfig
 from p2wss.data import files
 from p2wss.errors import InputError
+from p2wss.nets.builders import build_dvae, build_model, build_tokenizer
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.metrics_log import last_validation
+from p2wss.nets.point2wss import Point2Wss, inference_weights
+
+# keys of the metadata that had another name when older files were written
+_RENAMED_KEYS = {"words": "vocabulary"}
 
 
-def write_weights(path: Path, state: dict[str, Tensor], facts: dict[str, Any]) -> None:
-    """Weights as safetensors with ``facts`` as JSON in the header, under the key ``p2wss``."""
+def save_dvae(module: DiscreteVae, path: Path, config: DvaeConfig, code: str, metrics: str) -> None:
+    """Write the tokenizer's weights, whole or not at all. ``metrics``: lines of ``metrics.jsonl``."""
+    metadata = files.provenance(
+        kind="dvae", config=config.model_dump(mode="json"), code=code, measures=last_validation(metrics)
+    )
+    write_weights(path, module.state_dict(), metadata)
+
+
+def load_dvae(path: Path) -> tuple[DiscreteVae, DvaeConfig]:
+    """The trained tokenizer, frozen, and its config. Raises :class:`InputError` for any other file."""
+    state, metadata = read_weights(path, "dvae")
+    with _compatible(path, metadata):
+        config = DvaeConfig.model_validate(metadata["config"])
+        module = build_dvae(config)
+        module.load_state_dict(state)
+    return module.eval().requires_grad_(False), config
+
+
+def save_model(
+    module: Point2Wss, path: Path, config: ModelConfig, dvae_config: DvaeConfig, code: str, metrics: str
+) -> None:
+    """Write the weights that inference needs, whole or not at all. ``metrics``: lines of ``metrics.jsonl``."""
+    metadata = files.provenance(
+        kind="model",
+        config=config.model_dump(mode="json"),
+        dvae_config=dvae_config.model_dump(mode="json"),
+        vocabulary=module.tokenizer.vocabulary,
+        code=code,
+        measures=last_validation(metrics),
+    )
+    write_weights(path, inference_weights(module.state_dict()), metadata)
+
+
+def load_model(path: Path) -> tuple[Point2Wss, ModelConfig, DvaeConfig]:
+    """A trained Point2WSS for inference, with its config and its tokenizer's.
+
+    Raises :class:`InputError` for any other file.
+    """
+    state, metadata = read_weights(path, "model")
+    with _compatible(path, metadata):
+        config = ModelConfig.model_validate(metadata["config"])
+        dvae_config = DvaeConfig.model_validate(metadata["dvae_config"])
+        tokenizer = build_tokenizer(config)
+        if tuple(metadata["vocabulary"]) != tokenizer.vocabulary:
+            raise ValueError("another vocabulary")
+        module = build_model(config, dvae_config, tokenizer)
+        module.load_state_dict(state, strict=False)
+        missing = set(inference_weights(module.state_dict())) - set(state)
+        if missing:
+            raise ValueError(f"no weights {min(missing)}")
+    return module, config, dvae_config
+
+
+def write_weights(path: Path, state: dict[str, Tensor], metadata: dict[str, Any]) -> None:
+    """Weights as safetensors, with ``metadata`` as JSON in the header under the key ``p2wss``."""
     from safetensors.torch import save
 
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
-    content = save(tensors, metadata={"p2wss": json.dumps(facts, sort_keys=True)})
-    with files.atomic(path) as temporary:
-        temporary.write_bytes(content)
+    content = save(tensors, metadata={"p2wss": json.dumps(metadata, sort_keys=True)})
+    files.write_bytes(path, content)
 
 
 def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The inverse of :func:`write_weights`. Raises :class:`InputError` for a file of another kind."""
+    """The inverse of :func:`write_weights`; renamed keys of the metadata get their present names.
+
+    Raises :class:`InputError` for a file that is missing, unreadable or not of this ``kind``.
+    """
     from safetensors import SafetensorError, safe_open
 
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; train it first (p2wss {kind})")
     try:
         with safe_open(path, "pt") as file:
-            facts = json.loads((file.metadata() or {}).get("p2wss", "{}"))
+            metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable safetensors file: {error}") from error
-    if facts.get("kind") != kind:
+    if metadata.get("kind") != kind:
         raise InputError(f"{path}: not a {kind} of p2wss")
-    return state, facts
+    return state, {_RENAMED_KEYS.get(name, name): value for name, value in metadata.items()}
 
 
 @contextmanager
-def of_this_version(path: Path, facts: dict[str, Any]) -> Iterator[None]:
-    """Turn what goes wrong while weights are put to use into an :class:`InputError`."""
+def _compatible(path: Path, metadata: dict[str, Any]) -> Iterator[None]:
+    """Turn any failure to use weights into an :class:`InputError` that names the version that wrote them."""
     try:
         yield
     # pydantic's errors are ValueErrors; load_state_dict raises RuntimeError
     except (KeyError, ValueError, RuntimeError) as error:
         raise InputError(
-            f"{path}: made by p2wss {facts.get('version')} with other settings or networks than this"
-            f" one ({__version__}) knows; train it again"
+            f"{path}: written by p2wss {metadata.get('version')}, with settings or networks that this version"
+            f" ({__version__}) does not support; train it again"
         ) from error

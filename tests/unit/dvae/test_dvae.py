@@ -15,8 +15,8 @@ from p2wss.config import load
 from p2wss.dvae import task
 from p2wss.errors import InputError
 from p2wss.nets import training
-from p2wss.nets.dvae_file import load_dvae
-from p2wss.nets.weights import write_weights
+from p2wss.nets.metrics_log import read_metrics
+from p2wss.nets.weights import load_dvae, write_weights
 
 
 @pytest.fixture(scope="module")
@@ -61,9 +61,9 @@ def test_losses_are_the_same_with_patches_that_were_found_before(
     losses = []
     for name in ("kept", "computed"):
         dvae.train(manifest, config, tmp_path / name, "x")
-        records = map(json.loads, training.read_metrics(tmp_path / name).splitlines())
+        records = map(json.loads, read_metrics(tmp_path / name).splitlines())
         losses.append([record["loss"] for record in records if "loss" in record])
-        monkeypatch.setattr(task, "with_patches", lambda buildings, *_: buildings)
+        monkeypatch.setattr(task, "precompute_patches", lambda buildings, *_: buildings)
     assert len(list(tmp_path.glob("kept/clouds/*/patches-1400-8x8.i16"))) == 1
     assert not list(tmp_path.glob("computed/clouds/*/patches*"))
     # rounding decides where two points are equally far

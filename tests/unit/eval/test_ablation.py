@@ -11,14 +11,15 @@ import toy_crops
 from places import ROOT
 from small_networks import SMALL_DVAE, SMALL_MODEL
 
-from p2wss import cli, model
+from p2wss import cli
 from p2wss.config import ablated, load
 from p2wss.errors import InputError
 from p2wss.eval import ablation
-from p2wss.nets.dataset import Limits
-from p2wss.nets.modules import make_module, make_tokenizer
+from p2wss.nets.builders import build_model, build_tokenizer
+from p2wss.nets.dataset import TrainingLimits
 from p2wss.nets.predictor import load_predictor
-from p2wss.nets.shards import load_buildings
+from p2wss.nets.shards import load_dataset
+from p2wss.nets.weights import save_model
 
 
 def test_a_variant_changes_what_it_names_and_nothing_else() -> None:
@@ -67,17 +68,17 @@ def test_the_table_holds_the_errors_on_the_test_split(tmp_path: Path) -> None:
     torch.manual_seed(0)
     paths = []
     for name in ("one", "two"):
-        module = make_module(config.model, config.dvae, make_tokenizer(config.model))
+        module = build_model(config.model, config.dvae, build_tokenizer(config.model))
         paths.append(tmp_path / name / "model.safetensors")
-        model.save(module, paths[-1], config.model, config.dvae, "x", "")
+        save_model(module, paths[-1], config.model, config.dvae, "x", "")
     arguments = ["--manifest", str(manifest), "--models", *map(str, paths)]
     arguments += ["--out-csv", str(tmp_path / "t.csv"), "--out-markdown", str(tmp_path / "t.md")]
     assert cli.main(["eval", "ablation", *arguments, "--device", "cpu"]) == 0
     header, *lines = (tmp_path / "t.csv").read_text().splitlines()
     rows = [dict(zip(header.split(","), line.split(","), strict=True)) for line in lines]
     assert [row["variant"] for row in rows] == ["one", "two"]
-    test = load_buildings(manifest, ["test"], Limits(64, 8, 70), labelled=True, lidar=False)
-    train = load_buildings(manifest, ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
+    test = load_dataset(manifest, ["test"], TrainingLimits(64, 8, 70), labelled=True, include_real=False)
+    train = load_dataset(manifest, ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False)
     clouds, rings = [], []
     for i in range(len(test)):
         points = test.points_cm[test.point_offset[i] : test.point_offset[i + 1]] / 100

@@ -17,12 +17,11 @@ from p2wss.config import Model, load
 from p2wss.errors import InputError
 from p2wss.model import task
 from p2wss.nets import dataset
-from p2wss.nets.dataset import Buildings, Limits
-from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.dvae_file import dvae_sizes, save_dvae
-from p2wss.nets.modules import make_tokenizer
+from p2wss.nets.builders import build_dvae, build_tokenizer
+from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 from p2wss.nets.predictor import INFERENCE_BATCH, Predictor, load_predictor
-from p2wss.nets.shards import load_buildings
+from p2wss.nets.shards import load_dataset
+from p2wss.nets.weights import save_dvae
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     manifest = toy_crops.make(folder, {"train": 24, "val": 8, "test": 20})
     config = load({"dvae": SMALL_DVAE}).dvae
     torch.manual_seed(0)
-    save_dvae(DiscreteVae(dvae_sizes(config)), folder / "d.safetensors", config, "x", "")
+    save_dvae(build_dvae(config), folder / "d.safetensors", config, "x", "")
     arguments = ["model", "--manifest", str(manifest), "--dvae", str(folder / "d.safetensors")]
     arguments += ["--out", str(folder / "m.safetensors")]
     arguments += ["--out-metrics", str(folder / "m.jsonl"), "--checkpoints", str(folder / "c")]
@@ -46,11 +45,13 @@ def predictor(folder: Path) -> Predictor:
 
 
 @pytest.fixture(scope="module")
-def labelled(folder: Path) -> Buildings:
-    return load_buildings(folder / "manifest.json", ["test"], Limits(64, 8, 70), labelled=True, lidar=False)
+def labelled(folder: Path) -> BuildingDataset:
+    return load_dataset(
+        folder / "manifest.json", ["test"], TrainingLimits(64, 8, 70), labelled=True, include_real=False
+    )
 
 
-def inputs(buildings: Buildings) -> tuple[list[np.ndarray], list[list[np.ndarray]]]:
+def inputs(buildings: BuildingDataset) -> tuple[list[np.ndarray], list[list[np.ndarray]]]:
     """Clouds with z above the ground, and rings."""
     clouds, rings = [], []
     for i in range(len(buildings)):
@@ -65,8 +66,12 @@ def test_metrics_show_the_constant_predictor_beside_the_model(folder: Path) -> N
     records = [json.loads(line) for line in (folder / "m.jsonl").read_text().splitlines()]
     last = records[-1]
     assert last["step"] == 10 and last["val_height_mae_m"] > 0 and last["val_angle_mae_deg"] > 0
-    train = load_buildings(folder / "manifest.json", ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
-    val = load_buildings(folder / "manifest.json", ["val"], Limits(64, 8, 70), labelled=True, lidar=False)
+    train = load_dataset(
+        folder / "manifest.json", ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False
+    )
+    val = load_dataset(
+        folder / "manifest.json", ["val"], TrainingLimits(64, 8, 70), labelled=True, include_real=False
+    )
     expected = np.abs(val.height_m - np.median(train.height_m)).mean()
     assert last["val_height_mae_constant_m"] == pytest.approx(expected, rel=1e-5)
     expected = np.abs(val.angle_deg - np.median(train.angle_deg)).mean()
@@ -79,22 +84,24 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     config = load({"model": SMALL_MODEL}).model
     data = folder / "manifest.json", folder / "d.safetensors", config
     expected = model.train(*data, tmp_path / "one", "x")[0].state_dict()
-    real = task._Task.step
+    real = task.ModelTask.step
 
-    def dies(self: task._Task, step: int) -> dict[str, torch.Tensor]:
+    def dies(self: task.ModelTask, step: int) -> dict[str, torch.Tensor]:
         if step == 7:
             raise KeyboardInterrupt
         return real(self, step)
 
-    monkeypatch.setattr(task._Task, "step", dies)
+    monkeypatch.setattr(task.ModelTask, "step", dies)
     with pytest.raises(KeyboardInterrupt):
         model.train(*data, tmp_path / "two", "x")
-    monkeypatch.setattr(task._Task, "step", real)
+    monkeypatch.setattr(task.ModelTask, "step", real)
     found = model.train(*data, tmp_path / "two", "x")[0].state_dict()
     assert all(torch.equal(expected[name], found[name]) for name in expected)
 
 
-def test_predictions_depend_on_no_order_and_no_company(predictor: Predictor, labelled: Buildings) -> None:
+def test_predictions_depend_on_no_order_and_no_company(
+    predictor: Predictor, labelled: BuildingDataset
+) -> None:
     clouds, rings = inputs(labelled)
     together = predictor.predict(clouds, rings)
     backwards = predictor.predict(clouds[::-1], rings[::-1])
@@ -106,7 +113,9 @@ def test_predictions_depend_on_no_order_and_no_company(predictor: Predictor, lab
     assert (together.confidence > 0).all() and (together.confidence <= 1).all()
 
 
-def test_predictions_follow_the_ring_they_are_asked_for(predictor: Predictor, labelled: Buildings) -> None:
+def test_predictions_follow_the_ring_they_are_asked_for(
+    predictor: Predictor, labelled: BuildingDataset
+) -> None:
     """Another first vertex rolls the angles; a shift of cloud and ring changes nothing."""
     clouds, rings = inputs(labelled)
     straight = predictor.predict(clouds, rings)
@@ -121,7 +130,7 @@ def test_predictions_follow_the_ring_they_are_asked_for(predictor: Predictor, la
 
 
 def test_errors_of_labelled_buildings_are_those_of_their_predictions(
-    predictor: Predictor, labelled: Buildings
+    predictor: Predictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
     found = predictor.predict(clouds, rings)
@@ -131,11 +140,11 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
 
 
 def test_errors_come_in_the_order_asked_for(
-    predictor: Predictor, labelled: Buildings, monkeypatch: pytest.MonkeyPatch
+    predictor: Predictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order = np.random.default_rng(0).permutation(len(labelled))
     height, angle = predictor.errors(labelled, np.arange(len(labelled)))
-    monkeypatch.setattr(predictor, "_alike", lambda *_: np.split(np.roll(order, 5), [7]))
+    monkeypatch.setattr(predictor, "_similar_size_batches", lambda *_: np.split(np.roll(order, 5), [7]))
     other_height, other_angle = predictor.errors(labelled, order)
     assert np.allclose(height[order], other_height, atol=0.011)
     assert np.array_equal(angle.reshape(-1, 4)[order], other_angle.reshape(-1, 4))
@@ -144,7 +153,7 @@ def test_errors_come_in_the_order_asked_for(
 def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predictor) -> None:
     rng = np.random.default_rng(0)
     num_points, num_vertices = rng.integers(10, 3000, 200), rng.integers(3, 17, 200)
-    batches = list(predictor._alike(num_points, num_vertices))
+    batches = list(predictor._similar_size_batches(num_points, num_vertices))
     assert sorted(np.concatenate(batches)) == list(range(200))
     for batch in batches:
         assert len(batch) <= INFERENCE_BATCH["cpu"]
@@ -152,7 +161,7 @@ def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predi
     assert len(batches) < 25
 
 
-def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: Buildings) -> None:
+def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: BuildingDataset) -> None:
     clouds, rings = inputs(labelled)
     hole = np.array([[0, 0], [0, 1], [1, 1], [1, 0.0]])
     plain, pierced = predictor.predict(clouds, rings), predictor.predict(clouds, [[*r, hole] for r in rings])
@@ -164,7 +173,9 @@ def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: Buildin
         assert np.array_equal(a, b[:4]) and np.allclose(b[4:], 1 / 3)
 
 
-def test_probabilities_of_classes_are_those_of_the_angles(predictor: Predictor, labelled: Buildings) -> None:
+def test_probabilities_of_classes_are_those_of_the_angles(
+    predictor: Predictor, labelled: BuildingDataset
+) -> None:
     clouds, rings = inputs(labelled)
     found = predictor.predict(clouds, rings)
     odds, angle = np.concatenate(found.class_probability), np.concatenate(found.angle_deg)
@@ -176,7 +187,7 @@ def test_probabilities_of_classes_are_those_of_the_angles(predictor: Predictor, 
 
 
 def test_a_footprint_beyond_the_number_format_has_no_prediction(
-    predictor: Predictor, labelled: Buildings
+    predictor: Predictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
     rings[3] = [rings[3][0] * 30]
@@ -191,7 +202,7 @@ def test_a_footprint_beyond_the_number_format_has_no_prediction(
 
 @pytest.mark.parametrize("signs_visible", [True, False])
 def test_all_masked_footprints_come_in_the_frame_and_order_given(
-    predictor: Predictor, labelled: Buildings, signs_visible: bool
+    predictor: Predictor, labelled: BuildingDataset, signs_visible: bool
 ) -> None:
     clouds, rings = inputs(labelled)
     exterior = [r[0] for r in rings]
@@ -218,18 +229,18 @@ def test_files_of_another_kind_are_refused(folder: Path) -> None:
 
 
 def test_patches_are_kept_where_no_augmentation_changes_the_shape_of_a_cloud() -> None:
-    assert model.keeps_patches(load(ROOT / "config" / "paper.yaml").model.augmentation)
+    assert model.preserves_patches(load(ROOT / "config" / "paper.yaml").model.augmentation)
     off = {"keep_points": [1, 1], "occlusion_share": 0, "lift_m": 0, "jitter_m": 0}
-    assert model.keeps_patches(load({"model": {"augmentation": off}}).model.augmentation)
+    assert model.preserves_patches(load({"model": {"augmentation": off}}).model.augmentation)
     for name in off:
         one_on = {key: value for key, value in off.items() if key != name}
-        assert not model.keeps_patches(load({"model": {"augmentation": one_on}}).model.augmentation)
+        assert not model.preserves_patches(load({"model": {"augmentation": one_on}}).model.augmentation)
 
 
 def test_the_papers_preset_is_a_valid_override() -> None:
     paper = load(ROOT / "config" / "paper.yaml").model
     assert paper.dim == 384 and paper.masking.random_ratio == (0.3, 0.3)
-    assert make_tokenizer(paper).num_words == 51
+    assert build_tokenizer(paper).vocabulary_size == 51
     assert Model().masking.inference_share == 0.8
 
 
@@ -249,8 +260,8 @@ def test_eight_buildings_are_learnt_by_heart(folder: Path, tmp_path: Path) -> No
         }
     ).model
     module, dvae_config = model.train(manifest, folder / "d.safetensors", config, tmp_path / "c", "x")
-    known = load_buildings(manifest, ["train"], Limits(64, 8, 70), labelled=True, lidar=False)
-    height, angle = Predictor(module, config.decoding, dvae_config, 8, Limits(64, 8, 70)).errors(
+    known = load_dataset(manifest, ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False)
+    height, angle = Predictor(module, config.decoding, dvae_config, 8, TrainingLimits(64, 8, 70)).errors(
         known, np.arange(8)
     )
     assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from p2wss.nets import augment
-from p2wss.nets.augment import Batch
+from p2wss.nets.batch import Batch
 from p2wss.nets.patches import Patches, cut_patches, make_patches, patch_index
 
 from .test_tokenizer import buildings
@@ -60,7 +60,7 @@ def test_known_patches_outlive_what_moves_a_cloud_as_a_whole_and_nothing_else() 
     after = augment.scale_randomly(augment.mirror_randomly(augment.rotate_randomly(known)), (0.5, 2))
     after = augment.centre(after)
     assert after.patch_index is not None
-    ours, computed = (cut_patches(after.points, after.patch_index.long()), patches_of(after))
+    ours, computed = (cut_patches(after.points, after.patch_index.long()), batch_patches(after))
     assert torch.allclose(ours.points, computed.points) and torch.equal(ours.valid, computed.valid)
     for changed in (
         augment.lift_randomly(known, 3),
@@ -71,7 +71,7 @@ def test_known_patches_outlive_what_moves_a_cloud_as_a_whole_and_nothing_else() 
         assert changed.patch_index is None
 
 
-def patches_of(known: Batch) -> Patches:
+def batch_patches(known: Batch) -> Patches:
     return make_patches(known.points, known.valid, 8, 8)
 
 

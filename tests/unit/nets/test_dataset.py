@@ -13,13 +13,14 @@ import toy_crops
 from p2wss.data import files
 from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
-from p2wss.nets import dataset, shards
-from p2wss.nets.augment import UNKNOWN
-from p2wss.nets.dataset import Limits, Order
+from p2wss.nets import dataset, patch_cache, shards
+from p2wss.nets.batch import UNKNOWN_PATCHES
+from p2wss.nets.dataset import BatchSampler, TrainingLimits
+from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.patches import patch_index
-from p2wss.nets.shards import Cut, describe, load_buildings, with_patches
+from p2wss.nets.shards import describe, load_dataset
 
-LIMITS = Limits(min_points=64, max_vertices=8, max_length_m=70)
+LIMITS = TrainingLimits(min_points=64, max_vertices=8, max_length_m=70)
 
 
 @pytest.fixture(scope="module")
@@ -40,22 +41,22 @@ def rewrite(manifest: Path, tmp_path: Path, change: dict[int, dict[str, object]]
 
 
 def test_splits_labels_and_real_lidar(manifest: Path) -> None:
-    train = load_buildings(manifest, ["train"], LIMITS, labelled=True, lidar=True)
-    assert len(train) == 30 and train.num_left_out == {}  # no labels on LiDAR: not among the labelled
+    train = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=True)
+    assert len(train) == 30 and train.num_excluded == {}  # no labels on LiDAR: not among the labelled
     assert (train.num_vertices == 4).all()
-    unlabelled = load_buildings(manifest, ["train"], LIMITS, labelled=False, lidar=True)
+    unlabelled = load_dataset(manifest, ["train"], LIMITS, labelled=False, include_real=True)
     assert len(unlabelled) == 35 and np.isnan(unlabelled.height_m).all()
-    assert len(load_buildings(manifest, ["val", "test"], LIMITS, labelled=True, lidar=False)) == 10
+    assert len(load_dataset(manifest, ["val", "test"], LIMITS, labelled=True, include_real=False)) == 10
 
 
 def test_heights_are_above_the_ground_that_the_cloud_shows(manifest: Path, tmp_path: Path) -> None:
     row = pq.read_table(manifest.parent / "0001_0001.parquet").slice(0, 1).to_pylist()[0]
     label_z = row["eave_height_m"] + row["label_ground_z_m"]
-    found = load_buildings(manifest, ["train"], LIMITS, labelled=True, lidar=False)
+    found = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
     assert found.height_m[0] == pytest.approx(label_z - row["ground_z_m"], abs=1e-4)
     assert found.height_m[0] + found.ground_z_m[0] == pytest.approx(label_z - row["origin_z_m"], abs=1e-4)
     blind = rewrite(manifest, tmp_path, {0: {"ground_z_m": float("nan")}})
-    found = load_buildings(blind, ["train"], LIMITS, labelled=True, lidar=False)
+    found = load_dataset(blind, ["train"], LIMITS, labelled=True, include_real=False)
     low = np.quantile(row["z_cm"], 0.02) / 100
     assert found.ground_z_m[0] == pytest.approx(low, abs=1e-4)
     assert found.height_m[0] == pytest.approx(label_z - row["origin_z_m"] - low, abs=1e-4)
@@ -78,9 +79,9 @@ def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
             6: {"split": "guard"},
         },
     )
-    found = load_buildings(changed, ["train"], LIMITS, labelled=True, lidar=False)
+    found = load_dataset(changed, ["train"], LIMITS, labelled=True, include_real=False)
     assert len(found) == 23
-    assert found.num_left_out == {
+    assert found.num_excluded == {
         "with fewer than 64 points": 1,
         "with courtyards": 1,
         "with more than 8 vertices": 1,
@@ -92,18 +93,18 @@ def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
 
 
 def test_nothing_left_and_broken_manifests_are_one_clear_line(manifest: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no building of split train can be used \(left out: 30 with fewer"):
-        load_buildings(manifest, ["train"], Limits(10**6, 8, 70), labelled=True, lidar=False)
+    with pytest.raises(InputError, match=r"no building of split train can be used \(excluded: 30 with fewer"):
+        load_dataset(manifest, ["train"], TrainingLimits(10**6, 8, 70), labelled=True, include_real=False)
     (tmp_path / "m.json").write_text('{"files": []}')
     with pytest.raises(InputError, match="not a manifest of crops"):
-        load_buildings(tmp_path / "m.json", ["train"], LIMITS, labelled=True, lidar=False)
+        load_dataset(tmp_path / "m.json", ["train"], LIMITS, labelled=True, include_real=False)
     (tmp_path / "m.json").write_text('{"shards": [{"path": "gone.parquet", "dataset": "simulated"}]}')
     with pytest.raises(InputError, match=r"gone\.parquet: no such file"):
-        load_buildings(tmp_path / "m.json", ["train"], LIMITS, labelled=True, lidar=False)
+        load_dataset(tmp_path / "m.json", ["train"], LIMITS, labelled=True, include_real=False)
 
 
 def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
-    train = load_buildings(manifest, ["train"], LIMITS, labelled=True, lidar=False)
+    train = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
     table = pq.read_table(manifest.parent / "0001_0001.parquet")
     batch = train.batch(np.array([7, 2]), 10**6, None)
     for row, i in enumerate((7, 2)):
@@ -123,7 +124,7 @@ def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
 
 def test_an_epoch_visits_every_building_once_in_batches_of_like_length() -> None:
     num = np.random.default_rng(0).integers(3, 17, 1000)
-    order = Order(num, 32, seed=1)
+    order = BatchSampler(num, 32, seed=1)
     epoch = [order.batch(step) for step in range(31)]
     seen = np.concatenate(epoch)
     assert len(set(seen)) == len(seen) == 31 * 32
@@ -131,26 +132,26 @@ def test_an_epoch_visits_every_building_once_in_batches_of_like_length() -> None
     assert spread < 4 < np.ptp(num)
     assert not np.array_equal(order.batch(31), epoch[0])
     # any step can be asked for first
-    assert np.array_equal(Order(num, 32, seed=1).batch(40), order.batch(40))
-    assert len(Order(num[:5], 32, seed=1).batch(3)) == 5
+    assert np.array_equal(BatchSampler(num, 32, seed=1).batch(40), order.batch(40))
+    assert len(BatchSampler(num[:5], 32, seed=1).batch(3)) == 5
 
 
 def test_the_decoded_files_are_found_again_and_hold_the_same(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments = (["train"], LIMITS, True, False)
-    plain = load_buildings(manifest, *arguments)
-    first = load_buildings(manifest, *arguments, cache=tmp_path)
+    plain = load_dataset(manifest, *arguments)
+    first = load_dataset(manifest, *arguments, cache=tmp_path)
     assert len(list(tmp_path.iterdir())) == 1
     with monkeypatch.context() as patch:
-        patch.setattr(shards, "_read", lambda *_: pytest.fail("decoded again"))
-        second = load_buildings(manifest, *arguments, cache=tmp_path)
+        patch.setattr(shards, "_read_shard", lambda *_: pytest.fail("decoded again"))
+        second = load_dataset(manifest, *arguments, cache=tmp_path)
     for name in vars(plain):
-        if name not in ("num_left_out", "folder"):
+        if name not in ("num_excluded", "folder"):
             assert np.array_equal(getattr(plain, name), getattr(first, name))
             assert np.array_equal(getattr(plain, name), getattr(second, name))
-    assert plain.num_left_out == second.num_left_out
-    load_buildings(manifest, ["val"], LIMITS, True, False, cache=tmp_path)
+    assert plain.num_excluded == second.num_excluded
+    load_dataset(manifest, ["val"], LIMITS, True, False, cache=tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -162,7 +163,7 @@ def test_an_interrupted_decoding_leaves_nothing(
 
     monkeypatch.setattr(np, "savez", dies)
     with pytest.raises(KeyboardInterrupt):
-        load_buildings(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
+        load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -170,7 +171,7 @@ def test_thinning_keeps_every_point_equally_often_and_in_order() -> None:
     kept = np.zeros(50)
     for seed in range(4000):
         chosen = np.empty(20, np.int64)
-        dataset._select(50, dataset._states(np.array([3]), np.array([50]), seed * 7919)[0], chosen)
+        dataset._select(50, dataset._random_states(np.array([3]), np.array([50]), seed * 7919)[0], chosen)
         assert (np.diff(chosen) > 0).all() and chosen[-1] < 50
         kept[chosen] += 1
     # 4,000 draws of 2 in 5: 5 standard deviations
@@ -182,23 +183,23 @@ def test_patches_are_found_once_and_only_of_clouds_that_are_not_thinned(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cpu = torch.device("cpu")
-    train = load_buildings(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
+    train = load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
     size = np.diff(train.point_offset)
-    cut = Cut(int(np.median(size)), 6, 8)
+    cut = PatchSettings(int(np.median(size)), 6, 8)
     whole = size <= cut.num_points
     assert 0 < whole.sum() < len(train)
-    monkeypatch.setattr(shards, "_PATCH_BATCH", 4)
-    first = with_patches(train, cut, cpu)
-    monkeypatch.setattr(shards, "_find_patches", lambda *_: pytest.fail("found again"))
-    second = with_patches(train, cut, cpu)
+    monkeypatch.setattr(patch_cache, "_BATCH_SIZE", 4)
+    first = precompute_patches(train, cut, cpu)
+    monkeypatch.setattr(patch_cache, "_fill_patch_index", lambda *_: pytest.fail("found again"))
+    second = precompute_patches(train, cut, cpu)
     monkeypatch.undo()
-    in_memory = with_patches(
-        load_buildings(manifest, ["train"], LIMITS, True, False), cut, torch.device("cpu")
+    in_memory = precompute_patches(
+        load_dataset(manifest, ["train"], LIMITS, True, False), cut, torch.device("cpu")
     )
     assert first.patch_index is not None and first.patch_index.dtype == np.int16
     assert np.array_equal(first.patch_index, second.patch_index)
     assert np.array_equal(first.patch_index, in_memory.patch_index)
-    assert (first.patch_index[~whole] == UNKNOWN).all()
+    assert (first.patch_index[~whole] == UNKNOWN_PATCHES).all()
     index = np.array([np.flatnonzero(whole)[-1], np.flatnonzero(~whole)[0]])
     batch = first.batch(index, cut.num_points, 7)
     expected = patch_index(batch.points[:1], batch.valid[:1], 6, 8)
@@ -208,28 +209,28 @@ def test_patches_are_found_once_and_only_of_clouds_that_are_not_thinned(
 def test_an_interrupted_search_for_patches_leaves_nothing(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    train = load_buildings(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
+    train = load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
     before = sorted(tmp_path.rglob("*"))
 
     def dies(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(shards, "patch_index", dies)
+    monkeypatch.setattr(patch_cache, "patch_index", dies)
     with pytest.raises(KeyboardInterrupt):
-        with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
+        precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
     assert sorted(tmp_path.rglob("*")) == before
     monkeypatch.undo()
-    found = with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
+    found = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
     assert found.folder is not None
     next(found.folder.glob("patches-*")).write_bytes(b"cut off")
     with pytest.raises(InputError, match=r"patches-1000000-4x8\.i16: not readable .*; delete it"):
-        with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
+        precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
 
 
 def test_resident_clouds_give_the_same_batches(manifest: Path) -> None:
-    train = load_buildings(manifest, ["train"], LIMITS, labelled=True, lidar=False)
-    train = with_patches(train, Cut(10**6, 4, 8), torch.device("cpu"))
-    resident = dataset.ResidentBuildings(train, torch.device("cpu"))
+    train = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
+    train = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
+    resident = dataset.ResidentDataset(train, torch.device("cpu"))
     index = np.array([5, 1, 9])
     for seed in (None, 4):
         ours, other = train.batch(index, 10**6, seed), resident.batch(index, 10**6, seed)

@@ -13,10 +13,10 @@ from p2wss.nets.tokenizer import Tokenizer
 def test_joint_distribution_is_the_product_of_the_digits() -> None:
     tok = Tokenizer()
     torch.manual_seed(0)
-    logits = torch.randn(2, 3, tok.num_words)
+    logits = torch.randn(2, 3, tok.vocabulary_size)
     joint = number_distribution(logits, tok, (1, 0, -1))
     digit = torch.stack(
-        [logits[:, i, tok.digit_words(place)].softmax(-1) for i, place in enumerate((1, 0, -1))], 1
+        [logits[:, i, tok.digit_tokens(place)].softmax(-1) for i, place in enumerate((1, 0, -1))], 1
     )
     for a, b, c in itertools.product(range(0, 10, 3), repeat=3):
         expected = digit[:, 0, a] * digit[:, 1, b] * digit[:, 2, c]
@@ -38,10 +38,10 @@ def test_median_minimises_the_expected_absolute_error() -> None:
 def test_a_slip_at_the_tens_does_not_move_the_median() -> None:
     """9.9 or 10.1: each digit is torn, their most probable values alone could say 10.9."""
     tok = Tokenizer()
-    logits = torch.full((1, 4, tok.num_words), -30.0)
+    logits = torch.full((1, 4, tok.vocabulary_size), -30.0)
     for index, (place, digits) in enumerate({1: (0, 1), 0: (9, 0), -1: (9, 1), -2: (0, 0)}.items()):
         for digit in digits:
-            logits[0, index, tok.digit_words(place).start + digit] = 0
+            logits[0, index, tok.digit_tokens(place).start + digit] = 0
     joint = number_distribution(logits, tok, (1, 0, -1, -2))
     assert 900 <= int(decode(joint, "median")) <= 1010
 

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import torch
 
-from p2wss.nets import tokenizer as words
 from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches
-from p2wss.nets.tokenizer import Tokenizer
+from p2wss.nets.tokenizer import (
+    KIND_ANGLE,
+    KIND_COORDINATE,
+    KIND_FRAME,
+    KIND_HEIGHT,
+    KIND_PAD,
+    KIND_SIGN,
+    KIND_TYPE,
+    Tokenizer,
+)
 
 from .test_tokenizer import buildings
 
@@ -21,23 +29,23 @@ def kinds(count: int = 400) -> torch.Tensor:
 def test_each_pattern_hides_what_it_says() -> None:
     torch.manual_seed(0)
     kind = kinds()
-    asked = (kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE)
+    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
     assert torch.equal(mask_parameters(kind, 1, 0, (0.3, 0.3)), asked)
-    assert torch.equal(mask_parameters(kind, 0, 1, (0.3, 0.3)), asked | (kind == words.KIND_COORDINATE))
+    assert torch.equal(mask_parameters(kind, 0, 1, (0.3, 0.3)), asked | (kind == KIND_COORDINATE))
     free = mask_parameters(kind, 0, 0, (0.3, 0.3))
-    allowed = (kind != words.KIND_PAD) & (kind != words.KIND_FRAME)
+    allowed = (kind != KIND_PAD) & (kind != KIND_FRAME)
     assert not free[~allowed].any()
     assert abs(float(free[allowed].float().mean()) - 0.3) < 0.02
-    assert free[kind == words.KIND_TYPE].any() and free[kind == words.KIND_SIGN].any()
+    assert free[kind == KIND_TYPE].any() and free[kind == KIND_SIGN].any()
 
 
 def test_shares_of_the_mixture() -> None:
     torch.manual_seed(0)
     kind = kinds()
     masked = mask_parameters(kind, 0.5, 0.2, (0.15, 1))
-    asked = (kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE)
+    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
     inference = (masked == asked).all(1).float().mean()
-    table1 = (masked == (asked | (kind == words.KIND_COORDINATE))).all(1).float().mean()
+    table1 = (masked == (asked | (kind == KIND_COORDINATE))).all(1).float().mean()
     assert abs(float(inference) - 0.5) < 0.08 and abs(float(table1) - 0.2) < 0.06
 
 

@@ -10,12 +10,11 @@ import tiny_network
 import torch
 from torch.nn import functional as F
 
-from p2wss.nets import tokenizer as words
 from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
-from p2wss.nets.tokenizer import Tokenizer
+from p2wss.nets.tokenizer import FIRST_DIGIT, KIND_ANGLE, KIND_COORDINATE, KIND_HEIGHT, MASK, Tokenizer
 
 from .test_discrete_vae import with_random_norms
 from .test_tokenizer import buildings
@@ -60,8 +59,8 @@ def test_inference_says_what_the_plain_network_says(monkeypatch: pytest.MonkeyPa
     patches, tokens, num = sample()
     patches.valid[1, 7:] = False
     kind = tok.kinds(tokens.shape, num)
-    tokens = tokens.masked_fill((kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE), words.MASK)
-    asked = tok.asked(int(num.max()))
+    tokens = tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK)
+    asked = tok.target_positions(int(num.max()))
     ground = torch.randn(4)
 
     def logits(positions: torch.Tensor | None) -> torch.Tensor:
@@ -72,7 +71,7 @@ def test_inference_says_what_the_plain_network_says(monkeypatch: pytest.MonkeyPa
     found = logits(asked)
     monkeypatch.setattr(MiniPointNet, "infer", MiniPointNet.forward)
     plain = logits(None)
-    assert found.shape == (4, len(asked), tok.num_words) and len(asked) < plain.shape[1]
+    assert found.shape == (4, len(asked), tok.vocabulary_size) and len(asked) < plain.shape[1]
     assert torch.allclose(found, plain[:, asked], atol=2e-5)
     assert plain[:, asked].std() > 0.1
 
@@ -97,11 +96,11 @@ def test_masked_digits_cannot_leak() -> None:
     model = network().eval()
     patches, tokens, num = sample()
     kind = tok.kinds(tokens.shape, num)
-    asked = (kind == words.KIND_HEIGHT) | (kind == words.KIND_ANGLE) | (kind == words.KIND_COORDINATE)
+    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE) | (kind == KIND_COORDINATE)
     captured: list[torch.Tensor] = []
     model.sequence.encoder.register_forward_pre_hook(lambda _m, inputs: captured.append(inputs[0].detach()))
     other = tokens.clone()
-    other[asked] = words.FIRST_DIGIT + (other[asked] - words.FIRST_DIGIT + 3) % 10
+    other[asked] = FIRST_DIGIT + (other[asked] - FIRST_DIGIT + 3) % 10
     for given in (tokens, other):
         model.losses(
             patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
@@ -116,7 +115,7 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     square = torch.tensor([[[-3.0, 2.5], [-3.0, -2.5], [3.0, -2.5], [3.0, 2.5]]])
     parameters = tok.quantise(torch.tensor([5.0]), square, torch.zeros(1, 4), torch.tensor([4]))
     tokens, _ = tok.masked(parameters)
-    found = edge_features(tok, tokens, torch.tensor([4]), tok.word_value, 0.1)[0]
+    found = edge_features(tok, tokens, torch.tensor([4]), tok.token_value, 0.1)[0]
     #            seen  start        end          length normal  distance
     expected = [
         [1, -0.3, 0.25, -0.3, -0.25, 0.5, -1, 0, 0.3],
@@ -126,8 +125,8 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     ]
     assert torch.allclose(found, torch.tensor(expected), atol=1e-6)
     hidden = tokens.clone()
-    hidden[0, tok.header_length + tok.block_length + tok.x_slot + 2] = words.MASK  # a digit of vertex 1
-    found = edge_features(tok, hidden, torch.tensor([4]), tok.word_value, 0.1)[0]
+    hidden[0, tok.header_length + tok.block_length + tok.x_slot + 2] = MASK  # a digit of vertex 1
+    found = edge_features(tok, hidden, torch.tensor([4]), tok.token_value, 0.1)[0]
     assert (found[:2] == 0).all()
     assert torch.allclose(found[2:], torch.tensor(expected)[2:], atol=1e-6)
 
@@ -146,8 +145,8 @@ def test_edges_look_at_patches_in_their_own_frame() -> None:
         parameters = tok.quantise(torch.tensor([5.0]), square + shift, torch.zeros(1, 4), num)
         tokens, _ = tok.masked(parameters)
         if hidden is not None:
-            tokens[0, tok.header_length + tok.block_length * hidden + tok.x_slot + 1] = words.MASK
-        return look(edge_features(tok, tokens, num, tok.word_value, 0.1), cloud, some, ground)[0]
+            tokens[0, tok.header_length + tok.block_length * hidden + tok.x_slot + 1] = MASK
+        return look(edge_features(tok, tokens, num, tok.token_value, 0.1), cloud, some, ground)[0]
 
     moved = Patches(patches.centre + torch.tensor([0.2, 0.2, 0]), patches.points, patches.valid)
     assert torch.allclose(seen(0, patches), seen(2, moved), atol=1e-5)
@@ -169,7 +168,7 @@ def test_edges_mix_what_the_value_layer_says_of_each_patch() -> None:
     patches, tokens, num = sample()
     patches.valid[1, 7:] = False
     tok = Tokenizer()
-    edges = edge_features(tok, tokens, num, tok.word_value, 0.1)
+    edges = edge_features(tok, tokens, num, tok.token_value, 0.1)
     pairs: list[torch.Tensor] = []
     look.logits.register_forward_pre_hook(lambda _module, inputs: pairs.append(inputs[0]))
     found = look(edges, torch.randn(4, 12, 16), patches, torch.randn(4))

@@ -10,8 +10,21 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from p2wss.nets import tokenizer as words
-from p2wss.nets.tokenizer import Parameters, Tokenizer, mirror_rings
+from p2wss.nets.tokenizer import (
+    ANGLE,
+    END,
+    FIRST_DIGIT,
+    KIND_ANGLE,
+    KIND_HEIGHT,
+    KIND_PAD,
+    MASK,
+    PAD,
+    PLUS,
+    POINT,
+    Parameters,
+    Tokenizer,
+    mirror_rings,
+)
 
 FORMATS = [(2, False), (1, False), (2, True), (1, True)]
 
@@ -40,9 +53,9 @@ def equal(a: Parameters, b: Parameters) -> bool:
 
 def test_vocabulary_and_length_are_the_papers() -> None:
     tok = Tokenizer()
-    assert tok.num_words == len(tok.words) == len(set(tok.words)) == 51
+    assert tok.vocabulary_size == len(tok.vocabulary) == len(set(tok.vocabulary)) == 51
     assert [tok.length(n) for n in (4, 8, 16)] == [71, 135, 263]
-    assert tok.word_value[tok.words.index("[7·10^-1]")] == pytest.approx(0.7)
+    assert tok.token_value[tok.vocabulary.index("[7·10^-1]")] == pytest.approx(0.7)
 
 
 def test_the_sequence_of_a_square_word_by_word() -> None:
@@ -52,7 +65,7 @@ def test_the_sequence_of_a_square_word_by_word() -> None:
         tok.quantise(torch.tensor([12.34]), square, torch.tensor([[45, 90, 30.0, 0]]), torch.tensor([4]))
     )
     assert start.tolist() == [3]  # uppermost, then leftmost
-    text = "".join(tok.words[i] for i in tok.encode(parameters)[0])
+    text = "".join(tok.vocabulary[i] for i in tok.encode(parameters)[0])
     assert text.startswith(
         "[start][height][1·10^1][2·10^0][3·10^-1][4·10^-2]"
         "[point][x][-][0·10^1][3·10^0][0·10^-1][0·10^-2][y][+][0·10^1][2·10^0][5·10^-1][0·10^-2]"
@@ -73,7 +86,7 @@ def test_tokens_to_parameters_to_tokens(seed: int, fmt: tuple[int, bool], theta:
     assert equal(back, parameters)
     assert torch.equal(tok.encode(back), tokens)
     assert torch.equal(tok.num_vertices(tokens), num)
-    assert ((tokens != words.PAD).sum(1) == torch.tensor([tok.length(int(n)) for n in num])).all()
+    assert ((tokens != PAD).sum(1) == torch.tensor([tok.length(int(n)) for n in num])).all()
 
 
 @settings(max_examples=50, deadline=None)
@@ -117,20 +130,20 @@ def test_inference_sequence_hides_height_and_angles_only() -> None:
     parameters, _ = tok.canonical(tok.quantise(height, xy, angle, num))
     full = tok.encode(parameters)
     hidden, kind = tok.masked(parameters)
-    masked = hidden == words.MASK
+    masked = hidden == MASK
     assert torch.equal(hidden[~masked], full[~masked])
     assert torch.equal(masked.sum(1), 4 + 2 * num)
-    assert (full[masked] >= words.FIRST_DIGIT).all()
+    assert (full[masked] >= FIRST_DIGIT).all()
     assert torch.equal(tok.num_vertices(hidden), num)
-    assert torch.equal(kind == words.KIND_PAD, full == words.PAD)
+    assert torch.equal(kind == KIND_PAD, full == PAD)
 
 
 def test_asked_are_the_digits_of_height_and_angles_edge_by_edge() -> None:
     tok = Tokenizer()
     kind = tok.kinds(torch.Size([1, tok.length(5)]), torch.tensor([5]))[0]
-    asked = tok.asked(5)
-    assert kind[asked].tolist() == [words.KIND_HEIGHT] * 4 + [words.KIND_ANGLE] * 10
-    assert torch.equal(asked[4:], torch.nonzero(kind == words.KIND_ANGLE)[:, 0])
+    asked = tok.target_positions(5)
+    assert kind[asked].tolist() == [KIND_HEIGHT] * 4 + [KIND_ANGLE] * 10
+    assert torch.equal(asked[4:], torch.nonzero(kind == KIND_ANGLE)[:, 0])
 
 
 @pytest.mark.parametrize("value", [100.0, -0.01])
@@ -150,7 +163,7 @@ def test_sequences_that_encode_cannot_make_are_refused() -> None:
     tok = Tokenizer()
     height, xy, angle, num = buildings(1, 1, most=4)
     tokens = tok.encode(tok.canonical(tok.quantise(height, xy, angle, num))[0])
-    for position, word in [(0, words.END), (1, words.ANGLE), (3, words.PLUS), (7, words.POINT)]:
+    for position, word in [(0, END), (1, ANGLE), (3, PLUS), (7, POINT)]:
         broken = tokens.clone()
         broken[0, position] = word
         with pytest.raises(ValueError, match="not a token sequence"):

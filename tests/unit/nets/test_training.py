@@ -19,6 +19,8 @@ from torch import Tensor, nn
 from p2wss.config import Compute
 from p2wss.errors import InputError
 from p2wss.nets import compute, training
+from p2wss.nets.metrics_log import last_validation, read_metrics
+from p2wss.nets.training_state import TrainingState, learning_rate, remove_checkpoints
 from p2wss.nets.weights import read_weights, write_weights
 
 IDENTITY = {"config": {"a": 1}, "code": "x"}
@@ -53,7 +55,7 @@ class Line:
         loss = (self.module(x)[:, 0] - x.sum(1)).square().mean()
         return {"loss": loss * (math.nan if step == self.poison else 1.0)}
 
-    def heavy_parts(self) -> list[nn.Module]:
+    def compilable_parts(self) -> list[nn.Module]:
         return [self.module]
 
     def validate(self, module: nn.Module) -> dict[str, float]:
@@ -78,7 +80,7 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     found = run(tmp_path / "two", Line(), ema_decay)
     assert expected.keys() == found.keys()
     assert all(torch.equal(expected[name], found[name]) for name in expected)
-    assert training.read_metrics(tmp_path / "one") == training.read_metrics(tmp_path / "two")
+    assert read_metrics(tmp_path / "one") == read_metrics(tmp_path / "two")
 
 
 def test_a_kill_without_warning_repeats_the_steps_since_the_last_checkpoint(tmp_path: Path) -> None:
@@ -94,7 +96,7 @@ def test_a_kill_without_warning_repeats_the_steps_since_the_last_checkpoint(tmp_
         run(tmp_path / "two", Killed())
     found = run(tmp_path / "two", Line())
     assert all(torch.equal(expected[name], found[name]) for name in expected)
-    assert training.read_metrics(tmp_path / "one") == training.read_metrics(tmp_path / "two")
+    assert read_metrics(tmp_path / "one") == read_metrics(tmp_path / "two")
 
 
 def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -147,7 +149,7 @@ def test_the_averaged_weights_are_what_is_measured_and_kept(tmp_path: Path) -> N
 def test_only_weights_of_linear_layers_decay() -> None:
     module = nn.ModuleDict({"a": nn.Linear(2, 2), "b": nn.Embedding(3, 2), "c": nn.LayerNorm(2)})
     module.register_parameter("codebook", nn.Parameter(torch.ones(4, 2)))
-    state = training._State.new(module, training.Plan(0, Settings(), 0.0, 10, Compute()))
+    state = TrainingState(module, Settings(), ema_decay=0.0)
     decayed, plain = (group["params"] for group in state.optimiser.param_groups)
     assert [p.shape for p in decayed] == [(2, 2)] and decayed[0] is module["a"].weight
     assert len(plain) == 5 and state.optimiser.param_groups[1]["weight_decay"] == 0
@@ -155,21 +157,21 @@ def test_only_weights_of_linear_layers_decay() -> None:
 
 def test_schedule_rises_then_falls() -> None:
     settings = Settings(num_steps=100)
-    rates = [training.learning_rate(step, settings) for step in range(100)]
+    rates = [learning_rate(step, settings) for step in range(100)]
     assert rates[9] == max(rates) == settings.learning_rate
     assert rates[:10] == sorted(rates[:10]) and rates[10:] == sorted(rates[10:], reverse=True)
     assert settings.learning_rate_end < rates[-1] < 2e-4
-    middle = training.learning_rate(55, settings)
+    middle = learning_rate(55, settings)
     assert middle == pytest.approx((settings.learning_rate + settings.learning_rate_end) / 2)
 
 
 def test_metrics_are_lines_of_json_and_the_folder_can_go(tmp_path: Path) -> None:
     folder = tmp_path / "checkpoints"
     run(folder, Line())
-    records = [json.loads(line) for line in training.read_metrics(folder).splitlines()]
+    records = [json.loads(line) for line in read_metrics(folder).splitlines()]
     assert [r["step"] for r in records if "loss" in r] == [20, 40, 60]
-    assert training.last_measures(training.read_metrics(folder))["step"] == 60
-    training.remove_checkpoints(folder)
+    assert last_validation(read_metrics(folder))["step"] == 60
+    remove_checkpoints(folder)
     assert not folder.exists()
 
 
@@ -211,7 +213,7 @@ def test_tensorboard_gets_every_metric(tmp_path: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=Writer))
     training.train(Line(), training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True)), tmp_path, IDENTITY)
-    records = [json.loads(line) for line in training.read_metrics(tmp_path).splitlines()]
+    records = [json.loads(line) for line in read_metrics(tmp_path).splitlines()]
     expected = [(k, v, r["step"]) for r in records for k, v in r.items() if k != "step"]
     assert sorted(written) == sorted(expected)
 

@@ -15,13 +15,13 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from p2wss.config import Compute
-from p2wss.nets import parallel, training
-from p2wss.nets.dataset import Buildings
+from p2wss.nets import distributed, training
+from p2wss.nets.dataset import BuildingDataset
 from p2wss.nets.discrete_vae import DiscreteVae, DvaeSizes
 from p2wss.nets.layers import BatchNorm
+from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import Point2Wss
-from p2wss.nets.shards import Cut, with_patches
 from p2wss.nets.tokenizer import Tokenizer
 
 NUM = 8
@@ -29,7 +29,7 @@ DVAE = DvaeSizes(num_patches=8, patch_size=8, patch_dim=16, token_dim=16, num_to
 
 
 def rows(x: Tensor) -> Tensor:
-    return x[torch.from_numpy(parallel.own(np.arange(len(x))))]
+    return x[torch.from_numpy(distributed.shard(np.arange(len(x))))]
 
 
 def patches(generator: torch.Generator) -> Patches:
@@ -41,8 +41,8 @@ def patches(generator: torch.Generator) -> Patches:
 def measure(module: nn.Module, losses: dict[str, Tensor]) -> dict[str, Tensor]:
     """Losses and gradients as the training loop would see them."""
     torch.stack(list(losses.values())).sum().backward()
-    parallel.average_gradients(module)
-    found = parallel.average_values({name: float(value.detach()) for name, value in losses.items()})
+    distributed.average_gradients(module)
+    found = distributed.average_values({name: float(value.detach()) for name, value in losses.items()})
     result = {name: torch.tensor(value) for name, value in found.items()}
     result |= {f"grad {name}": p.grad for name, p in module.named_parameters() if p.grad is not None}
     return result | {name: value for name, value in module.named_buffers() if "running" in name}
@@ -87,7 +87,7 @@ class Line:
         torch.manual_seed(0)
         self.module = nn.Sequential(nn.Linear(2, 8, bias=False), BatchNorm(8), nn.ReLU(), nn.Linear(8, 1))
 
-    def heavy_parts(self) -> list[nn.Module]:
+    def compilable_parts(self) -> list[nn.Module]:
         return []
 
     def step(self, step: int) -> dict[str, Tensor]:
@@ -111,10 +111,10 @@ def patches_beside_clouds(folder: Path) -> dict[str, Tensor]:
     points = np.random.default_rng(0).integers(-900, 900, (200, 3)).astype(np.int16)
     flat = np.zeros(2, np.float32)
     offset = np.array([0, 90, 200])
-    clouds = Buildings(points, offset, flat, np.zeros((0, 2)), offset * 0, flat[:0], flat, {}, folder)
-    found = with_patches(clouds, Cut(128, 8, 8), torch.device("cpu")).patch_index
+    clouds = BuildingDataset(points, offset, flat, np.zeros((0, 2)), offset * 0, flat[:0], flat, {}, folder)
+    found = precompute_patches(clouds, PatchSettings(128, 8, 8), torch.device("cpu")).patch_index
     assert found is not None
-    return {"patch_index": parallel.average(torch.from_numpy(found.astype(np.float32)))}
+    return {"patch_index": distributed.average(torch.from_numpy(found.astype(np.float32)))}
 
 
 def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
@@ -129,7 +129,7 @@ def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What two processes and one process found; run by torchrun, as a user would."""
-    folder = tmp_path_factory.mktemp("parallel")
+    folder = tmp_path_factory.mktemp("distributed")
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     for count in (1, 2):
         command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
@@ -160,11 +160,11 @@ def test_the_first_process_writes_once(found: Path) -> None:
 
 
 def test_each_building_belongs_to_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parallel, "num_processes", lambda: 3)
+    monkeypatch.setattr(distributed, "num_processes", lambda: 3)
     parts = []
     for rank in range(3):
-        monkeypatch.setattr(parallel, "rank", lambda rank=rank: rank)
-        parts.append(parallel.own(np.arange(11)))
+        monkeypatch.setattr(distributed, "rank", lambda rank=rank: rank)
+        parts.append(distributed.shard(np.arange(11)))
     assert [len(part) for part in parts] == [3, 3, 3]
     assert sorted(np.concatenate(parts)) == list(range(9))
 
@@ -172,7 +172,7 @@ def test_each_building_belongs_to_one_process(monkeypatch: pytest.MonkeyPatch) -
 if __name__ == "__main__":
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
-    with parallel.processes(torch.device("cpu")):
+    with distributed.process_group(torch.device("cpu")):
         result = everything(folder)
-        if parallel.rank() == 0:
+        if distributed.rank() == 0:
             torch.save(result, folder / "found.pt")

@@ -30,7 +30,7 @@ def rank() -> int:
 
 
 @contextmanager
-def processes(device: torch.device) -> Iterator[None]:
+def process_group(device: torch.device) -> Iterator[None]:
     """Join the processes that torchrun started, if it did: NCCL between GPUs, gloo between CPUs."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1 or dist.is_initialized():
         yield
@@ -44,12 +44,17 @@ def processes(device: torch.device) -> Iterator[None]:
         dist.destroy_process_group()
 
 
+def is_main_process() -> bool:
+    """Whether this process writes the results: also known before and after :func:`process_group`."""
+    return os.environ.get("RANK", "0") == "0"
+
+
 def barrier() -> None:
     if num_processes() > 1:
         dist.barrier()
 
 
-def own(index: np.ndarray) -> np.ndarray:
+def shard(index: np.ndarray) -> np.ndarray:
     """The part of a batch (n,) that this process takes: equally many each, the remainder is left out."""
     count = num_processes()
     return index[: len(index) // count * count][rank() :: count]

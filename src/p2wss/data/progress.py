@@ -1,0 +1,86 @@
+"""Progress of long loops: a bar on a terminal, plain lines in a log."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from types import TracebackType
+from typing import Any
+
+log = logging.getLogger("p2wss")
+
+INTERVAL_S = 10.0
+
+
+class Progress:
+    """How many of ``total`` items are done, for use in a ``with`` block.
+
+    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every ten seconds and none for
+    the last item, because a summary follows. Nothing is shown where the log's level hides information.
+    ``initial`` items were done before, for example by the run that this one resumes.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        total: int,
+        unit: str,
+        initial: int = 0,
+        report: Callable[[str], None] = log.info,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.title, self.total, self.unit, self.initial = title, total, unit, initial
+        self._report, self._clock = report, clock
+        self._started_at = self._reported_at = clock()
+        self._contexts = ExitStack()
+        self._bar: Any = None
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty() and log.isEnabledFor(logging.INFO):
+            from tqdm import tqdm
+            from tqdm.contrib.logging import logging_redirect_tqdm
+
+            self._contexts.enter_context(logging_redirect_tqdm())
+            self._bar = self._contexts.enter_context(
+                tqdm(
+                    desc=self.title,
+                    total=self.total,
+                    unit=f" {self.unit}",
+                    initial=self.initial,
+                    dynamic_ncols=True,
+                )
+            )
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._contexts.close()
+
+    def update(self, num_done: int, note: str = "") -> None:
+        """Report that ``num_done`` items are done, those of ``initial`` among them; ``note`` is shown too."""
+        if self._bar is not None:
+            self._bar.set_postfix_str(note, refresh=False)
+            self._bar.update(num_done - self._bar.n)
+            return
+        now = self._clock()
+        if now - self._reported_at < INTERVAL_S or num_done >= self.total:
+            return
+        self._reported_at = now
+        per_s = (num_done - self.initial) / (now - self._started_at)
+        left = f", about {_duration((self.total - num_done) / per_s)} left" if per_s > 0 else ""
+        self._report(
+            f"{self.title}: {num_done} of {self.total} {self.unit}{left}" + (f", {note}" if note else "")
+        )
+
+
+def _duration(seconds: float) -> str:
+    """Seconds up to two minutes, then minutes.
+
+    >>> _duration(65.2), _duration(150)
+    ('65 s', '2 min')
+    """
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,156 @@
+"""All that changes while a network trains, and its checkpoints."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import shutil
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim.lr_scheduler import LambdaLR
+from torch.optim.swa_utils import AveragedModel
+
+from p2wss.config import Optimiser
+from p2wss.data import files
+from p2wss.nets import distributed
+from p2wss.nets.metrics_log import FILE_NAME
+
+log = logging.getLogger("p2wss")
+
+MAX_CHECKPOINTS = 2
+
+
+class TrainingState:
+    """A network, the running average of its weights, its optimiser and its learning rate's schedule.
+
+    Averaged weights are off for an ``ema_decay`` of 0.
+    """
+
+    def __init__(self, module: nn.Module, settings: Optimiser, ema_decay: float) -> None:
+        self.module = module
+        self.optimiser = torch.optim.AdamW(
+            _parameter_groups(module, settings.weight_decay),
+            lr=1.0,  # the schedule's factor is the rate itself
+            betas=(0.9, settings.beta2),
+            foreach=True,
+        )
+        self.schedule = LambdaLR(self.optimiser, lambda step: learning_rate(step, settings))
+        self.averaged = _averaged_model(module, ema_decay) if ema_decay > 0 else None
+
+    @property
+    def trained(self) -> nn.Module:
+        """The weights to measure and to keep: the averaged ones, if there are any."""
+        return self.module if self.averaged is None else self.averaged.module
+
+    @property
+    def learning_rate(self) -> float:
+        """The rate of the next step."""
+        return float(self.schedule.get_last_lr()[0])
+
+    def step(self) -> None:
+        """Apply the gradients, follow with the average and move the schedule on."""
+        self.optimiser.step()
+        self.schedule.step()
+        if self.averaged is not None:
+            self.averaged.update_parameters(self.module)
+
+    def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
+        """Write a checkpoint after ``step`` steps and remove old ones; the main process does."""
+        if distributed.rank():
+            return
+        checkpoint = {name: part.state_dict() for name, part in self._parts().items()}
+        # through memory, because torch reports a full disk as some RuntimeError
+        buffer = BytesIO()
+        torch.save(checkpoint | {"step": step, "identity": json.dumps(identity, sort_keys=True)}, buffer)
+        files.write_bytes(folder / f"step-{step:08d}.pt", buffer.getbuffer())
+        for old in sorted(_checkpoints(folder))[:-MAX_CHECKPOINTS]:
+            _checkpoints(folder)[old].unlink()
+
+    def resume(self, folder: Path, identity: dict[str, Any]) -> int:
+        """Load the latest readable checkpoint of this ``identity`` and return its step; without one, return 0
+        and remove the checkpoints of anything else."""
+        expected = json.dumps(identity, sort_keys=True)
+        for step, path in sorted(_checkpoints(folder).items(), reverse=True):
+            try:
+                checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+            except Exception as error:
+                log.warning("%s: not readable (%s); trying the one before", path, type(error).__name__)
+                continue
+            if checkpoint["identity"] != expected:
+                log.warning("%s: of another configuration, code or data; starting afresh", folder)
+                break
+            for name, part in self._parts().items():
+                part.load_state_dict(checkpoint[name])
+            log.info("resuming at step %d", step)
+            return step
+        distributed.barrier()  # until every process has looked
+        if distributed.rank() == 0:
+            for path in _checkpoints(folder).values():
+                path.unlink()
+        return 0
+
+    def _parts(self) -> dict[str, Any]:
+        parts = {"module": self.module, "optimiser": self.optimiser, "schedule": self.schedule}
+        return parts if self.averaged is None else parts | {"averaged": self.averaged}
+
+
+def learning_rate(step: int, settings: Optimiser) -> float:
+    """Cosine warm-up from 0, then cosine decay to ``learning_rate_end`` (paper, section 5.2)."""
+    warmup = max(round(settings.warmup_share * settings.num_steps), 1)
+    if step < warmup:
+        return settings.learning_rate * (1 - math.cos(math.pi * (step + 1) / warmup)) / 2
+    share = (step - warmup) / max(settings.num_steps - warmup, 1)
+    low, high = settings.learning_rate_end, settings.learning_rate
+    return low + (high - low) * (1 + math.cos(math.pi * share)) / 2
+
+
+def cloud_cache_folder(checkpoints: Path) -> Path:
+    """Where the point clouds of the shards are decoded to, see :func:`p2wss.nets.shards.load_dataset`."""
+    return checkpoints / "clouds"
+
+
+def remove_checkpoints(checkpoints: Path) -> None:
+    """Remove what a training wrote to the folder, and the folder if nothing else is in it."""
+    shutil.rmtree(cloud_cache_folder(checkpoints), ignore_errors=True)
+    for path in [*_checkpoints(checkpoints).values(), checkpoints / FILE_NAME]:
+        path.unlink(missing_ok=True)
+    if checkpoints.is_dir() and not any(checkpoints.iterdir()):
+        checkpoints.rmdir()
+
+
+def _parameter_groups(module: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
+    """Weights of linear layers decay; biases, norms, tokens, codebooks and embeddings do not."""
+    decayed: list[nn.Parameter] = []
+    constant: list[nn.Parameter] = []
+    for name, parameter in module.named_parameters():
+        if parameter.requires_grad:
+            layer = module.get_submodule(name.rpartition(".")[0])
+            decays = parameter.ndim > 1 and isinstance(layer, nn.Linear)
+            (decayed if decays else constant).append(parameter)
+    return [{"params": decayed, "weight_decay": weight_decay}, {"params": constant, "weight_decay": 0.0}]
+
+
+def _averaged_model(module: nn.Module, ema_decay: float) -> AveragedModel:
+    """An exponential moving average of the weights, with a short memory at first: the initial weights must not
+    linger. Buffers (the moments of batch norms) are copied."""
+
+    def update(averaged: Sequence[Tensor], current: Sequence[Tensor], num_averaged: Tensor | int) -> None:
+        # as a tensor: reading the number from a GPU would make every step wait for it
+        count = torch.as_tensor(num_averaged).double()
+        share = 1 - (count / (count + 9)).clamp(max=ema_decay)
+        for mean, weight in zip(averaged, current, strict=True):
+            mean.lerp_(weight, share.to(mean.dtype))
+
+    model = AveragedModel(module, multi_avg_fn=update).requires_grad_(False)
+    model.n_averaged.fill_(1)  # the initial weights; or else the first step's weights would replace them
+    return model
+
+
+def _checkpoints(folder: Path) -> dict[int, Path]:
+    return {int(path.stem.removeprefix("step-")): path for path in folder.glob("step-*.pt")}
