@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from tiny_network import sure_of
+from tiny_network import certain_probabilities
 
 from p2wss.eval import cases
 
@@ -13,7 +13,9 @@ from p2wss.eval import cases
 class Answer:
     def __init__(self, height: np.ndarray, angle: list[np.ndarray], is_sure: bool) -> None:
         self.eave_height_m, self.angle_deg, self.confidence = height, angle, np.full(len(height), 0.5)
-        self.class_probability = [sure_of(own) if is_sure else np.full((len(own), 3), 1 / 3) for own in angle]
+        self.class_probability = [
+            certain_probabilities(own) if is_sure else np.full((len(own), 3), 1 / 3) for own in angle
+        ]
 
 
 class Knowing:
@@ -22,7 +24,7 @@ class Knowing:
 
     max_num_vertices = 8
 
-    def of_views(self, num_views: int) -> Knowing:
+    def with_num_views(self, num_views: int) -> Knowing:
         return self
 
     def __init__(

@@ -60,6 +60,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     set_num_threads(arguments.threads)
     from p2wss import reconstruct
     from p2wss.data import clouds, footprints
+    from p2wss.data.progress import Progress
     from p2wss.data.terrain import read_terrain
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
@@ -82,8 +83,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     by = "fitted to the points alone" if weights is None else f"model {weights}"
     log.info("%d footprints, %d points around them; %s", len(frame), len(cloud), by)
     stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
-    progress = reconstruct.Progress(log.info)
-    results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct, progress)
+    with Progress("reconstruct", len(frame), "buildings") as progress:
+        results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct, progress.update)
     if arguments.tile is None:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
     if terrain is not None and (note := exports.terrain_note(results, terrain)):

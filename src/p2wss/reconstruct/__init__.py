@@ -2,7 +2,6 @@
 
 from p2wss.reconstruct.inputs import common_crs, of_tile, output_stem, shipped_model, weights_to_use, window
 from p2wss.reconstruct.pipeline import (
-    Progress,
     Result,
     attributes,
     check_overlap,
@@ -16,7 +15,6 @@ from p2wss.reconstruct.pipeline import (
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 
 __all__ = [
-    "Progress",
     "Result",
     "attributes",
     "check_overlap",

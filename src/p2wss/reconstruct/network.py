@@ -42,7 +42,7 @@ class Predictor(Protocol):
         """Largest number of vertices of an exterior ring."""
         ...
 
-    def of_views(self, num_views: int) -> Predictor:
+    def with_num_views(self, num_views: int) -> Predictor:
         """The same network, which averages over so many views of a building."""
         ...
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,7 +33,6 @@ from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 _MAX_RESIDUAL_POINTS = 2048
 # buildings between two reports of progress
 _BATCH = 256
-_PROGRESS_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -56,33 +54,18 @@ class Result:
     not_representable: bool
 
 
-class Progress:
-    """Tells how far :func:`run` is, through ``say``, at most every ten seconds."""
-
-    def __init__(self, say: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
-        self._say, self._clock = say, clock
-        self._start = self._last = clock()
-
-    def __call__(self, done: int, total: int) -> None:
-        now = self._clock()
-        if now - self._last >= _PROGRESS_S and done < total:
-            self._last = now
-            left_min = (now - self._start) * (total - done) / done / 60
-            self._say(f"{done} of {total} buildings, about {left_min:.0f} min left")
-
-
 def run(
     frame: gpd.GeoDataFrame,
     cloud: Cloud,
     predictor: Predictor | None,
     tile: str,
     config: Reconstruct,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int], object] = lambda num_done: None,
 ) -> list[Result]:
     """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order.
 
     By the network, then fitted to the points unless ``config.fit`` is off; without a network, fitted only.
-    progress: called now and then with the number of rows that are done, and of all.
+    progress: called now and then with the number of rows that are done.
     """
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.buffer_m)
@@ -107,7 +90,7 @@ def run(
                 )
             )
         results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
-        progress(len(results), len(frame))
+        progress(len(results))
     return results
 
 

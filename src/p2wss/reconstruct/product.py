@@ -26,7 +26,7 @@ def reconstruct_buildings(
     """
     starts = None
     if predictor is not None:
-        predictor = predictor.of_views(config.num_views) if config.fit else predictor
+        predictor = predictor.with_num_views(config.num_views) if config.fit else predictor
         starts = reconstruct_with_network(buildings, predictor, config, NETWORK)
     if starts is None or config.fit:
         reconstructions = fitting.fit(buildings, config, starts, method_name(predictor, config))

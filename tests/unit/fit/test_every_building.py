@@ -179,17 +179,3 @@ def test_batches_and_progress_change_nothing(scene: Scene, monkeypatch: pytest.M
     for name, result in whole.items():
         assert np.array_equal(result.reconstruction.vertex_m, parts[name].reconstruction.vertex_m)
         assert reconstruct.attributes(result) == reconstruct.attributes(parts[name])
-
-
-def test_progress_is_told_every_ten_seconds() -> None:
-    now, said = [0.0], []
-    progress = reconstruct.Progress(said.append, lambda: now[0])
-    for done in range(256, 2561, 256):
-        now[0] += 4
-        progress(done, 2560)
-    # after 12, 24 and 36 seconds; not at the end, where the summary follows
-    assert said == [
-        "768 of 2560 buildings, about 0 min left",
-        "1536 of 2560 buildings, about 0 min left",
-        "2304 of 2560 buildings, about 0 min left",
-    ]
