@@ -44,7 +44,7 @@ def test_every_config_plans(project, file):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("scans={sede: 1}", "config: scans.sede: no such key (did you mean seed?)"),
+        ("scans={sede: 1}", "config: scans.sede: unknown key (did you mean seed?)"),
         ("region={tile_size_m: 0}", "config: region.tile_size_m: Input should be greater than 0"),
         ("eval={roofer_recorded: gone.jsonl}", "config: eval.roofer_recorded: gone.jsonl: no such file"),
         ("model={weights: gone.safetensors}", "config: model.weights: gone.safetensors: no such file"),

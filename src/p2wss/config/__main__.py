@@ -1,4 +1,4 @@
-"""Write the generated files of ``config/``: ``python -m p2wss.config [FOLDER]``."""
+"""Generate the files in ``config/``: ``python -m p2wss.config [FOLDER]``."""
 
 import sys
 

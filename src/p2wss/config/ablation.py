@@ -1,4 +1,4 @@
-"""Section ablation: variants of the model."""
+"""Section ablation: variants of the model to train and compare."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _PAPER = {
 
 
 class Ablation(Section):
-    """Models trained with single switches changed (target ablation)."""
+    """Variants of the model with single settings changed (target ablation)."""
 
     variants: dict[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], dict[str, Any]] = Field(
         {
@@ -62,5 +62,5 @@ class Ablation(Section):
             "no_edges": _NO_EDGES,
         },
         min_length=1,
-        description="name: changes of the section model, one training each",
+        description="name of a variant: changes to section model; each variant is trained once",
     )

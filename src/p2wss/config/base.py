@@ -1,4 +1,4 @@
-"""What all sections have in common."""
+"""Base class and types of all sections."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Section(BaseModel):
-    """Base of all sections: unknown keys are errors, values cannot be changed."""
+    """Base class of all sections: unknown keys are errors, and instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def _in_order(bounds: tuple[float, float]) -> tuple[float, float]:
     if bounds[0] > bounds[1]:
-        raise ValueError("must be lower bound, upper bound")
+        raise ValueError("must be [lower bound, upper bound]")
     return bounds
 
 
@@ -34,10 +34,10 @@ HalfAngleRange = Annotated[
 ]
 
 
-def merge(into: dict[str, Any], other: dict[str, Any]) -> None:
-    """Put the values of ``other`` into ``into``, mapping by mapping."""
+def merge(target: dict[str, Any], other: dict[str, Any]) -> None:
+    """Overwrite values of ``target`` with those of ``other``, recursively in nested mappings."""
     for key, value in other.items():
-        if isinstance(value, dict) and isinstance(into.get(key), dict):
-            merge(into[key], value)
+        if isinstance(value, dict) and isinstance(target.get(key), dict):
+            merge(target[key], value)
         else:
-            into[key] = json.loads(json.dumps(value)) if isinstance(value, dict) else value
+            target[key] = json.loads(json.dumps(value)) if isinstance(value, dict) else value

@@ -1,4 +1,4 @@
-"""Section buildings: parametric buildings by weighted straight skeleton."""
+"""Section buildings: building meshes from the weighted straight skeleton."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from p2wss.config.base import Section, Share
 
 
 class Buildings(Section):
-    """Parametric buildings by weighted straight skeleton."""
+    """Stage buildings: closed meshes from the weighted straight skeleton."""
 
-    max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
+    max_roof_height_m: float = Field(
+        12, gt=0, description="roofs that would rise further above the eaves are cut off horizontally"
+    )
     max_failed_fraction: Share = Field(
-        0.02, description="share of rejected buildings past which the job fails"
+        0.02, description="the job fails if a larger share of the buildings is rejected"
     )

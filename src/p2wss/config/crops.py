@@ -1,4 +1,4 @@
-"""Section crops: the points of each building, and the splits."""
+"""Section crops: the points of each building and the splits."""
 
 from __future__ import annotations
 
@@ -10,22 +10,25 @@ from p2wss.config.base import Section
 
 
 class Crops(Section):
-    """Points of each building, in shards, with splits."""
+    """Stage crops: the points of each building, in shards, with splits."""
 
-    seed: int = Field(0, ge=0, description="of the split")
+    seed: int = Field(0, ge=0, description="seed of the split")
     buffer_m: float = Field(
-        1, gt=0, le=20, description="points within this distance of the footprint are kept"
+        1, gt=0, le=20, description="distance from the footprint within which points belong to a building"
     )
-    min_points: int = Field(20, ge=1, description="buildings with fewer points are left out")
+    min_points: int = Field(20, ge=1, description="buildings with fewer points are excluded")
     max_points: int = Field(
-        2048, ge=1, description="buildings with more points are marked as truncated; all points are kept"
+        2048,
+        ge=1,
+        description="buildings with more points are marked is_truncated; all their points are stored",
     )
     split: Literal["blocks", "train", "val", "test"] = Field(
-        "blocks", description="blocks: by place, see below; else every building of the region is in this one"
+        "blocks",
+        description="blocks = split by location, see below; else all buildings are in the named split",
     )
     block_size_m: float = Field(
-        125, gt=0, description="edge of the square blocks that go to train, val or test as a whole"
+        125, gt=0, description="edge length of the square blocks that are assigned to train, val or test"
     )
     guard_m: float = Field(
-        10, ge=0, description="val and test buildings nearer than this to another split are set aside"
+        10, ge=0, description="val and test buildings closer than this to another split are not used"
     )

@@ -1,4 +1,4 @@
-"""Section dvae: the discrete VAE."""
+"""Section dvae: the discrete VAE that tokenises point patches."""
 
 from __future__ import annotations
 
@@ -9,24 +9,39 @@ from p2wss.config.training import Compute, Optimiser
 
 
 class Dvae(Section):
-    """Discrete VAE that turns patches of points into tokens."""
+    """Stage dvae: the discrete VAE that encodes point patches as tokens."""
 
-    seed: int = Field(0, ge=0, description="of weights, batches and augmentation")
+    seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
     num_points: int = Field(
-        768, ge=64, description="points of a cloud that are used; larger ones are thinned"
+        768, ge=64, description="number of points used per cloud; larger clouds are thinned"
     )
-    min_points: int = Field(64, ge=1, description="smaller clouds are left out of training")
-    num_patches: int = Field(32, ge=4, description="patches per cloud (farthest point sampling)")
-    patch_size: int = Field(16, ge=4, multiple_of=4, description="points per patch (nearest neighbours)")
+    min_points: int = Field(64, ge=1, description="clouds with fewer points are not used for training")
+    num_patches: int = Field(
+        32, ge=4, description="number of patches per cloud, centred by farthest point sampling"
+    )
+    patch_size: int = Field(
+        16, ge=4, multiple_of=4, description="number of points per patch (nearest neighbours of its centre)"
+    )
     patch_dim: int = Field(32, ge=8, multiple_of=8, description="width of a patch embedding")
-    token_dim: int = Field(32, ge=8, multiple_of=8, description="width of a code and of the DGCNN")
-    num_tokens: int = Field(128, ge=8, multiple_of=4, description="size of the codebook")
+    token_dim: int = Field(32, ge=8, multiple_of=8, description="width of a codebook entry and of the DGCNN")
+    num_tokens: int = Field(128, ge=8, multiple_of=4, description="number of codebook entries")
     temperature_end: float = Field(
-        0.0625, gt=0, le=1, description="of the Gumbel softmax, from 1, at half-time"
+        0.0625,
+        gt=0,
+        le=1,
+        description="temperature of the Gumbel softmax from half of the training on; it starts at 1",
     )
-    kl_weight: float = Field(0.1, ge=0, description="of the divergence from uniform codes, reached at 55 %")
-    use_lidar: bool = Field(True, description="train on real LiDAR too: this stage needs no labels")
+    kl_weight: float = Field(
+        0.1,
+        ge=0,
+        description="weight of the KL divergence from uniform codes, reached after 55 % of the steps",
+    )
+    use_lidar: bool = Field(True, description="also train on real LiDAR, because this stage needs no labels")
     optimiser: Optimiser = Optimiser()
-    checkpoint_every_steps: int = Field(100, ge=1, description="also: how often validation runs")
-    num_validation: int = Field(128, ge=1, description="clouds of the val split to measure while training")
+    checkpoint_every_steps: int = Field(
+        100, ge=1, description="number of steps between checkpoints; validation runs as often"
+    )
+    num_validation: int = Field(
+        128, ge=1, description="number of clouds of the split val that are measured during training"
+    )
     compute: Compute = Compute()

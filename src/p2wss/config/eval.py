@@ -1,4 +1,4 @@
-"""Section eval: tables, figures, report."""
+"""Section eval: metrics, tables, figures and the report."""
 
 from __future__ import annotations
 
@@ -10,33 +10,44 @@ from p2wss.config.base import Section
 
 
 class Eval(Section):
-    """Tables 1 and 2 of the paper, and the report."""
+    """Stage eval: Tables 1 and 2 of the paper, and the report."""
 
-    seed: int = Field(0, ge=0, description="of the points sampled on meshes")
+    seed: int = Field(0, ge=0, description="seed of the points sampled on meshes")
     baselines: list[Literal["lod1", "constant", "roofer"]] = Field(
-        ["lod1", "constant", "roofer"], description="methods beside ours; roofer only where it is installed"
+        ["lod1", "constant", "roofer"], description="methods to compare with; roofer only if it is installed"
     )
     lidar_name: str = Field(
-        "stand-in LiDAR", min_length=1, description="what the report calls the clouds of region.lidar_tiles"
+        "stand-in LiDAR", min_length=1, description="name of the clouds of region.lidar_tiles in the report"
     )
     attribution: list[str] = Field(
-        [], description="lines of the report's footer beside those of fetch.sources"
+        [], description="lines in the footer of the report, besides those of fetch.sources"
     )
-    num_samples: int = Field(2048, gt=0, description="points sampled on each mesh for the Chamfer distance")
-    max_num_points: int = Field(2048, gt=0, description="points of a cloud used for it: a subset by the seed")
-    num_resamples: int = Field(1000, ge=10, description="bootstrap draws behind each 95 % interval")
+    num_samples: int = Field(
+        2048, gt=0, description="number of points sampled on each mesh for the Chamfer distance"
+    )
+    max_num_points: int = Field(
+        2048,
+        gt=0,
+        description="largest number of points of a cloud used for the Chamfer distance (a random subset)",
+    )
+    num_resamples: int = Field(
+        1000, ge=10, description="number of bootstrap resamples for each 95 % interval"
+    )
     num_worst: int = Field(
-        20, ge=0, le=100, description="buildings shown per data set, worst first, with the reason"
+        20, ge=0, le=100, description="number of worst buildings shown per dataset, with the likely reason"
     )
     num_pictures: int = Field(
-        2, ge=0, le=20, description="buildings shown for each counterpart of the paper's Figures 7 to 14"
+        2,
+        ge=0,
+        le=20,
+        description="number of buildings shown for each counterpart of the paper's Figures 7 to 14",
     )
     roofer_command: str = Field(
         "roofer",
-        description="Roofer and its options ({folder} = folder of its input and output, for containers); '' = never",
+        description="command and options of Roofer ({folder} = the folder with its files, for containers); '' = never",
     )
     roofer_recorded: str = Field(
         "",
-        description="what an earlier Roofer made of this LiDAR (CityJSON, folder), where none is installed; '' = none",
+        description="recorded results of Roofer (folder of CityJSON), used where it is not installed; '' = none",
     )
-    roofer_timeout_s: float = Field(3600, gt=0, description="for one run of Roofer, one tile")
+    roofer_timeout_s: float = Field(3600, gt=0, description="longest run of Roofer on one tile")

@@ -1,4 +1,4 @@
-"""Section fetch: footprints, terrain and LiDAR, and where they come from."""
+"""Section fetch: the sources of footprints, terrain and LiDAR."""
 
 from __future__ import annotations
 
@@ -10,105 +10,116 @@ from p2wss.config.base import Section, Share
 
 
 class Folder(Section):
-    """Files that are already on disk."""
+    """Source folder: files on disk."""
 
     footprints: str = Field(
         "tests/mini/bdtopo/BDTOPO_mini.gpkg",
-        description="BD TOPO as GeoPackage, shapefile or GeoParquet, or a folder or pattern of such files",
+        description="BD TOPO as GeoPackage, shapefile or GeoParquet: a file, a folder or a pattern",
     )
-    footprints_layer: str = Field("batiment", description="layer, where a file has several")
+    footprints_layer: str = Field("batiment", description="layer to read from a file that has several layers")
     dtm: str = Field(
         "tests/mini/rgealti",
-        description="RGE ALTI .asc, as delivered in .7z, .7z.001, .., or GeoTIFF: file, folder or pattern",
+        description="RGE ALTI as .asc, in .7z archives as delivered, or as GeoTIFF: a file, a folder or a pattern",
     )
-    lidar: str = Field("tests/mini/lidar", description="LAS, LAZ or COPC: a file, a folder or a pattern")
+    lidar: str = Field(
+        "tests/mini/lidar", description="LAS, LAZ or COPC files: a file, a folder or a pattern"
+    )
     lidar_crs: str = Field(
         "",
-        description="CRS of those clouds where it is not region.crs: PDAL reprojects them; '' = region.crs",
+        description="CRS of these clouds if not region.crs; PDAL reprojects them; '' = region.crs",
     )
 
 
 class Geoplateforme(Section):
-    """IGN's services; names and limits as of 2026."""
+    """Source geoplateforme: IGN's services, with names and limits as of 2026."""
 
-    wfs_url: str = Field("https://data.geopf.fr/wfs/ows", description="vector service (WFS 2.0)")
-    wms_url: str = Field("https://data.geopf.fr/wms-r", description="raster service (WMS 1.3)")
-    footprints_type: str = Field("BDTOPO_V3:batiment", description="WFS type of the footprints")
-    footprints_id: str = Field(
-        "cleabs", description="attribute that pages are sorted by and repeats are found by"
+    wfs_url: str = Field(
+        "https://data.geopf.fr/wfs/ows", description="address of the vector service (WFS 2.0)"
     )
-    page_size: int = Field(1000, ge=1, le=5000, description="features per request; the service cuts at 5000")
+    wms_url: str = Field("https://data.geopf.fr/wms-r", description="address of the raster service (WMS 1.3)")
+    footprints_type: str = Field("BDTOPO_V3:batiment", description="WFS feature type of the footprints")
+    footprints_id: str = Field(
+        "cleabs", description="id attribute; pages are sorted by it, and repeated features are removed by it"
+    )
+    page_size: int = Field(
+        1000, ge=1, le=5000, description="number of features per request; the service allows 5000"
+    )
     footprints_window_m: float = Field(
-        0, ge=0, description="footprints are asked for by squares of this edge; 0 = the whole region at once"
+        0, ge=0, description="request footprints in square windows of this size; 0 = the whole region at once"
     )
     dtm_layer: str = Field(
         "ELEVATION.ELEVATIONGRIDCOVERAGE.HIGHRES",
-        description="WMS layer; LiDAR HD has IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
+        description="WMS layer; for LiDAR HD: IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
     )
     dtm_format: Literal["image/geotiff", "image/x-bil;bits=32"] = Field(
-        "image/geotiff", description="both carry heights as float32"
+        "image/geotiff", description="image format of the heights; both formats hold float32"
     )
     dtm_resolution_m: float = Field(
-        1.0, gt=0, description="cells centred on multiples of it; 0.5 for LiDAR HD"
+        1.0, gt=0, description="cell size of the terrain, cells centred on multiples of it; 0.5 for LiDAR HD"
     )
     dtm_max_pixels: int = Field(
-        4000, ge=1, le=10000, description="per side of one request; the service allows 10000"
+        4000, ge=1, le=10000, description="pixels per side of one request; the service allows 10000"
     )
     dtm_nodata_below_m: float = Field(
-        -9998, description="heights below are no data: -9999 in LiDAR HD, -99999 in RGE ALTI"
+        -9998, description="lower heights are no data: -9999 in LiDAR HD, -99999 in RGE ALTI"
     )
     lidar_types: list[str] = Field(
         ["IGNF_LIDAR-HD_METADONNEE:metadata", "IGNF_NUAGES-DE-POINTS-LIDAR-HD:dalle"],
-        description="WFS types that list the LiDAR tiles, tried in turn",
+        description="WFS feature types that list the LiDAR tiles, tried in order",
     )
     lidar_url_fields: list[str] = Field(
-        ["url_npl", "url"], description="attributes that may hold the address of the point cloud"
+        ["url_npl", "url"], description="attributes that may hold the address of a LiDAR tile, tried in order"
     )
     lidar_window_share: Share = Field(
         0.3,
-        description="where less than this share of a COPC tile is needed, only that window is read; 0 = never",
+        description="read only the needed window of a COPC tile if it is less than this share; 0 = never",
     )
-    requests_per_s: float = Field(1.0, gt=0, description="at most; the services allow more, but not always")
-    timeout_s: float = Field(60, gt=0, description="without an answer, per request")
-    max_attempts: int = Field(6, ge=1, description="of one request, while the service is busy or fails")
-    max_wait_s: float = Field(600, gt=0, description="for one request with all its attempts")
-    user_agent: str = Field("p2wss", description="how requests introduce themselves")
+    requests_per_s: float = Field(
+        1.0, gt=0, description="highest request rate; the services usually allow more"
+    )
+    timeout_s: float = Field(60, gt=0, description="time without a response after which a request fails")
+    max_attempts: int = Field(6, ge=1, description="attempts per request while the service is busy or fails")
+    max_wait_s: float = Field(600, gt=0, description="longest total time of a request with all its attempts")
+    user_agent: str = Field("p2wss", description="User-Agent header of the requests")
 
 
 class Prepare(Section):
-    """Real clouds before use: the tile and its margin, ground where none is classified, by PDAL."""
+    """Preparation of real clouds: crop to the tile and its margin, and find ground points with PDAL."""
 
     mode: Literal["never", "auto", "pdal"] = Field(
-        "auto", description="use of PDAL: never, for clouds without ground points (class 2), or for all"
+        "auto",
+        description="when to run PDAL: never, auto = on clouds without ground points (class 2), pdal = on all",
     )
     pdal_command: str = Field(
-        "pdal", description="PDAL and its options ({folder} = where it finds its files, for containers)"
+        "pdal",
+        description="command and options of PDAL ({folder} = the folder with its files, for containers)",
     )
     pdal_stages: str = Field(
         "config/pdal/prepare.json",
-        description="PDAL's filters, in order; tags if_no_ground_.. run only where class 2 is absent",
+        description="PDAL filters in order; those tagged if_no_ground_.. run only on clouds without class 2",
     )
-    pdal_timeout_s: float = Field(7200, gt=0, description="for one tile")
+    pdal_timeout_s: float = Field(7200, gt=0, description="longest run of PDAL on one tile")
 
 
 class Fetch(Section):
-    """Get footprints, terrain and LiDAR."""
+    """Stage fetch: get footprints, terrain and LiDAR."""
 
     source: Literal["folder", "geoplateforme"] = Field(
-        "folder", description="files on disk, or IGN's services"
+        "folder",
+        description="where the data come from: folder = files on disk, geoplateforme = IGN's services",
     )
     offline: bool = Field(
         False,
-        description="send no request: use what is in resources/ign/<vintage>/downloads, name what is not",
+        description="send no request: use only resources/ign/<vintage>/downloads, and report what is missing",
     )
     sources: str = Field(
         "config/sources.csv",
-        description="table of products, licences and attributions, for the report's footer",
+        description="table of data products, licences and attributions, for the footer of the report",
     )
     margin_m: float = Field(
         100,
         ge=0,
-        description="footprints beyond the region, terrain and LiDAR beyond a tile; scenes.margin_m + 30 or more",
+        description="margin around the region (footprints) or tile (terrain, LiDAR); at least scenes.margin_m + 30",
     )
     prepare: Prepare = Prepare()
     folder: Folder = Folder()

@@ -1,4 +1,4 @@
-"""The generated files of ``config/``: ``default.yaml`` and ``schema.json``."""
+"""Generate ``config/default.yaml`` and ``config/schema.json``."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from p2wss.config.sections import Config
 
 
 def default_yaml() -> str:
-    """Every key with its default and its one-line description, as YAML."""
+    """All keys with their defaults and one-line descriptions, as YAML."""
     lines = [
-        "# Every setting, with the miniature's value. Generated from src/p2wss/config by `make config`.",
+        "# All settings; the defaults run the miniature. Generated from src/p2wss/config by `make config`.",
         "# yaml-language-server: $schema=schema.json",
     ]
-    _emit(Config(), lines, "")
+    _append_section(Config(), lines, "")
     return "\n".join(lines) + "\n"
 
 
-def _emit(model: Section, lines: list[str], indent: str) -> None:
+def _append_section(model: Section, lines: list[str], indent: str) -> None:
     for name, field in type(model).model_fields.items():
         value = getattr(model, name)
         if isinstance(value, Section):
-            about = field.description or (type(value).__doc__ or "").split("\n")[0]
-            lines += ([""] if not indent else []) + [f"{indent}{name}:  # {about}"]
-            _emit(value, lines, indent + "  ")
+            description = field.description or (type(value).__doc__ or "").split("\n")[0]
+            lines += ([""] if not indent else []) + [f"{indent}{name}:  # {description}"]
+            _append_section(value, lines, indent + "  ")
         else:
             plain = json.dumps(model.model_dump(mode="json")[name], ensure_ascii=False)
             lines.append(

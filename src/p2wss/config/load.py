@@ -1,4 +1,4 @@
-"""Configs read, validated, and passed on as JSON."""
+"""Read and validate configs, and pass sections on as JSON."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from p2wss.errors import InputError
 
 
 def load(*documents: str | Path | dict[str, Any]) -> Config:
-    """The config of the given YAML files or mappings, later ones over earlier ones, over the defaults.
+    """The config from YAML files or mappings. Later documents override earlier ones, and all override the defaults.
 
-    A string that starts with ``{`` is JSON. Raises :class:`InputError` that names the key and what is wrong.
+    A string that starts with ``{`` is JSON. Raises :class:`InputError` that names the invalid key and the reason.
     """
     merged: dict[str, Any] = {}
     for document in documents:
@@ -29,12 +29,12 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"])) or "config"
-        reason = "no such key" if first["type"] == "extra_forbidden" else first["msg"]
+        reason = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
         raise InputError(f"config: {key}: {reason}{_suggestion(first)}") from error
 
 
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
-    """The named sections as one line of JSON, which :func:`load` reads back; without some of their keys."""
+    """The named sections as one line of JSON, readable by :func:`load`. without: keys to leave out."""
     sections = {name: getattr(config, name).model_dump(mode="json", exclude=set(without)) for name in names}
     return json.dumps(sections, sort_keys=True)
 
@@ -53,7 +53,7 @@ def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
     except yaml.YAMLError as error:
         raise InputError(f"config: {document}: not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(parsed, dict):
-        raise InputError(f"config: {document}: expected sections with keys, found {type(parsed).__name__}")
+        raise InputError(f"config: {document}: expected a mapping of sections, got {type(parsed).__name__}")
     return parsed
 
 
@@ -66,5 +66,5 @@ def _suggestion(error: Any) -> str:
     for part in error["loc"][:-1]:
         if isinstance(part, str) and part in getattr(model, "model_fields", {}):
             model = model.model_fields[part].annotation
-    near = get_close_matches(str(error["loc"][-1]), getattr(model, "model_fields", {}), n=1)
-    return f" (did you mean {near[0]}?)" if near else ""
+    matches = get_close_matches(str(error["loc"][-1]), getattr(model, "model_fields", {}), n=1)
+    return f" (did you mean {matches[0]}?)" if matches else ""

@@ -1,4 +1,4 @@
-"""Section model: Point2WSS."""
+"""Section model: the Point2WSS network and its training."""
 
 from __future__ import annotations
 
@@ -11,96 +11,135 @@ from p2wss.config.training import Compute, Optimiser
 
 
 class Masking(Section):
-    """What the model must restore while it trains. The paper: 0, 0 and [0.3, 0.3]."""
+    """What is masked during training, for the model to predict. The paper: 0, 0 and [0.3, 0.3]."""
 
-    inference_share: Share = Field(0.8, description="samples that hide all digits of height and angles")
-    table1_share: Share = Field(0.1, description="samples that hide all digits; the rest hide random tokens")
-    random_ratio: tuple[Share, Share] = Field((0.15, 1.0), description="share of tokens hidden at random")
-    patch_ratio: tuple[Share, Share] = Field((0.25, 0.45), description="share of patches hidden, in a block")
+    inference_share: Share = Field(
+        0.8,
+        description="share of samples with all digits of height and angles masked, as at inference",
+    )
+    table1_share: Share = Field(
+        0.1, description="share of samples with all digits masked; the others have random tokens masked"
+    )
+    random_ratio: tuple[Share, Share] = Field(
+        (0.15, 1.0), description="range of the share of tokens masked at random"
+    )
+    patch_ratio: tuple[Share, Share] = Field(
+        (0.25, 0.45), description="range of the share of patches masked, in one block"
+    )
 
 
 class Augmentation(Section):
-    """Random changes of a building each time it is seen, besides the paper's rotation."""
+    """Random changes of each training sample, in addition to the paper's rotation."""
 
     mirror: bool = Field(True, description="mirror half of the samples")
     scale: tuple[float, float] = Field(
-        (0.8, 1.25), description="[1, 1] = off; scales the building as a whole"
+        (0.8, 1.25), description="range of the scale applied to the whole building; [1, 1] = off"
     )
-    lift_m: float = Field(2.0, ge=0, description="raise or lower what stands above the ground by up to this")
-    jitter_m: float = Field(0.02, ge=0, description="noise on the points, standard deviation")
-    keep_points: tuple[Share, Share] = Field((0.4, 1.0), description="share of the points kept; [1, 1] = off")
-    occlusion_share: Share = Field(0.1, description="samples that lack the points of a wedge")
+    lift_m: float = Field(2.0, ge=0, description="largest shift up or down of everything above the ground")
+    jitter_m: float = Field(0.02, ge=0, description="standard deviation of the noise added to the points")
+    keep_points: tuple[Share, Share] = Field(
+        (0.4, 1.0), description="range of the share of points that are kept; [1, 1] = off"
+    )
+    occlusion_share: Share = Field(
+        0.1, description="share of samples from which the points of a wedge are removed, as in a scan shadow"
+    )
 
 
 class LossWeights(Section):
     """Weights of the four losses in the total. The paper: 1, 1, 1, 1."""
 
-    cloud: float = Field(0.3, ge=0, description="restoring masked patches")
-    sequence: float = Field(1.0, ge=0, description="restoring masked parameter tokens")
-    modal: float = Field(0.1, ge=0, description="alignment of the encoders")
-    match: float = Field(0.1, ge=0, description="matching of pairs after the cross-modality encoders")
+    cloud: float = Field(0.3, ge=0, description="weight of predicting masked patches")
+    sequence: float = Field(1.0, ge=0, description="weight of predicting masked parameter tokens")
+    modal: float = Field(0.1, ge=0, description="weight of the alignment of both encoders")
+    match: float = Field(
+        0.1, ge=0, description="weight of the matching of pairs after the cross-modality encoders"
+    )
 
 
 class Decoding(Section):
-    """From probabilities of digits to values. The paper: argmax, all, 1."""
+    """How probabilities of digits become values. The paper: argmax, all, 1."""
 
-    mode: Literal["argmax", "median"] = Field("median", description="per digit, or of the joint distribution")
-    angle_support: Literal["roofs", "all"] = Field(
-        "roofs", description="angles that may be answered: 0, 90 and 20 to 45, or 0 to 90"
+    mode: Literal["argmax", "median"] = Field(
+        "median",
+        description="argmax = likeliest digit at each place; median = of the joint distribution of all digits",
     )
-    num_rotations: int = Field(4, ge=1, le=64, description="views whose probabilities are averaged")
+    angle_support: Literal["roofs", "all"] = Field(
+        "roofs", description="angles that may be predicted: roofs = 0, 90 and 20 to 45; all = 0 to 90"
+    )
+    num_rotations: int = Field(
+        4, ge=1, le=64, description="number of rotated views of a building whose probabilities are averaged"
+    )
 
 
 class ModelOptimiser(Optimiser):
-    """AdamW, cosine warm-up, then cosine decay, per step."""
+    """AdamW with a cosine warm-up and a cosine decay of the learning rate."""
 
-    num_steps: int = Field(800, ge=1, description="batches to train on")
-    batch_size: int = Field(32, ge=2, description="buildings per step")
+    num_steps: int = Field(800, ge=1, description="number of training steps (batches)")
+    batch_size: int = Field(32, ge=2, description="number of buildings per batch")
 
 
 class Model(Section):
-    """Point2WSS, the multimodal transformer. Points and patches are those of the dvae."""
+    """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
-    weights: str = Field("", description="trained weights to use instead of training; '' = train")
-    seed: int = Field(0, ge=0, description="of weights, batches and augmentation")
-    max_vertices: int = Field(16, ge=3, le=128, description="buildings with more are left out of training")
-    coord_decimals: Literal[1, 2] = Field(1, description="of coordinates in tokens; the paper's 2 is slower")
-    hundreds: bool = Field(False, description="digits up to 999 m; without, heights and coordinates < 100 m")
-    dim: int = Field(64, ge=8, multiple_of=8, description="width")
-    num_heads: int = Field(4, ge=1, description="of attention; divides the width")
-    mlp_ratio: float = Field(4.0, gt=0, description="hidden width of the MLPs over the width")
-    drop_path: Share = Field(0.0, description="stochastic depth, at the last block")
-    cloud_depth: int = Field(2, ge=1, description="blocks of the point cloud encoder")
-    sequence_depth: int = Field(1, ge=1, description="blocks of the parameter encoder")
-    cross_depth: int = Field(2, ge=1, description="blocks of each cross-modality encoder")
+    weights: str = Field("", description="file of trained weights to use instead of training; '' = train")
+    seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
+    max_vertices: int = Field(
+        16, ge=3, le=128, description="buildings with more vertices are not used for training"
+    )
+    coord_decimals: Literal[1, 2] = Field(
+        1, description="decimals of coordinates in tokens; the paper's 2 is slower"
+    )
+    hundreds: bool = Field(
+        False, description="encode heights and coordinates up to 999 m; false = below 100 m"
+    )
+    dim: int = Field(64, ge=8, multiple_of=8, description="width of the transformer")
+    num_heads: int = Field(4, ge=1, description="number of attention heads; must divide dim")
+    mlp_ratio: float = Field(4.0, gt=0, description="hidden width of the MLPs, as a multiple of dim")
+    drop_path: Share = Field(
+        0.0, description="rate of stochastic depth at the last block, less in earlier blocks"
+    )
+    cloud_depth: int = Field(2, ge=1, description="number of blocks of the point cloud encoder")
+    sequence_depth: int = Field(1, ge=1, description="number of blocks of the parameter encoder")
+    cross_depth: int = Field(2, ge=1, description="number of blocks of each cross-modality encoder")
     align_dim: int = Field(64, ge=1, description="width of the space in which both modalities are aligned")
     auxiliary_share: float = Field(
         0.25,
         gt=0,
         le=1,
-        description="share of a batch that also restores patches, is aligned and matched; the paper: 1",
+        description="share of a batch with the losses cloud, modal and match; the paper: 1",
     )
     match_balanced: bool = Field(
-        True, description="matching loss halved between pairs and non-pairs, or 0.1/0.9"
+        True,
+        description="pairs and non-pairs weigh equally in the matching loss; false = 0.1 and 0.9 as in the paper",
     )
-    ground_relative: bool = Field(True, description="patches also know their height above the ground")
+    ground_relative: bool = Field(True, description="patches also encode their height above the ground")
     numerical_encoding: bool = Field(
-        True, description="digits also carry their value (Regression Transformer)"
+        True, description="digit tokens also encode their numerical value (Regression Transformer)"
     )
     edge_embedding: bool = Field(
-        True, description="tokens also carry the geometry of their edge where visible"
+        True,
+        description="parameter tokens also encode the geometry of their footprint edge, unless it is masked",
     )
     edge_attention: bool = Field(
-        True, description="tokens also gather from the patches what lies where, seen from their edge"
+        True, description="parameter tokens also attend to the patches by their position relative to the edge"
     )
-    ema_decay: float = Field(0.99, ge=0, lt=1, description="of the averaged weights that are kept; 0 = off")
+    ema_decay: float = Field(
+        0.99,
+        ge=0,
+        lt=1,
+        description="decay of the moving average of the weights, which is what is saved; 0 = off",
+    )
     loss_weights: LossWeights = LossWeights()
     masking: Masking = Masking()
     augmentation: Augmentation = Augmentation()
     decoding: Decoding = Decoding()
     optimiser: ModelOptimiser = ModelOptimiser()
-    checkpoint_every_steps: int = Field(200, ge=1, description="also: how often validation runs")
-    num_validation: int = Field(128, ge=1, description="buildings of the val split to measure while training")
+    checkpoint_every_steps: int = Field(
+        200, ge=1, description="number of steps between checkpoints; validation runs as often"
+    )
+    num_validation: int = Field(
+        128, ge=1, description="number of buildings of the split val that are measured during training"
+    )
     compute: Compute = Compute()
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Section reconstruct: buildings from real LiDAR."""
+"""Section reconstruct: reconstruction from the user's LiDAR."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import Field
 
 from p2wss.config.base import Section
 
-# what `p2wss reconstruct` writes, and how the names of these files end
+# the output formats of `p2wss reconstruct` and the suffixes of their files
 OUTPUT_SUFFIXES = {
     "cityjsonseq": ".city.jsonl",
     "cityjson": ".city.json",
@@ -23,45 +23,59 @@ Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "gpkg", 
 
 
 class Reconstruct(Section):
-    """Buildings from the user's own LiDAR."""
+    """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
     outputs: list[Output] = Field(
-        ["cityjsonseq", "glb", "gpkg"], min_length=1, description="files to write, beside a summary in JSON"
+        ["cityjsonseq", "glb", "gpkg"],
+        min_length=1,
+        description="formats to write, besides a summary in JSON",
     )
     per_building: bool = Field(
-        False, description="one more glb, obj, ply and stl for each building, as far as outputs has them"
+        False,
+        description="also write one glb, obj, ply and stl file per building, for those formats among outputs",
     )
     buffer_m: float = Field(
-        1, ge=0, le=20, description="points within this distance of a footprint are its cloud"
+        1, ge=0, le=20, description="distance from the footprint within which points belong to a building"
     )
     min_num_points: int = Field(
-        10, ge=1, description="a building with fewer gets a flat roof, none without any"
+        10, ge=1, description="buildings with fewer points get a flat roof; those without points get no mesh"
     )
     simplify_m: float = Field(
-        0.3, ge=0, le=5, description="Douglas-Peucker tolerance for real footprints; 0 = as they are"
+        0.3,
+        ge=0,
+        le=5,
+        description="Douglas-Peucker tolerance for simplifying footprints; 0 = no simplification",
     )
-    min_eave_height_m: float = Field(1, gt=0, description="lower predictions are raised to this")
-    max_roof_height_m: float = Field(12, gt=0, description="a roof that would rise further is cut flat")
+    min_eave_height_m: float = Field(
+        1, gt=0, description="lower predicted eave heights are raised to this value"
+    )
+    max_roof_height_m: float = Field(
+        12, gt=0, description="roofs that would rise further above the eaves are cut off horizontally"
+    )
     fit: bool = Field(
-        True, description="fit height and angles to the points; false = the values of the network as they are"
+        True, description="fit eave heights and roof angles to the points; false = keep the network's values"
     )
     num_views: int = Field(
         1,
         ge=1,
         le=36,
-        description="views of a building, turned about its axis, that the network sees before a fit; without a fit "
-        "it sees model.decoding.num_rotations of its training",
+        description="number of rotated views for the network before a fit; without a fit: model.decoding.num_rotations",
     )
     max_parts: int = Field(
-        4, ge=1, le=16, description="heights of one building at most; 1 = the paper's model"
+        4,
+        ge=1,
+        le=16,
+        description="largest number of parts with their own eave height per building; 1 = the paper's model",
     )
     dormers: bool = Field(
-        False, description="box dormers and small boxes that rise out of a fitted roof, up to four each"
+        False, description="also fit dormers and small boxes on fitted roofs, up to four of each per building"
     )
     not_representable_m: float = Field(
-        0.25, gt=0, description="a fitted building whose points are further off in the mean is flagged"
+        0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"
     )
     terrain_tolerance_m: float = Field(
-        0.2, gt=0, le=10, description="of the triangulated terrain, where --terrain gives one"
+        0.2, gt=0, le=10, description="vertical tolerance of the triangulated terrain of --terrain"
     )
-    terrain_margin_m: float = Field(20, ge=0, le=1000, description="of that terrain around the buildings")
+    terrain_margin_m: float = Field(
+        20, ge=0, le=1000, description="margin of the triangulated terrain around the buildings"
+    )

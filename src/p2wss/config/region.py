@@ -1,4 +1,4 @@
-"""Section region: where."""
+"""Section region: the area and its tiles."""
 
 from __future__ import annotations
 
@@ -10,25 +10,32 @@ from p2wss.config.base import Section
 
 
 class Region(Section):
-    """Where: a place, cut into tiles."""
+    """The area to process, divided into tiles."""
 
-    name: str = Field("mini", pattern=r"^[A-Za-z0-9_-]+$", description="names the folder results/<name>")
+    name: str = Field(
+        "mini", pattern=r"^[A-Za-z0-9_-]+$", description="name of the region; results go to results/<name>"
+    )
     vintage: str = Field(
-        "mini", pattern=r"^[A-Za-z0-9_.-]+$", description="edition of the data; names resources/ign/<vintage>"
+        "mini",
+        pattern=r"^[A-Za-z0-9_.-]+$",
+        description="edition of the source data; they are kept in resources/ign/<vintage>",
     )
     crs: str = Field(
-        "EPSG:2154", description="projected, metric; footprints, terrain and LiDAR must all be in it"
+        "EPSG:2154", description="projected CRS in metres, in which footprints, terrain and LiDAR must be"
     )
     bounds_m: tuple[float, float, float, float] = Field(
-        (652000, 6860000, 654000, 6862000), description="x_min, y_min, x_max, y_max in the CRS"
+        (652000, 6860000, 654000, 6862000), description="x_min, y_min, x_max, y_max of the region in the CRS"
     )
-    tile_size_m: float = Field(1000, gt=0, le=10000, description="edge of a scene")
+    tile_size_m: float = Field(
+        1000, gt=0, le=10000, description="edge length of the square tiles; one scene per tile"
+    )
     tiles: list[str] = Field(
         ["0652_6862", "0653_6862", "0652_6861"],
-        description="tiles to make; [] = every tile of the bounds that has buildings (found by index_scenes)",
+        description="tiles to process; [] = every tile within the bounds that has buildings",
     )
     lidar_tiles: list[str] = Field(
-        ["0653_6861"], description="tiles whose real (or stand-in) LiDAR is cropped; [] = none"
+        ["0653_6861"],
+        description="tiles with real (or stand-in) LiDAR, used for evaluation and the dvae; [] = none",
     )
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Section scans: the simulated LiDAR survey."""
+"""Section scans: the simulated LiDAR survey, its errors and the clutter in it."""
 
 from __future__ import annotations
 
@@ -10,103 +10,140 @@ from p2wss.config.base import HalfAngleRange, NonNegativeRange, PositiveRange, S
 
 
 class PatternShares(Section):
-    """How often a scene is scanned with each pattern."""
+    """Relative frequency of each scan pattern among the scenes."""
 
-    conical: float = Field(0.35, ge=0, description="circles (Palmer scanner), as Leica's sensors")
-    parallel: float = Field(0.45, ge=0, description="parallel lines of a rotating polygon")
-    cross_fire: float = Field(
-        0.2, ge=0, description="two crossed channels of parallel lines, as RIEGL VQ-1560"
+    conical: float = Field(
+        0.35, ge=0, description="circular pattern of a Palmer scanner, as in Leica's sensors"
     )
-    oscillating: float = Field(0, ge=0, description="zigzag of an oscillating mirror")
+    parallel: float = Field(0.45, ge=0, description="parallel lines from a rotating polygon mirror")
+    cross_fire: float = Field(
+        0.2, ge=0, description="two crossed channels of parallel lines, as in the RIEGL VQ-1560"
+    )
+    oscillating: float = Field(0, ge=0, description="zigzag lines from an oscillating mirror")
 
     @model_validator(mode="after")
     def _not_all_zero(self) -> Self:
         if self.conical + self.parallel + self.cross_fire + self.oscillating <= 0:
-            raise ValueError("one share at least must be above 0")
+            raise ValueError("at least one share must be above 0")
         return self
 
 
 class Clutter(Section):
-    """What stands on, at or over buildings and is in no label; hd only."""
+    """Clutter: objects on, beside and over buildings that are in no label; preset hd only."""
 
-    dormer_share: Share = Field(0.1, description="buildings with dormers, one to three, if they fit")
-    chimney_share: Share = Field(0.4, description="buildings with a chimney")
-    raised_part_share: Share = Field(0.03, description="buildings with a part that rises above the roof")
-    parapet_share: Share = Field(0.5, description="flat-roofed buildings with a parapet")
-    skylight_share: Share = Field(0.15, description="buildings with a pane that mirrors pulses away")
+    dormer_share: Share = Field(0.1, description="share of buildings with one to three dormers, if they fit")
+    chimney_share: Share = Field(0.4, description="share of buildings with a chimney")
+    raised_part_share: Share = Field(
+        0.03, description="share of buildings with a part that rises above the roof"
+    )
+    parapet_share: Share = Field(0.5, description="share of flat-roofed buildings with a parapet")
+    skylight_share: Share = Field(
+        0.15, description="share of buildings with a skylight, which reflects pulses away from the sensor"
+    )
     skylight_loss: Annotated[tuple[Share, Share], AfterValidator(_in_order)] = Field(
-        (0.5, 1), description="share of pulses that such a pane loses"
+        (0.5, 1), description="range of the share of pulses without a return on a skylight"
     )
     annex_share: Share = Field(
-        0.15, description="buildings with a garage or shed that their footprint leaves out"
+        0.15, description="share of buildings with a garage or shed that is missing from the footprint"
     )
-    trees_per_building: float = Field(0.4, ge=0, le=3, description="beside walls and over roofs, on average")
-    shade_share: Share = Field(0.03, description="buildings that lack the data of a wedge")
+    trees_per_building: float = Field(
+        0.4, ge=0, le=3, description="mean number of trees per building, beside walls and over roofs"
+    )
+    shade_share: Share = Field(
+        0.03, description="share of buildings with a wedge without points, as in a scan shadow"
+    )
     lower_part_share: Share = Field(
-        0.05, description="buildings with a low flat part inside their footprint, as a garage, if it fits"
+        0.05,
+        description="share of buildings with a low flat part inside the footprint, such as a garage, if it fits",
     )
     eave_overhang_share: Share = Field(
-        0.5, description="buildings whose footprint is that of the eaves: their walls stand back"
+        0.5, description="share of buildings whose footprint follows the eaves, with walls set back from it"
     )
-    eave_overhang_m: NonNegativeRange = Field((0.1, 0.7), description="how far such walls stand back")
+    eave_overhang_m: NonNegativeRange = Field(
+        (0.1, 0.7), description="range of the distance by which such walls are set back"
+    )
 
 
 class Scans(Section):
-    """Simulated LiDAR survey; a pair of values bounds what is drawn per scene."""
+    """Stage scans: the simulated LiDAR survey. A pair of values is the range of a random draw per scene."""
 
-    seed: int = Field(0, ge=0, description="of the survey and its noise")
+    seed: int = Field(0, ge=0, description="seed of the survey and its noise")
     preset: Literal["none", "paper", "hd"] = Field(
         "hd",
-        description="hd: mixed sensors as in LiDAR HD; paper: the paper's simulator, "
-        "which ignores all below but density_per_m2; none: flown as hd, without any error",
+        description="hd: mixed sensors as in LiDAR HD; paper: the paper's simulator, with only density_per_m2 "
+        "of the settings below; none: as hd, without any error",
     )
     density_per_m2: float | None = Field(
         8,
         ge=0.5,
         le=200,
-        description="pulses per m2 over a scene (hd: the median); null: 14 for hd, 8 for paper and none",
+        description="pulses per m2 (hd: median over scenes); null = 14 for hd, 8 for paper and none",
     )
     density_spread: float = Field(
-        0.35, ge=0, le=1, description="hd: sigma of the log-normal density of a scene"
+        0.35, ge=0, le=1, description="hd: sigma of the log-normal distribution of the density over scenes"
     )
-    density_bounds_per_m2: PositiveRange = Field((5, 30), description="hd: limits of that density")
+    density_bounds_per_m2: PositiveRange = Field((5, 30), description="hd: limits of the density of a scene")
     pattern_shares: PatternShares = PatternShares()
-    altitude_m: PositiveRange = Field((900, 2000), description="of the flight above the median ground")
-    conical_half_angle_deg: HalfAngleRange = Field((18, 22), description="off nadir, conical pattern")
-    line_half_angle_deg: HalfAngleRange = Field((20, 30), description="off nadir, other patterns")
-    speed_m_per_s: PositiveRange = Field((55, 80), description="of the flight")
-    scan_rate_hz: PositiveRange = Field((100, 250), description="turns, lines or swings of the mirror")
+    altitude_m: PositiveRange = Field((900, 2000), description="flight altitude above the median ground")
+    conical_half_angle_deg: HalfAngleRange = Field(
+        (18, 22), description="scan angle off nadir, conical pattern"
+    )
+    line_half_angle_deg: HalfAngleRange = Field(
+        (20, 30), description="largest scan angle off nadir, other patterns"
+    )
+    speed_m_per_s: PositiveRange = Field((55, 80), description="speed of the aircraft")
+    scan_rate_hz: PositiveRange = Field(
+        (100, 250), description="revolutions, lines or swings of the mirror per second"
+    )
     overlap: Annotated[
         tuple[Annotated[float, Field(ge=0, le=0.9)], Annotated[float, Field(ge=0, le=0.9)]],
         AfterValidator(_in_order),
-    ] = Field((0.15, 0.55), description="of neighbouring strips, share of the swath")
-    cross_strip_share: Share = Field(0.1, description="scenes with one more strip across")
+    ] = Field((0.15, 0.55), description="overlap of neighbouring strips, as a share of the swath")
+    cross_strip_share: Share = Field(
+        0.1, description="share of scenes with an additional strip across the others"
+    )
     drift_m: float = Field(
-        0.3, ge=0, le=10, description="standard deviation of the aircraft's drift, per axis"
+        0.3, ge=0, le=10, description="standard deviation of the aircraft's deviation from its line, per axis"
     )
-    attitude_deg: NonNegativeRange = Field((0.3, 1), description="largest roll, pitch and yaw")
-    divergence_mrad: NonNegativeRange = Field((0.18, 0.3), description="beam, full 1/e2 angle")
-    range_noise_m: NonNegativeRange = Field((0.005, 0.02), description="standard deviation along the ray")
-    pointing_noise_m: NonNegativeRange = Field((0.01, 0.04), description="standard deviation in x and in y")
+    attitude_deg: NonNegativeRange = Field(
+        (0.3, 1), description="largest roll, pitch and yaw of the aircraft"
+    )
+    divergence_mrad: NonNegativeRange = Field((0.18, 0.3), description="beam divergence, full angle at 1/e2")
+    range_noise_m: NonNegativeRange = Field(
+        (0.005, 0.02), description="standard deviation of the noise along the beam"
+    )
+    pointing_noise_m: NonNegativeRange = Field(
+        (0.01, 0.04), description="standard deviation of the noise in x and in y"
+    )
     strip_offset_xy_m: float = Field(
-        0.05, ge=0, le=5, description="standard deviation of a strip's shift, per axis"
+        0.05, ge=0, le=5, description="standard deviation of the horizontal offset of a strip, per axis"
     )
-    strip_offset_z_m: float = Field(0.02, ge=0, le=5, description="standard deviation of a strip's shift")
-    base_loss: NonNegativeRange = Field((0.005, 0.01), description="share of pulses lost on any surface")
-    dark_roof_share: Share = Field(0.02, description="roofs, dark or wet, that lose pulses")
-    dark_roof_loss: NonNegativeRange = Field((0.3, 0.9), description="share of pulses such a roof loses")
+    strip_offset_z_m: float = Field(
+        0.02, ge=0, le=5, description="standard deviation of the vertical offset of a strip"
+    )
+    base_loss: NonNegativeRange = Field(
+        (0.005, 0.01), description="share of pulses without a return on any surface"
+    )
+    dark_roof_share: Share = Field(
+        0.02, description="share of roofs that are dark or wet and return fewer pulses"
+    )
+    dark_roof_loss: NonNegativeRange = Field(
+        (0.3, 0.9), description="share of pulses without a return on such a roof"
+    )
     min_intensity: float = Field(
         0.03,
         ge=0,
         le=1,
-        description="weakest echo: reflectance x cosine of incidence, at the planned altitude",
+        description="weakest return: reflectance times cosine of incidence, at the planned altitude",
     )
-    speckle: float = Field(0.3, ge=0, le=1, description="relative standard deviation of an echo's strength")
+    speckle: float = Field(
+        0.3, ge=0, le=1, description="relative standard deviation of the strength of a return"
+    )
     clutter: Clutter = Clutter()
-    max_returns: int = Field(1, ge=1, le=7, description="hd: echoes that a pulse may have")
+    max_returns: int = Field(1, ge=1, le=7, description="hd: largest number of returns per pulse")
     return_separation_m: float = Field(
-        0.8, gt=0, le=10, description="of two echoes of a pulse, along the ray"
+        0.8, gt=0, le=10, description="smallest distance between two returns of a pulse, along the beam"
     )
     keep_margin_m: float = Field(
-        5, ge=0, le=100, description="points are kept this far around the tile and its buildings"
+        5, ge=0, le=100, description="margin around the tile and its buildings within which points are kept"
     )

@@ -1,4 +1,4 @@
-"""Section scenes: tiles, clean footprints, heights and roof angles."""
+"""Section scenes: tiles with clean footprints, heights and roof angles."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from p2wss.config.base import Section, Share
 
 
 class RoofShares(Section):
-    """How often each roof type is drawn; what cannot be built on a footprint becomes the nearest that can."""
+    """Relative frequency of each roof type; a type impossible on a footprint is replaced by the nearest one."""
 
-    gable: float = Field(0.44, ge=0, description="two slopes, vertical gables; wings get gables of their own")
+    gable: float = Field(
+        0.44, ge=0, description="two slopes, with a gable at each end; each wing has its own gables"
+    )
     hip: float = Field(0.18, ge=0, description="slopes on all sides")
     half_hip: float = Field(0.1, ge=0, description="one end hipped, the other a gable")
     shed: float = Field(0.06, ge=0, description="one slope")
     flat: float = Field(0.14, ge=0, description="no slope")
-    mixed: float = Field(0.08, ge=0, description="each edge on its own")
+    mixed: float = Field(0.08, ge=0, description="an independent angle for each edge")
 
     @model_validator(mode="after")
     def _not_all_zero(self) -> Self:
@@ -27,39 +29,44 @@ class RoofShares(Section):
 
 
 class Scenes(Section):
-    """Cut tiles, clean footprints, draw heights and roof angles."""
+    """Stage scenes: cut tiles, clean footprints, draw missing heights and roof angles."""
 
-    seed: int = Field(0, ge=0, description="of heights and angles")
+    seed: int = Field(0, ge=0, description="seed of drawn heights and roof angles")
     margin_m: float = Field(
-        60, ge=0, description="buildings this near to a tile stand in its scene, as occluders"
+        60,
+        ge=0,
+        description="width of the margin whose buildings are also in the scene, because they occlude the tile",
     )
     simplify_tolerance_m: float = Field(
         0.2,
         ge=0,
         le=5,
-        description="outlines may move by this much to lose vertices (Douglas-Peucker); 0 = never",
+        description="Douglas-Peucker tolerance for simplifying footprints; 0 = no simplification",
     )
-    min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter edges are taken out")
-    min_area_m2: float = Field(2, gt=0, description="smaller footprints and courtyards are left out")
-    max_edges: int = Field(1000, ge=3, le=5000, description="footprints with more edges are left out")
-    min_eave_height_m: float = Field(1.5, gt=0, description="a lower height counts as unknown")
-    max_eave_height_m: float = Field(99, gt=0, description="higher buildings are left out")
+    min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter footprint edges are removed")
+    min_area_m2: float = Field(
+        2, gt=0, description="smaller footprints are excluded, smaller courtyards are filled"
+    )
+    max_edges: int = Field(1000, ge=3, le=5000, description="footprints with more edges are excluded")
+    min_eave_height_m: float = Field(1.5, gt=0, description="lower eave heights count as unknown")
+    max_eave_height_m: float = Field(99, gt=0, description="buildings with higher eaves are excluded")
     storey_height_m: float = Field(
-        3, gt=0, description="of a building whose number of floors is all that is known"
+        3, gt=0, description="height of a storey, for buildings of which only the number of floors is known"
     )
     min_terrain_share: Share = Field(
-        0.5, description="of a footprint's outline that must lie on known terrain, else it is left out"
+        0.5, description="footprints of whose perimeter a smaller share has terrain data are excluded"
     )
     sampler: Literal["realistic", "uniform"] = Field(
         "realistic",
-        description="angles by roof type, or (the paper's words) each edge from 0, 90, 20..45 alike",
+        description="realistic = angles of a drawn roof type; uniform = each edge from 0, 90, 20..45 as in the paper",
     )
     roof_shares: RoofShares = RoofShares()
     max_rise_m: float = Field(
         7,
         gt=0,
-        description="the realistic sampler draws flatter roofs for buildings whose roof would rise more",
+        description="highest rise of a roof above its eaves, which limits the angles of wide buildings (realistic only)",
     )
     max_failed_fraction: Share = Field(
-        0.1, description="share of rejected buildings past which the job fails; too small ones do not count"
+        0.1,
+        description="the job fails if a larger share of the footprints is excluded, those too small not counted",
     )

@@ -1,4 +1,4 @@
-"""All sections together."""
+"""The whole config: all sections."""
 
 from __future__ import annotations
 
@@ -48,15 +48,15 @@ class Config(Section):
 
     @model_validator(mode="after")
     def _terrain_under_margins(self) -> Self:
-        # a command gets only the sections of its stage; the others then stand at their defaults
-        together = {"fetch", "scenes"} <= self.model_fields_set
-        if together and self.fetch.margin_m < self.scenes.margin_m + 30:
+        # a command gets only the sections of its stage; the other sections have their defaults
+        both_given = {"fetch", "scenes"} <= self.model_fields_set
+        if both_given and self.fetch.margin_m < self.scenes.margin_m + 30:
             raise ValueError("fetch.margin_m must be at least scenes.margin_m + 30")
         return self
 
 
 def ablated(config: Config, variant: str) -> Config:
-    """The config with the changes that a variant of the ablation makes to the section model."""
+    """The config with the changes of an ablation variant applied to section model."""
     section = config.model.model_dump(mode="json")
     merge(section, config.ablation.variants[variant])
     return config.model_copy(update={"model": Model.model_validate(section)})

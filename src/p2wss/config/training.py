@@ -1,4 +1,4 @@
-"""What the sections of both trainings share."""
+"""Settings shared by the sections of both trainings, dvae and model."""
 
 from __future__ import annotations
 
@@ -10,29 +10,33 @@ from p2wss.config.base import Section, Share
 
 
 class Optimiser(Section):
-    """AdamW, cosine warm-up, then cosine decay, per step."""
+    """AdamW with a cosine warm-up and a cosine decay of the learning rate."""
 
-    num_steps: int = Field(200, ge=1, description="batches to train on")
-    batch_size: int = Field(64, ge=2, description="buildings per step")
-    learning_rate: float = Field(2e-3, gt=0, description="highest")
-    learning_rate_end: float = Field(1e-6, ge=0, description="at the last step")
-    warmup_share: Share = Field(0.05, description="of the steps, with the rate rising")
-    weight_decay: float = Field(
-        5e-4, ge=0, description="not on biases, norms, embeddings, codebooks and tokens"
+    num_steps: int = Field(200, ge=1, description="number of training steps (batches)")
+    batch_size: int = Field(64, ge=2, description="number of buildings per batch")
+    learning_rate: float = Field(2e-3, gt=0, description="peak learning rate, after the warm-up")
+    learning_rate_end: float = Field(1e-6, ge=0, description="learning rate at the last step")
+    warmup_share: Share = Field(
+        0.05, description="share of the steps in which the learning rate rises to its peak"
     )
-    beta2: float = Field(0.98, gt=0, lt=1, description="of AdamW")
-    gradient_clip: float = Field(1.0, gt=0, description="largest norm of the gradient")
+    weight_decay: float = Field(
+        5e-4, ge=0, description="weight decay, not applied to biases, norms, embeddings, codebooks and tokens"
+    )
+    beta2: float = Field(0.98, gt=0, lt=1, description="beta2 of AdamW")
+    gradient_clip: float = Field(1.0, gt=0, description="gradients with a larger norm are scaled down to it")
 
 
 class Compute(Section):
-    """Where and how it is trained; what is learnt depends on it by rounding only."""
+    """Where and how training runs; results depend on it only through rounding."""
 
-    device: Literal["auto", "cpu", "cuda"] = Field("auto", description="auto: a GPU where there is one")
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="where to train; auto = a GPU if there is one"
+    )
     precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="of matrix products (autocast); weights and losses stay float32"
+        "float32", description="precision of matrix products (autocast); weights and losses stay in float32"
     )
     compile: bool = Field(
-        False, description="compile the networks first (torch.compile): long trainings only"
+        False, description="compile the networks with torch.compile; pays off in long trainings only"
     )
-    resident: bool = Field(False, description="keep the clouds in the memory of the device")
-    tensorboard: bool = Field(False, description="metrics for TensorBoard too, beside the checkpoints")
+    resident: bool = Field(False, description="keep all clouds in device memory; faster if they fit")
+    tensorboard: bool = Field(False, description="also write metrics for TensorBoard, beside the checkpoints")

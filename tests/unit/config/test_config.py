@@ -50,8 +50,8 @@ def test_section_travels_as_json():
 @pytest.mark.parametrize(
     ("document", "message"),
     [
-        ({"region": {"tile_sizem": 3}}, "region.tile_sizem: no such key (did you mean tile_size_m?)"),
-        ({"sans": {}}, "sans: no such key (did you mean scans?)"),
+        ({"region": {"tile_sizem": 3}}, "region.tile_sizem: unknown key (did you mean tile_size_m?)"),
+        ({"sans": {}}, "sans: unknown key (did you mean scans?)"),
         ({"region": {"tile_size_m": -1}}, "region.tile_size_m: Input should be greater than 0"),
         ({"region": {"bounds_m": [1, 0, 0, 1]}}, "bounds_m must be x_min, y_min, x_max, y_max"),
         ("no/such.yaml", "no/such.yaml: No such file"),

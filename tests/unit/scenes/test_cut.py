@@ -177,7 +177,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
             '{"scenes": {"max_eave_height_m": 3}}',
             "were left out, more than scenes.max_failed_fraction",
         ),
-        ("0652_6862", '{"scenes": {"margin": 3}}', "scenes.margin: no such key"),
+        ("0652_6862", '{"scenes": {"margin": 3}}', "scenes.margin: unknown key"),
     ],
 )
 def test_bad_input_gives_one_line_and_keeps_existing_files(
