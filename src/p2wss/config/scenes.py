@@ -64,7 +64,7 @@ class Scenes(Section):
     max_rise_m: float = Field(
         7,
         gt=0,
-        description="highest rise of a roof above its eaves, which limits the angles of wide buildings (realistic only)",
+        description="highest rise of a roof above its eaves, which limits the angles of wide buildings",
     )
     max_failed_fraction: Share = Field(
         0.1,

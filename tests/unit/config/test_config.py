@@ -1,4 +1,4 @@
-"""The config: its files are in step with the models, and mistakes get one clear line."""
+"""The config: generated files match the models, and each mistake gives one clear line."""
 
 import json
 import subprocess
@@ -14,13 +14,13 @@ from p2wss.config.generate import default_yaml
 from p2wss.errors import InputError
 
 
-def test_generated_files_are_in_step():
+def test_generated_files_are_up_to_date():
     assert (ROOT / "config/default.yaml").read_text() == default_yaml(), "run `make config`"
     schema = json.loads((ROOT / "config/schema.json").read_text())
     assert schema == Config.model_json_schema(), "run `make config`"
 
 
-def test_default_yaml_says_what_the_models_say():
+def test_default_yaml_equals_the_defaults():
     assert config.load(ROOT / "config/default.yaml") == Config()
 
 
@@ -29,7 +29,7 @@ def test_every_config_is_valid(file):
     config.load(ROOT / "config/default.yaml", file)
 
 
-def test_every_key_is_explained():
+def test_every_key_has_a_description():
     def keys(model):
         for name, field in model.model_fields.items():
             inner = field.annotation
@@ -41,7 +41,7 @@ def test_every_key_is_explained():
     assert [key for key, about in keys(Config) if not about] == []
 
 
-def test_section_travels_as_json():
+def test_sections_survive_a_round_trip_as_json():
     settings = config.load({"region": {"name": "elsewhere"}})
     text = config.section_json(settings, "region", "scans")
     assert "\n" not in text and config.load(text).region == settings.region
@@ -58,14 +58,14 @@ def test_section_travels_as_json():
         ("{region: [", "not YAML"),
     ],
 )
-def test_mistakes_get_one_line(document, message):
+def test_a_mistake_gives_one_line(document, message):
     with pytest.raises(InputError) as error:
         config.load(document)
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
-def test_reading_the_config_imports_nothing_heavy():
-    """The Snakefile imports these at each start, and every cluster job parses it again."""
+def test_the_config_imports_nothing_heavy():
+    """The Snakefile imports these modules, and every cluster job parses the Snakefile again."""
     code = "import sys, p2wss.config, p2wss.provenance, p2wss.data.tiling; print(*sys.modules)"
     modules = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
@@ -73,6 +73,6 @@ def test_reading_the_config_imports_nothing_heavy():
     assert not {"torch", "pandas", "geopandas", "pyarrow", "numba", "shapely"} & set(modules)
 
 
-def test_default_yaml_is_plain_yaml():
+def test_default_yaml_is_valid_yaml():
     parsed = yaml.safe_load(default_yaml())
     assert list(parsed) == list(Config.model_fields)

@@ -1,4 +1,4 @@
-"""The regions that come with the project: valid overrides of whole tiles, and no key beside those needed."""
+"""The regions of the project: valid, made of whole tiles, and without unnecessary keys."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def test_region(path: Path) -> None:
     assert set(yaml.safe_load(path.read_text())) == {"region", "fetch"}
 
 
-def test_the_cities_of_the_paper_are_there() -> None:
+def test_the_cities_of_the_paper_are_included() -> None:
     assert {"paris", "marseille", "bordeaux", "lyon"} < {path.stem for path in REGIONS}
