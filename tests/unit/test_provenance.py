@@ -1,32 +1,50 @@
 """A fingerprint follows the code that can change a result, and nothing else."""
 
+import ast
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 import p2wss
+from p2wss import provenance
 from p2wss.provenance import fingerprint
 
 PACKAGE = Path(p2wss.__file__).parent
 
 
+def fingerprint_by(python: str, folder: Path, *stages: str) -> list[str]:
+    """Fingerprints of the package in ``folder``, in a fresh interpreter."""
+    code = f"from p2wss.provenance import fingerprint; print(*map(fingerprint, {stages!r}))"
+    run = subprocess.run([python, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
+    return run.stdout.split()
+
+
 @pytest.fixture
-def copy(tmp_path):
+def copy(tmp_path: Path) -> tuple[Path, Callable[[str], str]]:
     """A copy of the package and a function that fingerprints a stage of it in a fresh interpreter."""
     root = tmp_path / "p2wss"
-    shutil.copytree(PACKAGE, root, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE, root, ignore=shutil.ignore_patterns("__pycache__", "weights"))
+    return root, lambda stage: fingerprint_by(sys.executable, tmp_path, stage)[0]
 
-    def of(stage: str) -> str:
-        code = f"from p2wss.provenance import fingerprint; print(fingerprint({stage!r}))"
-        run = subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-        )
-        return run.stdout.strip()
 
-    return root, of
+@pytest.fixture
+def digest_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
+    """A function that fingerprints a stage whose module holds the given code."""
+    monkeypatch.setattr(provenance, "_ROOT", str(tmp_path))
+
+    def digest(code: str) -> str:
+        (tmp_path / "stage.py").write_text(code)
+        for function in (provenance._read, provenance._source, provenance.fingerprint):
+            function.cache_clear()
+        return provenance.fingerprint("stage")
+
+    yield digest
+    for function in (provenance._read, provenance._source, provenance.fingerprint):
+        function.cache_clear()
 
 
 def edit(file: Path, old: str, new: str) -> None:
@@ -82,3 +100,143 @@ def test_lazy_imports_and_data_files_count(copy):
 def test_unknown_stage():
     with pytest.raises(ModuleNotFoundError, match="no_such_stage"):
         fingerprint("no_such_stage")
+
+
+CODE = '''
+"""A stage."""
+import logging
+log = logging.getLogger("p2wss")
+SCHEMA = [field("status", pa.string(), "why the building was rejected", True)]
+
+def run(rows, path):
+    """Runs."""
+    log.info("%d rows", len(rows))
+    if not rows:
+        raise InputError(f"{path}: no rows; run the stage before")
+    assert path, "a path is needed"
+    if len(rows) == 1:
+        raise Rejected("too-few-rows")
+    return Field("ok", description="what came out")
+'''
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"""Runs."""', '"""Another text."""'),
+        ('    """Runs."""\n', ""),
+        ("import logging\n", "import logging  # a comment\n\n\n"),
+        ("why the building was rejected", "why it was rejected"),
+        ('"why the building was rejected"', '"why it was " "rejected"'),
+        ("what came out", "the outcome"),
+        ('"what came out"', 'f"the {outcome}"'),
+        (": no rows; run the stage before", " has no rows"),
+        ("no rows; run the stage before", "no rows; run {stage} before"),
+        ("a path is needed", "give a path"),
+        ('log.info("%d rows", len(rows))', 'log.warning(f"{len(rows)} rows of {path}")'),
+        ('    log.info("%d rows", len(rows))\n', ""),
+        ("    assert path", '    logging.debug("here")\n    assert path'),
+    ],
+)
+def test_words_do_not_count(digest_of: Callable[[str], str], old: str, new: str) -> None:
+    assert old in CODE
+    assert digest_of(CODE.replace(old, new)) == digest_of(CODE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('field("status"', 'field("state"'),
+        ("pa.string()", "pa.int8()"),
+        ('rejected", True)', 'rejected", False)'),
+        ("too-few-rows", "too-small"),
+        ('Field("ok"', 'Field("fine"'),
+        ('description="what came out"', "description=what"),
+        ('description="what came out"', 'title="what came out"'),
+        ("raise InputError(", "raise ValueError("),
+        ("assert path,", "assert not path,"),
+        ("len(rows) == 1", "len(rows) == 2"),
+        ("len(rows) == 1", "len(rows) == True"),
+        ('log.info("%d rows", len(rows))', 'log.info("%d rows", num := len(rows))'),
+        ('log.info("%d rows", len(rows))', 'log.append(("%d rows", len(rows)))'),
+        ("run(rows, path)", "run(rows, path, /)"),
+        ("run(rows, path)", "run(rows, path=None)"),
+    ],
+)
+def test_what_a_result_can_depend_on_counts(digest_of: Callable[[str], str], old: str, new: str) -> None:
+    assert old in CODE
+    assert digest_of(CODE.replace(old, new)) != digest_of(CODE)
+
+
+def test_an_empty_field_is_not_taken_for_another(digest_of: Callable[[str], str]) -> None:
+    """Fields that are empty are skipped: what stays must still say which field it is."""
+    variants = [
+        "def f(a, b): return x",
+        "def f(a, *, b): return x",
+        "def f(a, /, b): return x",
+        "def f(*a, **b): return x",
+        "def f(a, b): return [x]",
+        "def f(a, b): return None",
+        "def f(a, b): return",
+        "def f(a, b): yield",
+        "{None: x}",
+        "{**x}",
+        "x[1:]",
+        "x[:1]",
+        "x[::1]",
+        "f'{x}'",
+        "f'{x!r}'",
+        "f'{x:1}'",
+        "y = 1",
+        "y = '1'",
+        "y = b'1'",
+        "y = 1.0",
+    ]
+    assert len({digest_of(code) for code in variants}) == len(variants)
+
+
+def test_the_real_schemas_and_messages_follow_the_rule(copy):
+    root, of = copy
+    before = of("model")
+    edit(root / "data" / "schemas" / "crops.py", "points within the buffer", "points not far away")
+    edit(root / "nets" / "shards.py", ": not a manifest of crops: no ", " is no manifest of crops: ")
+    edit(root / "model" / "task.py", "model: %d weights", "the network has %d weights")
+    assert of("model") == before
+    edit(root / "data" / "schemas" / "crops.py", '"num_points"', '"number_of_points"')
+    assert of("model") != before
+
+
+def test_a_module_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    for function in (provenance._read, provenance._source, provenance.fingerprint):
+        function.cache_clear()
+    parse, texts = ast.parse, []
+
+    def counted(text: bytes) -> ast.Module:
+        texts.append(text)
+        return parse(text)
+
+    monkeypatch.setattr(ast, "parse", counted)
+    for stages in (("model",), ("dvae",), ("model", "dvae"), ("eval",), ("reconstruct", "nets.predictor")):
+        fingerprint(*stages)
+    assert len(texts) > 50 and len(texts) == provenance._read.cache_info().currsize
+
+
+@pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
+def test_the_version_of_python_does_not_count(version: str) -> None:
+    """The machine that submits the jobs need not have the Python of the one that runs them."""
+    python = shutil.which(f"python{version}")
+    if python is None or subprocess.run([python, "--version"], capture_output=True).returncode:
+        pytest.skip(f"no Python {version}")
+    stages = (
+        "towns",
+        "fetch",
+        "scenes",
+        "buildings",
+        "scans",
+        "crops",
+        "dvae",
+        "model",
+        "reconstruct",
+        "eval",
+    )
+    assert fingerprint_by(python, PACKAGE.parent, *stages) == [fingerprint(stage) for stage in stages]
