@@ -32,9 +32,8 @@ from p2wss.config import Scenes  # noqa: E402
 from p2wss.scenes.roofs import FootprintEdges, draw_angles  # noqa: E402
 from p2wss.skeleton import Polygons, Status, build, clean  # noqa: E402
 from p2wss.skeleton.footprint import load_footprint, set_angles  # noqa: E402
-from p2wss.skeleton.kinetic import simulate  # noqa: E402
+from p2wss.skeleton.kinetic import simulate, skeleton_work  # noqa: E402
 from p2wss.skeleton.queries import assign, query_work  # noqa: E402
-from p2wss.skeleton.records import skeleton_work  # noqa: E402
 
 FIRST_USE = """
 import time, numpy as np

@@ -11,7 +11,8 @@ from math import sqrt
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inlined
+from p2wss.skeleton.compiled import entry, inlined, inner
+from p2wss.skeleton.ordering import median
 from p2wss.skeleton.types import Polygons
 
 _CELL_M = 4.0
@@ -77,11 +78,14 @@ def _cell_boxes(
         if vertex_offset[p] == vertex_offset[p + 1]:
             boxes[p, 0], boxes[p, 1], boxes[p, 2], boxes[p, 3] = 0, -1, 0, -1
             continue
-        vertices = xy[vertex_offset[p] : vertex_offset[p + 1]]
-        boxes[p, 0] = max(0, int((vertices[:, 0].min() - buffer_m - low[0]) / cell_m))
-        boxes[p, 1] = min(columns - 1, int((vertices[:, 0].max() + buffer_m - low[0]) / cell_m))
-        boxes[p, 2] = max(0, int((vertices[:, 1].min() - buffer_m - low[1]) / cell_m))
-        boxes[p, 3] = min(rows - 1, int((vertices[:, 1].max() + buffer_m - low[1]) / cell_m))
+        x_min, x_max, y_min, y_max = np.inf, -np.inf, np.inf, -np.inf
+        for k in range(vertex_offset[p], vertex_offset[p + 1]):
+            x_min, x_max = min(x_min, xy[k, 0]), max(x_max, xy[k, 0])
+            y_min, y_max = min(y_min, xy[k, 1]), max(y_max, xy[k, 1])
+        boxes[p, 0] = max(0, int((x_min - buffer_m - low[0]) / cell_m))
+        boxes[p, 1] = min(columns - 1, int((x_max + buffer_m - low[0]) / cell_m))
+        boxes[p, 2] = max(0, int((y_min - buffer_m - low[1]) / cell_m))
+        boxes[p, 3] = min(rows - 1, int((y_max + buffer_m - low[1]) / cell_m))
     return boxes
 
 
@@ -195,7 +199,7 @@ def _locate(px: float, py: float, edge: np.ndarray, num_edges: int, buffer_m: fl
     return inside, near
 
 
-@entry
+@inner
 def _distance(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Distance from a point to a segment, in the operations of GEOS (``Distance::pointToSegment``)."""
     length2 = (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
@@ -216,7 +220,10 @@ def ring_medians(
     """Of the points of each polygon's ring, those ``among`` (bool, one per point): how many, int64, and the
     median of ``value``, NaN without any (num_polygons,)."""
     count, result = np.zeros(len(offset) - 1, np.int64), np.full(len(offset) - 1, np.nan)
-    some = np.empty(np.max(np.diff(offset)) if len(offset) > 1 else 0)
+    most = 0
+    for p in range(len(offset) - 1):
+        most = max(most, offset[p + 1] - offset[p])
+    some = np.empty(most)
     for p in range(len(offset) - 1):
         n = 0
         for k in range(offset[p], offset[p + 1]):
@@ -225,7 +232,7 @@ def ring_medians(
                 n += 1
         count[p] = n
         if n:
-            result[p] = np.median(some[:n])
+            result[p] = median(some, n)
     return count, result
 
 
@@ -249,9 +256,12 @@ def seen_share(
         first, last = ring_offset[polygon_offset[p]], ring_offset[polygon_offset[p + 1]]
         if first == last:
             continue
-        column0, row0 = int(np.floor(xy[first:last, 0].min())), int(np.floor(xy[first:last, 1].min()))
-        columns = int(np.floor(xy[first:last, 0].max())) - column0 + 1
-        rows = int(np.floor(xy[first:last, 1].max())) - row0 + 1
+        x_min, x_max, y_min, y_max = xy[first, 0], xy[first, 0], xy[first, 1], xy[first, 1]
+        for k in range(first, last):
+            x_min, x_max = min(x_min, xy[k, 0]), max(x_max, xy[k, 0])
+            y_min, y_max = min(y_min, xy[k, 1]), max(y_max, xy[k, 1])
+        column0, row0 = int(np.floor(x_min)), int(np.floor(y_min))
+        columns, rows = int(np.floor(x_max)) - column0 + 1, int(np.floor(y_max)) - row0 + 1
         seen = np.zeros((rows, columns), np.bool_)
         any_seen = False
         for k in range(offset[p], offset[p + 1]):

@@ -1,7 +1,7 @@
 """How much of a fitted building is right: the expected share of its numbers, the eave height and an angle per edge,
 that are within 0.5 m and 5 degrees of the truth.
 
-Each number has a logistic formula of what the points say for it (:mod:`p2wss.refine.evidence`).
+Each number has a logistic formula of what the points say for it (:mod:`p2wss.fit.evidence`).
 """
 
 from __future__ import annotations

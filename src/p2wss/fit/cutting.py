@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.footprint import check_rings, load_footprint, set_angles
-from p2wss.skeleton.kinetic import simulate
+from p2wss.skeleton.kinetic import simulate_at
+from p2wss.skeleton.ordering import stable_order
 from p2wss.skeleton.records import NUM_NODES
 from p2wss.skeleton.status import Status
 
@@ -17,7 +18,7 @@ _LEAST_AREA_M2, _HALF_WIDTH_M, _CLEARANCE_M = 2.0, 0.45, 0.05
 _ON_EDGE_M = 1e-4
 
 
-@entry
+@allocating
 def _crossings(xy_m, ring_offset, axis, position):
     """Where rings cross the line, in the order along it: (place along the line, number of the edge) each."""
     n = len(xy_m)
@@ -33,8 +34,11 @@ def _crossings(xy_m, ring_offset, axis, position):
             place[count] = xy_m[i, 1 - axis] + share * (xy_m[j, 1 - axis] - xy_m[i, 1 - axis])
             edge[count] = i
             count += 1
-    order = np.argsort(place[:count], kind="mergesort")
-    return place[:count][order], edge[:count][order]
+    order = stable_order(place[:count])
+    ordered_place, ordered_edge = np.empty(count), np.empty(count, np.int64)
+    for c in range(count):
+        ordered_place[c], ordered_edge[c] = place[order[c]], edge[order[c]]
+    return ordered_place, ordered_edge
 
 
 @entry
@@ -75,10 +79,10 @@ def side_of_cut(xy_m, ring_offset, axis, position, is_high):
         size, used = size + 1, used + 2
         i = following[edge[c]]
         while crossing_of[i] < 0:
-            out[size] = xy_m[i]
+            out[size, 0], out[size, 1] = xy_m[i, 0], xy_m[i, 1]
             size += 1
             i = following[i]
-        out[size] = xy_m[i]
+        out[size, 0], out[size, 1] = xy_m[i, 0], xy_m[i, 1]
         c = crossing_of[i]
         out[size + 1, axis], out[size + 1, 1 - axis] = position, place[c]
         size += 2
@@ -97,11 +101,14 @@ def side_of_cut(xy_m, ring_offset, axis, position, is_high):
         first, last = ring_offset[ring], ring_offset[ring + 1]
         if cut_ring[ring] == 0 and (xy_m[first, axis] >= position - _ON_CUT_M) == is_high:
             for i in range(first, last):
-                rings_xy[total] = xy_m[i]
+                rings_xy[total, 0], rings_xy[total, 1] = xy_m[i, 0], xy_m[i, 1]
                 total += 1
             made += 1
             offset[made] = total
     return rings_xy[:total].copy(), offset[: made + 1].copy()
+
+
+side_of_cut_at = by_address(side_of_cut)
 
 
 @inner
@@ -149,7 +156,7 @@ def _clearance2(edge, n):
 @entry
 def clearance_m(xy_m, ring_offset, work):
     """How near a polygon comes to touching itself."""
-    status, n = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    status, n = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     return np.sqrt(_clearance2(work.skeleton.edge, n)) if status == _OK else 0.0
 
 
@@ -162,8 +169,8 @@ def is_sound(xy_m, ring_offset, least_clearance_m, work):
     if len(xy_m) < 3 or len(xy_m) > len(skeleton.edge):
         return False
     edge = skeleton.edge
-    status, n = load_footprint(xy_m, ring_offset, 0, num_rings, edge)
-    if status != _OK or check_rings(edge, ring_offset, 0, num_rings) != _OK:
+    status, n = load_footprint(xy_m, ring_offset, ZERO, num_rings, edge)
+    if status != _OK or check_rings(edge, ring_offset, ZERO, num_rings) != _OK:
         return False
     area = 0.0
     for e in range(n):
@@ -174,8 +181,8 @@ def is_sound(xy_m, ring_offset, least_clearance_m, work):
     for e in range(n):
         work.solved[e] = 45.0
     set_angles(edge, n, work.solved)
-    status = simulate(
-        edge, n, num_rings, np.inf, skeleton.node, skeleton.vertex, skeleton.arc, skeleton.cap_height,
+    status = simulate_at(
+        skeleton.code, edge, n, num_rings, np.inf, skeleton.node, skeleton.vertex, skeleton.arc, skeleton.cap_height,
         skeleton.counts,
     )  # fmt: skip
     if status != _OK:
@@ -184,6 +191,9 @@ def is_sound(xy_m, ring_offset, least_clearance_m, work):
         if skeleton.node[k].z > _HALF_WIDTH_M:
             return True
     return False
+
+
+is_sound_at = by_address(is_sound)
 
 
 @entry

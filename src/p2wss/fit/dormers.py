@@ -1,6 +1,6 @@
 """Box dormers and other small raised boxes within a roof, found in the points that lie above it.
 
-All in the frame of :func:`p2wss.refine.parts.main_frame`: a box is a rectangle along its axes, as far as it lies
+All in the frame of :func:`p2wss.fit.parts.main_frame`: a box is a rectangle along its axes, as far as it lies
 on the footprint, under a flat top. Where the roof is higher, the roof stays.
 """
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import allocating, inner
 from p2wss.skeleton.footprint import MAX_SLOPE_DEG, MIN_SLOPE_DEG
 from p2wss.skeleton.queries import CUT, FLAT, OUTSIDE
 
@@ -19,7 +19,7 @@ _REFLEX = -1e-9
 _OUTSIDE_M = -1e-9
 
 
-@entry
+@allocating
 def inward_distances(xy_m, ring_offset, x, y):
     """Metres from the line of each edge to points, positive inwards, and in one more row the least of them;
     (0, 0) unless the polygon is convex. x, y: relative to its first vertex."""
@@ -37,7 +37,8 @@ def inward_distances(xy_m, ring_offset, x, y):
         if not dir_x[i] * dir_y[j] - dir_y[i] * dir_x[j] >= _REFLEX:
             return np.zeros((0, 0))
     result = np.empty((n + 1, m))
-    result[n] = np.inf
+    for k in range(m):
+        result[n, k] = np.inf
     for i in range(n):
         start_x, start_y = xy_m[i, 0] - xy_m[0, 0], xy_m[i, 1] - xy_m[0, 1]
         for k in range(m):

@@ -13,10 +13,10 @@ import numpy as np
 from p2wss.fit.envelope import inward_distances
 from p2wss.fit.one_height import Fitter, OneHeight, flat_rings
 from p2wss.fit.points import every_kth
-from p2wss.fit.solve import IMPOSSIBLE, evaluate
+from p2wss.fit.solve import IMPOSSIBLE, evaluate_at
 from p2wss.fit.starts import edge_groups
 from p2wss.fit.work import NO_PRIOR, Problem
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import ZERO, entry, inner
 from p2wss.skeleton.footprint import load_footprint
 from p2wss.skeleton.status import Status
 
@@ -95,16 +95,19 @@ def _evidence(
     n, m = len(xy_m), len(z)
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     own_x, own_y = x - xy_m[0, 0], y - xy_m[0, 1]
+    num_directions = 0
+    for e in range(n):
+        num_directions = max(num_directions, direction[e] + 1)
     problem = Problem(
-        n, len(ring_offset) - 1, own_x, own_y, z - 0.0, direction, direction.max() + 1, cap_m,
+        n, len(ring_offset) - 1, own_x, own_y, z - 0.0, direction, num_directions, cap_m,
         max_roof_height_m, NO_PRIOR, inward_distances(xy_m, ring_offset, own_x, own_y),
     )  # fmt: skip
     step = (n + _NUM_EDGES - 1) // _NUM_EDGES
     margin = np.zeros((n + step - 1) // step)
-    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     if status != _OK or m == 0:
         return cap_m, margin
-    loss = evaluate(problem, work, angle_deg, eave, top)
+    loss = evaluate_at(work.code, problem, work, angle_deg, eave, top)
     if loss >= IMPOSSIBLE:
         return cap_m, margin
     level = True
@@ -125,7 +128,7 @@ def _evidence(
                 for j in range(n):
                     if direction[j] == direction[e] and 0.0 < angle_deg[j] < 90.0:
                         trial[e] = angle_deg[j]
-            worse = evaluate(problem, work, trial, eave, top)
+            worse = evaluate_at(work.code, problem, work, trial, eave, top)
             if worse < IMPOSSIBLE:
                 more = (worse - loss) * num_points + held_m[e, kind] - held_m[e, other]
                 margin[k] = min(margin[k], more)

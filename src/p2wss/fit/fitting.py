@@ -1,4 +1,4 @@
-"""Buildings fitted to their points, from the network's reconstruction or from nothing (``p2wss.refine``)."""
+"""Buildings fitted to their points, from the network's reconstruction or from nothing (``p2wss.fit``)."""
 
 from __future__ import annotations
 

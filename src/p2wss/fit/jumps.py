@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import allocating, entry, inner
+from p2wss.skeleton.ordering import sort_first, stable_order
 
 _STEP_M, _BIN_M = 0.25, 1.2
 # points this far from a line tell the height on either side
@@ -29,22 +30,40 @@ def quantile(ordered, count, share):
     return ordered[low] + (place - low) * (ordered[high] - ordered[low])
 
 
-@entry
+@inner
+def _extent(values):
+    low, high = values[0], values[0]
+    for value in values:
+        low, high = min(low, value), max(high, value)
+    return low, high
+
+
+@allocating
 def jump_scores(along, across, z, lines, low_m, high_m):
     """How much of a jump there is across each of the ``lines`` (positions in ``along``), in square metres: the
     difference of the medians on either side beyond what slopes explain, at most 2 m, summed over strips.
 
     along, across, z: float64 (m,), coordinates of points. low_m, high_m: extent of the polygon in ``across``.
     """
-    room_m = np.sqrt((high_m - low_m) * (along.max() - along.min()) / len(z))
+    low_along, high_along = _extent(along)
+    room_m = np.sqrt((high_m - low_m) * (high_along - low_along) / len(z))
     stretch = max(1.0, room_m / _DENSE_M)
     num_bins = max(1, int((high_m - low_m) / (_BIN_M * stretch)))
     width = (high_m - low_m) / num_bins
-    strip = np.empty(len(z), np.int64)
+    # the points strip by strip
+    strip, order, first = (
+        np.empty(len(z), np.int64),
+        np.empty(len(z), np.int64),
+        np.zeros(num_bins + 2, np.int64),
+    )
     for k in range(len(z)):
         strip[k] = min(max(int((across[k] - low_m) / width), 0), num_bins - 1)
-    order = np.argsort(strip, kind="mergesort")
-    first = np.searchsorted(strip[order], np.arange(num_bins + 1))
+        first[strip[k] + 2] += 1
+    for b in range(num_bins):
+        first[b + 2] += first[b + 1]
+    for k in range(len(z)):
+        order[first[strip[k] + 1]] = k
+        first[strip[k] + 1] += 1
     before, after = np.empty(len(z)), np.empty(len(z))
     score = np.zeros(len(lines))
     for i in range(len(lines)):
@@ -60,8 +79,8 @@ def jump_scores(along, across, z, lines, low_m, high_m):
                     right += 1
             if left < 3 or right < 3:
                 continue
-            before[:left].sort()
-            after[:right].sort()
+            sort_first(before, left)
+            sort_first(after, right)
             jump = abs(quantile(before, left, 0.5) - quantile(after, right, 0.5))
             spread = quantile(before, left, 0.9) - quantile(before, left, 0.1)
             spread += quantile(after, right, 0.9) - quantile(after, right, 0.1)
@@ -79,20 +98,23 @@ def candidates(xy_m, x, y, z):
     )
     count = 0
     for axis in range(2):
-        corners = np.sort(xy_m[:, axis])
+        corners = xy_m[:, axis].copy()
+        sort_first(corners, len(corners))
         low, high = corners[0], corners[-1]
         first = count
         num_lines = int(np.ceil((high - low - 2 * _MARGIN_M) / _STEP_M))
         if num_lines > 0:
-            lines = low + _MARGIN_M + _STEP_M * np.arange(num_lines)
-            across = xy_m[:, 1 - axis]
+            lines = np.empty(num_lines)
+            for i in range(num_lines):
+                lines[i] = low + _MARGIN_M + _STEP_M * i
+            low_across, high_across = _extent(xy_m[:, 1 - axis].copy())
             score = jump_scores(
-                x if axis == 0 else y, y if axis == 0 else x, z, lines, across.min(), across.max()
+                x if axis == 0 else y, y if axis == 0 else x, z, lines, low_across, high_across
             )
-            for i in np.argsort(-score, kind="mergesort"):
+            for i in stable_order(-score):
                 if score[i] <= _LEAST_SCORE_M2 or count == first + _MOST_LINES:
                     break
-                if _apart(positions[first:count], lines[i], _APART_M):
+                if _apart(positions, first, count, lines[i], _APART_M):
                     axes[count], positions[count] = axis, lines[i]
                     count += 1
         num_corners, jumps_end = 0, count
@@ -101,16 +123,16 @@ def candidates(xy_m, x, y, z):
                 break
             if corners[i] <= low + _MARGIN_AT_CORNERS_M or (i > 0 and corners[i] - corners[i - 1] < 1e-6):
                 continue
-            if _apart(positions[first:jumps_end], corners[i], _CORNER_M):
+            if _apart(positions, first, jumps_end, corners[i], _CORNER_M):
                 axes[count], positions[count] = axis, corners[i]
                 count += 1
                 num_corners += 1
     return axes[:count], positions[:count]
 
 
-@entry
-def _apart(positions, position, least_m):
-    for other in positions:  # noqa: SIM110 - compiled
-        if abs(other - position) < least_m:
+@inner
+def _apart(positions, first, last, position, least_m):
+    for k in range(first, last):  # noqa: SIM110 - compiled
+        if abs(positions[k] - position) < least_m:
             return False
     return True

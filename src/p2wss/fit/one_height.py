@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from p2wss.fit.linkage import linked_work
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof import fit_roof, improved_roof, tidy_roof
 from p2wss.fit.solve import IMPOSSIBLE
-from p2wss.fit.work import NO_PRIOR, FitWork, Prior, Settings, fit_work
+from p2wss.fit.work import NO_PRIOR, FitWork, Prior, Settings
 
 # fewer points show no roof
 MIN_NUM_POINTS = 3
@@ -84,7 +85,7 @@ class Fitter:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._work: FitWork = fit_work(32, 1024)
+        self._work: FitWork = linked_work(32, 1024)
 
     @property
     def num_evaluations(self) -> int:
@@ -100,7 +101,7 @@ class Fitter:
         prior: Prior = NO_PRIOR,
     ) -> OneHeight | None:
         """The best building over the polygon for points (m, 3) inside it, in the frame of the rings, in the
-        order of :func:`p2wss.refine.points.even_order`. ``guesses``: angles per edge to begin with, beside a
+        order of :func:`p2wss.fit.points.even_order`. ``guesses``: angles per edge to begin with, beside a
         few simple roofs. None: fewer than three points, or a polygon that the kernel refuses. Deterministic.
 
         The loss is never above that of a flat roof or of a guess with its best height.
@@ -189,7 +190,9 @@ class Fitter:
     def work(self, num_edges: int, num_points: int) -> FitWork:
         """Work arrays that are large enough."""
         if num_edges > len(self._work.tangent) or num_points > len(self._work.face):
-            grown = fit_work(max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face)))
+            grown = linked_work(
+                max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face))
+            )
             grown.num_evaluations[:] = self._work.num_evaluations
             self._work = grown
         return self._work

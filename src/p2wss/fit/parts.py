@@ -13,7 +13,7 @@ import numpy as np
 
 from p2wss.fit.one_height import Effort, Fitter, Gain, OneHeight, flat_rings
 from p2wss.fit.points import even_order
-from p2wss.fit.screen import split_roof
+from p2wss.fit.screen import Side, split_roof
 from p2wss.fit.starts import edge_groups
 from p2wss.fit.work import NO_PRIOR, Prior
 
@@ -107,11 +107,11 @@ def _best_split(fitter: Fitter, part: _Part, least: float, effort: Effort, cutti
         return None
     least = max(least, cutting.gain_share * loss)
     xy_m, offset = flat_rings(part.fit.rings)
-    axis, position, low, high = split_roof(
+    found = split_roof(
         xy_m,
         offset,
         part.fit.angle_deg,
-        *part.point_m,
+        part.point_m,
         loss,
         least,
         cutting.least_points,
@@ -120,24 +120,17 @@ def _best_split(fitter: Fitter, part: _Part, least: float, effort: Effort, cutti
         fitter.settings(replace(effort, max_rounds=1)),
         NO_PRIOR,
     )
-    if axis < 0:
+    if found is None:
         return None
+    axis, position, low, high = found
     is_high = part.point_m[axis] >= position
-    sides = _side(part, ~is_high, *low), _side(part, is_high, *high)
+    sides = _side(part, ~is_high, low), _side(part, is_high, high)
     gain = loss - sides[0].fit.total_loss_m - sides[1].fit.total_loss_m
     return _Split(gain, sides) if gain >= least else None
 
 
-def _side(
-    part: _Part,
-    own: np.ndarray,
-    loss_m: float,
-    eave_z_m: float,
-    top_m: float,
-    angle_deg: np.ndarray,
-    xy_m: np.ndarray,
-    offset: np.ndarray,
-) -> _Part:
+def _side(part: _Part, own: np.ndarray, side: Side) -> _Part:
     point_m = np.compress(own, part.point_m, axis=1)
-    rings = [xy_m[first:last] for first, last in pairwise(offset.tolist())]
-    return _Part(point_m, OneHeight(rings, angle_deg, eave_z_m, top_m, loss_m, point_m.shape[1]))
+    rings = [side.xy_m[first:last] for first, last in pairwise(side.ring_offset.tolist())]
+    fit = OneHeight(rings, side.angle_deg, side.eave_z_m, side.top_m, side.loss_m, point_m.shape[1])
+    return _Part(point_m, fit)

@@ -1,10 +1,11 @@
-"""Which triangles of a closed mesh lie in one plane, as compiled code."""
+"""Which triangles of a closed mesh lie in one plane."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.ordering import stable_order
 from p2wss.skeleton.types import FaceKind
 
 # vertices this near to a plane lie in it
@@ -17,23 +18,15 @@ _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
 
 
-@entry
-def neighbours(triangle):
-    """(t, 3): the triangle across each side, which runs from a corner to the next; -1 for none."""
-    num = len(triangle)
-    size = np.int64(triangle.max()) + 1
-    forward, back = np.empty(3 * num, np.int64), np.empty(3 * num, np.int64)
-    for t in range(num):
-        for k in range(3):
-            a, b = np.int64(triangle[t, k]), np.int64(triangle[t, (k + 1) % 3])
-            forward[3 * t + k], back[3 * t + k] = a * size + b, b * size + a
-    order = np.argsort(forward, kind="mergesort")
-    place = np.searchsorted(forward[order], back)
-    result = np.full((num, 3), -1)
-    for s in range(3 * num):
-        if place[s] < 3 * num and forward[order[place[s]]] == back[s]:
-            result[s // 3, s % 3] = order[place[s]] // 3
-    return result
+def neighbours(triangle: np.ndarray) -> np.ndarray:
+    """int64 (t, 3): the triangle across each side, which runs from a corner to the next; -1 for none."""
+    size = int(triangle.max()) + 1
+    start, end = triangle.astype(np.int64).ravel(), np.roll(triangle, -1, axis=1).astype(np.int64).ravel()
+    forward, back = start * size + end, end * size + start
+    order = np.argsort(forward, kind="stable")
+    place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
+    found = order[place]
+    return np.where(forward[found] == back, found // 3, -1).reshape(-1, 3)
 
 
 @entry
@@ -56,7 +49,7 @@ def face_planes(vertex_m, triangle, beside):
     kind, plane = np.zeros(num, np.uint8), np.full(num, -1, np.int32)
     pending = np.empty(num, np.int64)
     number = -1
-    for seed in np.argsort(-area, kind="mergesort"):
+    for seed in stable_order(-area):
         number += 1
         if plane[seed] >= 0:
             continue

@@ -6,12 +6,13 @@ import numpy as np
 
 from p2wss.fit.envelope import inward_distances
 from p2wss.fit.jumps import quantile
-from p2wss.fit.search import search, set_excess
-from p2wss.fit.solve import IMPOSSIBLE, evaluate, improve
+from p2wss.fit.search import search_at, set_excess
+from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, improve_at
 from p2wss.fit.starts import edge_groups, start_angles
 from p2wss.fit.work import Problem, Settings
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.footprint import load_footprint
+from p2wss.skeleton.ordering import sort_first
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -34,7 +35,7 @@ _HOPELESS_M = 0.05
 _SURE_POINTS = 150.0
 
 
-@entry
+@allocating
 def every_kth_row(values, wanted):
     """At most ``wanted`` evenly spaced ones."""
     n = len(values)
@@ -46,9 +47,12 @@ def every_kth_row(values, wanted):
     return chosen
 
 
-@entry
+@allocating
 def _problem(xy_m, ring_offset, x, y, z, wanted, direction, settings, prior):
     own_x, own_y = every_kth_row(x, wanted) - xy_m[0, 0], every_kth_row(y, wanted) - xy_m[0, 1]
+    num_directions = 0
+    for e in range(len(direction)):
+        num_directions = max(num_directions, direction[e] + 1)
     return Problem(
         len(xy_m),
         len(ring_offset) - 1,
@@ -56,7 +60,7 @@ def _problem(xy_m, ring_offset, x, y, z, wanted, direction, settings, prior):
         own_y,
         every_kth_row(z, wanted) - 0.0,
         direction,
-        direction.max() + 1,
+        num_directions,
         settings.cap_m,
         settings.max_roof_height_m,
         prior,
@@ -64,12 +68,13 @@ def _problem(xy_m, ring_offset, x, y, z, wanted, direction, settings, prior):
     )
 
 
-@entry
+@allocating
 def _flat_tops(z, angle_deg, eave):
     """(angles, heights of the top) of the same roof, a steeper one and a hip cut flat, at a few heights that
     the points suggest."""
     n = len(angle_deg)
-    ordered = np.sort(z)
+    ordered = z.copy()
+    sort_first(ordered, len(ordered))
     low = quantile(ordered, len(z), _LOW_QUANTILE)
     rows, tops = np.empty((9, n)), np.empty(9)
     count = 0
@@ -98,7 +103,7 @@ def _slope_width_m(angle_deg, top_m):
     return top_m / np.tan(steepest * _DEGREE) if steepest > 0.0 else np.inf
 
 
-@entry
+@inner
 def with_flat_top(settings, flat_top):
     """The same settings with or without roofs that are cut flat."""
     return Settings(
@@ -113,37 +118,48 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, work, settings, prior):
     """(loss, eave, top, angles) of the best roof over a polygon. loss ``IMPOSSIBLE``: the kernel refuses it.
 
     xy_m (n, 2), ring_offset: the polygon. x, y, z: points, evenly ordered; the search takes a few of them and
-    the last rounds all. guesses: (num_guesses, n). settings, prior: of :mod:`p2wss.refine.work`.
+    the last rounds all. guesses: (num_guesses, n). settings, prior: of :mod:`p2wss.fit.work`.
     """
     n = len(xy_m)
     # the search grows with the cube of the number of edges
     max_rounds = 0 if n > _TOO_MANY_EDGES else 1 if n > _MANY_EDGES else settings.max_rounds
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
     few = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
-    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     rows = start_angles(direction, axis, guesses)
     if status != _OK:
         return IMPOSSIBLE, 0.0, np.inf, rows[0]
     tolerance = settings.class_gain_m * max(1.0, _SURE_POINTS / len(few.z))
-    no_top = np.full(len(rows), np.inf)
-    loss, eave, top, row = search(few, work, settings, rows, no_top, max_rounds, tolerance, IMPOSSIBLE)
+    tops = np.empty(len(rows))
+    for i in range(len(rows)):
+        tops[i] = np.inf
+    loss, eave, top, row = search_at(
+        work.code, few, work, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
+    )
     angle_deg = rows[row].copy()
     if loss >= IMPOSSIBLE:
         return loss, eave, top, angle_deg
     if settings.flat_top and loss > _GOOD_ENOUGH_M:
         rows, tops = _flat_tops(few.z, angle_deg, eave)
         if len(rows) > 0:
-            new_loss, new_eave, new_top, row = search(
-                few, work, settings, rows, tops, max(max_rounds - 1, 0), tolerance, loss + _TOP_WORTH_M
-            )
+            new_loss, new_eave, new_top, row = search_at(
+                work.code, few, work, settings, rows, tops, max(max_rounds - 1, 0), tolerance,
+                loss + _TOP_WORTH_M,
+            )  # fmt: skip
             wide = _slope_width_m(rows[row], new_top) >= _LEAST_SLOPE_WIDTH_M
             if wide and new_loss < loss - settings.top_gain_m:
                 loss, eave, top = new_loss, new_eave, new_top
-                angle_deg[:] = rows[row]
+                for e in range(n):
+                    angle_deg[e] = rows[row, e]
     if len(z) > len(few.z):
         every = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
-        loss, eave, top = improve(every, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE)
+        loss, eave, top = improve_at(
+            work.code, every, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+        )
     return loss, eave, top, angle_deg
+
+
+fit_roof_at = by_address(fit_roof)
 
 
 @entry
@@ -151,11 +167,16 @@ def improved_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, 
     """Loss of a given roof, after a few rounds if wanted; ``angle_deg`` is changed in place."""
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
-    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     if status != _OK:
         return IMPOSSIBLE
-    loss, _, _ = improve(problem, work, angle_deg, eave, top, num_rounds, False, True, IMPOSSIBLE)
+    loss, _, _ = improve_at(
+        work.code, problem, work, angle_deg, eave, top, num_rounds, False, True, IMPOSSIBLE
+    )
     return loss
+
+
+improved_roof_at = by_address(improved_roof)
 
 
 @inner
@@ -163,7 +184,7 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
     """(loss, eave, top) once single edges are gables instead of slopes, or slopes instead of gables, where all
     points tell what the few of the search did not; ``angle_deg`` is changed in place."""
     n = problem.num_edges
-    evaluate(problem, work, angle_deg, eave, top)
+    evaluate_at(work.code, problem, work, angle_deg, eave, top)
     total, other = set_excess(problem, work)
     for unit in range(n):
         edge = work.skeleton.edge[unit]
@@ -176,14 +197,14 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
             if problem.direction[e] == problem.direction[unit] and 0.0 < angle_deg[e] < 90.0:
                 slope = angle_deg[e]
         trial[unit] = slope if angle_deg[unit] == 90.0 else 90.0
-        new_loss, new_eave, new_top = improve(
-            problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _HOPELESS_M
+        new_loss, new_eave, new_top = improve_at(
+            work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _HOPELESS_M
         )
         if new_loss < loss - tolerance:
             loss, eave, top = new_loss, new_eave, new_top
             for e in range(n):
                 angle_deg[e] = trial[e]
-            evaluate(problem, work, angle_deg, eave, top)
+            evaluate_at(work.code, problem, work, angle_deg, eave, top)
             total, other = set_excess(problem, work)
     return loss, eave, top
 
@@ -196,13 +217,13 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
     tolerance = settings.class_gain_m * max(1.0, _SURE_POINTS / min(len(z), settings.num_search_points))
-    status, _ = load_footprint(xy_m, ring_offset, 0, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     angle, trial = angle_deg.copy(), np.zeros(n)
     if status != _OK:
         return IMPOSSIBLE, eave, top, angle
-    loss = evaluate(problem, work, angle, eave, top)
-    new_loss, new_eave, new_top = improve(
-        problem, work, trial, eave, np.inf, _TIDY_ROUNDS, True, True, IMPOSSIBLE
+    loss = evaluate_at(work.code, problem, work, angle, eave, top)
+    new_loss, new_eave, new_top = improve_at(
+        work.code, problem, work, trial, eave, np.inf, _TIDY_ROUNDS, True, True, IMPOSSIBLE
     )
     if new_loss <= loss + tolerance:
         return new_loss, new_eave, new_top, trial
@@ -210,7 +231,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
         # the end of a gable roof: hardly a point tells a steep face from an upright one, and hits on a wall that
         # stands back below its eave look like one
         changed, depth_m = False, 0.0
-        evaluate(problem, work, angle, eave, top)
+        evaluate_at(work.code, problem, work, angle, eave, top)
         for e in range(n):
             trial[e] = angle[e]
             if direction[e] == d and _NEARLY_GABLE_DEG < angle[e] < 90.0:
@@ -220,8 +241,8 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
                     if work.face[k] == e:
                         depth_m = max(depth_m, work.distance[k])
         if changed:
-            new_loss, new_eave, new_top = improve(
-                problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
+            new_loss, new_eave, new_top = improve_at(
+                work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
             )
             allowed_m = _WALL_HITS_M if depth_m < _LEAST_SLOPE_WIDTH_M else settings.rounding_m
             if new_loss <= loss + max(tolerance, allowed_m):
@@ -232,10 +253,13 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     if problem.num_directions < n and loss > settings.own_slope_gain_m:
         # edges that face the same way with slopes of their own
         least_gain_m = max(tolerance, settings.own_slope_gain_m)
-        freed = _problem(xy_m, ring_offset, x, y, z, len(z), np.arange(n), settings, prior)
+        own_direction = np.empty(n, np.int64)
+        for e in range(n):
+            own_direction[e] = e
+        freed = _problem(xy_m, ring_offset, x, y, z, len(z), own_direction, settings, prior)
         own = angle.copy()
-        new_loss, new_eave, new_top = improve(
-            freed, work, own, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+        new_loss, new_eave, new_top = improve_at(
+            work.code, freed, work, own, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
         )
         new_loss, new_eave, new_top = _flip_gables(
             freed, work, own, trial, new_loss, new_eave, new_top, least_gain_m
@@ -244,11 +268,11 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
             loss, eave, top, angle = new_loss, new_eave, new_top, own
     changed = False
     for e in range(n):
-        trial[e] = np.round(angle[e])
+        trial[e] = np.rint(angle[e])
         changed = changed or trial[e] != angle[e]
     if changed:
-        new_loss, new_eave, new_top = improve(
-            problem, work, trial, eave, top, _TIDY_ROUNDS, False, False, IMPOSSIBLE
+        new_loss, new_eave, new_top = improve_at(
+            work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, False, IMPOSSIBLE
         )
         if new_loss <= loss + settings.rounding_m:
             return new_loss, new_eave, new_top, trial

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.fit.solve import IMPOSSIBLE, evaluate, improve
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, improve_at
+from p2wss.skeleton.compiled import allocating, by_address, inner
+from p2wss.skeleton.ordering import stable_order
 
 _ALTERNATIVES_DEG = (0.0, 90.0, 18.0, 38.0, 57.0)
 _NUM_CLASSES = 2  # of the alternatives, those that are no slope
@@ -77,7 +78,7 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     proposed, best = work.trial[1], work.trial[2]
     for _ in range(max_rounds):
         changed = False
-        evaluate(problem, work, angle_deg, eave, top)
+        evaluate_at(work.code, problem, work, angle_deg, eave, top)
         total, other = set_excess(problem, work)
         for unit in range(n + problem.num_directions):
             if total < tolerance:
@@ -92,13 +93,15 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
             for alternative in range(len(_ALTERNATIVES_DEG)):
                 if not _propose(problem, angle_deg, unit, alternative, proposed):
                     continue
-                new_loss, new_eave, new_top = improve(
-                    problem, work, proposed, eave, top, _ROUNDS_CANDIDATE, False, True, loss + _HOPELESS_M
-                )
+                new_loss, new_eave, new_top = improve_at(
+                    work.code, problem, work, proposed, eave, top, _ROUNDS_CANDIDATE, False, True,
+                    loss + _HOPELESS_M,
+                )  # fmt: skip
                 if best_loss <= new_loss < loss + _SECOND_LOOK_M:
-                    new_loss, new_eave, new_top = improve(
-                        problem, work, proposed, new_eave, new_top, _ROUNDS_CANDIDATE, True, True, IMPOSSIBLE
-                    )
+                    new_loss, new_eave, new_top = improve_at(
+                        work.code, problem, work, proposed, new_eave, new_top, _ROUNDS_CANDIDATE, True, True,
+                        IMPOSSIBLE,
+                    )  # fmt: skip
                 if new_loss < best_loss:
                     best_loss, best_eave, best_top, found = new_loss, new_eave, new_top, True
                     for e in range(n):
@@ -107,14 +110,14 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                 loss, eave, top, changed = best_loss, best_eave, best_top, True
                 for e in range(n):
                     angle_deg[e] = best[e]
-                evaluate(problem, work, angle_deg, eave, top)
+                evaluate_at(work.code, problem, work, angle_deg, eave, top)
                 total, other = set_excess(problem, work)
         if not changed:
             break
     return loss, eave, top
 
 
-@entry
+@allocating
 def search(problem, work, settings, start_deg, start_top_m, max_rounds, tolerance, descend_below):
     """The best roof from the starts: (loss, eave, top, row), its angles in that row of ``start_deg``.
 
@@ -125,19 +128,20 @@ def search(problem, work, settings, start_deg, start_top_m, max_rounds, toleranc
     a change of class has to gain. descend_below: only starts with less loss than this descend.
     """
     k = len(start_deg)
-    losses, eaves, tops = np.full(k, IMPOSSIBLE), np.zeros(k), start_top_m.copy()
+    losses, eaves, tops = np.empty(k), np.empty(k), start_top_m.copy()
     for i in range(k):
-        losses[i], eaves[i], tops[i] = improve(
-            problem, work, start_deg[i], 0.0, tops[i], _ROUNDS_FIRST, True, True, IMPOSSIBLE
+        losses[i], eaves[i], tops[i] = improve_at(
+            work.code, problem, work, start_deg[i], 0.0, tops[i], _ROUNDS_FIRST, True, True, IMPOSSIBLE
         )
-    order = np.argsort(losses, kind="mergesort")
+    order = stable_order(losses)
     follow_below = losses[order[0]] + _FOLLOW_M
     for i in order[: settings.num_followed]:
         if losses[i] < min(follow_below, IMPOSSIBLE):
-            losses[i], eaves[i], tops[i] = improve(
-                problem, work, start_deg[i], eaves[i], tops[i], _ROUNDS_NEXT, False, True, IMPOSSIBLE
-            )
-    order = np.argsort(losses, kind="mergesort")
+            losses[i], eaves[i], tops[i] = improve_at(
+                work.code, problem, work, start_deg[i], eaves[i], tops[i], _ROUNDS_NEXT, False, True,
+                IMPOSSIBLE,
+            )  # fmt: skip
+    order = stable_order(losses)
     best = order[0]
     best_loss, best_eave, best_top = losses[best], eaves[best], tops[best]
     used, last = 0, -1.0
@@ -154,7 +158,11 @@ def search(problem, work, settings, start_deg, start_top_m, max_rounds, toleranc
         if used == 1 or loss < best_loss - tolerance:
             best, best_loss, best_eave, best_top = i, loss, eave, top
     if used > 0:
-        best_loss, best_eave, best_top = improve(
-            problem, work, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True, IMPOSSIBLE
-        )
+        best_loss, best_eave, best_top = improve_at(
+            work.code, problem, work, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True,
+            IMPOSSIBLE,
+        )  # fmt: skip
     return best_loss, best_eave, best_top, best
+
+
+search_at = by_address(search)

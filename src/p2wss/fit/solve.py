@@ -9,8 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.envelope import lower_envelope
-from p2wss.skeleton.compiled import inner
+from p2wss.skeleton.compiled import by_address, inner
 from p2wss.skeleton.footprint import set_angles
+from p2wss.skeleton.ordering import select
 from p2wss.skeleton.queries import CUT, OUTSIDE, assign
 from p2wss.skeleton.status import Status
 
@@ -60,6 +61,9 @@ def evaluate(problem, work, angle_deg, eave_m, top_m):
     return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
 
 
+evaluate_at = by_address(evaluate)
+
+
 @inner
 def prior_cost_m(problem, angle_deg, eave_m):
     """What the prior holds against a roof, in metres of loss."""
@@ -106,32 +110,7 @@ def _median_eave(problem, work):
         if f != OUTSIDE:
             work.sorted[count] = problem.z[k] - work.rise[k]
             count += 1
-    return _select(work.sorted, count, count // 2) if count > 0 else 0.0
-
-
-@inner
-def _select(values, count, place):
-    """What would stand at ``place`` if the first ``count`` values were sorted; they are reordered."""
-    low, high = 0, count - 1
-    while low < high:
-        pivot = values[(low + high) // 2]
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while pivot < values[j]:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if place <= j:
-            high = j
-        elif place >= i:
-            low = i
-        else:
-            break
-    return values[place]
+    return select(work.sorted, count, count // 2) if count > 0 else 0.0
 
 
 @inner
@@ -249,7 +228,7 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
     from_median: begin with the median height instead of ``eave_m``. give_up_at: after the first round, a loss
     above this ends the search.
     """
-    loss = evaluate(problem, work, angle_deg, eave_m, top_m)
+    loss = evaluate_at(work.code, problem, work, angle_deg, eave_m, top_m)
     if loss >= IMPOSSIBLE:
         return loss, eave_m, top_m
     if from_median:
@@ -267,7 +246,7 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
                 trial[e] = angle_deg[e] + step * (work.solved[e] - angle_deg[e])
             eave = eave_m + step * (new_eave - eave_m)
             top = top_m + step * (new_top - top_m) if top_m < problem.max_roof_height_m else top_m
-            better = evaluate(problem, work, trial, eave, top)
+            better = evaluate_at(work.code, problem, work, trial, eave, top)
             if better < loss - 1e-5:
                 accepted = True
                 break
@@ -281,3 +260,6 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
         if gain < 5e-4 or loss > give_up_at:
             break
     return loss, eave_m, top_m
+
+
+improve_at = by_address(improve)

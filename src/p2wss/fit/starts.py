@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.compiled import allocating, entry
+from p2wss.skeleton.ordering import stable_order
 
 # edges that differ by less face the same way
 _SAME_DIRECTION_DEG = 12.0
@@ -18,13 +19,15 @@ def edge_groups(xy_m, ring_offset):
     length. bearing: radians. length: metres."""
     n = len(xy_m)
     bearing, length = np.empty(n), np.empty(n)
+    shorter = np.empty(n)
     for ring in range(len(ring_offset) - 1):
         for i in range(ring_offset[ring], ring_offset[ring + 1]):
             j = i + 1 if i + 1 < ring_offset[ring + 1] else ring_offset[ring]
             x, y = xy_m[j, 0] - xy_m[i, 0], xy_m[j, 1] - xy_m[i, 1]
             bearing[i], length[i] = np.arctan2(y, x), np.hypot(x, y)
-    # a length decides by its millimetres only, so that rounding does not
-    order = np.argsort(-np.round(length * 1000.0), kind="mergesort")
+            # a length decides by its millimetres only, so that rounding does not
+            shorter[i] = -np.rint(length[i] * 1000.0)
+    order = stable_order(shorter)
     bearing_deg = bearing * (180.0 / np.pi)
     return (
         _groups(bearing_deg, length, order, 360.0),
@@ -34,7 +37,7 @@ def edge_groups(xy_m, ring_offset):
     )
 
 
-@entry
+@allocating
 def _groups(bearing_deg, length, order, period_deg):
     """Clusters of bearings around the longest edges, numbered in the order of their total length."""
     n = len(length)
@@ -60,7 +63,7 @@ def _groups(bearing_deg, length, order, period_deg):
     return result
 
 
-@entry
+@allocating
 def start_angles(direction, axis, guesses):
     """Angles to begin with, (num_starts, num_edges): the ``guesses`` (num_guesses, num_edges), a hip roof, a
     gable roof along either main axis, and flat.
@@ -69,17 +72,24 @@ def start_angles(direction, axis, guesses):
     way out of what they flatten.
     """
     n = len(direction)
-    num_axes = min(axis.max() + 1, 2)
+    num_axes = 1
+    for e in range(n):
+        if axis[e] > 0:
+            num_axes = 2
     rows = np.zeros((2 * len(guesses) + 2 + num_axes, n))
     count = 0
     for g in range(len(guesses)):
-        rows[count] = guesses[g]
+        has_flat = False
+        for e in range(n):
+            rows[count, e] = guesses[g, e]
+            has_flat = has_flat or guesses[g, e] == 0.0
         count += 1
-        if (guesses[g] == 0.0).any():
+        if has_flat:
             for e in range(n):
                 rows[count, e] = _LOW_DEG if guesses[g, e] == 0.0 else guesses[g, e]
             count += 1
-    rows[count] = HIP_DEG
+    for e in range(n):
+        rows[count, e] = HIP_DEG
     for a in range(num_axes):
         for e in range(n):
             rows[count + 1 + a, e] = HIP_DEG if axis[e] == a else 90.0

@@ -6,14 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.queries import QueryWork, query_work
-from p2wss.skeleton.records import SkeletonWork, skeleton_work
+from p2wss.skeleton.records import SkeletonWork
 
 _NUM_ROWS = 4
 
 
 class Settings(NamedTuple):
-    """How a roof is sought, as compiled code takes it; :class:`p2wss.refine.one_height.Limits` and ``Effort``
+    """How a roof is sought, as compiled code takes it; :class:`p2wss.fit.one_height.Limits` and ``Effort``
     say what each means."""
 
     num_search_points: int
@@ -55,7 +56,7 @@ class Problem(NamedTuple):
     num_edges, num_rings: of the polygon. x, y, z: float64 (m,), x and y relative to its first vertex.
     direction: int64 (num_edges,), which edges face the same way and so share their slope: 0 to
     num_directions - 1. cap_m: residuals count up to this. max_roof_height_m: above the eave. inward_m: float64
-    (num_edges + 1, m) of a convex polygon, :func:`p2wss.refine.envelope.inward_distances`; else (0, 0).
+    (num_edges + 1, m) of a convex polygon, :func:`p2wss.fit.envelope.inward_distances`; else (0, 0).
     """
 
     num_edges: int
@@ -69,6 +70,20 @@ class Problem(NamedTuple):
     max_roof_height_m: float
     prior: Prior
     inward_m: np.ndarray
+
+
+class Code(NamedTuple):
+    """Where functions begin that compiled code calls by :func:`p2wss.skeleton.compiled.call_at`; of
+    :mod:`p2wss.fit.linkage`."""
+
+    evaluate: int
+    improve: int
+    search: int
+    fit_roof: int
+    improved_roof: int
+    side_of_cut: int
+    is_sound: int
+    fit_side: int
 
 
 class FitWork(NamedTuple):
@@ -95,10 +110,11 @@ class FitWork(NamedTuple):
     excess: np.ndarray
     trial: np.ndarray
     num_evaluations: np.ndarray
+    code: Code
 
 
-def fit_work(max_edges: int, max_points: int) -> FitWork:
-    """Work arrays for one thread."""
+def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
+    """Work arrays for one thread; :func:`p2wss.fit.linkage.linked_work` knows the addresses."""
     size = max_edges + 2
     return FitWork(
         skeleton=skeleton_work(max_edges),
@@ -118,4 +134,5 @@ def fit_work(max_edges: int, max_points: int) -> FitWork:
         excess=np.zeros(max_edges),
         trial=np.zeros((_NUM_ROWS, max_edges)),
         num_evaluations=np.zeros(1, np.int64),
+        code=code,
     )

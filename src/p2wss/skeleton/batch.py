@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.line_kinds import find_lines
-from p2wss.skeleton.mesh import label_kind_and_edge, solid_mesh
-from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, mesh_work, skeleton_work
+from p2wss.skeleton.mesh import label_kind_and_edge, mesh_work, solid_mesh
+from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.types import Faces, FloatArray, IntArray, Lines, Meshes, Polygons, writable
 

@@ -9,6 +9,7 @@ found, not even by processes that run while a file is being edited.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from functools import cache
 from hashlib import blake2b
@@ -16,8 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, typeof
+from numba.core import cgutils
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.errors import TypingError
+from numba.core.typing import signature
+from numba.extending import intrinsic
 
 # a variable that starts as the literal 0 makes numba compile what it is passed to once more, for that
 # constant
@@ -67,9 +72,59 @@ def _compiled(**options: Any) -> Callable[[Callable], Any]:
 
 
 # called from Python
-entry = _compiled()
-# called from compiled code only: without the wrappers for Python and without counting references to arrays it
-# compiles faster; such a function cannot make arrays
+entry = _compiled(no_cfunc_wrapper=True)
+# called from compiled code only: without the wrapper for Python it compiles faster
+allocating = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+# and without counting references to arrays faster still; such a function cannot make arrays
 inner = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
 # a few lines that numba puts in place of their call
 inlined = _compiled(inline="always")
+
+
+# of what is called by address: the types of its arguments
+_argument_types: dict[Any, tuple] = {}
+
+
+def address_of(function: Any, *examples: Any) -> int:
+    """Where the machine code of a compiled function begins, for arguments of the types of ``examples``: those
+    that :func:`by_address` calls it with. It is compiled or loaded if need be."""
+    argument_types = _argument_types.setdefault(function, tuple(map(typeof, examples)))
+    if argument_types not in function.overloads:
+        function.compile(argument_types)
+    result = function.overloads[argument_types]
+    return result.library.get_pointer_to_function(result.fndesc.llvm_func_name)
+
+
+def by_address(function: Any) -> Any:
+    """A function for compiled code: ``made(code, *arguments)`` calls ``function(*arguments)`` at its
+    :func:`address_of`, which is in the named tuple ``code`` under the name of the function.
+
+    What numba compiles contains all that it calls, however deep, optimised and translated anew. A large function
+    with several callers is therefore better called by address: then it is translated once.
+    """
+    name = function.py_func.__name__
+
+    def define(typing_context: Any, code: Any, *arguments: Any) -> Any:
+        called = function.overloads[_argument_types[function]].signature
+        for given, wanted in zip(arguments, called.args, strict=True):
+            if typing_context.can_convert(given, wanted) is None:
+                raise TypingError(f"{name} is called by address with {given} in place of {wanted}")
+
+        def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
+            convention = context.call_conv
+            pointer_type = convention.get_function_type(called.return_type, called.args).as_pointer()
+            address = builder.extract_value(values[0], code.fields.index(name))
+            status, result = convention.call_function(
+                builder, builder.inttoptr(address, pointer_type), called.return_type, called.args, values[1:]
+            )
+            with cgutils.if_unlikely(builder, status.is_error):
+                convention.return_status_propagate(builder, status)
+            return result
+
+        return signature(called.return_type, code, *called.args), generate
+
+    # as many parameters as there are: numba would pack *arguments into one tuple, which takes long to compile
+    names = ["typing_context", "code", *inspect.signature(function.py_func).parameters]
+    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    define.__signature__ = inspect.Signature([inspect.Parameter(each, kind) for each in names])  # type: ignore
+    return intrinsic(define)

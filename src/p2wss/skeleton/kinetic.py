@@ -22,18 +22,27 @@ multiplicative weights and their application to the algorithmic generation of ro
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, inner
+from p2wss.skeleton.compiled import ZERO, address_of, by_address, inner
 from p2wss.skeleton.records import (
+    ARC,
+    EDGE,
+    NODE,
     NUM_ALIVE,
     NUM_AMBIGUOUS,
     NUM_ARCS,
     NUM_CAPS,
+    NUM_COUNTS,
     NUM_HOLES,
     NUM_LOOPS,
     NUM_NODES,
     NUM_VERTICES,
+    VERTEX,
+    SkeletonCode,
+    SkeletonWork,
 )
 from p2wss.skeleton.status import Status
 
@@ -619,7 +628,7 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
 
     edge: EDGE records, filled up to ``num_edges`` by :func:`p2wss.skeleton.footprint.load_footprint` and
     :func:`p2wss.skeleton.footprint.set_angles`. max_roof_height: metres above the eave, infinity for none.
-    node, vertex, arc, cap_height, counts: as made by :func:`p2wss.skeleton.records.skeleton_work`; their old
+    node, vertex, arc, cap_height, counts: as made by :func:`skeleton_work`; their old
     content does not matter. On return ``counts`` says how many nodes, arcs and caps there are. Face c +
     num_edges of an arc is the horizontal cap at ``cap_height[c]`` above the eave.
     """
@@ -650,3 +659,27 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
                 edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height
             )
     return status
+
+
+simulate_at = by_address(simulate)
+
+
+@cache
+def _code() -> SkeletonCode:
+    node, vertex, arc, row = np.zeros(1, NODE), np.zeros(1, VERTEX), np.zeros(1, ARC), np.zeros(1)
+    counts = np.zeros(NUM_COUNTS, np.int64)
+    return SkeletonCode(address_of(simulate, np.zeros(1, EDGE), 1, 1, 1.0, node, vertex, arc, row, counts))
+
+
+def skeleton_work(max_edges: int) -> SkeletonWork:
+    """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
+    num_nodes = 8 * max_edges + 64
+    return SkeletonWork(
+        edge=np.zeros(max_edges, EDGE),
+        node=np.zeros(num_nodes, NODE),
+        vertex=np.zeros(num_nodes, VERTEX),
+        arc=np.zeros(3 * num_nodes, ARC),
+        cap_height=np.zeros(num_nodes),
+        counts=np.zeros(NUM_COUNTS, np.int64),
+        code=_code(),
+    )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
-from p2wss.skeleton.compiled import ZERO, inner
+from p2wss.skeleton.compiled import ZERO, address_of, by_address, inner
 from p2wss.skeleton.faces import (
     collect_half_edges,
     drop_straight_points,
@@ -15,8 +17,8 @@ from p2wss.skeleton.faces import (
     trace_faces,
 )
 from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
-from p2wss.skeleton.kinetic import simulate
-from p2wss.skeleton.records import NUM_CAPS, NUM_NODES
+from p2wss.skeleton.kinetic import simulate_at, skeleton_work
+from p2wss.skeleton.records import FACE, HALF, NUM_CAPS, NUM_NODES, MeshCode, MeshWork
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.triangulate import clip_ears, join_holes
 from p2wss.skeleton.types import FaceKind
@@ -64,8 +66,8 @@ def solid_skeleton(
     if status == _OK:
         status = check_rings(edge, ring_offset, first_ring, last_ring)
     if status == _OK:
-        status = simulate(
-            edge, num_edges, last_ring - first_ring, max_roof_height, work.node, work.vertex, work.arc,
+        status = simulate_at(
+            work.code, edge, num_edges, last_ring - first_ring, max_roof_height, work.node, work.vertex, work.arc,
             work.cap_height, work.counts,
         )  # fmt: skip
     return status, num_edges
@@ -111,7 +113,7 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
 
 
 @inner
-def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
+def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
     """Faces, triangles and checks. Returns (status, number of faces, vertices, triangles)."""
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
     status, num_half = collect_half_edges(
@@ -169,6 +171,9 @@ def _finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, me
     return status, num_faces, num_vertices, num_triangles
 
 
+finish_solid_at = by_address(finish_solid)
+
+
 @inner
 def solid_mesh(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
@@ -187,9 +192,59 @@ def solid_mesh(
     num_rings = last_ring - first_ring
     num_faces, num_vertices, num_triangles = 0, 0, 0
     for thorough in (False, True):
-        status, num_faces, num_vertices, num_triangles = _finish_solid(
-            num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough
+        status, num_faces, num_vertices, num_triangles = finish_solid_at(
+            mesh_work.code, num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough
         )
         if status == _OK:
             break
     return status, num_edges, num_faces, num_vertices, num_triangles
+
+
+@cache
+def _code() -> MeshCode:
+    skeleton, mesh = skeleton_work(1), _mesh_work(1, MeshCode(0))
+    return MeshCode(address_of(finish_solid, 1, 1, 1.0, 1.0, 1.0, skeleton, mesh, True))
+
+
+def mesh_work(max_edges: int) -> MeshWork:
+    """Work arrays for solids over polygons of up to ``max_edges`` edges."""
+    return _mesh_work(max_edges, _code())
+
+
+def _mesh_work(max_edges: int, code: MeshCode) -> MeshWork:
+    num_points = 9 * max_edges + 64  # nodes of the skeleton and feet on the ground
+    num_halves = 32 * max_edges + 512
+    num_triangles = 16 * max_edges + 256
+    hash_size = 1
+    while hash_size < 6 * num_triangles:
+        hash_size *= 2
+    return MeshWork(
+        point=np.zeros((num_points, 3)),
+        parent=np.zeros(num_points, np.int64),
+        label_parent=np.zeros(num_points, np.int64),
+        label_head=np.zeros(num_points, np.int64),
+        out_head=np.zeros(num_points, np.int64),
+        cut_node=np.zeros(num_points, np.int64),
+        on_edge=np.zeros(num_points, np.int64),
+        on_at=np.zeros(num_points),
+        half=np.zeros(num_halves, HALF),
+        ring_point=np.zeros(num_halves, np.int64),
+        ring_start=np.zeros(num_halves, np.int64),
+        ring_order=np.zeros(num_halves, np.int64),
+        ring_area=np.zeros(num_halves),
+        face=np.zeros(num_halves, FACE),
+        flat_uv=np.zeros((6, num_halves)),
+        flat_point=np.zeros((3, num_halves), np.int64),
+        flat_first=np.zeros(num_halves, np.int64),
+        ear=np.zeros((2, num_halves), np.int64),
+        quality=np.zeros(num_halves),
+        triangle=np.zeros((num_triangles, 3), np.int64),
+        triangle_label=np.zeros(num_triangles, np.int64),
+        new_index=np.zeros(2 * num_points, np.int64),
+        vertex=np.zeros((2 * num_points, 3)),
+        twin=np.zeros(3 * num_triangles, np.int64),
+        hash_key=np.zeros(hash_size, np.int64),
+        hash_half=np.zeros(hash_size, np.int64),
+        corner=np.zeros(3 * num_triangles, np.int64),
+        code=code,
+    )

@@ -13,9 +13,9 @@ import numpy as np
 
 from p2wss.skeleton.batch import kernel_arguments, work_size
 from p2wss.skeleton.compiled import ZERO, entry, inner
-from p2wss.skeleton.kinetic import simulate
+from p2wss.skeleton.kinetic import simulate_at, skeleton_work
 from p2wss.skeleton.mesh import solid_skeleton
-from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, skeleton_work
+from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.types import FaceKind, FloatArray, IntArray, Polygons
 
@@ -124,8 +124,8 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face,
     Nothing is allocated. A point exactly on the boundary of the polygon may count as outside.
     """
     edge, counts = skeleton.edge, skeleton.counts
-    status = simulate(
-        edge, num_edges, num_rings, max_roof_height_m, skeleton.node, skeleton.vertex, skeleton.arc,
+    status = simulate_at(
+        skeleton.code, edge, num_edges, num_rings, max_roof_height_m, skeleton.node, skeleton.vertex, skeleton.arc,
         skeleton.cap_height, counts,
     )  # fmt: skip
     if status != _OK:

@@ -64,6 +64,12 @@ NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NU
 )
 
 
+class SkeletonCode(NamedTuple):
+    """Where functions begin that compiled code calls by address; see :mod:`p2wss.skeleton.compiled`."""
+
+    simulate: int
+
+
 class SkeletonWork(NamedTuple):
     """Arrays that :func:`p2wss.skeleton.kinetic.simulate` reads and fills, for polygons of up to
     ``max_edges``."""
@@ -74,19 +80,7 @@ class SkeletonWork(NamedTuple):
     arc: np.ndarray
     cap_height: np.ndarray
     counts: np.ndarray
-
-
-def skeleton_work(max_edges: int) -> SkeletonWork:
-    """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
-    num_nodes = 8 * max_edges + 64
-    return SkeletonWork(
-        edge=np.zeros(max_edges, EDGE),
-        node=np.zeros(num_nodes, NODE),
-        vertex=np.zeros(num_nodes, VERTEX),
-        arc=np.zeros(3 * num_nodes, ARC),
-        cap_height=np.zeros(num_nodes),
-        counts=np.zeros(NUM_COUNTS, np.int64),
-    )
+    code: SkeletonCode
 
 
 # A directed edge of a face of the solid. alive: 0 cancelled, 1 free, 2 walked.
@@ -104,6 +98,12 @@ HALF = np.dtype(
 
 # A face of the solid: rings ``ring_order[first_ring:last_ring]``, the outer one first.
 FACE = np.dtype([("label", "i8"), ("first_ring", "i8"), ("last_ring", "i8")], align=True)
+
+
+class MeshCode(NamedTuple):
+    """As :class:`SkeletonCode`."""
+
+    finish_solid: int
 
 
 class MeshWork(NamedTuple):
@@ -136,42 +136,4 @@ class MeshWork(NamedTuple):
     hash_key: np.ndarray
     hash_half: np.ndarray
     corner: np.ndarray
-
-
-def mesh_work(max_edges: int) -> MeshWork:
-    """Work arrays for solids over polygons of up to ``max_edges`` edges."""
-    num_points = 9 * max_edges + 64  # nodes of the skeleton and feet on the ground
-    num_halves = 32 * max_edges + 512
-    num_triangles = 16 * max_edges + 256
-    hash_size = 1
-    while hash_size < 6 * num_triangles:
-        hash_size *= 2
-    return MeshWork(
-        point=np.zeros((num_points, 3)),
-        parent=np.zeros(num_points, np.int64),
-        label_parent=np.zeros(num_points, np.int64),
-        label_head=np.zeros(num_points, np.int64),
-        out_head=np.zeros(num_points, np.int64),
-        cut_node=np.zeros(num_points, np.int64),
-        on_edge=np.zeros(num_points, np.int64),
-        on_at=np.zeros(num_points),
-        half=np.zeros(num_halves, HALF),
-        ring_point=np.zeros(num_halves, np.int64),
-        ring_start=np.zeros(num_halves, np.int64),
-        ring_order=np.zeros(num_halves, np.int64),
-        ring_area=np.zeros(num_halves),
-        face=np.zeros(num_halves, FACE),
-        flat_uv=np.zeros((6, num_halves)),
-        flat_point=np.zeros((3, num_halves), np.int64),
-        flat_first=np.zeros(num_halves, np.int64),
-        ear=np.zeros((2, num_halves), np.int64),
-        quality=np.zeros(num_halves),
-        triangle=np.zeros((num_triangles, 3), np.int64),
-        triangle_label=np.zeros(num_triangles, np.int64),
-        new_index=np.zeros(2 * num_points, np.int64),
-        vertex=np.zeros((2 * num_points, 3)),
-        twin=np.zeros(3 * num_triangles, np.int64),
-        hash_key=np.zeros(hash_size, np.int64),
-        hash_half=np.zeros(hash_size, np.int64),
-        corner=np.zeros(3 * num_triangles, np.int64),
-    )
+    code: MeshCode

@@ -5,8 +5,8 @@ import pytest
 import shapely
 
 from p2wss.fit.cutting import clearance_m, inherited_angles, is_sound, side_of_cut
+from p2wss.fit.linkage import linked_work
 from p2wss.fit.one_height import flat_rings
-from p2wss.fit.work import fit_work
 
 ELL = np.array([[0, 0], [4, 0], [4, 2], [2, 2], [2, 4], [0, 4.0]])
 CUP = np.array([[0, 0], [4, 0], [4, 4], [3, 4], [3, 2], [1, 2], [1, 4], [0, 4.0]])
@@ -37,7 +37,7 @@ CLEAN = [seed for seed in range(60) if len(np.unique(xy := np.concatenate(blocks
 def test_sides_are_those_of_shapely(seed: int) -> None:
     rings = blocks(seed)
     xy_m, offset = flat_rings(rings)
-    whole, work = polygon(xy_m, offset), fit_work(64, 8)
+    whole, work = polygon(xy_m, offset), linked_work(64, 8)
     rng = np.random.default_rng(seed)
     # through corners as well as between them
     for position in (*rng.uniform(0, 12, 3), *rng.integers(0, 12, 3).astype(float)):
@@ -61,7 +61,7 @@ def test_sides_are_those_of_shapely(seed: int) -> None:
 
 def test_a_side_in_two_pieces_is_none() -> None:
     xy_m, offset = flat_rings([CUP])
-    work = fit_work(32, 8)
+    work = linked_work(32, 8)
     for position in (2.0, 2.5):
         above = side_of_cut(xy_m, offset, 1, position, True)
         assert not is_sound(*above, 1.0, work)
@@ -84,7 +84,7 @@ def test_a_cut_through_a_courtyard_opens_it() -> None:
 )
 def test_thin_and_touching_sides_are_refused(position: float, sound: bool) -> None:
     xy_m, offset = flat_rings([ELL])
-    work = fit_work(32, 8)
+    work = linked_work(32, 8)
     sides = [side_of_cut(xy_m, offset, 0, position, is_high) for is_high in (False, True)]
     assert all(is_sound(*side, 1.0, work) for side in sides) == sound
 
