@@ -134,7 +134,7 @@ def _row(
     assert case.angle_deg is not None and case.eave_height_m is not None
     if made.angle_deg is None or made.eave_height_m is None or made.confidence is None:
         return []
-    eave_m = case.eave_height_m + (case.label_ground_z_m or 0.0) - made.ground_z_m
+    eave_m = case.eave_height_m + (case.label_terrain_z_m or 0.0) - made.ground_z_m
     right = np.append(
         abs(made.eave_height_m - eave_m) <= measure.RIGHT_M,
         np.abs(made.angle_deg - case.angle_deg) <= measure.RIGHT_DEG,

@@ -62,8 +62,8 @@ def errors(labelled: list[Case], made: list[Reconstruction]) -> list[Error]:
 
 def _error(case: Case, found: Reconstruction, seen: np.ndarray) -> Error:
     building, true_deg = case.building, case.angle_deg
-    assert true_deg is not None and case.eave_height_m is not None and case.label_ground_z_m is not None
-    eave_z_m = case.eave_height_m + case.label_ground_z_m
+    assert true_deg is not None and case.eave_height_m is not None and case.label_terrain_z_m is not None
+    eave_z_m = case.eave_height_m + case.label_terrain_z_m
     point_m = building.point_m[points_on_building(case)]
     polygons = Polygons.from_rings([list(building.rings)])
     roof = skeleton.roof_points(polygons, true_deg, eave_z_m, point_m[:, :2], np.zeros(len(point_m), int))

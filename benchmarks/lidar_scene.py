@@ -95,7 +95,7 @@ def make_buildings(num: int, size_m: float, seed: int = 0) -> pa.Table:
             "status": "ok",
             "eave_height_m": rng.uniform(3, 12, num).astype(np.float32),
             "eave_height_source": "hauteur",
-            "ground_z_m": ground,
+            "terrain_z_m": ground,
             "base_z_m": ground - 1,
             "roof_type": types,
             "angle_deg": angles,

@@ -114,7 +114,7 @@ def _buildings(cloud: Cloud, shapes: np.ndarray) -> pa.Table:
                 "status": "ok",
                 "eave_height_m": np.float32(eave_m),
                 "eave_height_source": "hauteur",
-                "ground_z_m": ground,
+                "terrain_z_m": ground,
                 "base_z_m": ground - 1,
                 "roof_type": "hip",
                 "angle_deg": [[_ROOF_DEG] * count for count in num_edges],

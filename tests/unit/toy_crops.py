@@ -21,7 +21,7 @@ def make(folder: Path, num: dict[str, int], seed: int = 0, lidar: int = 0) -> Pa
     if lidar:
         real = [_building(rng, "none", f"lidar-{i}") for i in range(lidar)]
         for row in real:
-            row.update(eave_height_m=None, label_ground_z_m=None, angle_deg=None, roof_type=None)
+            row.update(eave_height_m=None, label_terrain_z_m=None, angle_deg=None, roof_type=None)
         shards.append(("real", real, "hd/0002_0001.parquet"))
     listed = []
     for dataset, shard, name in shards:
@@ -96,7 +96,7 @@ def _building(rng: np.random.Generator, split: str, name: str) -> dict[str, obje
         "ring_offset": [0, len(ring)],
         "ground_z_m": ground + rng.normal(0, 0.05),
         "eave_height_m": height,
-        "label_ground_z_m": ground,
+        "label_terrain_z_m": ground,
         "angle_deg": angles,
         "roof_type": "toy",
         "num_roof_points": int((~np.isnan(roof)).sum()),

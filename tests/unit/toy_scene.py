@@ -54,7 +54,7 @@ def house(x0, y0, width, length, eave_m, angle_deg, name, tile=TILE, size_m=TILE
         "in_tile": bool(x_min <= middle[0] < x_max and y_min < middle[1] <= y_max),
         "status": "ok",
         "eave_height_m": eave_m,
-        "ground_z_m": ground,
+        "terrain_z_m": ground,
         "base_z_m": base,
         "roof_type": "gable",
         "angle_deg": [90.0, angle_deg, 90.0, angle_deg],

@@ -25,14 +25,14 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
     usable = np.flatnonzero(status == "ok")
     usable_polygons = polygon_arrays.take(polygons, usable)
     angle_deg = [np.asarray(scene["angle_deg"].iloc[i], dtype=float) for i in usable]
-    ground_z_m = scene["ground_z_m"].to_numpy()
+    terrain_z_m = scene["terrain_z_m"].to_numpy()
     base_z_m = scene["base_z_m"].to_numpy()
 
     meshes = skeleton.build(
         _to_local(usable_polygons, origin_xy_m[usable]),
         np.concatenate(angle_deg) if angle_deg else np.zeros(0),
         scene["eave_height_m"].to_numpy(dtype=float)[usable],
-        base_height_m=(base_z_m - ground_z_m)[usable],
+        base_height_m=(base_z_m - terrain_z_m)[usable],
         max_roof_height_m=config.max_roof_height_m,
     )
     for row, code in zip(usable, meshes.status, strict=True):
@@ -45,7 +45,7 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
         "in_tile": scene["in_tile"],
         "status": status,
         "eave_height_m": scene["eave_height_m"].to_numpy(),  # a Series would turn NaN into null
-        "ground_z_m": ground_z_m,
+        "terrain_z_m": terrain_z_m,
         "base_z_m": base_z_m,
         "roof_type": scene["roof_type"],
         "angle_deg": scene["angle_deg"],

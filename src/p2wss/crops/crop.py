@@ -89,7 +89,7 @@ def crop_simulated(
     labels = buildings.take(rows[kept])
     columns |= {name: labels[name].combine_chunks() for name in _LABELS}
     columns |= {
-        "label_ground_z_m": labels["ground_z_m"].combine_chunks(),
+        "label_terrain_z_m": labels["terrain_z_m"].combine_chunks(),
         "split": split[rows[kept]],
         "num_wall_points": count_true(on_wall, cropped.offset)[kept].astype(np.int32),
         "num_walls_seen": walls_seen(face, cropped.point, on_wall, cropped.offset, _WALL_SEEN_POINTS)[kept],

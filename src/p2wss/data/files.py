@@ -5,7 +5,8 @@ code fingerprint, version, CRS, counts). A column's meaning and unit are in its 
 ``pyarrow.parquet.read_schema(path)`` is the documentation.
 
 Frames. ``*_xy_m`` and ``vertex_xyz_m`` are flattened (x0, y0, x1, y1, ...) and relative to
-(origin_x_m, origin_y_m) in the projected CRS of the file. Mesh heights are relative to ``ground_z_m``.
+(origin_x_m, origin_y_m) in the projected CRS of the file. Mesh heights are above ``terrain_z_m`` (buildings)
+or ``ground_z_m`` (reconstructions).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class Case:
     visible_roof_share: float
     roof_type: str | None
     eave_height_m: float | None
-    label_ground_z_m: float | None
+    label_terrain_z_m: float | None
     angle_deg: np.ndarray | None
 
     @property
@@ -100,10 +100,10 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     heights, angles = [np.zeros(0)], [np.zeros(0)]
     for path, dataset in manifest.shards:
         if dataset == SIMULATED:
-            wanted = ["split", "eave_height_m", "label_ground_z_m", "ground_z_m", "angle_deg"]
+            wanted = ["split", "eave_height_m", "label_terrain_z_m", "ground_z_m", "angle_deg"]
             table = files.read_table(path, CROPS, columns=wanted)
             table = table.filter(pc.is_in(table["split"], pa.array(splits)))
-            lift = table["label_ground_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
+            lift = table["label_terrain_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
             heights.append(table["eave_height_m"].to_numpy() + np.nan_to_num(lift))
             angles.append(files.list_column(table, "angle_deg")[0])
     height, angle = np.concatenate(heights), np.concatenate(angles)
@@ -130,7 +130,7 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
             "origin_z_m",
             "ground_z_m",
             "eave_height_m",
-            "label_ground_z_m",
+            "label_terrain_z_m",
             "roof_type",
             "visible_roof_share",
         ]
@@ -155,7 +155,7 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
                 row["visible_roof_share"],
                 row["roof_type"],
                 row["eave_height_m"],
-                row["label_ground_z_m"],
+                row["label_terrain_z_m"],
                 angle[angle_offset[i] : angle_offset[i + 1]].astype(float) if labelled else None,
             )
         )

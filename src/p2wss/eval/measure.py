@@ -179,7 +179,7 @@ def _parameter_errors(case: Case, made: Reconstruction) -> dict[str, float | Non
     if case.eave_height_m is None or case.angle_deg is None or made.eave_height_m is None:
         return errors
     eave_z_m = made.ground_z_m + made.eave_height_m
-    height_error = abs(eave_z_m - (case.label_ground_z_m or 0.0) - case.eave_height_m)
+    height_error = abs(eave_z_m - (case.label_terrain_z_m or 0.0) - case.eave_height_m)
     errors["height_error_m"] = height_error
     if made.angle_deg is not None and len(made.angle_deg) == len(case.angle_deg):
         angle_error = np.abs(made.angle_deg - case.angle_deg)

@@ -150,8 +150,8 @@ def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[n
 
 def target_height_m(case: Case) -> float:
     """The label's eave above the ground that the cloud shows."""
-    assert case.eave_height_m is not None and case.label_ground_z_m is not None
-    return case.eave_height_m + case.label_ground_z_m - ground_z_m(case.building)
+    assert case.eave_height_m is not None and case.label_terrain_z_m is not None
+    return case.eave_height_m + case.label_terrain_z_m - ground_z_m(case.building)
 
 
 def _all_masked(

@@ -22,7 +22,7 @@ from p2wss.nets import distributed
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 
 _CLOUD_COLUMNS = ["split", "num_points", "origin_z_m", "x_cm", "y_cm", "z_cm", "ground_z_m"]
-_LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_ground_z_m", "angle_deg"]
+_LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_terrain_z_m", "angle_deg"]
 _FLAT_ARRAYS = ("ground_z_m", "xy_m", "angle_deg", "height_m")
 _OFFSETS = ("point_offset", "vertex_offset")
 # share of a cloud's points that lie below its ground, where the crop has no ground
@@ -176,7 +176,7 @@ def _read_shard(
     num_vertices = np.zeros(len(table), np.int64)
     xy_offset = angle_offset = np.zeros(len(table) + 1, np.int64)
     if labelled:
-        height = _floats(table, "eave_height_m") + _floats(table, "label_ground_z_m")
+        height = _floats(table, "eave_height_m") + _floats(table, "label_terrain_z_m")
         height = height - table["origin_z_m"].to_numpy() - ground
         xy, xy_offset = files.list_column(table, "footprint_xy_m")
         angle, angle_offset = files.list_column(table, "angle_deg")

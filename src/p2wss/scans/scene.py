@@ -28,7 +28,7 @@ def build_surface(buildings: pa.Table, terrain: Terrain, origin_m: np.ndarray, s
     kind, kind_offset = files.list_column(buildings, "triangle_kind")
     edge, _ = files.list_column(buildings, "triangle_edge")
     frame = np.stack(
-        [buildings[name].to_numpy() for name in ("origin_x_m", "origin_y_m", "ground_z_m")], axis=1
+        [buildings[name].to_numpy() for name in ("origin_x_m", "origin_y_m", "terrain_z_m")], axis=1
     )
     num_vertices, num_triangles = np.diff(vertex_offset) // 3, np.diff(triangle_offset) // 3
     if not np.array_equal(np.diff(kind_offset), num_triangles):
@@ -74,7 +74,7 @@ def local_buildings(buildings: pa.Table, origin_m: np.ndarray, seed: int) -> Loc
     ring_is_used = np.repeat(has_mesh, num_rings)
     num_vertices = np.diff(polygons.ring_offset)
     vertex_is_used = np.repeat(ring_is_used, num_vertices)
-    ground_z_m = buildings["ground_z_m"].to_numpy() - origin_m[2]
+    terrain_z_m = buildings["terrain_z_m"].to_numpy() - origin_m[2]
     keys = [derive_seed(seed, "scans", "clutter", name) for name in buildings["building_id"].to_pylist()]
     return LocalBuildings(
         polygons=Polygons(
@@ -82,8 +82,8 @@ def local_buildings(buildings: pa.Table, origin_m: np.ndarray, seed: int) -> Loc
             np.concatenate([[0], np.cumsum(num_vertices[ring_is_used])]).astype(np.int64),
             np.concatenate([[0], np.cumsum(num_rings * has_mesh)]).astype(np.int64),
         ),
-        eave_z_m=ground_z_m + buildings["eave_height_m"].to_numpy().astype(float),
-        ground_z_m=ground_z_m,
+        eave_z_m=terrain_z_m + buildings["eave_height_m"].to_numpy().astype(float),
+        terrain_z_m=terrain_z_m,
         base_z_m=buildings["base_z_m"].to_numpy() - origin_m[2],
         key=np.array(keys, np.uint64),
     )

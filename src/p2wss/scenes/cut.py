@@ -82,7 +82,7 @@ def cut_scene(
             "status": status,
             "eave_height_m": np.where(usable, height, np.nan).astype(np.float32),
             "eave_height_source": source,
-            "ground_z_m": np.where(usable, median, np.nan),
+            "terrain_z_m": np.where(usable, median, np.nan),
             "base_z_m": np.where(usable, lowest, np.nan),
             "roof_type": roof_type,
             "angle_deg": angle_deg,

@@ -79,7 +79,9 @@ def test_rows_hold_the_points_around_each_footprint(scanned):
         assert columns["is_truncated"][row] == (near.sum() > 1200)
         assert columns["visible_roof_share"][row] > 0.9
         # ground at the building: the label is the median along the footprint, the cloud's is that of the ring
-        assert columns["ground_z_m"][row] == pytest.approx(columns["label_ground_z_m"][row].as_py(), abs=0.25)
+        assert columns["ground_z_m"][row] == pytest.approx(
+            columns["label_terrain_z_m"][row].as_py(), abs=0.25
+        )
         assert columns["origin_z_m"][row] == round(np.median(expected[:, 2]))
 
 
@@ -94,7 +96,7 @@ def test_labels_stay_with_their_building(scanned):
         label = source[name]
         assert columns["angle_deg"][row].as_py() == label["angle_deg"]
         assert columns["eave_height_m"][row].as_py() == label["eave_height_m"]
-        assert columns["label_ground_z_m"][row].as_py() == label["ground_z_m"]
+        assert columns["label_terrain_z_m"][row].as_py() == label["terrain_z_m"]
         assert columns["footprint_xy_m"][row].as_py() == pytest.approx(label["footprint_xy_m"], abs=1e-8)
         assert columns["origin_x_m"][row] == label["origin_x_m"]
 

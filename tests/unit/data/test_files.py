@@ -88,7 +88,7 @@ def test_scene_keeps_its_metadata_beside_geoparquet(tmp_path):
             "status": ["ok"],
             "eave_height_m": np.array([5], np.float32),
             "eave_height_source": ["hauteur"],
-            "ground_z_m": [40.0],
+            "terrain_z_m": [40.0],
             "base_z_m": [39.0],
             "roof_type": ["gable"],
             "angle_deg": [[0.0, 90.0, 30.0]],

@@ -57,7 +57,7 @@ def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split
             "ring_offset": [0, len(xy)],
             "ground_z_m": ground,
             "eave_height_m": height if labelled else None,
-            "label_ground_z_m": ground if labelled else None,
+            "label_terrain_z_m": ground if labelled else None,
             "angle_deg": angle if labelled else None,
             "roof_type": roof_type if labelled else None,
             "num_roof_points": 600,

@@ -51,7 +51,7 @@ def test_splits_labels_and_real_lidar(manifest: Path) -> None:
 
 def test_heights_are_above_the_ground_that_the_cloud_shows(manifest: Path, tmp_path: Path) -> None:
     row = pq.read_table(manifest.parent / "0001_0001.parquet").slice(0, 1).to_pylist()[0]
-    label_z = row["eave_height_m"] + row["label_ground_z_m"]
+    label_z = row["eave_height_m"] + row["label_terrain_z_m"]
     found = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
     assert found.height_m[0] == pytest.approx(label_z - row["ground_z_m"], abs=1e-4)
     assert found.height_m[0] + found.ground_z_m[0] == pytest.approx(label_z - row["origin_z_m"], abs=1e-4)

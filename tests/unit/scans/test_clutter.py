@@ -46,7 +46,7 @@ def places(scan, rows, kind):
     facts = np.array(
         [
             [
-                *(r["origin_x_m"], r["origin_y_m"], *r["footprint_xy_m"][4:6], r["ground_z_m"]),
+                *(r["origin_x_m"], r["origin_y_m"], *r["footprint_xy_m"][4:6], r["terrain_z_m"]),
                 *(r["eave_height_m"], np.tan(np.radians(r["angle_deg"][1]))),
             ]
             for r in rows
@@ -84,7 +84,7 @@ def test_points_on_the_labelled_building_keep_their_places_and_tags():
         own = np.flatnonzero((scan.points.building == number) & (kind == 2))
         u, width = x[own] - row["origin_x_m"], row["footprint_xy_m"][4]
         across = np.where(edge[own] == 1, width - u, u)
-        roof = row["ground_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
+        roof = row["terrain_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
         np.testing.assert_allclose(z[own], roof, atol=0.003)
     facts = scan.facts
     names = ("ground", "wall", "roof", "tree", "other")
@@ -183,7 +183,7 @@ def on_house(scan, row, number):
     inwards = np.stack([v, width - u, length - v, u])
     face = scan.points.face[own]
     across = np.minimum(u, width - u)
-    roof = row["ground_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
+    roof = row["terrain_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
     return face & 3, inwards[np.clip((face >> 2) - 1, 0, 3), np.arange(len(own))], z - roof
 
 
@@ -228,7 +228,7 @@ def test_a_low_part_takes_the_place_of_the_roof_above_it():
         own = np.flatnonzero(
             (scan.points.building == name) & (scan.points.face == 4 * ClutterKind.LOWER_PART)
         )
-        z = scan.points.xyz_mm[own, 2] / 1000 + scan.origin_m[2] - row["ground_z_m"]
+        z = scan.points.xyz_mm[own, 2] / 1000 + scan.origin_m[2] - row["terrain_z_m"]
         level = own[np.abs(z - z.min()) < 0.002]
         assert len(level) > 20 and 2.199 < z.min() < 3.201
         low, high = (f(np.stack([x[level], y[level]]), axis=1) for f in (np.min, np.max))

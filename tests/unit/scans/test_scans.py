@@ -37,7 +37,7 @@ def test_every_point_lies_on_what_it_is_tagged_with(scan):
         u, v, w = (
             x[on_house] - row["origin_x_m"],
             y[on_house] - row["origin_y_m"],
-            z[on_house] - row["ground_z_m"],
+            z[on_house] - row["terrain_z_m"],
         )
         width, length = row["footprint_xy_m"][4], row["footprint_xy_m"][5]
         # distance inwards from each edge: south, east, north, west

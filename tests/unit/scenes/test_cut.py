@@ -78,7 +78,7 @@ def test_a_building_is_the_same_in_each_scene_and_in_any_order() -> None:
                     row.roof_type,
                     tuple(row.angle_deg),
                     row.eave_height_m,
-                    row.ground_z_m,
+                    row.terrain_z_m,
                     row.geometry.wkt,
                 )
                 assert seen.setdefault(row.building_id, values) == values
@@ -98,7 +98,7 @@ def test_columns_match_the_schema(tmp_path: Path) -> None:
     assert (
         good["angle_deg"].map(len) == good.geometry.map(lambda shape: len(shape.exterior.coords) - 1)
     ).all()
-    assert (good["ground_z_m"] == 40).all() and (good["base_z_m"] == 40).all()
+    assert (good["terrain_z_m"] == 40).all() and (good["base_z_m"] == 40).all()
 
 
 def test_excluded_buildings_keep_their_row() -> None:

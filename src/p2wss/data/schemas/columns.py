@@ -36,7 +36,7 @@ MESH = [
     field(
         "vertex_xyz_m",
         pa.list_(pa.float64()),
-        "mesh vertices, local x and y, z above ground_z_m; empty if rejected",
+        "mesh vertices, local x and y, z above the z of height 0; empty if rejected",
     ),
     field(
         "triangle", pa.list_(pa.int32()), "three vertex indices per triangle, counter-clockwise from outside"

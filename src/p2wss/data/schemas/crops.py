@@ -33,9 +33,14 @@ CROPS = pa.schema(
             "ground_z_m", pa.float64(), "ground at the building estimated from the cloud, NaN if it has none"
         ),
         field(
-            "eave_height_m", pa.float32(), "label: gutter above label_ground_z_m; null for real LiDAR", True
+            "eave_height_m", pa.float32(), "label: eave above label_terrain_z_m; null for real LiDAR", True
         ),
-        field("label_ground_z_m", pa.float64(), "label: z of height 0; null for real LiDAR", True),
+        field(
+            "label_terrain_z_m",
+            pa.float64(),
+            "label: terrain_z_m of the building, z of height 0; null for real LiDAR",
+            True,
+        ),
         field("angle_deg", pa.list_(pa.float32()), "label: one per edge; null for real LiDAR", True),
         field("roof_type", pa.string(), "label; null for real LiDAR", True),
         field(

@@ -23,7 +23,7 @@ RECONSTRUCTIONS = pa.schema(
         *FRAME,
         field("ground_z_m", pa.float64(), "z of height 0"),
         *FOOTPRINT,
-        field("eave_height_m", pa.float32(), "gutter above ground_z_m; null for a method without one", True),
+        field("eave_height_m", pa.float32(), "eave above ground_z_m; null for a method without one", True),
         field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without", True),
         field(
             "class_probability",

@@ -16,9 +16,9 @@ SCENE = pa.schema(
         *IDENTITY,
         field("in_tile", pa.bool_(), "false for a building of the margin, which only casts shadows"),
         *STATUS,
-        field("eave_height_m", pa.float32(), "gutter above ground_z_m"),
+        field("eave_height_m", pa.float32(), "eave above terrain_z_m"),
         field("eave_height_source", pa.string(), "'hauteur', or the fallback that gave the height"),
-        field("ground_z_m", pa.float64(), "median height of the DTM along the footprint"),
+        field("terrain_z_m", pa.float64(), "median height of the DTM along the footprint"),
         field("base_z_m", pa.float64(), "lowest height of the DTM along the footprint, where the walls end"),
         field(
             "roof_type",

@@ -38,7 +38,7 @@ def annexes(buildings: LocalBuildings, share: float) -> ClutterTriangles:
     middle = buildings.polygons.xy_m[edge] + (0.5 * width + u[:, 3] * (length - width))[:, None] * along
     half = np.stack([width, depth], axis=1) / 2
     middle = middle + (half[:, 1] + 0.01)[:, None] * outwards
-    top = buildings.ground_z_m[rows] + between(u[:, 4], 2.2, 3.2)
+    top = buildings.terrain_z_m[rows] + between(u[:, 4], 2.2, 3.2)
     fits = (length >= 2.5) & (top < buildings.eave_z_m[rows] - 0.3)
     outline = rectangles(middle, along, half)
     shrunk = shapely.polygons(rectangles(middle, along, np.maximum(half - 0.05, 0.1)))
@@ -69,7 +69,7 @@ def trees(terrain: TerrainGrid, buildings: LocalBuildings, mean: float) -> Clutt
         + away[:, None] * outwards
     )
     is_free = ~_meet_footprints(buildings, np.asarray(shapely.points(xy)))
-    foot = _nearest_height(terrain, xy, buildings.ground_z_m[rows])
+    foot = _nearest_height(terrain, xy, buildings.terrain_z_m[rows])
     crown_height = between(u[:, 5], 0.55, 0.85) * height
     middle = np.column_stack([xy, foot + height - crown_height / 2])
     # leaf area over a square metre of ground: 1 lets a third of the pulses through, 3 one in twenty

@@ -16,13 +16,13 @@ _STREAM_STEP = 2**20  # between the first draws of two streams
 class LocalBuildings(NamedTuple):
     """n buildings in the local frame.
 
-    polygons: their footprints, empty for a building without a mesh. eave_z_m, ground_z_m, base_z_m: float64
+    polygons: their footprints, empty for a building without a mesh. eave_z_m, terrain_z_m, base_z_m: float64
     (n,). key: uint64 (n,), of their random draws.
     """
 
     polygons: Polygons
     eave_z_m: np.ndarray
-    ground_z_m: np.ndarray
+    terrain_z_m: np.ndarray
     base_z_m: np.ndarray
     key: np.ndarray
 

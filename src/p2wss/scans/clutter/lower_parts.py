@@ -55,7 +55,7 @@ def add_lower_parts(surface: Surface, buildings: LocalBuildings, share: float) -
     from_start = np.where(u[:, 3] < 0.5, 0.5 * width, length - 0.5 * width)
     middle = buildings.polygons.xy_m[edge] + from_start[:, None] * along - 0.5 * depth[:, None] * outwards
     outline = rectangles(middle, along, np.stack([width, depth], axis=1) / 2)
-    top = buildings.ground_z_m[rows] + between(u[:, 4], 2.2, 3.2)
+    top = buildings.terrain_z_m[rows] + between(u[:, 4], 2.2, 3.2)
     shapes, boxes = to_geometries(buildings.polygons)[rows], shapely.polygons(outline)
     fits = (length >= 2.5) & (top < buildings.eave_z_m[rows] - 0.5)
     fits &= shapely.covers(shapely.buffer(shapes, 0.005), boxes)
