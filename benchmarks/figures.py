@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ class Figures:
 
     def __init__(self) -> None:
         self._measured: dict[str, dict[str, object]] = {}
+        self._rows: dict[str, dict[str, object]] = {}
 
     def at_least(self, name: str, value: float | None, bar: float) -> None:
         """A value that must not be less than ``bar``; None: not measured here."""
@@ -23,6 +24,10 @@ class Figures:
     def at_most(self, name: str, value: float | None, bar: float) -> None:
         """A value that must not be more than ``bar``; None: not measured here."""
         self._add(name, value, bar, lambda value: value <= bar)
+
+    def row(self, name: str, values: Mapping[str, object]) -> None:
+        """Values without a bar, for the JSON only."""
+        self._rows[name] = dict(values)
 
     def _add(self, name: str, value: float | None, bar: float, met: Callable[[float], bool]) -> None:
         if value is not None:
@@ -35,7 +40,7 @@ class Figures:
         for name, figure in self._measured.items():
             met = "met" if figure["ok"] else "MISSED"
             print(f"{name:<{width}}  {figure['value']:>12g}  bar {figure['bar']:<8g} {met}")
-        print(json.dumps(self._measured))
+        print(json.dumps(self._rows | self._measured))
         return 0 if all(figure["ok"] for figure in self._measured.values()) else 1
 
 

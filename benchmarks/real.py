@@ -178,9 +178,10 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
 
 
 def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
-    """Each figure that has a bar, by the title of its row and its name."""
+    """Every row by its title, and each figure that has a bar by the title of its row and its name."""
     figures = Figures()
     for title, row in rows.items():
+        figures.row(title, row)
         variant = title.removeprefix("delft, ").partition(", with")[0].partition(", half")[0]
         bars = labelled.BARS if title.startswith("simulated") else {}
         if title.startswith("delft"):

@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/skeleton.md: ``python docs/img/skeleton.py``."""
+"""Draws the pictures of docs/methods/skeleton.md: ``python docs/img/skeleton.py``."""
 
 from __future__ import annotations
 

@@ -1,0 +1,251 @@
+"""What the documentation names exists: commands, options, rules, targets, settings, files and figures."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from pydantic import BaseModel
+
+from p2wss import cli
+from p2wss.config import Config, load
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "models/README.md",
+    *sorted(ROOT.glob("docs/**/*.md")),
+]
+RULES = {
+    name
+    for path in [ROOT / "Snakefile", *ROOT.glob("workflow/rules/*.smk")]
+    for name in re.findall(r"^(?:rule|checkpoint) (\w+):", path.read_text(), re.MULTILINE)
+}
+RULES_TEXT = "".join(path.read_text() for path in ROOT.glob("workflow/rules/*.smk"))
+SOURCES = [
+    path
+    for folder in (
+        "src",
+        "workflow",
+        "config",
+        "benchmarks",
+        "tests",
+        "profiles",
+        "envs",
+        "docs/img",
+        "docs/results",
+    )
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".smk", ".yaml", ".json", ".csv", ".txt") and path.name != Path(__file__).name
+]
+# options of Snakemake that the pages name
+SNAKEMAKE_FLAGS = {"-n", "-f"}
+SNAKEMAKE_VALUES = {"--profile", "--report", "--sdm", "--container-image", "-R"}
+# what the recipes of CONTRIBUTING add
+RECIPES = re.compile(r"saltbox|hip35|\btail\b|tail_|\boff$")
+# placeholders in the pages, and files that a command of the pages writes
+PLACEHOLDER = re.compile(r"\.\.|[<>$*{]|\bmy[-_.]|NAME|FOLDER")
+
+
+def text_of(page: Path) -> str:
+    """The page without the templates of its figures."""
+    return re.sub(r"<!--.*?-->", "", page.read_text(), flags=re.DOTALL)
+
+
+def inline_code(page: Path) -> list[str]:
+    without_blocks = re.sub(r"```.*?```", "", text_of(page), flags=re.DOTALL)
+    return re.findall(r"`([^`\n]+)`", without_blocks)
+
+
+def block_lines(page: Path) -> Iterator[str]:
+    """The lines of fenced and of indented code, continuations joined, without comments."""
+    text = text_of(page)
+    blocks = re.findall(r"```(?:bash|sh)?\n(.*?)```", text, re.DOTALL)
+    blocks += re.findall(r"(?:^    .*\n?)+", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    for block in blocks:
+        for line in re.sub(r"\\\n\s*", "", block).splitlines():
+            yield re.sub(r"\s+#.*", "", line).strip()
+
+
+def commands(word: str) -> list[tuple[Path, str, bool]]:
+    """(page, command, whether it is whole) of every command of the pages that begins with ``word``."""
+    found = []
+    for page in PAGES:
+        found += [(page, code, False) for code in inline_code(page) if code.split()[:1] == [word]]
+        found += [(page, line, True) for line in block_lines(page) if line.split()[:1] == [word]]
+    assert found, word
+    return found
+
+
+def subcommand(words: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
+    """The parser of the sub-command that the words begin with, and the words after it."""
+    parser = cli._parser()
+    while groups := [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]:
+        if not words or words[0] not in groups[0].choices:
+            assert words[:1] == [] or words[0].startswith("-") or PLACEHOLDER.search(words[0]), words
+            break
+        parser, words = groups[0].choices[words[0]], words[1:]
+    return parser, words
+
+
+def options(parser: argparse.ArgumentParser) -> set[str]:
+    own = {option for action in parser._actions for option in action.option_strings}
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            own |= {option for inner in action.choices.values() for option in options(inner)}
+    return own
+
+
+def test_every_command_of_p2wss_parses():
+    for page, command, is_whole in commands("p2wss"):
+        parser, words = subcommand(shlex.split(command)[1:])
+        for word in words:
+            if word.startswith("--") and len(word) > 2:
+                assert word.partition("=")[0] in options(parser), f"{page.name}: {command}"
+        if is_whole and not RECIPES.search(command) and not any(word in (".", "..", "...") for word in words):
+            try:
+                parser.parse_args(words)
+            except SystemExit:
+                pytest.fail(f"{page.name}: {command}")
+
+
+def test_every_option_named_alone_exists():
+    known = options(cli._parser()) | SNAKEMAKE_VALUES | SNAKEMAKE_FLAGS
+    for path in ROOT.glob("benchmarks/*.py"):
+        known |= set(re.findall(r'"(--[\w-]+)"', path.read_text()))
+    for page in PAGES:
+        for code in inline_code(page):
+            if code.startswith("--"):
+                assert code.split()[0].partition("=")[0] in known, f"{page.name}: {code}"
+
+
+def test_every_target_and_setting_of_snakemake_commands_exists():
+    for page, command, _ in commands("snakemake"):
+        if "$" in command or RECIPES.search(command):
+            continue
+        words, kind = shlex.split(command)[1:], ""
+        while words:
+            word, where = words.pop(0), f"{page.name}: {command}"
+            if word in ("--config", "--configfile"):
+                kind = word
+            elif word in SNAKEMAKE_VALUES:
+                value = words.pop(0) if words else ""
+                assert word != "-R" or value in RULES, where
+                assert word != "--profile" or (ROOT / value / "config.yaml").is_file(), where
+            elif word in SNAKEMAKE_FLAGS or re.fullmatch(r"-c\d+", word) or PLACEHOLDER.search(word[:1]):
+                kind = ""
+            elif kind == "--config" and "=" in word:
+                section, _, value = word.partition("=")
+                load({section: yaml.safe_load(value)})
+            elif kind == "--configfile" and word.endswith(".yaml"):
+                assert PLACEHOLDER.search(word) or (ROOT / word).is_file(), where
+            elif word.startswith("results/"):
+                assert generic(word) in RULES_TEXT, where
+            else:
+                assert word in RULES or word in ("...", "<your", "image>"), where
+
+
+def test_every_target_of_make_exists():
+    targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for page, command, _ in commands("make"):
+        assert command == "make" or command.split()[1] in targets, f"{page.name}: {command}"
+
+
+def generic(path: str) -> str:
+    """A file of the results as the rules write it."""
+    path = re.sub(r"^results/(<region>|mini)/", "<results>/", path)
+    return re.sub(r"<tile>|\d{4}_\d{4}", "{tile}", path)
+
+
+def test_every_path_exists():
+    top = ["src", "tests", "docs", "config", "benchmarks", "workflow", "models", "profiles", "envs"]
+    for page in PAGES:
+        for code in inline_code(page):
+            path = code.removesuffix("*")
+            if re.fullmatch(r"[\w/]+\.(py|smk)", code) and not RECIPES.search(code):
+                assert (ROOT / code).is_file() or any(str(file).endswith(f"/{code}") for file in SOURCES), (
+                    f"{page.name}: {code}"
+                )
+            if not re.fullmatch(r"[\w./*{}<>-]+", code) or path.split("/")[0] not in top or "/" not in path:
+                continue
+            if not re.search(r"[<>{]|my-town", code):
+                assert list(ROOT.glob(path.rstrip("/"))), f"{page.name}: {code}"
+        for link in re.findall(r"\]\(([^)\s]+)\)", text_of(page)):
+            if not link.startswith("http"):
+                file, _, anchor = link.partition("#")
+                target = (page.parent / file).resolve() if file else page
+                assert target.exists(), f"{page.name}: {link}"
+                assert not anchor or anchor in anchors(target), f"{page.name}: {link}"
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors that GitHub gives to the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_result_is_written_by_a_rule():
+    for page in PAGES:
+        for code in inline_code(page):
+            if re.match(r"results/(<region>|mini)/.*\.\w+$", code) and "*" not in code:
+                assert RECIPES.search(code) or generic(code) in RULES_TEXT, f"{page.name}: {code}"
+
+
+def test_every_setting_exists():
+    for page in PAGES:
+        for code in inline_code(page):
+            section, dot, rest = code.partition(":")[0].partition(".")
+            if dot and section in Config.model_fields and re.fullmatch(r"[\w.]+", rest):
+                if rest in ("py", "yaml", "smk", "safetensors", "parquet", "tif"):
+                    continue
+                model: object = Config.model_fields[section].annotation
+                for key in rest.split("."):
+                    assert isinstance(model, type) and issubclass(model, BaseModel), f"{page.name}: {code}"
+                    assert key in model.model_fields, f"{page.name}: {code}"
+                    model = model.model_fields[key].annotation
+
+
+def test_every_identifier_occurs_in_the_code():
+    """Names of rules, columns, functions and settings have an underscore; they must occur somewhere."""
+    words = {word for path in SOURCES for word in re.findall(r"\w+", path.read_text())}
+    for page in PAGES:
+        for code in inline_code(page):
+            name = code.partition(":")[0].strip("*")
+            if re.fullmatch(r"[A-Za-z]\w*_\w*", name) and not RECIPES.search(name):
+                assert name in words or any(word.startswith(name) for word in words), f"{page.name}: {code}"
+
+
+def test_every_import_of_the_examples_works():
+    found = 0
+    for page in PAGES:
+        for module, names in re.findall(
+            r"^\s*from (p2wss[\w.]*) import ([\w, ]+)$", text_of(page), re.MULTILINE
+        ):
+            source = ROOT / "src" / Path(*module.split("."))
+            path = source / "__init__.py" if source.is_dir() else source.with_suffix(".py")
+            assert path.is_file(), f"{page.name}: {module}"
+            for name in names.split(", "):
+                inner = [source / name, source / f"{name}.py"] if source.is_dir() else []
+                defined = re.search(rf"\b{name}\b", path.read_text()) or any(file.exists() for file in inner)
+                assert defined, f"{page.name}: {module}.{name}"
+                found += 1
+    assert found
+
+
+def test_pages_show_the_stored_figures():
+    spec = importlib.util.spec_from_file_location("results", ROOT / "benchmarks/results.py")
+    assert spec is not None and spec.loader is not None
+    results = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(results)
+    files = results.stored()
+    for page in results.pages():
+        text = page.read_text()
+        assert results.rendered(text, files) == text, f"{page.name}: run python benchmarks/results.py"
+    assert all({"command", "machine", "modules", "code", "figures"} <= set(file) for file in files.values())
