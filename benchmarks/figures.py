@@ -1,4 +1,4 @@
-"""What all benchmarks share: figures beside their bars, CPU time, peak memory."""
+"""Shared by the benchmarks: figures beside their bars, CPU time, peak memory."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ import numpy as np
 
 
 class Figures:
-    """Measured values beside their bars."""
+    """Measured values and the bars that they must reach."""
 
     def __init__(self) -> None:
         self._measured: dict[str, dict[str, object]] = {}
         self._rows: dict[str, dict[str, object]] = {}
 
     def at_least(self, name: str, value: float | None, bar: float) -> None:
-        """A value that must not be less than ``bar``; None: not measured here."""
+        """Add a value that must not be less than ``bar``; None if it cannot be measured here."""
         self._add(name, value, bar, lambda value: value >= bar)
 
     def at_most(self, name: str, value: float | None, bar: float) -> None:
-        """A value that must not be more than ``bar``; None: not measured here."""
+        """Add a value that must not be more than ``bar``; None if it cannot be measured here."""
         self._add(name, value, bar, lambda value: value <= bar)
 
     def row(self, name: str, values: Mapping[str, object]) -> None:
-        """Values without a bar, for the JSON only."""
+        """Add values without a bar, which appear in the JSON only."""
         self._rows[name] = dict(values)
 
     def _add(self, name: str, value: float | None, bar: float, met: Callable[[float], bool]) -> None:
@@ -38,14 +38,14 @@ class Figures:
         width = max(map(len, self._measured), default=0)
         print()
         for name, figure in self._measured.items():
-            met = "met" if figure["ok"] else "MISSED"
-            print(f"{name:<{width}}  {figure['value']:>12g}  bar {figure['bar']:<8g} {met}")
+            verdict = "met" if figure["ok"] else "MISSED"
+            print(f"{name:<{width}}  {figure['value']:>12g}  bar {figure['bar']:<8g} {verdict}")
         print(json.dumps(self._rows | self._measured))
         return 0 if all(figure["ok"] for figure in self._measured.values()) else 1
 
 
 def cpu_seconds(call: Callable[[], object], repeats: int = 3) -> float:
-    """Least CPU time of a few calls, after one that does not count."""
+    """CPU time of the fastest of a few calls, after one that is not measured."""
     call()
     best = np.inf
     for _ in range(repeats):
@@ -56,6 +56,6 @@ def cpu_seconds(call: Callable[[], object], repeats: int = 3) -> float:
 
 
 def peak_mib() -> float:
-    """The most memory that this process held. Not getrusage's: that begins with what the parent held."""
+    """Peak memory of this process. getrusage is of no use: its figure begins with the parent's memory."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))

@@ -1,9 +1,9 @@
-"""Speed, rejects and sensitivity of the geometry kernel, against SFCGAL (and compas_cgal where installed).
+"""Speed, rejections and sensitivity of the geometry kernel, against SFCGAL and, where installed, compas_cgal.
 
     python benchmarks/skeleton.py [--num 5000] [--real FOLDER]
 
-All speeds are CPU time of one core. FOLDER holds real footprints (default: ../shared/data, skipped if
-absent).
+All speeds are CPU time of one core. FOLDER contains real footprints (default: ../shared/data; skipped if
+absent). The last line is JSON.
 """
 
 from __future__ import annotations
@@ -53,19 +53,19 @@ REAL = ("olemps_bdtopo/BATIMENT.shp", "delft_ahn3/footprints.gpkg", "bresse_ign/
 
 
 def speed(num: int) -> float:
-    """Buildings per second and core for clean-up, skeleton, mesh and checks, over the regimes."""
+    """Buildings per second and core for clean-up, skeleton, mesh and checks, in the slowest regime."""
     print(f"{'regime':<12}{'courtyards':>11}{'edges':>7}{'buildings/s':>13}{'triangles':>11}  rejected")
     slowest = np.inf
     for share in (0.0, 1.0):
         raw = sample_footprints(num, 1, share)
         polygons = clean(raw).polygons
         eave = np.full(num, 5.0)
-        cleaning = cpu_seconds(lambda raw=raw: clean(raw))
+        clean_s = cpu_seconds(lambda raw=raw: clean(raw))
         for regime in REGIMES:
             angle = sample_angles(polygons, regime, 5)
             meshes = build(polygons, angle, eave)
-            building = cpu_seconds(lambda p=polygons, a=angle, e=eave: build(p, a, e))
-            rate = num / (cleaning + building)
+            build_s = cpu_seconds(lambda p=polygons, a=angle, e=eave: build(p, a, e))
+            rate = num / (clean_s + build_s)
             if share == 0.0:
                 slowest = min(slowest, rate)
             reasons = dict(Counter(Status(s).reason for s in meshes.status if s))
@@ -77,18 +77,18 @@ def speed(num: int) -> float:
 
 
 def against_sfcgal(num: int) -> float:
-    """How many times as fast as SFCGAL on the same buildings, both in CPU time."""
+    """Speed over that of SFCGAL on the same buildings, both in CPU time."""
     polygons = clean(sample_footprints(num, 2)).polygons
     angle = sample_angles(polygons, "one", 2)
     eave = np.full(num, 5.0)
-    mine = cpu_seconds(lambda: build(polygons, angle, eave)) / num
-    _, theirs = sfcgal_volumes(polygons, angle)
-    print(f"\nSFCGAL {1 / theirs.mean():.0f} roofs/s, this kernel {1 / mine:.0f} checked solids/s")
-    return theirs.mean() / mine
+    kernel_s = cpu_seconds(lambda: build(polygons, angle, eave)) / num
+    _, sfcgal_s = sfcgal_volumes(polygons, angle)
+    print(f"\nSFCGAL {1 / sfcgal_s.mean():.0f} roofs/s, this kernel {1 / kernel_s:.0f} checked solids/s")
+    return sfcgal_s.mean() / kernel_s
 
 
 def against_compas(num: int) -> float | None:
-    """The same for compas_cgal's roofs, or None where it is not installed."""
+    """Speed over that of compas_cgal's roofs, or None where it is not installed."""
     if importlib.util.find_spec("compas_cgal") is None:
         print("compas_cgal is not installed: not compared")
         return None
@@ -96,8 +96,8 @@ def against_compas(num: int) -> float | None:
 
     polygons = clean(sample_footprints(num, 2)).polygons
     angle = sample_angles(polygons, "one", 2)
-    mine = cpu_seconds(lambda: build(polygons, angle, np.full(num, 5.0))) / num
-    used = 0.0
+    kernel_s = cpu_seconds(lambda: build(polygons, angle, np.full(num, 5.0))) / num
+    compas_s = 0.0
     for k in range(num):
         ring = polygons.rings(k)[0]
         turned = np.roll(angle[polygons.vertex_offset[k] : polygons.vertex_offset[k + 1]], 1).tolist()
@@ -105,27 +105,28 @@ def against_compas(num: int) -> float | None:
         _straight_skeleton_2.extrude_straight_skeleton(
             np.column_stack([ring, np.zeros(len(ring))]), [], [turned], True, -1.0
         )
-        used += time.process_time() - start
-    print(f"compas_cgal {num / used:.0f} roofs/s")
-    return used / num / mine
+        compas_s += time.process_time() - start
+    print(f"compas_cgal {num / compas_s:.0f} roofs/s")
+    return compas_s / num / kernel_s
 
 
 def triangles_by_edges(num: int) -> None:
+    """Print the number of triangles of a solid by the number of its footprint edges."""
     polygons = clean(sample_footprints(num, 1)).polygons
     meshes = build(polygons, sample_angles(polygons, "realistic", 5), np.full(num, 5.0))
     edges, triangles = np.diff(polygons.vertex_offset), np.diff(meshes.triangle_offset)
     print(f"\n{'edges':>6}{'buildings':>11}{'triangles: mean':>17}{'p5':>6}{'p95':>6}   (realistic)")
     for n in np.unique(edges):
-        own = triangles[(edges == n) & (meshes.status == 0)]
-        if len(own) >= 20:
-            low, high = np.quantile(own, [0.05, 0.95])
-            print(f"{n:>6}{len(own):>11}{own.mean():>17.1f}{low:>6.0f}{high:>6.0f}")
+        counts = triangles[(edges == n) & (meshes.status == 0)]
+        if len(counts) >= 20:
+            low, high = np.quantile(counts, [0.05, 0.95])
+            print(f"{n:>6}{len(counts):>11}{counts.mean():>17.1f}{low:>6.0f}{high:>6.0f}")
 
 
 def scaling() -> float:
     """Milliseconds for one building of 1,000 edges."""
     print(f"\n{'edges':>6}{'ms':>9}{'us per edge':>13}")
-    took = 0.0
+    seconds = 0.0
     for n in (4, 10, 30, 100, 300, 1000):
         rng = np.random.default_rng(n)
         t = np.linspace(0, 2 * np.pi, n, endpoint=False)
@@ -139,13 +140,13 @@ def scaling() -> float:
                 status = build(polygons, angle, np.array([5.0])).status
             assert status[0] == 0, Status(status[0])
 
-        took = cpu_seconds(run) / repeats
-        print(f"{len(angle):>6}{1e3 * took:>9.2f}{1e6 * took / len(angle):>13.1f}")
-    return 1e3 * took
+        seconds = cpu_seconds(run) / repeats
+        print(f"{len(angle):>6}{1e3 * seconds:>9.2f}{1e6 * seconds / len(angle):>13.1f}")
+    return 1e3 * seconds
 
 
 def roof_angles(polygons: Polygons, seed: int) -> np.ndarray:
-    """Angles of every edge by the project's realistic sampler, no building against another."""
+    """Angles of every edge as the stage scenes draws them, no building against another."""
     import shapely
 
     config = Scenes(seed=seed)
@@ -154,8 +155,8 @@ def roof_angles(polygons: Polygons, seed: int) -> np.ndarray:
         rings = polygons.rings(k)
         if rings:
             radius = shapely.maximum_inscribed_circle(shapely.Polygon(rings[0], rings[1:]), 0.1).length
-            outline = FootprintEdges.from_rings(rings, np.zeros(sum(map(len, rings)), bool), radius)
-            angle.append(draw_angles(outline, str(k), config)[1])
+            edges = FootprintEdges.from_rings(rings, np.zeros(sum(map(len, rings)), bool), radius)
+            angle.append(draw_angles(edges, str(k), config)[1])
     return np.concatenate(angle)
 
 
@@ -172,7 +173,7 @@ def changed_share(polygons: Polygons, angle: np.ndarray, seed: int, **options: f
 
 
 def sensitivity(num: int, real: dict[str, Polygons], figures: Figures) -> float:
-    """The largest share over the data sets with the realistic sampler; prints all regimes."""
+    """The largest such share over the data sets with angles by roof type; prints all regimes."""
     print(
         "\n1 mm of jitter changes the volume by more than 2 %:\n"
         f"  {'footprints':<28}{'sampler':<12}{'buildings':>10}{'share':>10}{'edges not straightened':>25}"
@@ -204,29 +205,29 @@ def sensitivity(num: int, real: dict[str, Polygons], figures: Figures) -> float:
 
 
 def real_footprints(folder: Path) -> dict[str, Polygons]:
-    """The real footprints as they come; empty where they are not there."""
+    """The real footprints as they are in the files, by data set; empty where a file is absent."""
     if not all((folder / name).exists() for name in REAL):
-        print(f"no real footprints in {folder}: left out")
+        print(f"no real footprints in {folder}: skipped")
         return {}
     import geopandas
 
-    read = {}
+    footprints = {}
     for name in REAL:
         geometry = geopandas.read_file(folder / name).geometry.explode()
-        read[name.split("/")[0]] = Polygons.from_rings(
+        footprints[name.split("/")[0]] = Polygons.from_rings(
             [[np.asarray(r.coords)[:, :2] for r in (g.exterior, *g.interiors)] for g in geometry]
         )
-    return read
+    return footprints
 
 
-def rejects(num: int, real: dict[str, Polygons]) -> float | None:
-    """Share rejected of real footprints with ten draws of roof types; prints every reason."""
+def rejections(num: int, real: dict[str, Polygons]) -> float | None:
+    """Share of real footprints rejected with ten draws of roof types, None without any; prints every reason."""
     print(
         f"\n{'footprints':<18}{'sampler':<12}{'polygons':>9}{'edges':>7}{'draws':>8}{'rejected':>10}  reasons"
     )
     worst = None
-    synthetic = {"synthetic": sample_footprints(num, 6), "courtyards": sample_footprints(num, 6, 1.0)}
-    for name, raw in {**synthetic, **real}.items():
+    random = {"random": sample_footprints(num, 6), "courtyards": sample_footprints(num, 6, 1.0)}
+    for name, raw in {**random, **real}.items():
         cleaned = clean(raw)
         for regime in ("roof types", *REGIMES):
             reasons: Counter[str] = Counter()
@@ -265,12 +266,13 @@ def _load(polygons_xy, ring_offset, work):
     return load_footprint(polygons_xy, ring_offset, 0, len(ring_offset) - 1, work.edge)[0]
 
 
-def refinement(num_points: int = 60) -> float:
-    """Mean microseconds to evaluate one set of angles at 60 points, over shapes of up to 8 edges."""
+def fit_evaluation(num_points: int = 60) -> float:
+    """Mean microseconds to evaluate one set of angles at 60 points, as the fit does, over footprints of up to
+    8 edges."""
     polygons = clean(sample_footprints(400, 4)).polygons
     angle = sample_angles(polygons, "realistic", 4)
     rng = np.random.default_rng(0)
-    took = []
+    seconds = []
     for k in range(len(polygons)):
         first, last = polygons.vertex_offset[k : k + 2]
         n = last - first
@@ -284,8 +286,8 @@ def refinement(num_points: int = 60) -> float:
         out = np.zeros(num_points, np.int64), np.zeros(num_points)
         arguments = n, 1, angle[first:last].copy(), work, query, x, y, *out
         assert _evaluate(1, *arguments) == 0
-        took.append(cpu_seconds(lambda a=arguments: _evaluate(200, *a)) / 200)
-    mean, high = 1e6 * np.mean(took), 1e6 * np.quantile(took, 0.95)
+        seconds.append(cpu_seconds(lambda a=arguments: _evaluate(200, *a)) / 200)
+    mean, high = 1e6 * np.mean(seconds), 1e6 * np.quantile(seconds, 0.95)
     print(
         f"\nset_angles + simulate + assign, {num_points} points, up to 8 edges: {mean:.1f} us (p95 {high:.1f})"
     )
@@ -293,25 +295,26 @@ def refinement(num_points: int = 60) -> float:
 
 
 def first_use() -> float:
-    """CPU seconds of the first clean() and build() with an empty cache, imports included."""
+    """CPU seconds of the first clean() and build() with an empty cache, imports included; prints further calls."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        took = []
+        by_call = []
         for _ in range(2):
-            done = subprocess.run(
+            process = subprocess.run(
                 [sys.executable, "-c", FIRST_USE], env=environment, capture_output=True, text=True, check=True
             )
-            took.append({name: float(value) for name, value in map(str.split, done.stdout.splitlines())})
+            lines = map(str.split, process.stdout.splitlines())
+            by_call.append({name: float(value) for name, value in lines})
     print("\nCPU seconds of the first call in a process, empty cache and full cache:")
-    for name in took[0]:
-        print(f"  {name:<12}{took[0][name]:>7.2f}{took[1][name]:>7.2f}")
-    return took[0]["clean+build"]
+    for name in by_call[0]:
+        print(f"  {name:<12}{by_call[0][name]:>7.2f}{by_call[1][name]:>7.2f}")
+    return by_call[0]["clean+build"]
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--num", type=int, default=5000, help="buildings per regime")
-    parser.add_argument("--real", type=Path, default=ROOT.parent / "shared" / "data")
+    parser.add_argument("--real", type=Path, default=ROOT.parent / "shared" / "data", help="real footprints")
     options = parser.parse_args()
 
     figures = Figures()
@@ -321,10 +324,10 @@ def main() -> int:
     figures.at_least("ratio_to_compas_cgal", against_compas(min(options.num, 500)), 1)
     triangles_by_edges(options.num)
     figures.at_most("ms_for_1000_edges", scaling(), 1000)
-    figures.at_most("us_per_refinement_evaluation", refinement(), 5)
+    figures.at_most("us_per_fit_evaluation", fit_evaluation(), 5)
     real = real_footprints(options.real)
     figures.at_most("sensitive_share", sensitivity(options.num, real, figures), 0.001)
-    figures.at_most("real_rejected_share", rejects(options.num, real), 0.005)
+    figures.at_most("real_rejected_share", rejections(options.num, real), 0.005)
     figures.at_most("first_use_s", first_use(), 30)
     return figures.end()
 

@@ -61,24 +61,26 @@ PICTURES = {
     ],
 }
 _ELEVATION_DEG = 42
-# seen from behind, where the edges that matter are
+# pictures drawn from behind, where the edges that matter are
 FROM_BEHIND = {"cap", "parallel", "reflex"}
 
 
 def draw(
     axes, rings: list[np.ndarray], angle_deg: list[float], max_roof_height_m: float, azimuth: float
 ) -> None:
-    """One solid, seen from above its front, with the angle written at every edge."""
-    vertex, parts = faces(
+    """Draw one solid from above, with the angle beside every edge that faces the viewer."""
+    vertex, solid_faces = faces(
         Polygons.from_rings([rings]),
         np.array(angle_deg, float),
         np.array([2.5]),
         max_roof_height_m=max_roof_height_m,
     ).solid(0)
-    up, round_z = np.radians([_ELEVATION_DEG, azimuth])
-    towards = np.array([np.cos(up) * np.cos(round_z), np.cos(up) * np.sin(round_z), np.sin(up)])
+    elevation, turn = np.radians([_ELEVATION_DEG, azimuth])
+    towards = np.array(
+        [np.cos(elevation) * np.cos(turn), np.cos(elevation) * np.sin(turn), np.sin(elevation)]
+    )
     light = np.array([-0.5, -0.7, 1.1]) / np.linalg.norm([-0.5, -0.7, 1.1])
-    for kind, _, loops in parts:
+    for kind, _, loops in solid_faces:
         outer = vertex[loops[0]]
         normal = np.cross(outer, np.roll(outer, -1, 0)).sum(0)
         if normal @ towards <= 0:
@@ -92,8 +94,10 @@ def draw(
     for ring, angles in zip(rings, np.split(np.array(angle_deg), [len(rings[0])]), strict=False):
         along = np.roll(ring, -1, 0) - ring
         outwards = np.stack([along[:, 1], -along[:, 0]], 1) / np.hypot(*along.T)[:, None]
-        seen = outwards @ towards[:2] > 0
-        for (x, y), angle in zip((ring + along / 2 + 0.9 * outwards)[seen], angles[seen], strict=True):
+        is_visible = outwards @ towards[:2] > 0
+        for (x, y), angle in zip(
+            (ring + along / 2 + 0.9 * outwards)[is_visible], angles[is_visible], strict=True
+        ):
             axes.text(x, y, 0 if ring is rings[0] else 2.5, f"{angle:g}°", fontsize=6, ha="center")
     low, high = rings[0].min(0), rings[0].max(0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(0, vertex[:, 2].max()))
@@ -103,7 +107,7 @@ def draw(
 
 
 def triangles(outer: np.ndarray, holes: list[np.ndarray]) -> list[np.ndarray]:
-    """A plane face with holes, cut up for matplotlib, which knows no holes."""
+    """A plane face, cut into triangles if it has holes, which matplotlib cannot draw."""
     if not holes:
         return [outer]
     import mapbox_earcut
@@ -115,7 +119,7 @@ def triangles(outer: np.ndarray, holes: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def main() -> None:
-    """Write one SVG per rule beside this file."""
+    """Write one SVG per rule into the folder of this file."""
     plt.rcParams.update({"svg.hashsalt": "p2wss", "svg.fonttype": "none", "font.family": "sans-serif"})
     for name, panels in PICTURES.items():
         figure = plt.figure(figsize=(2.9 * len(panels), 2.4))
