@@ -39,8 +39,9 @@ from lidar_scene import (
     warm_up,
 )
 
-from p2wss import crops, scans
+from p2wss import scans
 from p2wss.config import Clutter
+from p2wss.data.schemas.scan import read_scan
 from p2wss.data.terrain import Terrain
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -72,7 +73,7 @@ def steps(figures: Figures, buildings: pa.Table, terrain: Terrain, size_m: float
         start = time.process_time()
         scans.write_scan(path, run.scan, CRS)
         written = time.process_time()
-        crops.read_scan(path)
+        read_scan(path)
         read = time.process_time()
         print(
             f"LAZ between the stages, without a bar: written {written - start:.2f} s, "

@@ -43,6 +43,7 @@ def add_parser(stages: Parsers) -> None:
 def crops_simulated(arguments: argparse.Namespace) -> None:
     from p2wss import crops
     from p2wss.data.schemas.buildings import BUILDINGS
+    from p2wss.data.schemas.scan import read_scan
 
     config = read_config(arguments)
     facts = files.read_metadata(arguments.buildings)
@@ -52,7 +53,7 @@ def crops_simulated(arguments: argparse.Namespace) -> None:
             f"{arguments.buildings}: its margin of {facts['margin_m']} m is smaller than crops.guard_m "
             f"{config.crops.guard_m}; raise scenes.margin_m"
         )
-    scan = crops.read_scan(arguments.scan)
+    scan = read_scan(arguments.scan)
     crops.check_crs(scan[0].crs, facts["crs"], str(arguments.scan))
     columns, left_out = crops.crop_simulated(table, scan, config.crops)
     _write_crops(arguments.out, columns, left_out, facts["tile"], facts["crs"], section_json(config, "crops"))

@@ -1,6 +1,6 @@
 """Stage crops: the points of each building, from a simulated scan or from real LiDAR (paper, section 5.1)."""
 
-from p2wss.crops.crop import check_crs, crop_real, crop_simulated, read_scan
+from p2wss.crops.crop import check_crs, crop_real, crop_simulated
 from p2wss.crops.manifest import list_shards
 from p2wss.crops.splits import assign_splits
 
@@ -10,5 +10,4 @@ __all__ = [
     "crop_real",
     "crop_simulated",
     "list_shards",
-    "read_scan",
 ]

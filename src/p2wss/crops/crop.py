@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import laspy
 import numpy as np
 import pyarrow as pa
 import pyproj
@@ -25,41 +24,9 @@ from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
 from p2wss.skeleton.types import FaceKind, Polygons
 
-_READ_AT_ONCE = 1_000_000
 _REACH_M = 320.0  # int16 centimetres end at 327 m
 _NOT_INT16 = -32768
 _WALL_SEEN_POINTS = 10
-
-
-def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
-    """A simulated scan: its points, and the building id and face id of each, int32 (see
-    ``scans.write_scan``)."""
-    needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
-    needed |= laspy.DecompressionSelection.POINT_SOURCE_ID
-    needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
-    try:
-        with laspy.open(path, decompression_selection=needed) as reader:
-            count, crs = reader.header.point_count, reader.header.parse_crs()
-            xyz = [np.empty(count) for _ in range(3)]
-            classification = np.empty(count, np.uint8)
-            building, face = np.empty(count, np.int32), np.empty(count, np.int32)
-            strip = np.empty(count, np.uint16)
-            first = 0
-            for points in reader.chunk_iterator(_READ_AT_ONCE):
-                part = slice(first, first + len(points))
-                for column, name in zip(xyz, "xyz", strict=True):
-                    column[part] = points[name]
-                classification[part] = points.classification
-                building[part], face[part] = points["building_id"], points["face_id"]
-                strip[part] = points.point_source_id
-                first = part.stop
-            if first != count:
-                raise EOFError(f"{first} of {count} points")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except Exception as error:  # laspy and lazrs raise many kinds for a broken file
-        raise InputError(f"{path}: not a readable scan of p2wss, or truncated: {error}") from error
-    return Cloud(xyz[0], xyz[1], xyz[2], classification, crs, strip), building, face
 
 
 def crop_simulated(

@@ -3,19 +3,18 @@ docs/lidar.md)."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import laspy
-import lazrs
 import numpy as np
 import pyarrow as pa
 import pyproj
 
 from p2wss.config import Scans
-from p2wss.data import files
 from p2wss.data.clouds import same_crs
+from p2wss.data.schemas import scan as schema
 from p2wss.data.seeds import derive_seed
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds
@@ -126,43 +125,27 @@ def _point_facts(points: Points, origin: np.ndarray, bounds: Bounds) -> dict[str
 
 
 def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) -> None:
-    """Write LAS 1.4 points of format 6, compressed; whole or not at all.
-
-    Classes: 2 ground, 5 vegetation, 6 building. Extra dimensions: ``building_id`` int32, the row in the
-    buildings file or -1; ``face_id`` int32, see :func:`surface.encode_face` and ``encode_clutter``.
-    """
-    points, survey = scan.points, scan.survey
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, 0.001), scan.origin_m
-    header.system_identifier, header.generating_software = "p2wss simulated survey", "p2wss"
-    header.creation_date = None  # the same points make the same file on any day
-    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.WEEK_TIME
-    header.add_crs(crs)
-    header.add_extra_dims(
-        [
-            laspy.ExtraBytesParams("building_id", "int32", "row in buildings, -1 none"),
-            laspy.ExtraBytesParams("face_id", "int32", "4 (edge + 1) + kind, -1 none"),
-        ]
-    )
-    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
-    with files.atomic(path) as temporary:
-        try:
-            with laspy.open(temporary, "w", header=header, laz_backend=backend, do_compress=True) as writer:
-                for first in range(0, len(points.pulse), _WRITTEN_AT_ONCE):
-                    part = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in points))
-                    writer.write_points(_las_points(part, survey, header))
-        except lazrs.LazrsError as error:  # a full disk, which io.atomic tells of
-            raise OSError(str(error)) from error
+    """Write the points of a scan in the format of :mod:`p2wss.data.schemas.scan`; whole or not at all."""
+    schema.write_scan(path, _las_chunks(scan), scan.origin_m, crs, threads)
 
 
-def _las_points(points: Points, survey: Survey, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
-    record = laspy.ScaleAwarePointRecord.zeros(len(points.pulse), header=header)
-    record.X, record.Y, record.Z = points.xyz_mm.T
-    record.intensity, record.scan_angle = points.intensity, points.scan_angle
-    record.classification = las_classes(points.face)
-    record.return_number, record.number_of_returns = points.return_number, points.num_returns
-    record.point_source_id = points.strip
-    start_s = np.array([strip.start_s for strip in survey.strips])
-    record.gps_time = start_s[points.strip] + points.pulse / survey.parameters["pulse_rate_hz"]
-    record.building_id, record.face_id = points.building, points.face
-    return record
+def _las_chunks(scan: Scan) -> Iterator[dict[str, np.ndarray]]:
+    """The points by LAS dimension, some at a time."""
+    start_s = np.array([strip.start_s for strip in scan.survey.strips])
+    for first in range(0, len(scan.points.pulse), _WRITTEN_AT_ONCE):
+        points = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in scan.points))
+        x_mm, y_mm, z_mm = points.xyz_mm.T
+        yield {
+            "X": x_mm,
+            "Y": y_mm,
+            "Z": z_mm,
+            "intensity": points.intensity,
+            "scan_angle": points.scan_angle,
+            "classification": las_classes(points.face),
+            "return_number": points.return_number,
+            "number_of_returns": points.num_returns,
+            "point_source_id": points.strip,
+            "gps_time": start_s[points.strip] + points.pulse / scan.survey.parameters["pulse_rate_hz"],
+            "building_id": points.building,
+            "face_id": points.face,
+        }
