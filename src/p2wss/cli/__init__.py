@@ -1,7 +1,7 @@
-"""The command line: a module per command, each a few lines that read files, call the stage and write files.
+"""The command line, one module per command. A command reads files, calls its stage and writes files.
 
-Heavy modules are imported inside the commands, so that ``p2wss --help`` answers at once. Everything here is
-glue: what decides a result belongs in the stage's package.
+Commands import heavy modules when they run, so that ``p2wss --help`` responds at once. Whatever decides a
+result belongs in the package of the stage.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ COMMANDS = (towns, fetch, scenes, buildings, scans, crops, dvae, model, evaluati
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one sub-command. Returns the exit status: 0, or 2 for input that the user can mend."""
+    """Run one command. Returns the exit status: 0, or 2 for an error that the user can fix."""
     parsed = _parser().parse_args(arguments)
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
-    # what laspy logs of a broken file it raises too, which becomes the one line below
+    # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
-    logging.getLogger("pyogrio").setLevel(logging.WARNING)  # it reports every file that it writes
+    logging.getLogger("pyogrio").setLevel(logging.WARNING)  # pyogrio reports every file that it writes
     try:
         parsed.run(parsed)
     except InputError as error:
@@ -36,10 +36,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="p2wss", description="Footprints and LiDAR to watertight LoD2 buildings."
+        prog="p2wss",
+        description="Watertight LoD2 buildings from building footprints and aerial LiDAR.",
+        epilog="p2wss COMMAND --help describes a command; the Snakemake workflow runs them in order.",
     )
     parser.add_argument("--version", action="version", version=f"p2wss {__version__}")
-    stages = parser.add_subparsers(title="stages, in order", required=True, metavar="STAGE")
+    commands = parser.add_subparsers(
+        title="commands, in the order of the pipeline", required=True, metavar="COMMAND"
+    )
     for command in COMMANDS:
-        command.add_parser(stages)
+        command.add_parser(commands)
     return parser

@@ -1,16 +1,11 @@
-"""``p2wss buildings``: parametric buildings of one scene."""
+"""``p2wss buildings``: closed meshes of the buildings of one scene."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from p2wss.cli.common import (
-    Parsers,
-    add_command,
-    log_status_counts,
-    read_config,
-)
+from p2wss.cli.common import Parsers, add_command, log_status_counts, read_config
 from p2wss.config import section_json
 from p2wss.data import files
 from p2wss.errors import InputError
@@ -19,12 +14,15 @@ from p2wss.provenance import fingerprint
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss buildings`` to the parser."""
-    command = add_command(stages, "buildings", buildings, "parametric buildings of one scene")
-    command.add_argument("--scene", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="Parquet of parameters and meshes", required=True)
+    command = add_command(stages, "buildings", buildings, "build the closed meshes of one scene")
+    command.add_argument("--scene", type=Path, required=True, help="GeoParquet written by p2wss scenes cut")
+    command.add_argument(
+        "--out", type=Path, required=True, help="Parquet to write: parameters and meshes of the buildings"
+    )
 
 
 def buildings(arguments: argparse.Namespace) -> None:
+    """Write the parameters and meshes of the buildings of a scene."""
     import numpy as np
 
     from p2wss.buildings import build_scene, failed_fraction
@@ -40,7 +38,8 @@ def buildings(arguments: argparse.Namespace) -> None:
     if failed > config.buildings.max_failed_fraction:
         raise InputError(
             f"{arguments.scene}: {failed:.1%} of its buildings were rejected, more than "
-            f"buildings.max_failed_fraction {config.buildings.max_failed_fraction:.1%}; the reasons are above"
+            f"buildings.max_failed_fraction {config.buildings.max_failed_fraction:.1%}; "
+            "the reasons are listed above"
         )
     metadata = files.provenance(
         **{name: facts[name] for name in ("tile", "tile_size_m", "margin_m", "crs")},

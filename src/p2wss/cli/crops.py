@@ -11,6 +11,7 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_group,
+    add_tile,
     bounds_of_tile,
     log,
     log_status_counts,
@@ -24,23 +25,43 @@ from p2wss.provenance import fingerprint
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss crops`` to the parser."""
-    crops = add_group(stages, "crops", "points of each building")
-    command = add_command(crops, "simulated", crops_simulated, "from a simulated scan, with labels")
-    command.add_argument("--buildings", type=Path, required=True)
-    command.add_argument("--scan", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="Parquet shard", required=True)
-    command = add_command(crops, "real", crops_real, "from real LiDAR, without labels")
-    command.add_argument("--tile", help="buildings of this tile", required=True)
-    command.add_argument("--footprints", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="Parquet shard", required=True)
-    command.add_argument("--clouds", type=Path, nargs="+", help="LAS, LAZ or COPC", required=True)
-    command = add_command(crops, "manifest", crops_manifest, "list shards, with hashes and splits")
-    command.add_argument("--out", type=Path, help="manifest.json", required=True)
-    command.add_argument("--simulated", type=Path, nargs="*", default=[], help="shards of simulated scans")
-    command.add_argument("--real", type=Path, nargs="*", default=[], help="shards of real LiDAR")
+    parts = add_group(stages, "crops", "crop the points of each building")
+    command = add_command(parts, "simulated", crops_simulated, "crop a simulated scan, with labels")
+    command.add_argument(
+        "--buildings", type=Path, required=True, help="Parquet written by p2wss buildings for the same tile"
+    )
+    command.add_argument("--scan", type=Path, required=True, help="LAZ file written by p2wss scans")
+    command.add_argument("--out", type=Path, required=True, help="Parquet to write: a shard of crops")
+    command = add_command(parts, "real", crops_real, "crop real LiDAR, without labels")
+    add_tile(command)
+    command.add_argument(
+        "--footprints", type=Path, required=True, help="GeoPackage written by p2wss fetch footprints"
+    )
+    command.add_argument(
+        "--clouds",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="LAS, LAZ or COPC files of the tile and its margin",
+    )
+    command.add_argument("--out", type=Path, required=True, help="Parquet to write: a shard of crops")
+    command = add_command(parts, "manifest", crops_manifest, "list the shards with their hashes and splits")
+    command.add_argument(
+        "--simulated",
+        type=Path,
+        nargs="*",
+        default=[],
+        help="shards written by p2wss crops simulated",
+        metavar="SHARD",
+    )
+    command.add_argument(
+        "--real", type=Path, nargs="*", default=[], help="shards written by p2wss crops real", metavar="SHARD"
+    )
+    command.add_argument("--out", type=Path, required=True, help="JSON to write: the manifest")
 
 
 def crops_simulated(arguments: argparse.Namespace) -> None:
+    """Write the crops of a simulated scan."""
     from p2wss import crops
     from p2wss.data.schemas.buildings import BUILDINGS
     from p2wss.data.schemas.scan import read_scan
@@ -55,11 +76,13 @@ def crops_simulated(arguments: argparse.Namespace) -> None:
         )
     scan = read_scan(arguments.scan)
     crops.check_crs(scan[0].crs, facts["crs"], str(arguments.scan))
-    columns, left_out = crops.crop_simulated(table, scan, config.crops)
-    _write_crops(arguments.out, columns, left_out, facts["tile"], facts["crs"], section_json(config, "crops"))
+    columns, num_excluded = crops.crop_simulated(table, scan, config.crops)
+    settings = section_json(config, "crops")
+    _write_crops(arguments.out, columns, num_excluded, facts["tile"], facts["crs"], settings)
 
 
 def crops_real(arguments: argparse.Namespace) -> None:
+    """Write the crops of real LiDAR."""
     from p2wss import crops
     from p2wss.data import footprints
 
@@ -69,29 +92,34 @@ def crops_real(arguments: argparse.Namespace) -> None:
     frame = footprints.clean_footprints(
         footprints.read_footprints(arguments.footprints, bounds=bounds), config.scenes
     )
-    columns, left_out = crops.crop_real(frame, arguments.clouds, arguments.tile, tile_size_m, config.crops)
-    made_by = section_json(config, "region", "scenes", "crops")
-    _write_crops(arguments.out, columns, left_out, arguments.tile, config.region.crs, made_by)
+    columns, num_excluded = crops.crop_real(
+        frame, arguments.clouds, arguments.tile, tile_size_m, config.crops
+    )
+    settings = section_json(config, "region", "scenes", "crops")
+    _write_crops(arguments.out, columns, num_excluded, arguments.tile, config.region.crs, settings)
 
 
 def _write_crops(
-    out: Path, columns: dict[str, Any], left_out: Counter[str], tile: str, crs: str, config: str
+    out: Path, columns: dict[str, Any], num_excluded: Counter[str], tile: str, crs: str, settings: str
 ) -> None:
     from p2wss.data.schemas.crops import CROPS
 
-    found = {reason: count for reason, count in left_out.items() if count}
-    log_status_counts(out, ["ok"] * len(columns["num_points"]) + list(Counter(found).elements()))
-    metadata = files.provenance(config=config, code=fingerprint("crops"), tile=tile, crs=crs, left_out=found)
+    counts = +num_excluded
+    log_status_counts(out, ["ok"] * len(columns["num_points"]) + list(counts.elements()))
+    metadata = files.provenance(
+        config=settings, code=fingerprint("crops"), tile=tile, crs=crs, num_excluded=dict(counts)
+    )
     files.write_table(out, columns, CROPS, metadata)
 
 
 def crops_manifest(arguments: argparse.Namespace) -> None:
+    """Write the manifest of all shards."""
     from p2wss.crops.manifest import list_shards
     from p2wss.data.schemas.crops import REAL, SIMULATED
 
     config = read_config(arguments)
     shards = [(path, SIMULATED) for path in arguments.simulated] + [(path, REAL) for path in arguments.real]
-    listed = list_shards(shards, arguments.out.parent)
-    made_by = files.provenance(config=section_json(config, "crops"), code=fingerprint("crops"))
-    files.write_json(arguments.out, listed | made_by)
-    log.info(f"{arguments.out.name}: {listed['num_rows']} buildings, {listed['splits']}")
+    manifest = list_shards(shards, arguments.out.parent)
+    provenance = files.provenance(config=section_json(config, "crops"), code=fingerprint("crops"))
+    files.write_json(arguments.out, manifest | provenance)
+    log.info(f"{arguments.out.name}: {manifest['num_rows']} buildings, {manifest['splits']}")

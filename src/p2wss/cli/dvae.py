@@ -1,31 +1,28 @@
-"""``p2wss dvae``: training of the point tokenizer."""
+"""``p2wss dvae``: train the discrete VAE that tokenises point patches."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from p2wss.cli.common import (
-    Parsers,
-    add_command,
-    add_training,
-    read_training_config,
-    set_num_threads,
-)
+from p2wss.cli.common import Parsers, add_command, add_training, read_training_config, set_num_threads
 from p2wss.data import files
 from p2wss.provenance import fingerprint
 
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss dvae`` to the parser."""
-    command = add_command(stages, "dvae", dvae, "train the point tokenizer")
-    command.add_argument("--manifest", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="model.safetensors", required=True)
-    command.add_argument("--out-metrics", type=Path, help="metrics.jsonl", required=True)
+    command = add_command(stages, "dvae", dvae, "train the discrete VAE that tokenises point patches")
+    command.add_argument("--manifest", type=Path, required=True, help="JSON written by p2wss crops manifest")
+    command.add_argument("--out", type=Path, required=True, help="safetensors file to write: the weights")
+    command.add_argument(
+        "--out-metrics", type=Path, required=True, help="JSON lines to write: losses during training"
+    )
     add_training(command)
 
 
 def dvae(arguments: argparse.Namespace) -> None:
+    """Train, then write the weights and the metrics."""
     set_num_threads(arguments.threads)
     from p2wss import dvae
     from p2wss.nets import distributed

@@ -1,4 +1,4 @@
-"""``p2wss inspect``: what a file holds."""
+"""``p2wss inspect``: the contents of a file."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ import argparse
 import json
 from pathlib import Path
 
-from p2wss.cli.common import (
-    Parsers,
-)
+from p2wss.cli.common import Parsers
 
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss inspect`` to the parser."""
-    about = "what a file holds: ours, and those of IGN"
-    command = stages.add_parser("inspect", help=about, description=about)
-    command.add_argument("files", type=Path, nargs="+", metavar="FILE")
-    command.add_argument("--json", action="store_true", help="one line of JSON per file")
+    command = stages.add_parser(
+        "inspect",
+        help="describe the contents of files",
+        description="Describe the contents of files: results of p2wss, and data of IGN.",
+    )
+    command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="files to describe")
+    command.add_argument("--json", action="store_true", help="print one line of JSON per file")
     command.set_defaults(run=inspect)
 
 

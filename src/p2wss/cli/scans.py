@@ -1,16 +1,11 @@
-"""``p2wss scans``: the simulated LiDAR survey of one scene."""
+"""``p2wss scans``: simulate the LiDAR survey of one scene."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from p2wss.cli.common import (
-    Parsers,
-    add_command,
-    log,
-    read_config,
-)
+from p2wss.cli.common import Parsers, add_command, add_threads, log, read_config
 from p2wss.config import section_json
 from p2wss.data import files
 from p2wss.errors import InputError
@@ -19,21 +14,24 @@ from p2wss.provenance import fingerprint
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss scans`` to the parser."""
-    command = add_command(stages, "scans", scans, "LiDAR survey of one scene")
-    command.add_argument("--scene", type=Path, required=True)
-    command.add_argument("--dtm", type=Path, required=True)
-    command.add_argument("--buildings", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="LAZ", required=True)
+    command = add_command(stages, "scans", scans, "simulate the LiDAR survey of one scene")
+    command.add_argument("--scene", type=Path, required=True, help="GeoParquet written by p2wss scenes cut")
+    command.add_argument("--dtm", type=Path, required=True, help="GeoTIFF written by p2wss scenes cut")
     command.add_argument(
-        "--out-survey", type=Path, help="JSON: parameters of the survey and counts", required=True
+        "--buildings", type=Path, required=True, help="Parquet written by p2wss buildings for the same tile"
+    )
+    command.add_argument("--out", type=Path, required=True, help="LAZ file to write")
+    command.add_argument(
+        "--out-survey", type=Path, required=True, help="JSON to write: parameters of the survey, and counts"
     )
     command.add_argument(
-        "--picture", type=Path, default=None, help="PNG of a part of it, by building, strip and return"
+        "--picture", type=Path, help="PNG to write: a part of the scan by building, strip and return"
     )
-    command.add_argument("--threads", type=int, default=1)
+    add_threads(command)
 
 
 def scans(arguments: argparse.Namespace) -> None:
+    """Write a simulated scan, its survey and optionally a picture of it."""
     import pyproj
 
     from p2wss import scans
@@ -44,7 +42,7 @@ def scans(arguments: argparse.Namespace) -> None:
     facts = files.read_metadata(arguments.scene)
     table = files.read_table(arguments.buildings, BUILDINGS)
     if files.read_metadata(arguments.buildings)["tile"] != facts["tile"]:
-        raise InputError(f"{arguments.buildings}: is not of tile {facts['tile']}, as {arguments.scene} is")
+        raise InputError(f"{arguments.buildings}: is not of tile {facts['tile']}, unlike {arguments.scene}")
     terrain, dtm_crs = read_terrain(arguments.dtm)
     crs = pyproj.CRS.from_user_input(facts["crs"])
     scans.check_dtm_crs(dtm_crs, crs, arguments.dtm)

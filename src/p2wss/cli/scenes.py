@@ -1,4 +1,4 @@
-"""``p2wss scenes``: tiles with clean footprints, heights and roof angles."""
+"""``p2wss scenes``: cut tiles with clean footprints, heights and roof angles."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_group,
+    add_tile,
     bounds_of_tile,
     log,
     log_status_counts,
@@ -24,19 +25,30 @@ from p2wss.provenance import fingerprint
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss scenes`` to the parser."""
-    scenes = add_group(stages, "scenes", "cut tiles, clean footprints, draw roofs")
-    command = add_command(scenes, "index", scenes_index, "count buildings per tile")
-    command.add_argument("--footprints", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="TSV: tile, num_buildings", required=True)
-    command = add_command(scenes, "cut", scenes_cut, "one tile with its margin")
-    command.add_argument("--tile", help="name of the tile, such as 0652_6862", required=True)
-    command.add_argument("--footprints", type=Path, required=True)
-    command.add_argument("--dtm", type=Path, required=True)
-    command.add_argument("--out", type=Path, help="GeoParquet of buildings", required=True)
-    command.add_argument("--out-dtm", type=Path, help="GeoTIFF, the terrain under the scene", required=True)
+    parts = add_group(stages, "scenes", "cut tiles, clean footprints, draw roof angles")
+    command = add_command(parts, "index", scenes_index, "count the buildings of each tile")
+    command.add_argument(
+        "--footprints", type=Path, required=True, help="GeoPackage written by p2wss fetch footprints"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, help="TSV to write, with columns tile and num_buildings"
+    )
+    command = add_command(parts, "cut", scenes_cut, "cut the scene of one tile and its margin")
+    add_tile(command)
+    command.add_argument(
+        "--footprints", type=Path, required=True, help="GeoPackage written by p2wss fetch footprints"
+    )
+    command.add_argument(
+        "--dtm", type=Path, required=True, help="GeoTIFF written by p2wss fetch dtm for this tile"
+    )
+    command.add_argument("--out", type=Path, required=True, help="GeoParquet to write: the scene")
+    command.add_argument(
+        "--out-dtm", type=Path, required=True, help="GeoTIFF to write: the terrain of the scene"
+    )
 
 
 def scenes_index(arguments: argparse.Namespace) -> None:
+    """Write the number of buildings of each tile of the region."""
     from p2wss.data.footprints import read_footprints
     from p2wss.scenes import count_buildings
 
@@ -44,14 +56,15 @@ def scenes_index(arguments: argparse.Namespace) -> None:
     counts = count_buildings(
         read_footprints(arguments.footprints), config.region.tile_size_m, config.scenes.min_area_m2
     )
-    inside = set(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
-    rows = [f"{tile}\t{number}\n" for tile, number in counts.items() if tile in inside]
+    region_tiles = set(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
+    rows = [f"{tile}\t{number}\n" for tile, number in counts.items() if tile in region_tiles]
     log.info(f"{arguments.out.name}: {len(rows)} tiles with buildings")
     with files.atomic(arguments.out) as temporary:
         temporary.write_text("tile\tnum_buildings\n" + "".join(rows))
 
 
 def scenes_cut(arguments: argparse.Namespace) -> None:
+    """Write the scene of a tile and its terrain."""
     from p2wss.data.clouds import same_crs
     from p2wss.data.footprints import read_footprints
     from p2wss.data.schemas.scene import write_scene
@@ -66,17 +79,20 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
     terrain, dtm_crs = read_terrain(arguments.dtm)
     if not same_crs(dtm_crs, frame.crs):
         raise InputError(
-            f"{arguments.dtm}: is in {dtm_crs.name}, but {arguments.footprints} in {frame.crs.name}"
+            f"{arguments.dtm}: is in {dtm_crs.name}, but {arguments.footprints} is in {frame.crs.name}; "
+            "reproject one of them"
         )
     scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
     if not scene["in_tile"].any():
-        raise InputError(f"{arguments.footprints}: no building in tile {tile}; take it out of region.tiles")
+        raise InputError(
+            f"{arguments.footprints}: has no building in tile {tile}; remove the tile from region.tiles"
+        )
     log_status_counts(arguments.out, scene["status"][scene["in_tile"]])
     failed = failed_fraction(scene)
     if failed > config.scenes.max_failed_fraction:
         raise InputError(
-            f"tile {tile}: {failed:.1%} of its footprints in {arguments.footprints} were left out, more than "
-            f"scenes.max_failed_fraction {config.scenes.max_failed_fraction:.1%}; the reasons are above"
+            f"{arguments.footprints}: {failed:.1%} of the footprints of tile {tile} were excluded, more than "
+            f"scenes.max_failed_fraction {config.scenes.max_failed_fraction:.1%}; the reasons are listed above"
         )
     metadata = files.provenance(
         tile=tile,

@@ -10,12 +10,19 @@ from p2wss.cli.common import Parsers, log
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss towns`` to the parser."""
-    about = "draw a made-up town: footprints, terrain and stand-in LiDAR in IGN's file formats"
-    command = stages.add_parser("towns", help=about, description=about)
-    command.add_argument("--seed", type=int, required=True, help="another seed draws another town")
-    command.add_argument("--out", type=Path, required=True, help="folder for bdtopo/, rgealti/ and lidar/")
+    command = stages.add_parser(
+        "towns",
+        help="draw a fictitious town in IGN's file formats",
+        description="Draw a fictitious town: footprints, terrain and stand-in LiDAR in IGN's file formats.",
+    )
     command.add_argument(
-        "--lidar", action="store_true", help="also simulate the stand-in LiDAR of tile 0653_6861"
+        "--seed", type=int, required=True, help="number of the town; each gives another town"
+    )
+    command.add_argument(
+        "--out", type=Path, required=True, help="folder to write, with bdtopo/, rgealti/ and lidar/"
+    )
+    command.add_argument(
+        "--lidar", action="store_true", help="also simulate stand-in LiDAR for tile 0653_6861"
     )
     command.set_defaults(run=towns)
 

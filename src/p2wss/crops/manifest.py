@@ -35,7 +35,7 @@ def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, A
                 "tile": metadata.get("tile"),
                 "num_rows": len(split),
                 "splits": dict(sorted(Counter(split).items())),
-                "left_out": metadata.get("left_out", {}),
+                "num_excluded": metadata.get("num_excluded", {}),
                 "sha256": files.sha256(path),
             }
         )

@@ -36,7 +36,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     las.classification = np.r_[np.full(400, 6), np.full(50, 2)].astype(np.uint8)
     las.write(tmp_path / "cloud.laz")
     gpd.GeoDataFrame({"cleabs": ["A"]}, geometry=[BOX], crs=2154).to_file(tmp_path / "footprints.gpkg")
-    monkeypatch.setattr(predictor, "load_predictor", lambda path: Oracle())
+    monkeypatch.setattr(predictor, "load_predictor", lambda path, device: Oracle())
     return tmp_path
 
 
@@ -73,13 +73,13 @@ def test_fitted_with_the_model_and_without(place: Path) -> None:
 
 def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     oracle = Oracle()
-    monkeypatch.setattr(predictor, "load_predictor", lambda path: oracle)
+    monkeypatch.setattr(predictor, "load_predictor", lambda path, device: oracle)
     assert run(place, "--no-fit") == 0 and oracle.num_views == 4
     assert run(place) == 0 and oracle.num_views == 1
     assert run(place, "--config", '{"reconstruct": {"num_views": 3}}') == 0 and oracle.num_views == 3
 
 
-def test_without_a_model_and_without_the_fit_there_is_nothing(
+def test_neither_a_model_nor_a_fit_is_an_error(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inputs, "shipped_model", lambda: None)
@@ -88,10 +88,10 @@ def test_without_a_model_and_without_the_fit_there_is_nothing(
     assert "--model" in capsys.readouterr().err
 
 
-def test_weights_that_came_with_the_package_are_used(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shipped_weights_are_the_default(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     came = place / "point2wss.safetensors"
     loaded: list[Path] = []
-    monkeypatch.setattr(predictor, "load_predictor", lambda path: loaded.append(path) or Oracle())
+    monkeypatch.setattr(predictor, "load_predictor", lambda path, device: loaded.append(path) or Oracle())
     for shipped, options, method, wanted in (
         (came, [], "point2wss+fit", [came]),
         (came, ["--model", "none"], "fit", []),
@@ -113,6 +113,13 @@ def test_shipped_weights_are_found_in_the_package() -> None:
     assert (found == expected) if expected.exists() else found is None
 
 
+def test_the_device_is_that_of_the_option(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    devices: list[str] = []
+    monkeypatch.setattr(predictor, "load_predictor", lambda path, device: devices.append(device) or Oracle())
+    assert run(place) == 0 and run(place, "--device", "cpu") == 0
+    assert devices == ["auto", "cpu"]
+
+
 def test_formats_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(place, "--format", "stl, obj", "--per-building") == 0
     out = place / "out"
@@ -121,7 +128,7 @@ def test_formats_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[
     ]  # fmt: skip
     capsys.readouterr()
     assert run(place, "--format", "obj,dwg") == 2
-    assert "no format dwg; choose from cityjsonseq, cityjson, glb" in capsys.readouterr().err
+    assert "unknown format dwg; choose from cityjsonseq, cityjson, glb" in capsys.readouterr().err
 
 
 def test_a_terrain_joins_the_meshes(place: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -54,8 +54,8 @@ def points_of(columns, row):
 
 def test_rows_hold_the_points_around_each_footprint(scanned):
     buildings, (cloud, owner, face) = scanned
-    columns, left_out = crops.crop_simulated(buildings, (cloud, owner, face), Crops(max_points=1200))
-    assert sum(left_out.values()) == 0
+    columns, num_excluded = crops.crop_simulated(buildings, (cloud, owner, face), Crops(max_points=1200))
+    assert sum(num_excluded.values()) == 0
     ids = columns["building_id"].to_pylist()
     assert ids == [row["building_id"] for row in buildings.to_pylist() if row["in_tile"]]
     everything = shapely.points(cloud.x_m, cloud.y_m)
@@ -101,7 +101,7 @@ def test_labels_stay_with_their_building(scanned):
         assert columns["origin_x_m"][row] == label["origin_x_m"]
 
 
-def test_what_is_left_out_is_counted():
+def test_excluded_buildings_are_counted():
     failed = house(652_510, 6_861_910, 9, 9, 5, 30.0, "FAILED") | {"status": "not-closed"}
     unseen = house(652_530, 6_861_930, 9, 9, 5, 30.0, "UNSEEN")
     huge = house(652_400, 6_861_700, 400, 500, 5, 30.0, "HUGE") | {"in_tile": True}
@@ -109,8 +109,8 @@ def test_what_is_left_out_is_counted():
         np.array([652_500.0]), np.array([6_861_905.0]), np.array([80.0]), np.full(1, 2, np.uint8), None
     )
     none = np.full(1, -1, np.int32)
-    columns, left_out = crops.crop_simulated(table([failed, unseen, huge]), (cloud, none, none), Crops())
-    assert left_out == {"not-closed": 1, "too-few-points": 1, "too-large": 1}
+    columns, num_excluded = crops.crop_simulated(table([failed, unseen, huge]), (cloud, none, none), Crops())
+    assert num_excluded == {"not-closed": 1, "too-few-points": 1, "too-large": 1}
     assert len(columns["num_points"]) == 0
 
 
@@ -299,8 +299,8 @@ def test_real_lidar_of_delft():
     x_min, _, _, y_max = frame.total_bounds
     corner = np.floor(x_min / 1000) * 1000, np.ceil(y_max / 1000) * 1000
     tile = tile_name(*corner, 1000)
-    columns, left_out = lidar_columns(folder / "footprints.gpkg", [folder / "ahn3.laz"], tile, 1000)
-    assert len(columns["num_points"]) + sum(left_out.values()) == len(frame)
+    columns, num_excluded = lidar_columns(folder / "footprints.gpkg", [folder / "ahn3.laz"], tile, 1000)
+    assert len(columns["num_points"]) + sum(num_excluded.values()) == len(frame)
     assert len(columns["num_points"]) >= 70
     assert np.isfinite(columns["ground_z_m"]).all() and np.abs(columns["ground_z_m"]).max() < 5
     assert set(columns["split"]) == {"none"} and columns["angle_deg"].null_count == len(columns["num_points"])
@@ -312,8 +312,8 @@ def test_real_lidar_of_delft():
 @needs_data
 def test_real_lidar_of_bresse_where_the_classifier_missed_a_building():
     folder = DATA / "bresse_ign"
-    columns, left_out = lidar_columns(folder / "footprints.gpkg", [folder / "lidar.laz"], "0870_6618", 1000)
-    assert left_out["too-few-points"] == 34
+    columns, num_excluded = lidar_columns(folder / "footprints.gpkg", [folder / "lidar.laz"], "0870_6618", 1000)
+    assert num_excluded["too-few-points"] == 34
     missed = columns["building_id"].tolist().index("BRESSE0008")
     assert columns["num_points"][missed] == 2567
     # none of its points has class 6

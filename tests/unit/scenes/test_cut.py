@@ -175,7 +175,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         (
             "0652_6862",
             '{"scenes": {"max_eave_height_m": 3}}',
-            "were left out, more than scenes.max_failed_fraction",
+            "were excluded, more than scenes.max_failed_fraction",
         ),
         ("0652_6862", '{"scenes": {"margin": 3}}', "scenes.margin: unknown key"),
     ],
