@@ -1,4 +1,4 @@
-"""Where the data of a region comes from, and whom its licences ask to name: the table ``config/sources.csv``."""
+"""The sources of a region's data and the attributions that their licences require, from ``config/sources.csv``."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ COLUMNS = ("product", "vintage", "service", "layer", "licence", "attribution")
 
 
 def attribution(config: Config, table: str) -> list[str]:
-    """One line per source that the region uses: whom to name, edition and licence.
+    """One line per source that the region uses: attribution, edition and licence.
 
-    table: the text of ``config/sources.csv``. A source is found by its layer: a type or layer of the service,
-    or a path of the config. One that is not in the table is named as such.
+    table: the text of ``config/sources.csv``. A source is identified by its layer: a type or layer of the service,
+    or a path of the config. For a source that is not in the table the line says so.
     """
     rows = {row["layer"]: row for row in _rows(table, config.fetch.sources)}
     lines = []
@@ -31,6 +31,7 @@ def attribution(config: Config, table: str) -> list[str]:
 
 
 def read(path: str | Path) -> str:
+    """The text of the table. Raises :class:`InputError` if it cannot be read."""
     try:
         return Path(path).read_text(encoding="utf-8")
     except OSError as error:
@@ -45,7 +46,7 @@ def _rows(table: str, name: str) -> list[dict[str, str]]:
 
 
 def _used(config: Config) -> list[list[str]]:
-    """Per product of the region the layers or paths that may have given it."""
+    """Per product of the region, the layers or paths that it may come from."""
     if config.fetch.source == "folder":
         folder = config.fetch.folder
         used = [[folder.footprints], [folder.dtm], [folder.lidar]]

@@ -30,9 +30,9 @@ def baseline(
 ) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
     """Reconstructions of a baseline by the keys of the cases, and facts of the run.
 
-    ``status`` is ``ok``; ``recorded`` for outputs of an earlier Roofer, which there are of LiDAR only; or
-    ``not run: ..`` with no reconstruction at all. Raises :class:`InputError` for another name than lod1,
-    constant, roofer.
+    The fact ``status`` is ``ok``, ``recorded`` (outputs of an earlier run of Roofer, for real LiDAR only) or
+    ``not run: <reason>``, then without any reconstruction. name: lod1, constant or roofer. Raises
+    :class:`InputError` for any other name.
     """
     if name == "lod1":
         return _by_key(cases, by_dataset(cases, lod1, config, clock)), {"status": "ok"}
@@ -40,25 +40,25 @@ def baseline(
         return _constant(cases, manifest, config, clock)
     if name == roofer.METHOD:
         return _roofer(cases, manifest, eval_config, clock)
-    raise InputError(f"no baseline is named {name}: choose lod1, constant or roofer")
+    raise InputError(f"unknown baseline {name}: choose lod1, constant or roofer")
 
 
 def _roofer(
     cases: Sequence[Case], manifest: Manifest, config: Eval, clock: CpuClock | None
 ) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
-    found = roofer_command.find(config.roofer_command)
-    if isinstance(found, roofer_command.Roofer):
-        rows = roofer.run(found, cases, manifest.crs(), config, clock)
-        return _by_key(cases, rows), {"status": "ok", "roofer": found.version}
+    command = roofer_command.find(config.roofer_command)
+    if isinstance(command, roofer_command.Roofer):
+        rows = roofer.run(command, cases, manifest.crs(), config, clock)
+        return _by_key(cases, rows), {"status": "ok", "roofer": command.version}
     paths = roofer_command.recorded_files(config)
     if not paths:
-        return {}, {"status": found}
-    read = roofer.recorded(paths, cases)
+        return {}, {"status": command}
+    reconstructions = roofer.recorded(paths, cases)
     names = ", ".join(path.name for path in paths)
-    if not read:
+    if not reconstructions:
         return {}, {"status": f"not run, and none of the buildings is in the recorded {names}"}
     hashes = " ".join(files.sha256(path)[:16] for path in paths)
-    return read, {"status": RECORDED, "roofer": f"recorded outputs: {names}", "sha256": hashes}
+    return reconstructions, {"status": RECORDED, "roofer": f"recorded outputs: {names}", "sha256": hashes}
 
 
 def _constant(
@@ -70,8 +70,8 @@ def _constant(
         return {}, {"status": "not run: no building has a label"}
     rows = by_dataset(
         cases,
-        lambda buildings, own: constant(
-            buildings, np.full(len(buildings), medians.eave_height_m), medians.angle_deg, own
+        lambda buildings, settings: constant(
+            buildings, np.full(len(buildings), medians.eave_height_m), medians.angle_deg, settings
         ),
         config,
         clock,
@@ -83,4 +83,4 @@ def _constant(
 
 
 def _by_key(cases: Sequence[Case], rows: Sequence[Reconstruction]) -> dict[Key, Reconstruction]:
-    return {case.key: made for case, made in zip(cases, rows, strict=True)}
+    return {case.key: row for case, row in zip(cases, rows, strict=True)}

@@ -1,4 +1,4 @@
-"""Buildings to evaluate: rows of the crops' shards, and reconstructions read back from a table."""
+"""The buildings to evaluate, from the shards of the stage crops."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from p2wss.errors import InputError
 
 @dataclass(frozen=True)
 class Case:
-    """A building of a data set with what the shard knows of it; the labels are None for real LiDAR."""
+    """A building of a data set with its row of the shard; the labels are None for real LiDAR."""
 
     dataset: str
     building: Building
@@ -31,39 +31,39 @@ class Case:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """(dataset, tile, building id), which a reconstruction has too."""
+        """(dataset, tile, building id), which identifies the building in every table of the evaluation."""
         return self.dataset, self.building.tile, self.building.building_id
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """Shards of the crops: (path, dataset) each."""
+    """The shards of the stage crops, each as (path, dataset)."""
 
     shards: Sequence[tuple[Path, str]]
 
     def crs(self) -> dict[str, str | None]:
-        """CRS per data set, as its first shard has it."""
-        found: dict[str, str | None] = {}
+        """CRS of each data set, from its first shard; None if that does not state one."""
+        by_dataset: dict[str, str | None] = {}
         for path, dataset in self.shards:
-            if dataset not in found:
-                found[dataset] = files.read_metadata(path).get("crs")
-        return found
+            if dataset not in by_dataset:
+                by_dataset[dataset] = files.read_metadata(path).get("crs")
+        return by_dataset
 
 
 def read_manifest(path: Path) -> Manifest:
-    """The shards that a manifest lists; relative paths start at its folder, else at the current one.
+    """The shards that a manifest lists; relative paths start at its folder, or else at the current folder.
 
     Raises :class:`InputError` if the manifest or a shard is missing.
     """
-    listed = files.read_json(path)
+    content = files.read_json(path)
     shards = []
     try:
-        for shard in listed["shards"]:
+        for shard in content["shards"]:
             name = Path(shard["path"])
             beside = path.parent / name
             shards.append((beside if beside.exists() else name, str(shard["dataset"])))
     except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a manifest of crops: no {error}") from error
+        raise InputError(f"{path}: not a manifest of crops: missing {error}") from error
     missing = [str(shard) for shard, _ in shards if not shard.exists()]
     if missing:
         raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
@@ -90,8 +90,10 @@ class Medians:
 
 
 def train_medians(manifest: Manifest) -> Medians:
-    """Medians of the train split; without one those of all labels, which flatters the constant. NaN without
-    labels."""
+    """Medians of the train split, or of all labels if there is no train split, which favours the constant predictor.
+
+    NaN without labels.
+    """
     train = _medians(manifest, ["train"])
     return train if np.isfinite(train.eave_height_m) else _medians(manifest, ["train", "val", "test"])
 
@@ -100,8 +102,8 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     heights, angles = [np.zeros(0)], [np.zeros(0)]
     for path, dataset in manifest.shards:
         if dataset == SIMULATED:
-            wanted = ["split", "eave_height_m", "label_terrain_z_m", "ground_z_m", "angle_deg"]
-            table = files.read_table(path, CROPS, columns=wanted)
+            columns = ["split", "eave_height_m", "label_terrain_z_m", "ground_z_m", "angle_deg"]
+            table = files.read_table(path, CROPS, columns=columns)
             table = table.filter(pc.is_in(table["split"], pa.array(splits)))
             lift = table["label_terrain_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
             heights.append(table["eave_height_m"].to_numpy() + np.nan_to_num(lift))
@@ -113,7 +115,7 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
 
 
 def from_crops(table: pa.Table, dataset: str) -> list[Case]:
-    """Rows of ``io.CROPS`` as cases."""
+    """Rows of the schema ``CROPS`` as cases."""
     polygons = polygon_arrays.from_columns(table)
     x, offset = files.list_column(table, "x_cm")
     y, _ = files.list_column(table, "y_cm")
@@ -137,14 +139,14 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
     ).to_pylist()
     cases = []
     for i, row in enumerate(plain):
-        own = slice(offset[i], offset[i + 1])
+        points = slice(offset[i], offset[i + 1])
         building = Building(
             row["building_id"],
             row["tile"],
             (row["origin_x_m"], row["origin_y_m"]),
             polygons.rings(i),
-            (point_cm[own] + [0, 0, round(100 * row["origin_z_m"])]) / 100.0,
-            classification[own].astype(np.uint8),
+            (point_cm[points] + [0, 0, round(100 * row["origin_z_m"])]) / 100.0,
+            classification[points].astype(np.uint8),
             row["ground_z_m"],
         )
         labelled = row["eave_height_m"] is not None
@@ -163,6 +165,6 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
 
 
 def columns_of(rows: Iterable[dict[str, Any]], names: Sequence[str]) -> dict[str, list[Any]]:
-    """Rows as columns."""
-    kept = list(rows)
-    return {name: [row[name] for row in kept] for name in names}
+    """The columns ``names`` of rows, for a table."""
+    rows = list(rows)
+    return {name: [row[name] for row in rows] for name in names}

@@ -1,4 +1,4 @@
-"""CPU time per building: of this process with all its threads, and of the programs that it ran."""
+"""CPU time per building, of this process with all its threads and of the programs that it ran."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 class CpuClock:
-    """Adds up CPU seconds and buildings per data set."""
+    """Sums CPU seconds and numbers of buildings by data set."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -17,7 +17,7 @@ class CpuClock:
 
     @contextmanager
     def timed(self, dataset: str, num_buildings: int) -> Iterator[None]:
-        """Counts what the block takes."""
+        """Add the CPU time of the block."""
         start = _cpu_s()
         try:
             yield
@@ -35,5 +35,5 @@ class CpuClock:
 
 
 def _cpu_s() -> float:
-    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + ended.ru_utime + ended.ru_stime
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime

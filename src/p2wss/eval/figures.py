@@ -1,4 +1,4 @@
-"""Pictures for the report: training curves, distributions of errors, buildings over their points."""
+"""Figures of the report: training curves, distributions of errors, buildings with their points."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ FACE_COLORS = {
     FaceKind.ROOF: "#c8603a",
     FaceKind.FLAT: "#d9a06b",
 }
-_MAX_POINTS_SHOWN = 1200
+_MAX_DRAWN_POINTS = 1200
 
 
 def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
-    """The figure as a ``data:`` address of a PNG of 128 colours; closes it."""
+    """The figure as a ``data:`` URI of a PNG of 128 colours; closes the figure."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", dpi=dots_per_inch)
     plt.close(figure)
     buffer.seek(0)
     small = BytesIO()
-    # a third of the size, and no date or version among the metadata: the same figure has the same bytes
+    # a third of the size, and no date or version in the metadata: equal figures have equal bytes
     Image.open(buffer).convert("RGB").quantize(128, dither=Image.Dither.NONE).save(
         small, "png", optimize=True
     )
@@ -56,12 +56,12 @@ def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
 
 
 def png_uri(content: bytes) -> str:
-    """A PNG as a ``data:`` address."""
+    """A PNG as a ``data:`` URI."""
     return "data:image/png;base64," + base64.b64encode(content).decode()
 
 
 def curves(series: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_label: str, title: str) -> Figure:
-    """Lines of (x, y) by name, one panel, logarithmic where all values are positive and span a decade."""
+    """Lines of (x, y) by name in one panel; the y axis is logarithmic if all values are positive and span a decade."""
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for name, (x, y) in series.items():
         axes.plot(x, y, label=name, linewidth=1.4, marker="o" if len(x) < 30 else "", markersize=3)
@@ -77,7 +77,7 @@ def curves(series: Mapping[str, tuple[Sequence[float], Sequence[float]]], x_labe
 
 
 def cumulative(values: dict[str, np.ndarray], names: Mapping[str, str], x_label: str, title: str) -> Figure:
-    """Share of buildings with at most x, one line per method; names: what methods are called."""
+    """Share of buildings with at most x, one line per method. names: of the methods, for the legend."""
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     for name, sample in values.items():
         ordered = np.sort(sample[np.isfinite(sample)])
@@ -97,17 +97,19 @@ def cumulative(values: dict[str, np.ndarray], names: Mapping[str, str], x_label:
 
 
 def reliability_diagram(bins: Mapping[str, Sequence[Bin]], names: Mapping[str, str], title: str) -> Figure:
-    """Observed share of right values over the stated confidence, per method; the area of a dot grows with the
-    number of buildings, the diagonal is a confidence that is what it says."""
+    """Observed share of correct values over the stated confidence, one line per method.
+
+    The area of a dot grows with the number of buildings in the bin. On the diagonal the confidence is calibrated.
+    """
     figure, axes = plt.subplots(figsize=(5.2, 4.2), layout="constrained")
     axes.plot([0, 1], [0, 1], color="#999999", linewidth=1, linestyle="--")
-    for method, own in bins.items():
-        if own:
-            stated, observed = [b.stated for b in own], [b.observed for b in own]
+    for method, of_method in bins.items():
+        if of_method:
+            stated, observed = [b.stated for b in of_method], [b.observed for b in of_method]
             color = COLORS.get(method)
             axes.plot(stated, observed, color=color, linewidth=1.2, label=names.get(method, method))
-            most = max(b.count for b in own)
-            axes.scatter(stated, observed, s=[8 + 60 * b.count / most for b in own], color=color)
+            most = max(b.count for b in of_method)
+            axes.scatter(stated, observed, s=[8 + 60 * b.count / most for b in of_method], color=color)
     axes.set(xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
     axes.set_xlabel("stated confidence")
     axes.set_ylabel("share within 0.5 m and 5°")
@@ -118,19 +120,22 @@ def reliability_diagram(bins: Mapping[str, Sequence[Bin]], names: Mapping[str, s
 
 
 def building(case: Case, reconstructions: Sequence[tuple[str, Reconstruction]]) -> Figure:
-    """The building's points alone, and a panel per (title, reconstruction): the mesh with them, from the
-    south-west, two panels in a row.
+    """The building's points alone, then one panel per (title, reconstruction) with the mesh and the points.
 
-    Parallel projection. Alone, a point's colour is its height; over a mesh its distance to it, from blue to
-    red at 1 m and more; points behind a face are pale. All panels have the same scale.
+    Parallel projection from the south-west, two panels in a row, all at the same scale. In the first panel the
+    colour of a point is its height, in the others its distance to the mesh, from blue (0) to red (1 m and more);
+    points behind a face are pale.
     """
     num_panels = 1 + len(reconstructions)
     rows = -(-num_panels // 2)
     figure, grid = plt.subplots(rows, 2, figsize=(6.0, 2.75 * rows), squeeze=False, layout="constrained")
     panels = grid.ravel()
-    reach = [_draw_points(panels[0], case)]
-    reach += [_draw(axes, case, made) for axes, (_, made) in zip(panels[1:], reconstructions, strict=False)]
-    low, high = np.min([r[0] for r in reach], axis=0), np.max([r[1] for r in reach], axis=0)
+    extents = [_draw_points(panels[0], case)]
+    extents += [
+        _draw(axes, case, reconstruction)
+        for axes, (_, reconstruction) in zip(panels[1:], reconstructions, strict=False)
+    ]
+    low, high = np.min([e[0] for e in extents], axis=0), np.max([e[1] for e in extents], axis=0)
     titles = [f"Points\n{len(case.building.point_m)}", *(title for title, _ in reconstructions)]
     for axes, title in zip(panels, titles, strict=False):
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -140,7 +145,7 @@ def building(case: Case, reconstructions: Sequence[tuple[str, Reconstruction]]) 
     return figure
 
 
-# rows: to the right, upwards, towards the eye, for an eye in the south-west, 32 degrees above the horizon
+# rows: axes to the right, upwards and towards the viewer, who is south-west of it, 32 degrees above the horizon
 _TURN, _TILT = np.deg2rad(-35.0), np.deg2rad(32.0)
 _VIEW = np.array(
     [
@@ -153,58 +158,65 @@ _LIGHT = np.array([-0.35, -0.6, 0.72])
 _BEHIND_M = 0.3
 
 
-def _shown(case: Case, origin_xy_m: Sequence[float], ground_z_m: float) -> np.ndarray:
-    """Points of the building to draw, every k-th, with x and y from an origin and z above a ground."""
+def _drawn_points(case: Case, origin_xy_m: Sequence[float], ground_z_m: float) -> np.ndarray:
+    """The points of the building to draw, every k-th, with x and y relative to an origin and z above a ground."""
     shift = np.subtract(case.building.origin_xy_m, origin_xy_m)
-    point_m = case.building.point_m[:: -(-len(case.building.point_m) // _MAX_POINTS_SHOWN) or 1]
+    point_m = case.building.point_m[:: -(-len(case.building.point_m) // _MAX_DRAWN_POINTS) or 1]
     return point_m + np.array([*shift, -ground_z_m])
 
 
 def _draw_points(axes: Any, case: Case) -> tuple[np.ndarray, np.ndarray]:
-    """The points alone, coloured by height; returns their least and greatest corner."""
-    point_m = _shown(case, case.building.origin_xy_m, ground_z_m(case.building))
+    """Draw the points alone, coloured by height; returns the lower and upper corner of their extent."""
+    point_m = _drawn_points(case, case.building.origin_xy_m, ground_z_m(case.building))
     if not len(point_m):
         return np.zeros(2), np.ones(2)
     dots = point_m @ _VIEW.T
-    order = np.argsort(dots[:, 2])  # what is near the eye is drawn last
+    order = np.argsort(dots[:, 2])  # the nearest points are drawn last
     low, high = np.quantile(point_m[:, 2], [0.02, 0.98])
     color = colormaps["viridis"](np.clip((point_m[order, 2] - low) / max(high - low, 0.1), 0, 1))
     axes.scatter(*dots[order, :2].T, s=2.2, color=color, linewidths=0)
     return dots[:, :2].min(axis=0), dots[:, :2].max(axis=0)
 
 
-def _draw(axes: Any, case: Case, made: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
-    """Draw one panel; returns its least and greatest corner."""
-    point_m = _shown(case, made.origin_xy_m, made.ground_z_m)
+def _draw(axes: Any, case: Case, reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    """Draw mesh and points; returns the lower and upper corner of their extent."""
+    point_m = _drawn_points(case, reconstruction.origin_xy_m, reconstruction.ground_z_m)
     dots = point_m @ _VIEW.T
-    corner_m = made.vertex_m @ _VIEW.T
-    distance = np.clip(distance_to_mesh(point_m, made.vertex_m, made.triangle), 0, 1)
-    faces = made.vertex_m[made.triangle]
+    corner_m = reconstruction.vertex_m @ _VIEW.T
+    distance = np.clip(distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle), 0, 1)
+    faces = reconstruction.vertex_m[reconstruction.triangle]
     normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     front = np.flatnonzero(normal @ _VIEW[2] > 1e-6)
-    order = front[np.argsort(corner_m[made.triangle[front], 2].mean(axis=1))]
-    creases = _creases(made.triangle, normal)
+    order = front[np.argsort(corner_m[reconstruction.triangle[front], 2].mean(axis=1))]
+    creases = _creases(reconstruction.triangle, normal)
     # painter's algorithm: each triangle is followed by its creases
     shapes, fills, lines, widths = [], [], [], []
     for t in order:
         light = 0.65 + 0.35 * max(float(normal[t] @ _LIGHT), 0.0)
-        red, green, blue = (light * part for part in to_rgb(FACE_COLORS[FaceKind(int(made.kind[t]))]))
-        seen = corner_m[made.triangle[t], :2]
-        shapes.append(seen)
+        red, green, blue = (
+            light * part for part in to_rgb(FACE_COLORS[FaceKind(int(reconstruction.kind[t]))])
+        )
+        outline = corner_m[reconstruction.triangle[t], :2]
+        shapes.append(outline)
         fills.append((red, green, blue, 1.0))
         lines.append((red, green, blue, 1.0))
         widths.append(0.4)
         for i in range(3):
-            if tuple(sorted((int(made.triangle[t, i]), int(made.triangle[t, (i + 1) % 3])))) in creases:
-                shapes.append(seen[[i, (i + 1) % 3]])
+            if (
+                tuple(
+                    sorted((int(reconstruction.triangle[t, i]), int(reconstruction.triangle[t, (i + 1) % 3])))
+                )
+                in creases
+            ):
+                shapes.append(outline[[i, (i + 1) % 3]])
                 fills.append((0.0, 0.0, 0.0, 0.0))
                 lines.append((0.13, 0.13, 0.13, 1.0))
                 widths.append(0.8)
     axes.add_collection(
         PolyCollection(shapes, facecolors=fills, edgecolors=lines, linewidths=widths, zorder=2)
     )
-    hidden = _hidden(dots, corner_m[made.triangle[front]])
+    hidden = _hidden(dots, corner_m[reconstruction.triangle[front]])
     for chosen, alpha in ((hidden, 0.3), (~hidden, 1.0)):
         x, y = dots[chosen, :2].T
         color = colormaps["turbo"](distance[chosen])
@@ -214,7 +226,7 @@ def _draw(axes: Any, case: Case, made: Reconstruction) -> tuple[np.ndarray, np.n
 
 
 def _hidden(dots: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Which points (n, 3) lie behind one of the triangles (t, 3, 3), all in the frame of the view."""
+    """Mask of the points (n, 3) behind any of the triangles (t, 3, 3), all in the frame of the view."""
     hidden = np.zeros(len(dots), bool)
     for a, b, c in triangles:
         u, v, w = b[:2] - a[:2], c[:2] - a[:2], dots[:, :2] - a[:2]

@@ -1,4 +1,4 @@
-"""Which buildings the report shows: the worst, and counterparts of the paper's Figures 7 to 14."""
+"""The buildings that the report shows in pictures: the worst, and counterparts of the paper's Figures 7 to 14."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.eval.cases import Case
-from p2wss.eval.reasons import Reason, reason
+from p2wss.eval.causes import Cause, cause_of_error
 from p2wss.eval.tables import main_method
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 
@@ -21,8 +21,8 @@ ROOFER = "roofer"
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A building to show: its key, whose mesh it is about, and the sentence below its picture."""
+class Exhibit:
+    """A building to show: its key, the method whose mesh it is about, and the sentence below its picture."""
 
     key: Key
     method: str
@@ -31,16 +31,16 @@ class Shown:
 
 @dataclass(frozen=True)
 class Counterpart:
-    """What a figure of the paper shows, by which measure it was looked for here, and what was found."""
+    """A figure of the paper: what it shows, the criterion by which buildings like it were chosen, and these."""
 
     figure: str
     title: str
     criterion: str
-    shown: Sequence[Shown]
+    exhibits: Sequence[Exhibit]
 
 
 class Gallery:
-    """The measured buildings, by data set, method and key, with the reasons found so far."""
+    """The measured buildings by data set, method and key, from which exhibits are chosen."""
 
     def __init__(
         self,
@@ -56,67 +56,70 @@ class Gallery:
             if key in cases and key in reconstructions.get(row["method"], {}):
                 self.rows.setdefault((row["dataset"], row["method"]), {})[key] = row
         self.main = main_method(list(reconstructions))
-        self._reasons: dict[tuple[Key, str], Reason] = {}
+        self._causes: dict[tuple[Key, str], Cause] = {}
 
-    def reason(self, key: Key, method: str) -> Reason:
-        """Why the mesh of a method is off."""
-        if (key, method) not in self._reasons:
-            made = self.reconstructions[method][key]
-            self._reasons[key, method] = reason(self.cases[key], made, self.num_parts(key))
-        return self._reasons[key, method]
+    def cause(self, key: Key, method: str) -> Cause:
+        """Why the mesh of a method is far from its points."""
+        if (key, method) not in self._causes:
+            self._causes[key, method] = cause_of_error(
+                self.cases[key], self.reconstructions[method][key], self.num_parts(key)
+            )
+        return self._causes[key, method]
 
     def num_parts(self, key: Key) -> int:
-        """Heights that the fit has, 1 where it was not run."""
+        """Number of parts of the building by the fit, 1 where it was not run."""
         for method in (NETWORK_AND_FIT, FIT):
-            made = self.reconstructions.get(method, {}).get(key)
-            if made is not None and made.has_mesh:
-                return made.num_parts
+            reconstruction = self.reconstructions.get(method, {}).get(key)
+            if reconstruction is not None and reconstruction.has_mesh:
+                return reconstruction.num_parts
         return 1
 
-    def worst(self, dataset: str, count: int) -> list[Shown]:
-        """Those of our best variant with the largest distance from points to mesh, buildings without a mesh
-        or without enough points first."""
+    def worst(self, dataset: str, count: int) -> list[Exhibit]:
+        """The buildings with the largest distance from points to the mesh of our best variant.
+
+        Buildings without a mesh, or with too few points to measure it, come first.
+        """
         rows = self.rows.get((dataset, self.main), {})
         ranked = sorted(rows, key=lambda key: (-_or_infinite(rows[key]["points_to_mesh_m"]), key))
-        return [Shown(key, self.main, self.reason(key, self.main).sentence) for key in ranked[:count]]
+        return [Exhibit(key, self.main, self.cause(key, self.main).sentence) for key in ranked[:count]]
 
     def counterparts(self, count: int) -> list[Counterpart]:
-        """Those of Figures 7 to 14, up to ``count`` buildings each."""
+        """Counterparts of Figures 7 to 14, up to ``count`` buildings each."""
         return [
             Counterpart(
                 "7 (1)",
-                "Height error, simulated",
-                "network only: the largest error of the eave's height where the angles are right within 5°",
+                "Height error, simulated LiDAR",
+                "network alone: the largest error of the eave height where the angles are right within 5°",
                 self._top(SIMULATED, NETWORK, self._height_error, count),
             ),
             Counterpart(
                 "7 (2)",
-                "Height error, LiDAR",
-                "network only: the whole roof too high or too low, by the most",
+                "Height error, real LiDAR",
+                "network alone: the whole roof too high or too low by the most",
                 self._top(REAL, NETWORK, self._shift, count),
             ),
             Counterpart(
                 "8",
                 "Discontinuous heights",
-                "buildings that the fit cut into parts: the network's one height is furthest off",
+                "network alone, of buildings that the fit divides into parts: the most points far from the mesh",
                 self._top(REAL, NETWORK, self._heights, count),
             ),
             Counterpart(
                 "9",
                 "Garage or annex",
-                "network only: the most points in one place at the edge, more than 0.5 m below the roof",
+                "network alone: the most points in one cluster at the edge, more than 0.5 m below the roof",
                 self._top(REAL, NETWORK, self._because("garage or annex"), count),
             ),
             Counterpart(
                 "10",
                 "Dormer",
-                "our best variant: points in one place more than 0.5 m above the roof",
+                "our best variant: the most points in one cluster more than 0.5 m above the roof",
                 self._top(REAL, self.main, self._because("dormer"), count),
             ),
             Counterpart(
                 "11",
                 "Shed, hip or gable roof",
-                "our best variant: the least distance from points to mesh of each kind of roof",
+                "our best variant: the smallest distance from points to mesh, for each kind of roof",
                 self._good(REAL, count),
             ),
             Counterpart(
@@ -131,13 +134,13 @@ class Gallery:
             Counterpart(
                 "13",
                 "Unrealistic structures of Roofer",
-                "Roofer: the mesh rises furthest above the highest point on the building",
+                "Roofer: the mesh that rises furthest above the highest point on the building",
                 self._top(REAL, ROOFER, _overshoot, count),
             ),
             Counterpart(
                 "14",
                 "Artefacts of Roofer",
-                "Roofer: the most faces below 0.25 m²",
+                "Roofer: the most faces smaller than 0.25 m²",
                 self._top(REAL, ROOFER, _small_faces, count),
             ),
         ]
@@ -148,30 +151,30 @@ class Gallery:
         method: str,
         score: Callable[[Key, Row], tuple[float, str] | None],
         count: int,
-    ) -> list[Shown]:
-        """The buildings with the highest scores; ``score`` gives it with a sentence, or None to leave out."""
-        found = []
+    ) -> list[Exhibit]:
+        """The buildings with the highest scores; ``score`` returns score and sentence, or None to skip the building."""
+        ranking = []
         for key, row in self.rows.get((dataset, method), {}).items():
-            scored = score(key, row) if row["num_triangles"] is not None else None
-            if scored is not None:
-                found.append((-scored[0], key, scored[1]))
-        return [Shown(key, method, sentence) for _, key, sentence in sorted(found)[:count]]
+            result = score(key, row) if row["num_triangles"] is not None else None
+            if result is not None:
+                ranking.append((-result[0], key, result[1]))
+        return [Exhibit(key, method, sentence) for _, key, sentence in sorted(ranking)[:count]]
 
     def _height_error(self, key: Key, row: Row) -> tuple[float, str] | None:
         height, angle = row["height_error_m"], row["angle_error_deg"]
         if height is None or angle is None or angle > 5 or height <= 0:
             return None
-        return height, f"Eave {height:.2f} m off, angles {angle:.1f}°."
+        return height, f"Eave height wrong by {height:.2f} m, angles by {angle:.1f}°."
 
     def _shift(self, key: Key, row: Row) -> tuple[float, str] | None:
         shift = row["height_bias_m"]
         if (
             shift is None
             or row["points_to_mesh_m"] is None
-            or self.reason(key, NETWORK).kind != "height error"
+            or self.cause(key, NETWORK).kind != "height error"
         ):
             return None
-        return abs(shift), self.reason(key, NETWORK).sentence
+        return abs(shift), self.cause(key, NETWORK).sentence
 
     def _heights(self, key: Key, row: Row) -> tuple[float, str] | None:
         parts, far = self.num_parts(key), row["far_share"]
@@ -179,32 +182,37 @@ class Gallery:
             return None
         best = self.rows.get((REAL, self.main), {}).get(key)
         after = "" if best is None or best["far_share"] is None else f", with parts {best['far_share']:.0%}"
-        return far, f"{parts} parts; with one height {far:.0%} of the points are more than 0.5 m off{after}."
+        return (
+            far,
+            f"{parts} parts: with a single height {far:.0%} of the points are more than 0.5 m from the mesh{after}.",
+        )
 
     def _because(self, kind: str) -> Callable[[Key, Row], tuple[float, str] | None]:
         def score(key: Key, row: Row) -> tuple[float, str] | None:
             far = row["far_share"]
             method = row["method"]
-            if far is None or self.reason(key, method).kind != kind:
+            if far is None or self.cause(key, method).kind != kind:
                 return None
-            return far, self.reason(key, method).sentence
+            return far, self.cause(key, method).sentence
 
         return score
 
-    def _good(self, dataset: str, count: int) -> list[Shown]:
+    def _good(self, dataset: str, count: int) -> list[Exhibit]:
         rows = self.rows.get((dataset, self.main), {})
-        found = []
+        exhibits = []
         for kind in ("shed", "hip", "gable"):
-            own = [
+            keys = [
                 key
                 for key, row in rows.items()
                 if row["roof_kind"] == kind and row["points_to_mesh_m"] is not None
             ]
-            own.sort(key=lambda key: (rows[key]["points_to_mesh_m"], key))
-            for key in own[: max(count // 2, 1)]:
-                off = rows[key]["points_to_mesh_m"]
-                found.append(Shown(key, self.main, f"{kind.capitalize()}: points {off:.2f} m from the mesh."))
-        return found
+            keys.sort(key=lambda key: (rows[key]["points_to_mesh_m"], key))
+            for key in keys[: max(count // 2, 1)]:
+                distance_m = rows[key]["points_to_mesh_m"]
+                exhibits.append(
+                    Exhibit(key, self.main, f"{kind.capitalize()}: points {distance_m:.2f} m from the mesh.")
+                )
+        return exhibits
 
 
 def _missing(key: Key, row: Row) -> tuple[float, str] | None:
@@ -225,15 +233,20 @@ def _small_faces(key: Key, row: Row) -> tuple[float, str] | None:
     small = row["num_small_faces"]
     if not small:
         return None
-    return float(small), f"{small} of Roofer's faces are below 0.25 m² ({row['num_triangles']} triangles)."
+    return float(
+        small
+    ), f"{small} of Roofer's faces are smaller than 0.25 m² ({row['num_triangles']} triangles)."
 
 
-def counts_of_reasons(gallery: Gallery, dataset: str) -> list[tuple[str, int]]:
-    """How often each kind of reason is found among all buildings of our best variant that are more than
-    0.25 m off on average, or have no mesh."""
+def cause_counts(gallery: Gallery, dataset: str) -> list[tuple[str, int]]:
+    """How often each kind of cause occurs, the most frequent first.
+
+    Counted over the buildings whose points are more than 0.25 m from the mesh of our best variant on average, or that
+    have no mesh.
+    """
     rows = gallery.rows.get((dataset, gallery.main), {})
-    off = [key for key, row in rows.items() if _or_infinite(row["points_to_mesh_m"]) > 0.25]
-    kinds = [gallery.reason(key, gallery.main).kind for key in off]
+    far = [key for key, row in rows.items() if _or_infinite(row["points_to_mesh_m"]) > 0.25]
+    kinds = [gallery.cause(key, gallery.main).kind for key in far]
     return sorted(((kind, kinds.count(kind)) for kind in set(kinds)), key=lambda pair: (-pair[1], pair[0]))
 
 

@@ -1,4 +1,4 @@
-"""Errors by kind of building, and whether the confidence is what it says."""
+"""Errors by kind of building, and calibration of the stated confidence."""
 
 from __future__ import annotations
 
@@ -30,73 +30,79 @@ HEADER = ("dataset", "by", "group", "method", "num_buildings", "num_meshes")
 
 
 def table(measures: pa.Table, datasets: Sequence[str]) -> list[list[Any]]:
-    """Header and a row per data set, property (:data:`BY`), group and method: buildings, meshes, medians of
-    :data:`MEDIANS`, means of :data:`MEANS`. A group holds the same buildings whatever the method."""
+    """Header, then a row per data set, property (:data:`BY`), group and method.
+
+    A row counts buildings and meshes and has the medians of :data:`MEDIANS` and the means of :data:`MEANS`. A group
+    holds the same buildings for every method.
+    """
     rows: list[list[Any]] = [
         [*HEADER, *(f"median_{name}" for name in MEDIANS), *(f"mean_{name}" for name in MEANS)]
     ]
     for dataset in datasets:
-        own = measures.filter(pc.equal(measures["dataset"], dataset))
+        of_dataset = measures.filter(pc.equal(measures["dataset"], dataset))
         for by in BY:
-            groups = group_of_building(own, by)
+            groups = group_of_building(of_dataset, by)
             for group in dict.fromkeys(groups.values()):
-                for method in dict.fromkeys(own["method"].to_pylist()):
-                    chosen = pc.and_(
-                        pc.equal(own["method"], method),
-                        pa.array([groups.get(key) == group for key in _keys(own)]),
+                for method in dict.fromkeys(of_dataset["method"].to_pylist()):
+                    mask = pc.and_(
+                        pc.equal(of_dataset["method"], method),
+                        pa.array([groups.get(key) == group for key in _keys(of_dataset)]),
                     )
-                    part = own.filter(chosen)
+                    part = of_dataset.filter(mask)
                     if len(part):
                         rows.append([dataset, by, group, method, *_statistics(part)])
     return rows
 
 
 def group_of_building(measures: pa.Table, by: str) -> dict[tuple[str, str], str]:
-    """Group of each building (tile, id) of one data set, in the order of the groups. Numbers make four groups
-    of about equal size. Empty where all are in one group or nothing is known."""
+    """The group of each building (tile, id) of one data set, in the order of the groups.
+
+    A numerical property gives four groups of about equal size. Empty if all buildings are in the same group or the
+    property is unknown.
+    """
     if by == KIND:
         kinds = _kinds(measures)
-        found = sorted(set(kinds.values()))
-        return {key: name for name in found for key in kinds if kinds[key] == name} if len(found) > 1 else {}
+        names = sorted(set(kinds.values()))
+        return {key: name for name in names for key in kinds if kinds[key] == name} if len(names) > 1 else {}
     values = _values(measures, by)
     if len(set(values.values())) < 2:
         return {}
     keys = sorted(values, key=lambda key: values[key])
-    names = _quarters(np.array([values[key] for key in keys], float))
-    return dict(zip(keys, names, strict=True)) if len(set(names)) > 1 else {}
+    quarters = _quarters(np.array([values[key] for key in keys], float))
+    return dict(zip(keys, quarters, strict=True)) if len(set(quarters)) > 1 else {}
 
 
 def calibration(measures: pa.Table, dataset: str, method: str) -> Calibration:
-    """The stated confidence against the observed share of right values."""
-    own = measures.filter(
+    """The stated confidence of a method against the observed share of correct values."""
+    rows = measures.filter(
         pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
     )
-    return metrics.calibration(numbers(own, "confidence"), numbers(own, "right_share"))
+    return metrics.calibration(numbers(rows, "confidence"), numbers(rows, "right_share"))
 
 
 def calibration_table(measures: pa.Table, datasets: Sequence[str]) -> list[list[Any]]:
-    """Header and a row per data set, method of ours and bin; the last of each is all of them together."""
+    """Header, then a row per data set, method of ours and bin; the last row of each method is all bins together."""
     rows: list[list[Any]] = [
         ["dataset", "method", "from", "to", "num_buildings", "stated", "observed", "mean_gap", "auc",
          "correlation"]
     ]  # fmt: skip
     for dataset in datasets:
         for method in STATED:
-            found = calibration(measures, dataset, method)
-            for own in found.bins:
+            scores = calibration(measures, dataset, method)
+            for b in scores.bins:
                 rows.append(
-                    [dataset, method, own.low, own.high, own.count, own.stated, own.observed,
-                     abs(own.stated - own.observed), None, None]
+                    [dataset, method, b.low, b.high, b.count, b.stated, b.observed,
+                     abs(b.stated - b.observed), None, None]
                 )  # fmt: skip
-            if found.bins:
+            if scores.bins:
                 rows.append(
-                    [dataset, method, 0.0, 1.0, found.count, found.stated, found.observed, found.gap,
-                     _known(found.auc), _known(found.correlation)]
+                    [dataset, method, 0.0, 1.0, scores.count, scores.stated, scores.observed, scores.gap,
+                     _finite(scores.auc), _finite(scores.correlation)]
                 )  # fmt: skip
     return rows
 
 
-def _known(value: float) -> float | None:
+def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
@@ -105,26 +111,26 @@ def _keys(measures: pa.Table) -> list[tuple[str, str]]:
 
 
 def _values(measures: pa.Table, by: str) -> dict[tuple[str, str], float]:
-    """What is known of each building by the first row that knows it; the confidence of our best variant."""
-    found: dict[tuple[str, str], float] = {}
+    """A numerical property of each building from the first row that has it; the confidence is our best variant's."""
+    values: dict[tuple[str, str], float] = {}
     methods = measures["method"].to_pylist()
     best = next((method for method in STATED if method in methods), None)
     for key, value, method in zip(_keys(measures), measures[by].to_pylist(), methods, strict=True):
         if value is not None and np.isfinite(value) and (by != "confidence" or method == best):
-            found.setdefault(key, float(value))
-    return found
+            values.setdefault(key, float(value))
+    return values
 
 
 def _kinds(measures: pa.Table) -> dict[tuple[str, str], str]:
-    """The label of the roof; without one the kind by the edges of our best reconstruction."""
-    found: dict[tuple[str, str], str] = {}
+    """The roof type of each building by its label; without a label, by the angles of our best reconstruction."""
+    kinds: dict[tuple[str, str], str] = {}
     rank = {NETWORK_AND_FIT: 0, FIT: 1, NETWORK: 2}
     rows = measures.select(["tile", "building_id", "method", "roof_type", "roof_kind"]).to_pylist()
     for row in sorted(rows, key=lambda row: rank.get(row["method"], 3)):
         kind = row["roof_type"] or (row["roof_kind"] if row["method"] in rank else None)
         if kind is not None:
-            found.setdefault((row["tile"], row["building_id"]), kind)
-    return found
+            kinds.setdefault((row["tile"], row["building_id"]), kind)
+    return kinds
 
 
 def _statistics(part: pa.Table) -> list[Any]:
@@ -139,12 +145,12 @@ def _statistics(part: pa.Table) -> list[Any]:
 
 
 def _quarters(values: np.ndarray) -> list[str]:
-    """For each value the range of its quarter, as the values in it have it."""
+    """For each value the quarter that it belongs to, named by the least and greatest value in it."""
     edges = np.unique(np.quantile(values, [0.25, 0.5, 0.75]))
     group = np.searchsorted(edges, values, side="left")
     labels = {}
     for g in np.unique(group):
-        own = values[group == g]
-        low, high = f"{own.min():.3g}", f"{own.max():.3g}"
+        members = values[group == g]
+        low, high = f"{members.min():.3g}", f"{members.max():.3g}"
         labels[g] = low if low == high else f"{low} to {high}"
     return [labels[g] for g in group]

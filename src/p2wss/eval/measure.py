@@ -1,4 +1,4 @@
-"""Chamfer distance, triangles and errors of every reconstruction (paper, section 5.3)."""
+"""Chamfer distance, number of triangles and errors of every reconstruction (paper, section 5.3)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from p2wss.metrics.planarity import face_of_triangle, out_of_plane_m
 from p2wss.metrics.surface import distance_to_mesh, sample_surface, triangle_areas
 from p2wss.skeleton.types import FaceKind
 
-# with fewer points on the building the roof's distance says nothing
+# with fewer points on the building, distances to the roof mean nothing
 MIN_ROOF_POINTS = 10
 PLANAR_M = 0.01
 SMALL_FACE_M2 = 0.25
 FAR_M = 0.5
-# of the footprint's outline: nearer points may be on a wall, where a height over the roof says nothing
+# from the footprint's edges: nearer points may be on a wall, where a height over the roof means nothing
 INNER_M = 0.5
-# a value counts as right within these
-RIGHT_M, RIGHT_DEG = 0.5, 5.0
+# a value within these of the label counts as correct
+CORRECT_M, CORRECT_DEG = 0.5, 5.0
 _ROOF = (FaceKind.ROOF, FaceKind.FLAT)
 _MESH_MEASURES = (
     "num_parts",
@@ -55,9 +55,9 @@ def measure(
     reconstructions: Iterable[Mapping[tuple[str, str, str], Reconstruction]],
     config: Eval,
 ) -> Iterator[dict[str, Any]]:
-    """Rows of ``io.MEASURES``, one per case and method, methods in the order given.
+    """Rows of the schema ``MEASURES``, one per case and method, methods in the order given.
 
-    A method's mapping may lack a case: the method was not run on it, and the row is left out.
+    A method's mapping may lack a case on which the method was not run; there is no row for it.
     """
     for method in reconstructions:
         for case in cases:
@@ -66,91 +66,94 @@ def measure(
 
 
 def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -> dict[str, Any]:
-    """One row of ``io.MEASURES``. The draws depend on the seed, the building and the method alone."""
+    """One row of the schema ``MEASURES``. Random draws depend on the seed, the building and the method alone."""
     building = case.building
     x, y, _ = building.point_m.T
     num_inside = int(shapely.contains_xy(building.polygon, x, y).sum())
-    made = reconstruction
     row: dict[str, Any] = {
         "dataset": case.dataset,
         "building_id": building.building_id,
         "tile": building.tile,
-        "method": made.method,
-        "status": made.status,
+        "method": reconstruction.method,
+        "status": reconstruction.status,
         "num_points": len(building.point_m),
         "num_vertices": sum(map(len, building.rings)),
         "density_per_m2": num_inside / building.polygon.area,
         "roof_type": case.roof_type,
         # a flat roof instead of a mesh of the method says nothing of the building
-        "roof_kind": roof_kind(made.rings, made.angle_deg, made.num_parts)
-        if made.angle_deg is not None and made.status == "ok"
+        "roof_kind": roof_kind(reconstruction.rings, reconstruction.angle_deg, reconstruction.num_parts)
+        if reconstruction.angle_deg is not None and reconstruction.status == "ok"
         else None,
         "visible_roof_share": case.visible_roof_share,
-        "confidence": made.confidence,
+        "confidence": reconstruction.confidence,
         **dict.fromkeys(_MESH_MEASURES),
-        **_parameter_errors(case, made),
+        **_parameter_errors(case, reconstruction),
     }
-    if not made.has_mesh:
+    if not reconstruction.has_mesh:
         return row
-    row |= {"num_parts": made.num_parts, **_mesh_measures(made)}
-    point_m = local_points(case, made)
-    draw = generator(config.seed, "eval.measure", building.tile, building.building_id, made.method)
-    samples = sample_surface(made.vertex_m, made.triangle, config.num_samples, draw)
+    row |= {"num_parts": reconstruction.num_parts, **_mesh_measures(reconstruction)}
+    point_m = local_points(case, reconstruction)
+    draw = generator(config.seed, "eval.measure", building.tile, building.building_id, reconstruction.method)
+    samples = sample_surface(reconstruction.vertex_m, reconstruction.triangle, config.num_samples, draw)
     row["chamfer_m"] = _finite(chamfer_distance_m(subset(case, point_m, config), samples))
     chosen = points_on_building(case)
     if chosen.sum() >= MIN_ROOF_POINTS:
         inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[chosen], y[chosen])
-        row |= _roof_measures(made, point_m[chosen], inner, config, draw)
+        row |= _roof_measures(reconstruction, point_m[chosen], inner, config, draw)
     return row
 
 
-def local_points(case: Case, made: Reconstruction) -> np.ndarray:
-    """The building's points in the frame of the mesh."""
-    shift = np.subtract(case.building.origin_xy_m, made.origin_xy_m)
-    return case.building.point_m + np.array([*shift, -made.ground_z_m])
+def local_points(case: Case, reconstruction: Reconstruction) -> np.ndarray:
+    """The building's points in the frame of the reconstruction's mesh: (n, 3), metres."""
+    shift = np.subtract(case.building.origin_xy_m, reconstruction.origin_xy_m)
+    return case.building.point_m + np.array([*shift, -reconstruction.ground_z_m])
 
 
-def _mesh_measures(made: Reconstruction) -> dict[str, Any]:
-    facts = mesh_facts(made.vertex_m, made.triangle)
-    face = face_of_triangle(made.triangle, np.column_stack([made.kind, made.edge]))
-    area = np.bincount(face, triangle_areas(made.vertex_m, made.triangle))
-    above = np.bincount(face, made.kind != FaceKind.GROUND) > 0
+def _mesh_measures(reconstruction: Reconstruction) -> dict[str, Any]:
+    facts = mesh_facts(reconstruction.vertex_m, reconstruction.triangle)
+    face = face_of_triangle(
+        reconstruction.triangle, np.column_stack([reconstruction.kind, reconstruction.edge])
+    )
+    area = np.bincount(face, triangle_areas(reconstruction.vertex_m, reconstruction.triangle))
+    above = np.bincount(face, reconstruction.kind != FaceKind.GROUND) > 0
     return {
-        "num_triangles": len(made.triangle),
+        "num_triangles": len(reconstruction.triangle),
         "num_mesh_vertices": facts.num_vertices,
         "watertight": facts.watertight,
         "oriented": facts.oriented,
         "manifold": facts.manifold,
-        "planar": bool(out_of_plane_m(made.vertex_m, made.triangle, face).max() <= PLANAR_M),
+        "planar": bool(
+            out_of_plane_m(reconstruction.vertex_m, reconstruction.triangle, face).max() <= PLANAR_M
+        ),
         "num_small_faces": int((above & (area < SMALL_FACE_M2)).sum()),
     }
 
 
 def _roof_measures(
-    made: Reconstruction,
+    reconstruction: Reconstruction,
     on_building: np.ndarray,
     inner: np.ndarray,
     config: Eval,
     draw: np.random.Generator,
 ) -> dict[str, Any]:
-    roof = made.triangle[np.isin(made.kind, _ROOF)]
-    roof_samples = sample_surface(made.vertex_m, roof, config.num_samples, draw)
-    distance = distance_to_mesh(on_building, made.vertex_m, made.triangle)
+    roof = reconstruction.triangle[np.isin(reconstruction.kind, _ROOF)]
+    roof_samples = sample_surface(reconstruction.vertex_m, roof, config.num_samples, draw)
+    distance = distance_to_mesh(on_building, reconstruction.vertex_m, reconstruction.triangle)
     place = on_building[inner]
-    above = place[:, 2] - surface_height_m(place[:, :2], made.vertex_m, made.triangle)
-    known = above[~np.isnan(above)]
+    above = place[:, 2] - surface_height_m(place[:, :2], reconstruction.vertex_m, reconstruction.triangle)
+    heights = above[~np.isnan(above)]
     return {
         "roof_chamfer_m": _finite(chamfer_distance_m(on_building, roof_samples)),
         "points_to_mesh_m": float(distance.mean()),
         "far_share": float((distance > FAR_M).mean()),
         "height_rmse_m": _finite(height_rmse_m(above)),
-        "height_bias_m": float(np.median(known)) if len(known) else None,
-        "overshoot_m": float(made.vertex_m[:, 2].max() - on_building[:, 2].max()),
+        "height_bias_m": float(np.median(heights)) if len(heights) else None,
+        "overshoot_m": float(reconstruction.vertex_m[:, 2].max() - on_building[:, 2].max()),
     }
 
 
 def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:
-    """At most ``max_num_points`` of a building's points: the same for every method."""
+    """At most ``max_num_points`` of a building's points, the same for every method."""
     if len(point_m) <= config.max_num_points:
         return point_m
     draw = generator(config.seed, "eval.subset", case.building.tile, case.building.building_id)
@@ -169,23 +172,23 @@ def points_on_building(case: Case) -> np.ndarray:
     return chosen
 
 
-def _parameter_errors(case: Case, made: Reconstruction) -> dict[str, float | None]:
-    """Errors against the labels; None without labels, or where the method has other edges than the label."""
+def _parameter_errors(case: Case, reconstruction: Reconstruction) -> dict[str, float | None]:
+    """Errors against the labels; None without labels, or where the reconstruction has other edges than the label."""
     errors: dict[str, float | None] = {
         "height_error_m": None,
         "angle_error_deg": None,
         "right_share": None,
     }
-    if case.eave_height_m is None or case.angle_deg is None or made.eave_height_m is None:
+    if case.eave_height_m is None or case.angle_deg is None or reconstruction.eave_height_m is None:
         return errors
-    eave_z_m = made.ground_z_m + made.eave_height_m
+    eave_z_m = reconstruction.ground_z_m + reconstruction.eave_height_m
     height_error = abs(eave_z_m - (case.label_terrain_z_m or 0.0) - case.eave_height_m)
     errors["height_error_m"] = height_error
-    if made.angle_deg is not None and len(made.angle_deg) == len(case.angle_deg):
-        angle_error = np.abs(made.angle_deg - case.angle_deg)
+    if reconstruction.angle_deg is not None and len(reconstruction.angle_deg) == len(case.angle_deg):
+        angle_error = np.abs(reconstruction.angle_deg - case.angle_deg)
         errors["angle_error_deg"] = float(angle_error.mean())
-        right = np.append(angle_error <= RIGHT_DEG, height_error <= RIGHT_M)
-        errors["right_share"] = float(right.mean())
+        is_correct = np.append(angle_error <= CORRECT_DEG, height_error <= CORRECT_M)
+        errors["right_share"] = float(is_correct.mean())
     return errors
 
 

@@ -19,14 +19,14 @@ from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import Polygons
 
 Key = tuple[str, str, str]
-# a roof is seen with so many points on it, an edge with so many over its sloped face
+# a roof counts as seen with this many points on it, an edge with this many over its sloped face
 MIN_SEEN_POINTS = 10
 # the method behind a setting of Table 1
 SETTING_OF_METHOD = {NETWORK: "footprint_given", NETWORK_AND_FIT: NETWORK_AND_FIT, FIT: FIT}
 
 
 class MaskedPredictor(Predictor, Protocol):
-    """The part of :class:`p2wss.model.Predictor` that Table 1 needs."""
+    """The part of :class:`p2wss.nets.predictor.Predictor` that Table 1 needs."""
 
     def reconstruct_all_masked(
         self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
@@ -44,16 +44,15 @@ def masked_errors(
     """The content of ``parameters.json``: MAE, deviation and count per setting and parameter (Table 1).
 
     Settings: ``all_masked`` as in the paper (signs visible), ``all_masked_signs`` (signs masked too),
-    ``footprint_given`` (what Table 2 uses), ``constant`` (the medians of the train split). Heights are
-    compared above the ground that the cloud shows, which moves the label; a constant footprint is its centre.
+    ``footprint_given`` (as for Table 2), ``constant`` (the medians of the train split; every vertex of the footprint
+    is predicted at the mean of the points). Heights are compared above the ground of the cloud: the label is
+    re-based to it.
     """
-    labelled = [
-        (case, found) for case, found in zip(cases, reconstructions, strict=True) if is_labelled(case)
-    ]
+    labelled = [pair for pair in zip(cases, reconstructions, strict=True) if is_labelled(pair[0])]
     sequences = [
         case
-        for case, found in labelled
-        if found.angle_deg is not None
+        for case, reconstruction in labelled
+        if reconstruction.angle_deg is not None
         and len(case.building.rings) == 1
         and len(case.building.rings[0]) <= predictor.max_num_vertices
     ]
@@ -65,7 +64,7 @@ def masked_errors(
             sequences,
             np.full(len(sequences), medians.eave_height_m),
             [np.full(len(case.building.rings[0]), medians.angle_deg) for case in sequences],
-            [np.tile(_middle(case.building), (len(case.building.rings[0]), 1)) for case in sequences],
+            [np.tile(_mean_xy_m(case.building), (len(case.building.rings[0]), 1)) for case in sequences],
         ),
     }
     num_buildings = sum(case.dataset == SIMULATED for case in cases)
@@ -81,12 +80,12 @@ def with_reconstructions(
     cases: Mapping[Key, Case],
     reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
 ) -> dict[str, Any]:
-    """``parameters`` with the settings of our variants (:data:`SETTING_OF_METHOD`) out of their meshes."""
+    """``parameters`` with the settings of our variants (:data:`SETTING_OF_METHOD`) from their reconstructions."""
     labelled = {key: case for key, case in cases.items() if is_labelled(case)}
     settings = dict(parameters["settings"])
     for method, setting in SETTING_OF_METHOD.items():
-        found = reconstructions.get(method, {})
-        errors = errors_of([(case, found[key]) for key, case in labelled.items() if key in found])
+        by_key = reconstructions.get(method, {})
+        errors = errors_of([(case, by_key[key]) for key, case in labelled.items() if key in by_key])
         if errors:
             settings[setting] = errors
     return {**parameters, "settings": settings}
@@ -97,48 +96,46 @@ def is_labelled(case: Case) -> bool:
 
 
 def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[str, float]]:
-    """Errors of height and angles over all values, and over those that the points show (:func:`seen_edges`):
-    ``height_m``, ``angle_deg``, ``height_seen_m``, ``angle_seen_deg``.
+    """Errors of height and angles: ``height_m`` and ``angle_deg`` over all values, ``height_seen_m`` and
+    ``angle_seen_deg`` over those that the points determine (:func:`seen_edges`).
 
-    Reconstructions without values, or with other edges than the label, are left out.
+    Reconstructions without parameters, or with other edges than the label, are left out.
     """
     usable = [
-        (case, made, made.angle_deg)
-        for case, made in pairs
-        if made.eave_height_m is not None
-        and made.angle_deg is not None
+        (case, reconstruction, reconstruction.angle_deg)
+        for case, reconstruction in pairs
+        if reconstruction.eave_height_m is not None
+        and reconstruction.angle_deg is not None
         and case.angle_deg is not None
-        and len(made.angle_deg) == len(case.angle_deg)
+        and len(reconstruction.angle_deg) == len(case.angle_deg)
     ]
     if not usable:
         return {}
     cases = [case for case, _, _ in usable]
-    height = np.array([made.eave_height_m for _, made, _ in usable], float)
+    height = np.array([reconstruction.eave_height_m for _, reconstruction, _ in usable], float)
     angle = [angle for _, _, angle in usable]
     errors = _errors(cases, height, angle, None)
-    seen = seen_edges(cases, angle)
-    some = np.array([points_on_building(case).sum() >= MIN_SEEN_POINTS for case in cases])
+    edge_mask = np.concatenate(seen_edges(cases, angle))
+    case_mask = np.array([points_on_building(case).sum() >= MIN_SEEN_POINTS for case in cases])
     target = np.array([target_height_m(case) for case in cases])
     truth = np.concatenate([case.angle_deg for case in cases if case.angle_deg is not None])
-    shown = np.concatenate(seen)
-    errors["height_seen_m"] = asdict(absolute_error(height[some], target[some]))
-    errors["angle_seen_deg"] = asdict(absolute_error(np.concatenate(angle)[shown], truth[shown]))
+    errors["height_seen_m"] = asdict(absolute_error(height[case_mask], target[case_mask]))
+    errors["angle_seen_deg"] = asdict(absolute_error(np.concatenate(angle)[edge_mask], truth[edge_mask]))
     return errors
 
 
 def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Per labelled case which edges the points show, if a method tells the angles ``angle_deg``: bool, one per edge
-    over all rings.
+    """Mask of the edges that the points determine, per labelled case: bool, one value per edge over all rings.
 
-    An edge is seen if ten points on the building lie over its sloped face, in the roof of the label or in that of
-    the method. A gable that is found as such has no face, and a wall under a flat roof is the same with 0 and with
-    90 degrees: these do not count.
+    angle_deg: the angles by a method. An edge is seen if ten points on the building lie over its sloped face, in the
+    roof of the label or of the method. A gable that the method predicts as such has no face, and a wall under a flat
+    roof is the same with 0 and with 90 degrees: neither counts as seen.
     """
     polygons = Polygons.from_rings([list(case.building.rings) for case in cases])
     point = [case.building.point_m[points_on_building(case), :2] for case in cases]
-    index = np.repeat(np.arange(len(cases)), [len(own) for own in point])
+    index = np.repeat(np.arange(len(cases)), [len(xy) for xy in point])
     xy = np.concatenate([*point, np.zeros((0, 2))])
-    first = np.concatenate([[0], np.cumsum([len(own) for own in angle_deg])])
+    first = np.concatenate([[0], np.cumsum([len(angle) for angle in angle_deg])])
     count = np.zeros(first[-1], int)
     truth = [case.angle_deg for case in cases if case.angle_deg is not None]
     for angles in (truth, angle_deg):
@@ -149,7 +146,7 @@ def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[n
 
 
 def target_height_m(case: Case) -> float:
-    """The label's eave above the ground that the cloud shows."""
+    """The eave height of the label, re-based to the ground of the cloud."""
     assert case.eave_height_m is not None and case.label_terrain_z_m is not None
     return case.eave_height_m + case.label_terrain_z_m - ground_z_m(case.building)
 
@@ -190,5 +187,5 @@ def _errors(
     return {name: asdict(error) for name, error in errors.items()}
 
 
-def _middle(building: Building) -> np.ndarray:
+def _mean_xy_m(building: Building) -> np.ndarray:
     return building.point_m[:, :2].mean(axis=0)

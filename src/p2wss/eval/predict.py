@@ -18,8 +18,11 @@ Method = Callable[[Sequence[Building], Reconstruct], list[Reconstruction]]
 
 
 def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
-    """Simulated buildings keep their footprint, to which the labels belong, and their one height; real
-    footprints are simplified, and real buildings may have parts: for them the product's config is used as it is."""
+    """The settings for a data set.
+
+    Simulated buildings keep the footprint to which their labels belong and have a single eave height. For real
+    buildings the settings of the product are used as they are.
+    """
     if dataset != SIMULATED:
         return config
     return config.model_copy(update={"simplify_m": 0.0, "max_parts": 1})
@@ -28,11 +31,13 @@ def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
 def predict(
     cases: Sequence[Case], predictor: Predictor, config: Reconstruct, clock: CpuClock | None = None
 ) -> list[Reconstruction]:
-    """The network's reconstructions with the views of its training, one per case, in order (the paper's method):
-    without a flat roof where it gives no mesh."""
+    """The network's reconstructions with the views of its training, one per case, in order (the paper's method).
 
-    def network(buildings: Sequence[Building], config: Reconstruct) -> list[Reconstruction]:
-        return reconstruct_with_network(buildings, predictor, config)
+    A case that the network cannot reconstruct has no mesh, not a flat roof.
+    """
+
+    def network(buildings: Sequence[Building], settings: Reconstruct) -> list[Reconstruction]:
+        return reconstruct_with_network(buildings, predictor, settings)
 
     return by_dataset(cases, network, config, clock)
 
@@ -51,8 +56,8 @@ def fit(
     config = config.model_copy(update={"fit": True})
     method = method_name(predictor, config)
 
-    def product(buildings: Sequence[Building], config: Reconstruct) -> list[Reconstruction]:
-        rows = reconstruct_buildings(buildings, predictor, config)
+    def product(buildings: Sequence[Building], settings: Reconstruct) -> list[Reconstruction]:
+        rows = reconstruct_buildings(buildings, predictor, settings)
         return [replace(row, method=method) for row in rows]
 
     return by_dataset(cases, product, config, clock)
@@ -61,20 +66,19 @@ def fit(
 def by_dataset(
     cases: Sequence[Case], method: Method, config: Reconstruct, clock: CpuClock | None = None
 ) -> list[Reconstruction]:
-    """``method(buildings, config)`` for each data set with its config (:func:`for_dataset`); in the order of the
-    cases."""
+    """``method(buildings, settings)`` for each data set with its settings (:func:`for_dataset`), in order of cases."""
     by_row: dict[int, Reconstruction] = {}
     for dataset in (SIMULATED, REAL):
         rows = [i for i, case in enumerate(cases) if case.dataset == dataset]
         if not rows:
             continue
-        buildings, dataset_config = [cases[i].building for i in rows], for_dataset(config, dataset)
+        buildings, settings = [cases[i].building for i in rows], for_dataset(config, dataset)
         if clock is None:
-            reconstructions = method(buildings, dataset_config)
+            reconstructions = method(buildings, settings)
         else:
-            # what is compiled or loaded once counts for no building, also what only a few of them need
-            method(buildings[:_NUM_WARM_UP], dataset_config)
+            # compilation and loading, even of code that few buildings need, count for no building
+            method(buildings[:_NUM_WARM_UP], settings)
             with clock.timed(dataset, len(rows)):
-                reconstructions = method(buildings, dataset_config)
+                reconstructions = method(buildings, settings)
         by_row |= dict(zip(rows, reconstructions, strict=True))
     return [by_row[i] for i in range(len(cases))]

@@ -1,4 +1,4 @@
-"""``report.html``, one file that needs no other and no network, and its tables as CSV and LaTeX."""
+"""``report.html``, a single file that needs no other file and no network, and its tables as CSV and LaTeX."""
 
 from __future__ import annotations
 
@@ -22,21 +22,23 @@ from p2wss.data.schemas.reconstructions import read_reconstructions
 from p2wss.errors import InputError
 from p2wss.eval import figures, groups, parameters, tables, texts
 from p2wss.eval.cases import Case, read_manifest, test_cases
-from p2wss.eval.gallery import Gallery, Shown, counts_of_reasons
+from p2wss.eval.gallery import Exhibit, Gallery, cause_counts
 from p2wss.eval.viewer import viewer
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
 
 Key = tuple[str, str, str]
-# methods whose meshes stand in a picture, as far as they were run: with the points, four panels
+# methods whose meshes a picture shows, as far as they were run: with the points four panels
 PICTURED = (NETWORK, NETWORK_AND_FIT, "roofer")
-PICTURED_ELSE = ("fit", "lod1")
+PICTURED_INSTEAD = ("fit", "lod1")
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """All that the report shows. ``parameters``: errors of Table 1. ``cpu_ms``: per building, by method and
-    data set. ``training``: records of ``metrics.jsonl`` per stage. ``provenance``: the metadata that each file
-    carries. ``scans``: tile to PNG as a data: address."""
+    """All that the report shows.
+
+    parameters: errors of Table 1. cpu_ms: per building, by method and data set. training: the records of
+    ``metrics.jsonl`` by stage. provenance: the metadata of each file. scans: PNGs as ``data:`` URIs, by tile.
+    """
 
     region: str
     measures: pa.Table
@@ -52,7 +54,7 @@ class Inputs:
 
 
 def dataset_names(config: Eval) -> dict[str, str]:
-    """What the report calls the data sets."""
+    """Titles of the data sets."""
     return {SIMULATED: "Simulated", REAL: config.lidar_name}
 
 
@@ -67,70 +69,76 @@ def read(
     config: Eval,
     scans: Sequence[Path] = (),
 ) -> Inputs:
-    """The report's inputs from files; a stage of training is named after the folder of its metrics."""
-    tables_of = {}
+    """Read the report's inputs; a stage of training is named after the folder of its metrics.
+
+    Raises :class:`InputError` if a file is missing or malformed.
+    """
+    by_method = {}
     runs = []
-    made_by: dict[str, dict[str, Any]] = {}
+    provenance: dict[str, dict[str, Any]] = {}
     for path in reconstructions:
         facts = files.read_metadata(path)
         method = str(facts.get("method", path.stem))
         runs.append(tables.Run(method, str(facts.get("status", "ok")), str(facts.get("roofer", ""))))
-        tables_of[method] = read_reconstructions(path)
-        made_by[path.name] = facts
+        by_method[method] = read_reconstructions(path)
+        provenance[path.name] = facts
     cases = {case.key: case for case in test_cases(read_manifest(manifest))}
-    listed = files.read_json(manifest)
-    made_by[manifest.name] = {name: value for name, value in listed.items() if name != "shards"}
-    made_by[measures.name] = files.read_metadata(measures)
+    content = files.read_json(manifest)
+    provenance[manifest.name] = {name: value for name, value in content.items() if name != "shards"}
+    provenance[measures.name] = files.read_metadata(measures)
     times = [files.read_json(path) for path in cpu]
     return Inputs(
         region,
         files.read_table(measures, MEASURES),
-        parameters.with_reconstructions(files.read_json(masked), cases, tables_of),
+        parameters.with_reconstructions(files.read_json(masked), cases, by_method),
         runs,
-        tables_of,
+        by_method,
         cases,
         {path.parent.name: read_training(path) for path in metrics},
-        made_by,
+        provenance,
         config,
         {time["method"]: time["cpu_ms"] for time in times},
         {path.stem: figures.png_uri(path.read_bytes()) for path in scans},
     )
 
 
-# name of the files: caption
+# stem of the files: caption
 CAPTIONS = {
     "table1": "Parameters: mean absolute errors on the simulated test split, ours and the paper's.",
     "table2": "Buildings: Chamfer distance (m) and number of triangles, ours and the paper's.",
-    "table2_more": "Buildings: what the paper leaves out. Means with 95 % bootstrap intervals over buildings.",
-    "without_mesh": "Buildings without a mesh, or with a flat roof instead, and why.",
+    "table2_more": "Buildings: measures beyond the paper's. Means with 95 % bootstrap intervals over buildings.",
+    "without_mesh": "Buildings without a mesh, or with a flat roof instead, by reason.",
     "groups": "Errors by kind of building: medians of distances, means of errors against the labels.",
-    "calibration": "Stated confidence and observed share of heights and angles within 0.5 m and 5°.",
-    "worst": "The buildings that our best variant does worst, and why.",
+    "calibration": "Stated confidence and observed share of eave heights within 0.5 m and angles within 5°.",
+    "worst": "The worst buildings of our best variant, each with the cause.",
 }
 
 
 def documents(inputs: Inputs) -> dict[str, str]:
-    """The files of the report, name to text: ``report.html``, and each of :data:`CAPTIONS` as CSV and LaTeX."""
+    """The files of the report, text by name: ``report.html``, and each of :data:`CAPTIONS` as CSV and LaTeX."""
     details = tables.details(inputs.measures, inputs.config, inputs.cpu_ms)
     gallery = Gallery(inputs.cases, inputs.reconstructions, inputs.measures.to_pylist())
     rows = _tables(inputs, details, gallery)
-    found = {"report.html": render(inputs, details, gallery)}
+    texts_by_name = {"report.html": render(inputs, details, gallery)}
     for name, caption in CAPTIONS.items():
-        found[f"{name}.csv"] = texts.to_csv(rows[name])
-        found[f"{name}.tex"] = texts.to_latex(rows[name], caption, f"tab:p2wss-{name.replace('_', '-')}")
-    return found
+        texts_by_name[f"{name}.csv"] = texts.to_csv(rows[name])
+        texts_by_name[f"{name}.tex"] = texts.to_latex(
+            rows[name], caption, f"tab:p2wss-{name.replace('_', '-')}"
+        )
+    return texts_by_name
 
 
 def _tables(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -> dict[str, list[list[Any]]]:
     names = dataset_names(inputs.config)
     columns = tables.columns_2(details, inputs.runs)
-    worst: list[list[Any]] = [["dataset", "tile", "building_id", "method", "points_to_mesh_m", "CD_m", "why"]]
+    worst: list[list[Any]] = [
+        ["dataset", "tile", "building_id", "method", "points_to_mesh_m", "CD_m", "cause"]
+    ]
     for dataset in names:
-        for shown in gallery.worst(dataset, inputs.config.num_worst):
-            row = gallery.rows[dataset, shown.method][shown.key]
-            worst.append(
-                [*shown.key, shown.method, row["points_to_mesh_m"], row["chamfer_m"], shown.sentence]
-            )
+        for exhibit in gallery.worst(dataset, inputs.config.num_worst):
+            row = gallery.rows[dataset, exhibit.method][exhibit.key]
+            distances = [row["points_to_mesh_m"], row["chamfer_m"]]
+            worst.append([*exhibit.key, exhibit.method, *distances, exhibit.sentence])
     return {
         "table1": tables.table_1(inputs.parameters),
         "table2": tables.table_2(columns, names),
@@ -177,8 +185,8 @@ def render(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -
         training=_training(inputs.training),
         worst=_worst(inputs, names, methods, gallery),
         counterparts=[
-            {"about": own, "pictures": _pictures(inputs, own.shown, methods, gallery)}
-            for own in gallery.counterparts(inputs.config.num_pictures)
+            {"about": counterpart, "pictures": _pictures(inputs, counterpart.exhibits, methods, gallery)}
+            for counterpart in gallery.counterparts(inputs.config.num_pictures)
         ]
         if inputs.config.num_pictures
         else [],
@@ -197,7 +205,7 @@ def render(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -
 
 
 def method_names(runs: Sequence[tables.Run]) -> dict[str, str]:
-    """What every method is called, recorded ones as such."""
+    """Names of the methods, with a remark where the outputs are recorded."""
     return tables.METHOD_NAMES | {run.method: run.name for run in runs}
 
 
@@ -205,7 +213,7 @@ _ROW_TITLES = ("μ CD (m)", "Q1 CD (m)", "Q2 CD (m)", "Q3 CD (m)", "σ CD (m)", 
 
 
 def read_training(path: Path) -> list[dict[str, Any]]:
-    """Records of a ``metrics.jsonl``. Raises :class:`InputError` for a line that is no JSON object."""
+    """Records of a ``metrics.jsonl``. Raises :class:`InputError` if it cannot be read or a line is not JSON."""
     records = []
     try:
         lines = path.read_text().splitlines()
@@ -228,23 +236,25 @@ def _number(value: Any, digits: int = 2) -> str:
 
 
 def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[dict[str, Any]]:
-    """Per data set and property a table: groups, and per method the median distance from points to mesh, with
-    labels also the mean errors of height and angles of our best variant."""
+    """A table per data set and property of the buildings, with a line per group.
+
+    A line has the measures of each method, and those of our best variant once more for the errors against labels.
+    """
     header, *rows = groups.table(inputs.measures, list(names))
     records = [dict(zip(header, row, strict=True)) for row in rows]
     main = tables.main_method(list(inputs.reconstructions))
-    found = []
+    breakdowns = []
     for dataset in names:
         for by, title in groups.BY.items():
-            own = [r for r in records if r["dataset"] == dataset and r["by"] == by]
-            if own:
-                used = [name for name in methods if any(r["method"] == name for r in own)]
+            part = [r for r in records if r["dataset"] == dataset and r["by"] == by]
+            if part:
+                used = [name for name in methods if any(r["method"] == name for r in part)]
                 lines = []
-                for group in dict.fromkeys(r["group"] for r in own):
-                    cells = {r["method"]: r for r in own if r["group"] == group}
+                for group in dict.fromkeys(r["group"] for r in part):
+                    cells = {r["method"]: r for r in part if r["group"] == group}
                     lines.append((group, [cells.get(name) for name in used], cells.get(main)))
-                labelled = any(r["mean_height_error_m"] is not None for r in own)
-                found.append(
+                labelled = any(r["mean_height_error_m"] is not None for r in part)
+                breakdowns.append(
                     {
                         "dataset": dataset,
                         "title": title,
@@ -253,47 +263,47 @@ def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, 
                         "labelled": labelled,
                     }
                 )
-    return found
+    return breakdowns
 
 
 def _calibration(
     inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """Reliability diagrams of the data sets with labels, with a few numbers per method."""
-    found = []
+    """Reliability diagrams of the data sets with labels, with scores per method."""
+    diagrams = []
     for dataset, title in names.items():
-        made = {method: groups.calibration(inputs.measures, dataset, method) for method in groups.STATED}
-        known = {method: own for method, own in made.items() if own.bins}
-        if known:
-            bins = {method: own.bins for method, own in known.items()}
+        by_method = {method: groups.calibration(inputs.measures, dataset, method) for method in groups.STATED}
+        by_method = {method: scores for method, scores in by_method.items() if scores.bins}
+        if by_method:
+            bins = {method: scores.bins for method, scores in by_method.items()}
             image = figures.data_uri(figures.reliability_diagram(bins, methods, f"{title}: confidence"))
-            told = [(methods[method], own) for method, own in known.items()]
-            found.append({"image": image, "told": told, "title": title})
-    return found
+            named = [(methods[method], scores) for method, scores in by_method.items()]
+            diagrams.append({"image": image, "scores": named, "title": title})
+    return diagrams
 
 
 def _distributions(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[str]:
-    found = []
+    images = []
     for dataset, title in names.items():
-        own = inputs.measures.filter(pc.equal(inputs.measures["dataset"], dataset))
+        rows = inputs.measures.filter(pc.equal(inputs.measures["dataset"], dataset))
         for column, label in (
             ("chamfer_m", "Chamfer distance (m)"),
             ("points_to_mesh_m", "points to mesh (m)"),
         ):
             values = {
                 run.method: np.array(
-                    own.filter(pc.equal(own["method"], run.method))[column].drop_null().to_pylist(), float
+                    rows.filter(pc.equal(rows["method"], run.method))[column].drop_null().to_pylist(), float
                 )
                 for run in tables.ordered(inputs.runs)
             }
             values = {method: sample for method, sample in values.items() if len(sample)}
             if values:
-                found.append(figures.data_uri(figures.cumulative(values, methods, label, title)))
-    return found
+                images.append(figures.data_uri(figures.cumulative(values, methods, label, title)))
+    return images
 
 
 def _training(stages: Mapping[str, Sequence[dict[str, Any]]]) -> list[tuple[str, str]]:
-    """(stage, image) with the curves of every number that a record has beside its step."""
+    """(stage, image) with the curves of every number in the records."""
     images = []
     for stage, records in stages.items():
         for title, chosen in _panels(records).items():
@@ -310,7 +320,7 @@ def _step_name(records: Sequence[dict[str, Any]]) -> str:
 
 
 def _panels(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, tuple[list[float], list[float]]]]:
-    """Curves grouped by what they measure: losses, errors in metres, errors in degrees."""
+    """Curves grouped by quantity: losses, errors in metres, errors in degrees."""
     step = _step_name(records)
     curves: dict[str, tuple[list[float], list[float]]] = {}
     for position, record in enumerate(records):
@@ -324,40 +334,41 @@ def _panels(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, tuple[list
         "errors (m)": [name for name in curves if name.endswith("_m")],
         "errors (°)": [name for name in curves if name.endswith("_deg")],
     }
-    return {title: {name: curves[name] for name in found} for title, found in groups.items() if found}
+    return {title: {name: curves[name] for name in members} for title, members in groups.items() if members}
 
 
 def _worst(
     inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str], gallery: Gallery
 ) -> list[dict[str, Any]]:
-    """Per data set the worst buildings with pictures, and how often each reason is found."""
-    found = []
+    """Per data set the worst buildings with pictures, and how often each cause occurs."""
+    sections = []
     for dataset, title in names.items():
-        shown = gallery.worst(dataset, inputs.config.num_worst)
-        if shown:
-            pictures = _pictures(inputs, shown, methods, gallery)
-            reasons = counts_of_reasons(gallery, dataset)
-            found.append({"title": title, "pictures": pictures, "reasons": reasons})
-    return found
+        exhibits = gallery.worst(dataset, inputs.config.num_worst)
+        if exhibits:
+            pictures = _pictures(inputs, exhibits, methods, gallery)
+            sections.append({"title": title, "pictures": pictures, "causes": cause_counts(gallery, dataset)})
+    return sections
 
 
 def _pictures(
-    inputs: Inputs, shown: Sequence[Shown], methods: Mapping[str, str], gallery: Gallery
+    inputs: Inputs, exhibits: Sequence[Exhibit], methods: Mapping[str, str], gallery: Gallery
 ) -> list[dict[str, Any]]:
-    return [_picture(inputs, own, methods, gallery) for own in shown]
+    return [_picture(inputs, exhibit, methods, gallery) for exhibit in exhibits]
 
 
-def _picture(inputs: Inputs, shown: Shown, methods: Mapping[str, str], gallery: Gallery) -> dict[str, Any]:
-    """A building's points, and with them our meshes and Roofer's (without it the fit's or the flat roof)."""
-    key = shown.key
+def _picture(
+    inputs: Inputs, exhibit: Exhibit, methods: Mapping[str, str], gallery: Gallery
+) -> dict[str, Any]:
+    """The points of a building with our meshes and Roofer's; if that was not run, the fit's or the flat roof."""
+    key = exhibit.key
     panels: list[tuple[str, Reconstruction]] = []
-    for method in (*PICTURED, *PICTURED_ELSE):
-        made = inputs.reconstructions.get(method, {}).get(key)
-        if made is not None and made.has_mesh and len(panels) < len(PICTURED):
-            own = gallery.rows[key[0], method][key]
-            off = own["points_to_mesh_m"]
-            told = f"{own['num_triangles']} triangles, CD {_number(own['chamfer_m'])} m"
-            told += f", points {_number(off)} m" if off is not None else ""
-            panels.append((f"{methods[method]}\n{told}", made))
+    for method in (*PICTURED, *PICTURED_INSTEAD):
+        reconstruction = inputs.reconstructions.get(method, {}).get(key)
+        if reconstruction is not None and reconstruction.has_mesh and len(panels) < len(PICTURED):
+            row = gallery.rows[key[0], method][key]
+            caption = f"{row['num_triangles']} triangles, CD {_number(row['chamfer_m'])} m"
+            if row["points_to_mesh_m"] is not None:
+                caption += f", points {_number(row['points_to_mesh_m'])} m"
+            panels.append((f"{methods[method]}\n{caption}", reconstruction))
     image = figures.data_uri(figures.building(inputs.cases[key], panels), 85)
-    return {"row": gallery.rows[key[0], shown.method][key], "image": image, "sentence": shown.sentence}
+    return {"row": gallery.rows[key[0], exhibit.method][key], "image": image, "sentence": exhibit.sentence}

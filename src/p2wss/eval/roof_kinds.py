@@ -1,4 +1,4 @@
-"""The kind of a roof by the angles of its edges: what a real building has in the place of a label."""
+"""The kind of a roof from the angles of its edges, for real buildings, which have no label."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 SEVERAL_HEIGHTS = "several heights"
-# slopes within this of one direction make a shed
+# slopes whose directions differ by at most this angle make a shed
 _SHED_COSINE = np.cos(np.radians(30.0))
 
 
 def roof_kind(rings: Sequence[np.ndarray], angle_deg: np.ndarray, num_parts: int = 1) -> str:
-    """flat, shed, gable, hip, mixed, or :data:`SEVERAL_HEIGHTS`. rings: each (n, 2); a value per edge.
+    """flat, shed, gable, hip, mixed, or :data:`SEVERAL_HEIGHTS`. rings: each (n, 2); angle_deg: one value per edge.
 
-    flat: no slope at all. hip: every edge slopes. gable: slopes and gables (90 degrees) only; shed: the same,
-    but all slopes face one way. mixed: slopes beside flat edges.
+    flat: no slope at all. hip: a slope at every edge. gable: only slopes and gables (90 degrees). shed: the same, but
+    all slopes face the same way. mixed: slopes and flat edges.
 
     >>> square = [np.array([[0.0, 0], [9, 0], [9, 9], [0, 9]])]
     >>> [roof_kind(square, np.array(a)) for a in ([40, 90, 40, 90], [40, 90, 90, 90], [40, 40, 40, 40])]

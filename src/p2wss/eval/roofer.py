@@ -1,6 +1,6 @@
-"""Roofer (Peters et al. 2022), the baseline of Table 2: the user's own installation, a separate program.
+"""Roofer (Peters et al. 2022), the baseline of Table 2: a separate program that the user installs.
 
-Nothing of it is part of this package. It reads LAZ and GeoPackage and writes CityJSON, which is read back.
+No part of it belongs to this package. It reads LAZ and GeoPackage and writes CityJSON, which is read back.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def run(
 ) -> list[Reconstruction]:
     """One reconstruction per case, in order; Roofer runs once per data set and tile.
 
-    A run that fails, or a building that it skips, gives rows without a mesh and the reason.
+    Buildings of a run that fails, and buildings that Roofer skips, get a row without a mesh, with the reason.
     """
-    found: dict[tuple[str, str, str], Reconstruction] = {}
+    by_key: dict[tuple[str, str, str], Reconstruction] = {}
     clock = clock or CpuClock()
     for (dataset, _tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
         members = list(group)
@@ -54,43 +54,43 @@ def run(
                 solids, reason = _run_tile(roofer, members, Path(folder), config)
         for index, case in enumerate(members):
             solid = solids.get(str(index))
-            found[case.key] = (
+            by_key[case.key] = (
                 reconstruction(case, solid)
                 if solid is not None and len(solid.triangle)
                 else no_mesh(case.building, METHOD, reason or "no mesh from Roofer")
             )
-    return [found[case.key] for case in cases]
+    return [by_key[case.key] for case in cases]
 
 
 def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, str, str], Reconstruction]:
-    """Outputs of an earlier run of Roofer, CityJSON or sequences of it, for the LiDAR cases, by their keys.
+    """Outputs of an earlier run of Roofer, as CityJSON or CityJSONSeq, for the cases of real LiDAR, by their keys.
 
-    A building is found by the attribute ``building_id``, else by its name in the file. One that is not there
-    has no mesh. Empty if none is there: the files are of other buildings.
+    A building is identified by the attribute ``building_id``, or else by its name in the file. A building that is
+    missing gets a row without a mesh; if all are missing, the files are of other buildings and the result is empty.
     """
     solids: dict[str, ReadSolid] = {}
     for path in paths:
         for solid in cityjson.read(path, LOD):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
-    chosen = [case for case in cases if case.dataset == REAL]
-    if not any(case.building.building_id in solids for case in chosen):
+    real = [case for case in cases if case.dataset == REAL]
+    if not any(case.building.building_id in solids for case in real):
         return {}
-    found = {}
-    for case in chosen:
-        own = solids.get(case.building.building_id)
-        if own is None:
-            found[case.key] = no_mesh(case.building, METHOD, "not among the recorded buildings")
-        elif len(own.triangle):
-            found[case.key] = reconstruction(case, own)
+    by_key = {}
+    for case in real:
+        recording = solids.get(case.building.building_id)
+        if recording is None:
+            by_key[case.key] = no_mesh(case.building, METHOD, "not among the recorded buildings")
+        elif len(recording.triangle):
+            by_key[case.key] = reconstruction(case, recording)
         else:
-            found[case.key] = no_mesh(case.building, METHOD, "no mesh from Roofer")
-    return found
+            by_key[case.key] = no_mesh(case.building, METHOD, "no mesh from Roofer")
+    return by_key
 
 
 def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
     """A solid of Roofer in the frame of the case."""
     building = case.building
-    # Roofer puts the floor at its own estimate of the ground; ours may be missing
+    # the ground face of Roofer's solid is at its own estimate of the ground, where we may have none
     ground = ground_z_m(building)
     return Reconstruction(
         building.building_id,
@@ -117,21 +117,21 @@ def _run_key(case: Case) -> tuple[str, str]:
 def _run_tile(
     roofer: Roofer, cases: Sequence[Case], folder: Path, config: Eval
 ) -> tuple[dict[str, ReadSolid], str | None]:
-    """Solids by position of the case, and why the run gave none, if so."""
+    """Solids by position of the case, and the reason if the run failed."""
     out = folder / "out"
     command = [word.replace("{folder}", str(folder)) for word in roofer.command]
     command += ["--id-attribute", ID_FIELD, "--lod22"]
     command += [str(folder / "points.laz"), str(folder / "footprints.gpkg"), str(out)]
     try:
-        answer = subprocess.run(
+        completed = subprocess.run(
             command, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
         )
     except subprocess.TimeoutExpired:
         return {}, f"Roofer took more than {config.roofer_timeout_s:g} s"
-    if answer.returncode != 0:
-        said = (answer.stderr or answer.stdout).strip().splitlines()
-        log.warning("Roofer failed on tile %s: %s", cases[0].building.tile, said[-1] if said else "")
-        return {}, f"Roofer failed with exit status {answer.returncode}"
+    if completed.returncode != 0:
+        message = (completed.stderr or completed.stdout).strip().splitlines()
+        log.warning("Roofer failed on tile %s: %s", cases[0].building.tile, message[-1] if message else "")
+        return {}, f"Roofer failed with exit status {completed.returncode}"
     solids = {}
     for path in sorted(out.rglob("*.jsonl")):
         for solid in cityjson.read(path, LOD):
@@ -140,10 +140,10 @@ def _run_tile(
 
 
 def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
-    """``points.laz``, each point once with its class, and ``footprints.gpkg``, id = position of the case."""
+    """Write ``points.laz``, each point once with its class, and ``footprints.gpkg``, ids = positions of the cases."""
     cloud = [case.building.point_m + np.array([*case.building.origin_xy_m, 0.0]) for case in cases]
     classes = np.concatenate([case.building.classification for case in cases])
-    # neighbours' crops overlap; on a grid of centimetres the same point is the same number
+    # crops of neighbours overlap; on a grid of centimetres the same point has the same coordinates
     grid, first = np.unique(np.round(np.concatenate(cloud) * 100).astype(np.int64), axis=0, return_index=True)
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.array([0.01, 0.01, 0.01])

@@ -1,4 +1,4 @@
-"""Tables 1 and 2 with the paper's rows, its figures and ours side by side, and what the paper leaves out."""
+"""Tables 1 and 2 with the rows of the paper, its figures beside ours, and measures that the paper does not report."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ SETTINGS_1 = {
     "all_masked": "Point2WSS, all masked",
     "all_masked_signs": "Point2WSS, signs masked too",
     "footprint_given": "Point2WSS, footprint given",
-    NETWORK_AND_FIT: "Footprint given + fit",
+    NETWORK_AND_FIT: "Point2WSS + fit",
     FIT: "Fit alone",
     "constant": "Constant predictor",
 }
@@ -69,9 +69,10 @@ SHARES = {"watertight": "Watertight (%)", "manifold": "Manifold (%)", "planar": 
 
 @dataclass(frozen=True)
 class Run:
-    """A method of the comparison and whether it was run: ``"ok"``, ``"recorded"`` or ``"not run: .."``.
+    """A method of the comparison.
 
-    note: what the file says of it, such as the version."""
+    status: ``"ok"``, ``"recorded"`` or ``"not run: <reason>"``. note: a remark from the file, such as the version.
+    """
 
     method: str
     status: str
@@ -83,18 +84,18 @@ class Run:
 
     @property
     def name(self) -> str:
-        """What it is called, and that it is recorded if so."""
-        known = METHOD_NAMES.get(self.method, self.method)
-        return f"{known} ({RECORDED})" if self.status == RECORDED else known
+        """Name of the method, with a remark if its outputs are recorded."""
+        name = METHOD_NAMES.get(self.method, self.method)
+        return f"{name} ({RECORDED})" if self.status == RECORDED else name
 
 
 @dataclass(frozen=True)
 class Detail:
-    """What was measured of a method on a data set.
+    """Statistics of a method on a data set.
 
-    means: by the keys of :data:`MEANS`, over the buildings with a mesh. shares: by those of :data:`SHARES`, of
-    the meshes. reasons: status of the buildings without a mesh and how many have it; flat_reasons: of those with a
-    flat roof instead. cpu_ms: per building.
+    means: by the keys of :data:`MEANS`, over the buildings with a mesh. shares: by the keys of :data:`SHARES`, of
+    the meshes. reasons: number of buildings without a mesh, by their status. flat_reasons: number of buildings with a
+    flat roof instead, by their status. cpu_ms: CPU time per building.
     """
 
     dataset: str
@@ -118,20 +119,23 @@ class Detail:
 
 @dataclass(frozen=True)
 class Column:
-    """One column of Table 2: whose figures, on which data set, the seven values of :data:`ROWS_2` or None, and
-    what else was measured; the paper's columns have no detail."""
+    """One column of Table 2.
+
+    values: the seven rows of :data:`ROWS_2`, None if the method was not run. detail: all statistics, None for the
+    paper's columns. note: a remark for the title.
+    """
 
     dataset: str
     method: str
     name: str
-    source: str  # "paper", or "measured"
+    source: str  # "paper" or "measured"
     values: Sequence[float] | None
     detail: Detail | None = None
     note: str = ""
 
 
 def main_method(methods: Sequence[str]) -> str:
-    """Ours that is looked at closest: the network with the fit if there is one, else the network."""
+    """Our best variant: the network with the fit if it was run, else the network, else the fit alone."""
     return next((name for name in (NETWORK_AND_FIT, NETWORK, FIT) if name in methods), NETWORK)
 
 
@@ -142,7 +146,7 @@ def ordered(runs: Sequence[Run]) -> list[Run]:
 
 
 def table_1(parameters: Mapping[str, Any]) -> list[list[Any]]:
-    """Header and rows: per parameter the paper's MAE and deviation, then each setting's with its count."""
+    """Header, then a row per parameter: MAE and deviation of the paper, then those of each setting with the count."""
     header = ["Parameter", "Paper MAE", "Paper std"]
     for name in SETTINGS_1.values():
         header += [f"{name} MAE", f"{name} std", f"{name} count"]
@@ -157,16 +161,16 @@ def table_1(parameters: Mapping[str, Any]) -> list[list[Any]]:
 
 
 def columns_2(details: Sequence[Detail], runs: Sequence[Run]) -> list[Column]:
-    """Columns of Table 2: per data set the paper's two, then one per method; one not run has no values."""
+    """Columns of Table 2: per data set the paper's two, then one per method; without values if it was not run."""
     columns = []
     for dataset in (SIMULATED, REAL):
         for method, name in (("roofer", "Roofer"), (NETWORK, "Ours")):
             columns.append(Column(dataset, method, name, "paper", PAPER_TABLE_2[dataset, method]))
-        found = {detail.method: detail for detail in details if detail.dataset == dataset}
+        by_method = {detail.method: detail for detail in details if detail.dataset == dataset}
         for run in ordered(runs):
-            if run.method in found:
-                own = found[run.method]
-                columns.append(Column(dataset, run.method, run.name, "measured", values_2(own), own))
+            if run.method in by_method:
+                detail = by_method[run.method]
+                columns.append(Column(dataset, run.method, run.name, "measured", values_2(detail), detail))
             else:
                 note = "no outputs recorded" if run.status == RECORDED else run.status
                 columns.append(
@@ -183,7 +187,7 @@ def values_2(detail: Detail) -> list[float]:
 
 
 def table_2(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list[list[Any]]:
-    """Header and the paper's seven rows; a column's title tells data set, source and method."""
+    """Header, then the paper's seven rows; the title of a column names data set, source and method."""
     rows: list[list[Any]] = [["Statistic", *_titles(columns, dataset_names)]]
     for i, name in enumerate(ROWS_2):
         rows.append([name, *(column.values[i] if column.values else None for column in columns)])
@@ -191,27 +195,29 @@ def table_2(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list
 
 
 def table_2_more(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list[list[Any]]:
-    """Header and rows beyond the paper's, only for what was measured: means with the bounds of their 95 %
-    intervals, shares of the meshes, counts of buildings, CPU time."""
+    """Header, then the rows beyond the paper's, for the methods that were run.
+
+    The rows are means with the bounds of their 95 % intervals, shares of the meshes, numbers of buildings, CPU time.
+    """
     measured = [column for column in columns if column.detail is not None]
-    known = [column.detail for column in measured if column.detail is not None]
+    details = [column.detail for column in measured if column.detail is not None]
     rows: list[list[Any]] = [["Measure", *_titles(measured, dataset_names)]]
     for key, (title, _) in MEANS.items():
-        rows.append([title, *(detail.means[key].mean for detail in known)])
-        rows.append([f"{title}, 95 % low", *(detail.means[key].low for detail in known)])
-        rows.append([f"{title}, 95 % high", *(detail.means[key].high for detail in known)])
+        rows.append([title, *(detail.means[key].mean for detail in details)])
+        rows.append([f"{title}, 95 % low", *(detail.means[key].low for detail in details)])
+        rows.append([f"{title}, 95 % high", *(detail.means[key].high for detail in details)])
     for key, title in SHARES.items():
-        rows.append([title, *(100 * detail.shares[key] for detail in known)])
-    rows.append(["Buildings", *(detail.num_buildings for detail in known)])
-    rows.append(["Without a mesh", *(detail.num_without_mesh for detail in known)])
-    rows.append(["CPU time per building (ms)", *(detail.cpu_ms for detail in known)])
+        rows.append([title, *(100 * detail.shares[key] for detail in details)])
+    rows.append(["Buildings", *(detail.num_buildings for detail in details)])
+    rows.append(["Without a mesh", *(detail.num_without_mesh for detail in details)])
+    rows.append(["CPU time per building (ms)", *(detail.cpu_ms for detail in details)])
     return rows
 
 
 def without_mesh(
     details: Sequence[Detail], runs: Sequence[Run], dataset_names: Mapping[str, str]
 ) -> list[Any]:
-    """Header and rows: data set, method, what the buildings have instead, reason, buildings."""
+    """Header and rows of data set, method, what the buildings have instead, reason, number of buildings."""
     names = {run.method: run.name for run in runs}
     rows: list[list[Any]] = [["Data set", "Method", "Instead", "Reason", "Buildings"]]
     for detail in details:
@@ -234,33 +240,33 @@ def _titles(columns: Sequence[Column], dataset_names: Mapping[str, str]) -> list
 def details(
     measures: pa.Table, config: Eval, cpu_ms: Mapping[str, Mapping[str, float]] | None = None
 ) -> list[Detail]:
-    """Statistics per data set and method, in the order of their first rows.
+    """Statistics per data set and method, in the order of their first rows in ``measures``.
 
     cpu_ms: milliseconds per building, by method and data set.
     """
-    found = []
+    statistics = []
     keys = list(
         dict.fromkeys(zip(measures["dataset"].to_pylist(), measures["method"].to_pylist(), strict=True))
     )
     for dataset, method in keys:
-        own = measures.filter(
+        rows = measures.filter(
             pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
         )
-        without_mesh = pc.is_null(own["num_triangles"])
-        is_flat = pc.and_not(pc.fill_null(pc.not_equal(own["status"], "ok"), False), without_mesh)
-        found.append(
+        without_mesh = pc.is_null(rows["num_triangles"])
+        is_flat = pc.and_not(pc.fill_null(pc.not_equal(rows["status"], "ok"), False), without_mesh)
+        statistics.append(
             Detail(
                 dataset,
                 method,
-                len(own),
-                _counts(own.filter(without_mesh)["status"].to_pylist()),
-                {name: _summary(own, name, config, dataset, method) for name in MEANS},
-                {name: _share(own, name) for name in SHARES},
+                len(rows),
+                _counts(rows.filter(without_mesh)["status"].to_pylist()),
+                {name: _summary(rows, name, config, dataset, method) for name in MEANS},
+                {name: _share(rows, name) for name in SHARES},
                 (cpu_ms or {}).get(method, {}).get(dataset),
-                _counts(own.filter(is_flat)["status"].to_pylist()),
+                _counts(rows.filter(is_flat)["status"].to_pylist()),
             )
         )
-    return found
+    return statistics
 
 
 def _counts(values: Sequence[str]) -> dict[str, int]:
@@ -268,8 +274,8 @@ def _counts(values: Sequence[str]) -> dict[str, int]:
 
 
 def _share(table: pa.Table, name: str) -> float:
-    known = [value for value in table[name].to_pylist() if value is not None]
-    return float(np.mean(known)) if known else float("nan")
+    values = table[name].drop_null().to_pylist()
+    return float(np.mean(values)) if values else float("nan")
 
 
 def _summary(table: pa.Table, name: str, config: Eval, dataset: str, method: str) -> Summary:
@@ -278,5 +284,5 @@ def _summary(table: pa.Table, name: str, config: Eval, dataset: str, method: str
 
 
 def numbers(table: pa.Table, name: str) -> np.ndarray:
-    """A column as float64, NaN where it is null."""
+    """A column as float64, with NaN for null."""
     return np.array([np.nan if value is None else value for value in table[name].to_pylist()], float)

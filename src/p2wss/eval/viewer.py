@@ -1,7 +1,7 @@
-"""The 3D view of ``report.html``: chosen buildings with their points and meshes, and the scripts that draw them.
+"""The 3D view of ``report.html``: a selection of buildings with points and meshes, and the scripts that draw them.
 
-Everything stands in the page itself. Points are whole centimetres in int16 and vertices whole millimetres in
-int32, in base64: some 20 kB a building.
+All of it is embedded in the page. Points are whole centimetres in int16 and vertices whole millimetres in int32,
+in base64: about 20 kB per building.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from p2wss.eval.figures import COLORS, FACE_COLORS
 from p2wss.metrics.surface import distance_to_mesh
 
 Key = tuple[str, str, str]
-# per data set: with its points and three meshes a building takes 20 to 60 kB of the page
-NUM_SHOWN = {"worst": 20, "median": 5, "best": 5}
+# per data set; a building with its points and three meshes takes 20 to 60 kB of the page
+NUM_BUILDINGS = {"worst": 20, "median": 5, "best": 5}
 MAX_POINTS = 4000
 _OTHER_COLORS = ("#3f7d4e", "#7b5ea7", "#b8872b")
 
 
 @dataclass(frozen=True)
 class Viewer:
-    """What the template writes into the page: JSON, three.js, and the script that uses both."""
+    """The pieces of the page: the data as JSON, three.js, and the script that draws the data with it."""
 
     data: str
     library: str
@@ -45,22 +45,24 @@ def viewer(
     names: Mapping[str, str],
     ours: str,
 ) -> Viewer | None:
-    """The view of the buildings that ``ours`` does worst, in the middle and best by CD; None without any.
+    """The view of the worst, median and best buildings of the method ``ours`` by Chamfer distance; None if empty.
 
-    measures: rows of ``io.MEASURES``. titles: of the data sets that are shown. names: what methods are called.
+    measures: rows of the schema ``MEASURES``. titles: data sets to show, with their titles. names: of the methods.
     """
     measured = {(row["dataset"], row["tile"], row["building_id"], row["method"]): row for row in measures}
     methods = [name for name in reconstructions if name == ours or name != "constant"]
-    shown = []
+    buildings = []
     for dataset, title in titles.items():
         ranked = [key[:3] for key in measured if key[0] == dataset and key[3] == ours and key[:3] in cases]
         ranked.sort(key=lambda key: (-_chamfer_m(measured[*key, ours]), key))
         for group, ranks in choose(len(ranked)).items():
             for key in (ranked[rank] for rank in ranks):
-                found = {name: reconstructions[name].get(key) for name in methods}
-                facts = {name: measured.get((*key, name)) for name in methods}
-                shown.append({"group": f"{title}: {group}"} | _building(cases[key], found, facts, ours))
-    if not shown:
+                by_method = {name: reconstructions[name].get(key) for name in methods}
+                rows = {name: measured.get((*key, name)) for name in methods}
+                buildings.append(
+                    {"group": f"{title}: {group}"} | _building(cases[key], by_method, rows, ours)
+                )
+    if not buildings:
         return None
     spare = iter(_OTHER_COLORS * len(methods))
     data = {
@@ -75,7 +77,7 @@ def viewer(
             }
             for name in methods
         ],
-        "buildings": shown,
+        "buildings": buildings,
     }
     assets = files("p2wss.eval") / "assets"
     # "</script>" in a building's id must not end the element
@@ -84,35 +86,35 @@ def viewer(
 
 
 def choose(count: int) -> dict[str, list[int]]:
-    """Ranks, worst first, of those shown out of ``count``, none twice.
+    """The ranks to show out of ``count`` buildings, worst first, none twice.
 
     >>> {group: len(ranks) for group, ranks in choose(1000).items()}
     {'worst': 20, 'median': 5, 'best': 5}
     >>> choose(3)
     {'worst': [0, 1, 2], 'median': [], 'best': []}
     """
-    worst = list(range(min(NUM_SHOWN["worst"], count)))
-    best = list(range(max(len(worst), count - NUM_SHOWN["best"]), count))
-    first = (count - NUM_SHOWN["median"]) // 2
+    worst = list(range(min(NUM_BUILDINGS["worst"], count)))
+    best = list(range(max(len(worst), count - NUM_BUILDINGS["best"]), count))
+    first = (count - NUM_BUILDINGS["median"]) // 2
     taken = {*worst, *best}
-    median = [rank for rank in range(first, first + NUM_SHOWN["median"]) if 0 <= rank < count]
+    median = [rank for rank in range(first, first + NUM_BUILDINGS["median"]) if 0 <= rank < count]
     return {"worst": worst, "median": [rank for rank in median if rank not in taken], "best": best[::-1]}
 
 
 def _chamfer_m(row: Mapping[str, Any]) -> float:
-    # a building without a mesh is the worst there is
+    # a building without a mesh is worse than any other
     return float("inf") if row["chamfer_m"] is None else float(row["chamfer_m"])
 
 
 def _building(
     case: Case,
-    found: Mapping[str, Reconstruction | None],
-    facts: Mapping[str, Mapping[str, Any] | None],
+    reconstructions: Mapping[str, Reconstruction | None],
+    rows: Mapping[str, Mapping[str, Any] | None],
     ours: str,
 ) -> dict[str, Any]:
-    """One building for the page, relative to its own origin and our ground."""
+    """One building for the page, relative to its origin and to the ground of our reconstruction."""
     building = case.building
-    main = found[ours]
+    main = reconstructions[ours]
     ground = building.ground_z_m if main is None or not np.isfinite(main.ground_z_m) else main.ground_z_m
     point_m = building.point_m - np.array([0.0, 0.0, ground])
     point_m = point_m[:: max(-(-len(point_m) // MAX_POINTS), 1)]
@@ -120,24 +122,26 @@ def _building(
     storable = (np.abs(point_cm) <= np.iinfo(np.int16).max).all(axis=1)
     point_m, point_cm = point_m[storable], point_cm[storable]
     meshes, reach = {}, [point_m]
-    for name, made in found.items():
-        if made is not None and made.has_mesh:
-            shift = [*np.subtract(made.origin_xy_m, building.origin_xy_m), made.ground_z_m - ground]
-            vertex_m = made.vertex_m + np.array(shift)
+    for name, reconstruction in reconstructions.items():
+        if reconstruction is not None and reconstruction.has_mesh:
+            shift = [
+                *np.subtract(reconstruction.origin_xy_m, building.origin_xy_m),
+                reconstruction.ground_z_m - ground,
+            ]
+            vertex_m = reconstruction.vertex_m + np.array(shift)
             reach.append(vertex_m)
-            row = facts[name]
             meshes[name] = {
                 "vertices": _base64(np.round(vertex_m * 1000).astype(np.int32)),
-                "triangles": _base64(made.triangle.astype(np.uint32)),
-                "kinds": _base64(made.kind.astype(np.uint8)),
-                "facts": _facts(made, row),
+                "triangles": _base64(reconstruction.triangle.astype(np.uint32)),
+                "kinds": _base64(reconstruction.kind.astype(np.uint8)),
+                "facts": _facts(reconstruction, rows[name]),
             }
             if name == ours:
-                distance = np.clip(distance_to_mesh(point_m, vertex_m, made.triangle), 0, 1)
+                distance = np.clip(distance_to_mesh(point_m, vertex_m, reconstruction.triangle), 0, 1)
     if ours not in meshes:
         distance = np.zeros(len(point_m))
     corners = np.concatenate(reach) if any(map(len, reach)) else np.zeros((1, 3))
-    row = facts[ours] or {}
+    row = rows[ours] or {}
     score = "no mesh" if row.get("chamfer_m") is None else f"CD {row['chamfer_m']:.2f} m"
     about = f"{len(building.point_m)} points, {sum(map(len, building.rings))} vertices"
     if case.roof_type:
@@ -153,11 +157,11 @@ def _building(
     }
 
 
-def _facts(made: Reconstruction, row: Mapping[str, Any] | None) -> str:
-    told = f"{len(made.triangle)} triangles"
+def _facts(reconstruction: Reconstruction, row: Mapping[str, Any] | None) -> str:
+    triangles = f"{len(reconstruction.triangle)} triangles"
     if row is None or row["chamfer_m"] is None:
-        return told
-    return f"CD {row['chamfer_m']:.2f} m, {told}"
+        return triangles
+    return f"CD {row['chamfer_m']:.2f} m, {triangles}"
 
 
 def _base64(values: np.ndarray) -> str:

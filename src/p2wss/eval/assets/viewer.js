@@ -1,4 +1,4 @@
-// Points and meshes of one building at a time. Reads its data from #viewer-data, draws only when something changes.
+// Shows points and meshes of one building at a time. Reads its data from #viewer-data and draws only on changes.
 "use strict";
 (() => {
   const root = document.getElementById("viewer");
@@ -10,7 +10,7 @@
 
   const decoded = (text, Kind) => new Kind(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
 
-  // colours are what the page's other pictures show: no conversion on the way
+  // no conversion of colours: the same as in the page's other pictures
   THREE.ColorManagement.enabled = false;
   let renderer;
   try {
@@ -35,9 +35,9 @@
   controls.addEventListener("change", draw);
 
   const palette = decoded(data.palette, Uint8Array);
-  const shown = { points: true };
+  const visible = { points: true };
   for (const method of data.methods) {
-    shown[method.key] = method.ours;
+    visible[method.key] = method.ours;
     if (method.ours) root.querySelector(".ours").textContent = `the mesh of ${method.name}`;
   }
   let parts = new THREE.Group();
@@ -74,10 +74,10 @@
     geometry.setAttribute("color", new THREE.BufferAttribute(color, 3));
     geometry.computeVertexNormals();
     const material = new THREE.MeshLambertMaterial({ vertexColors: true, flatShading: true, side: THREE.DoubleSide });
-    // the edges lie in the faces and must win
+    // the edges lie in the faces and must be drawn over them
     Object.assign(material, { polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
     if (!method.ours) {
-      // behind ours where both are in one plane
+      // behind our mesh where both lie in one plane
       Object.assign(material, { transparent: true, opacity: 0.55, depthWrite: false, polygonOffsetFactor: 2 });
     }
     const group = new THREE.Group();
@@ -99,10 +99,10 @@
     const [low, high] = current.bounds;
     const middle = new THREE.Vector3(...low.map((value, i) => (value + high[i]) / 2));
     const radius = Math.max(Math.hypot(...low.map((value, i) => high[i] - value)) / 2, 1);
-    // the whole sphere fits into the narrower side of the picture
+    // the bounding sphere fits into the narrower side of the picture
     const half = ((camera.fov / 2) * Math.PI) / 180;
     const reach = radius / Math.sin(Math.min(half, Math.atan(Math.tan(half) * camera.aspect)));
-    // a building fills less of its sphere than a ball
+    // a building does not fill its bounding sphere
     const eye = new THREE.Vector3(-0.49, -0.69, 0.53).setLength(0.9 * reach);
     camera.position.copy(middle).add(eye);
     camera.near = reach / 100;
@@ -117,10 +117,10 @@
     const box = document.createElement("input");
     box.type = "checkbox";
     box.name = key;
-    box.checked = shown[key];
+    box.checked = visible[key];
     box.disabled = !parts.getObjectByName(key);
     box.addEventListener("change", () => {
-      shown[key] = box.checked;
+      visible[key] = box.checked;
       parts.getObjectByName(key).visible = box.checked;
       draw();
     });
@@ -137,22 +137,22 @@
     parts = new THREE.Group();
     const add = (part, key) => {
       part.name = key;
-      part.visible = shown[key];
+      part.visible = visible[key];
       parts.add(part);
     };
     add(pointsOf(current), "points");
-    const said = [];
+    const descriptions = [];
     for (const method of data.methods) {
       const mesh = current.meshes[method.key];
       if (mesh) add(meshOf(mesh, method), method.key);
-      said.push(`${method.name}: ${mesh ? mesh.facts : "no mesh"}`);
+      descriptions.push(`${method.name}: ${mesh ? mesh.facts : "no mesh"}`);
     }
     scene.add(parts);
     layers.replaceChildren(
       toggle("points", "Points", "linear-gradient(90deg, #30123b, #28bceb, #a4fc3c, #fb7e21, #7a0403)"),
       ...data.methods.map((method) => toggle(method.key, method.name, method.color)),
     );
-    facts.textContent = `${current.about}. ${said.join("; ")}.`;
+    facts.textContent = `${current.about}. ${descriptions.join("; ")}.`;
     canvas.dataset.building = current.id;
     canvas.setAttribute("aria-label", `3D view of building ${current.id}`);
     aim();

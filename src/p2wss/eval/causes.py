@@ -1,0 +1,159 @@
+"""Why a mesh is far from its points: what the report says of the worst buildings, with the figures behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from p2wss.data.building import Reconstruction
+from p2wss.eval.cases import Case
+from p2wss.eval.measure import FAR_M, local_points, points_on_building
+from p2wss.metrics.height import surface_height_m
+from p2wss.metrics.surface import distance_to_mesh, triangle_areas
+from p2wss.skeleton.types import FaceKind
+
+SPARSE_PER_M2, SPARSE_POINTS = 1.0, 50
+OCCLUDED_SHARE = 0.5
+# a roof as a whole is too high or too low if a shift reduces the median gap below this, and below this share of it
+_SHIFTED_M, _SHIFT_GAIN = 0.5, 0.5
+# points this near to each other form a cluster
+_LINK_M = 1.0
+_MIN_CLUSTER_POINTS = 8
+_ANNEX_SHARE, _DORMER_SHARE = 0.05, 0.02
+_DORMER_M2 = 15.0
+_EDGE_M = 1.0
+
+
+@dataclass(frozen=True)
+class Cause:
+    """kind: a short phrase, for counting. sentence: the same for the reader, with the figures that led to it."""
+
+    kind: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A cluster of points more than 0.5 m above or below the roof and away from the mesh.
+
+    share: of the points on the building. height_m: median height above the roof. area_m2: of the 1 m cells with
+    such points. at_edge: whether the cluster reaches the edge of the footprint.
+    """
+
+    share: float
+    height_m: float
+    area_m2: float
+    at_edge: bool
+
+
+def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 1) -> Cause:
+    """The first cause, in a fixed order, that the points show.
+
+    num_parts: number of parts of the building by the fit, 1 where the fit was not run.
+    """
+    if not reconstruction.has_mesh:
+        return Cause("no mesh", f"No mesh: {reconstruction.status}.")
+    on_building = points_on_building(case)
+    point_m = local_points(case, reconstruction)[on_building]
+    if len(point_m) < SPARSE_POINTS or len(point_m) < SPARSE_PER_M2 * case.building.polygon.area:
+        density = len(point_m) / case.building.polygon.area
+        return Cause("sparse", f"Sparse: {len(point_m)} points on the building, {density:.1f} per m².")
+    above = point_m[:, 2] - surface_height_m(point_m[:, :2], reconstruction.vertex_m, reconstruction.triangle)
+    distance = distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle)
+    has_roof = ~np.isnan(above)
+    beside, mean_distance_m = float((~has_roof).mean()), float(distance.mean())
+    point_m, above, distance = point_m[has_roof], above[has_roof], distance[has_roof]
+    if beside > 0.2 or not len(above):
+        return Cause(
+            "footprint", f"Footprint: {beside:.0%} of the points on the building lie beside the mesh."
+        )
+    shift_m = float(np.median(above))
+    # medians: points on walls are far below the roof
+    spread_m = float(np.median(np.abs(above - shift_m)))
+    if abs(shift_m) > FAR_M and spread_m < min(_SHIFTED_M, _SHIFT_GAIN * np.median(np.abs(above))):
+        direction = "low" if shift_m > 0 else "high"
+        return Cause(
+            "height error",
+            f"Height error: the roof is {abs(shift_m):.1f} m too {direction}; at the right height, half of the points "
+            f"would be within {spread_m:.2f} m of it.",
+        )
+    # a point far below the roof but near the mesh is on a wall
+    gap_m = np.where(distance > FAR_M, above, 0.0)
+    high, low = (_largest_cluster(case, point_m, gap_m, reconstruction, sign) for sign in (1, -1))
+    several_heights = num_parts > 1 and reconstruction.num_parts == 1
+    if (
+        low is not None
+        and low.share >= _ANNEX_SHARE
+        and low.at_edge
+        and not (several_heights and low.share > 0.3)
+    ):
+        return Cause(
+            "garage or annex",
+            f"Garage or annex: {low.share:.0%} of the points ({low.area_m2:.0f} m², at the edge) lie "
+            f"{-low.height_m:.1f} m below the roof.",
+        )
+    if several_heights:
+        return Cause(
+            "several heights",
+            f"Several heights: the fit finds {num_parts} parts, the mesh has a single height; "
+            f"{(distance > FAR_M).mean():.0%} of the points are more than {FAR_M:g} m from it.",
+        )
+    if high is not None and high.share >= _DORMER_SHARE:
+        where = "at the edge" if high.at_edge else "inside"
+        is_small = high.area_m2 <= _DORMER_M2
+        return Cause(
+            "dormer" if is_small else "higher part",
+            f"{'Dormer or structure on the roof' if is_small else 'Higher part'}: {high.share:.0%} of the points "
+            f"({high.area_m2:.0f} m², {where}) lie {high.height_m:.1f} m above the mesh.",
+        )
+    if case.visible_roof_share < OCCLUDED_SHARE:
+        return Cause("occluded", f"Occluded: only {case.visible_roof_share:.0%} of the roof has points.")
+    far = float((distance > FAR_M).mean())
+    if mean_distance_m > 0.25:
+        return Cause(
+            "roof shape",
+            f"Shape of the roof: {far:.0%} of the points are more than {FAR_M:g} m from the mesh, scattered over it.",
+        )
+    unseen = _ground_and_wall_share(reconstruction)
+    return Cause(
+        "walls",
+        f"Walls and ground: the roof fits to {mean_distance_m:.2f} m; {unseen:.0%} of the mesh's area is walls "
+        "and ground, where the cloud has few points.",
+    )
+
+
+def _largest_cluster(
+    case: Case, point_m: np.ndarray, gap_m: np.ndarray, reconstruction: Reconstruction, sign: int
+) -> Cluster | None:
+    """The largest cluster of points more than 0.5 m above (sign 1) or below (sign -1) the roof, if there is one."""
+    far = np.flatnonzero(sign * gap_m > FAR_M)
+    if len(far) < _MIN_CLUSTER_POINTS:
+        return None
+    pairs = cKDTree(point_m[far, :2]).query_pairs(_LINK_M, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(far),) * 2)
+    label = connected_components(links, directed=False)[1]
+    group = far[label == np.bincount(label).argmax()]
+    if len(group) < _MIN_CLUSTER_POINTS:
+        return None
+    cells = np.unique(np.floor(point_m[group, :2]), axis=0)
+    boundary = shapely.affinity.translate(
+        case.building.polygon, *np.subtract(case.building.origin_xy_m, reconstruction.origin_xy_m)
+    ).boundary
+    near = shapely.distance(boundary, shapely.points(point_m[group, :2])) < _EDGE_M
+    return Cluster(
+        share=len(group) / len(gap_m),
+        height_m=float(np.median(gap_m[group])),
+        area_m2=float(len(cells)),
+        at_edge=bool(near.sum() >= _MIN_CLUSTER_POINTS),
+    )
+
+
+def _ground_and_wall_share(reconstruction: Reconstruction) -> float:
+    area = triangle_areas(reconstruction.vertex_m, reconstruction.triangle)
+    unseen = np.isin(reconstruction.kind, (FaceKind.GROUND, FaceKind.WALL))
+    return float(area[unseen].sum() / area.sum())
