@@ -1,4 +1,4 @@
-"""A hamlet with known answers: crops as the stage crops writes them, sampled from meshes of the kernel."""
+"""A hamlet of known buildings: shards as the stage crops writes them, sampled from meshes of the kernel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHAPES = {
 
 
 def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split: str) -> dict[str, object]:
-    """Columns of io.CROPS: buildings of SHAPES in turn, 40 m apart, on ground at z = 100 + 3 sin(i)."""
+    """Columns of the schema ``CROPS``: buildings of SHAPES in turn, 40 m apart, on ground at z = 100 + 3 sin(i)."""
     draw = np.random.default_rng(seed)
     rows: dict[str, list[object]] = {name: [] for name in CROPS.names}
     for i in range(num_buildings):
@@ -73,7 +73,7 @@ def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split
 
 @pytest.fixture(scope="session")
 def hamlet(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A manifest with 20 buildings to train on, 4 to validate, 16 to test, and 12 of LiDAR without labels."""
+    """A manifest with 20 buildings to train on, 4 to validate, 16 to test, and 12 of real LiDAR without labels."""
     folder = tmp_path_factory.mktemp("crops")
     train = crop_columns(24, "0652_6862", True, 1, "train")
     test = crop_columns(16, "0652_6862", True, 2, "test")

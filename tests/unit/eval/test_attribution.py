@@ -1,4 +1,4 @@
-"""Every source that a region of the project uses stands in the table, with licence and attribution."""
+"""The table lists every source that a region of the project uses, with licence and attribution."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_every_source_of_every_region_is_named(path: Path | None) -> None:
         assert all("IGN" in line and "Licence Ouverte" in line and "2026" in line for line in lines)
 
 
-def test_only_what_is_used_and_what_is_unknown() -> None:
+def test_only_sources_in_use_are_named_and_unknown_ones_marked() -> None:
     config = load({"region": {"lidar_tiles": []}, "fetch": {"folder": {"dtm": "my/dtm"}}})
     lines = attribution.attribution(config, TABLE)
     assert len(lines) == 2

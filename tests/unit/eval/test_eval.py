@@ -1,4 +1,4 @@
-"""The evaluation on a hamlet whose buildings are known, with predictors that know them or not."""
+"""The evaluation on a hamlet with known buildings, with a predictor that knows the truth."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
 
 
 @pytest.fixture(scope="module")
-def found(hamlet: Path) -> list[cases.Case]:
+def hamlet_cases(hamlet: Path) -> list[cases.Case]:
     return cases.test_cases(cases.read_manifest(hamlet))
 
 
-def test_cases_are_the_test_split_and_all_lidar_in_metres(found: list[cases.Case]) -> None:
-    assert [c.dataset for c in found] == ["simulated"] * 16 + ["real"] * 12
-    first = found[0]
+def test_cases_are_the_test_split_and_all_real_lidar_in_metres(hamlet_cases: list[cases.Case]) -> None:
+    assert [c.dataset for c in hamlet_cases] == ["simulated"] * 16 + ["real"] * 12
+    first = hamlet_cases[0]
     assert first.building.building_id == "b24" and first.eave_height_m == 4.0
     assert first.building.rings[0].tolist() == [[-5, -5], [7, -5], [7, 3], [-5, 3]]
     on_ground = first.building.point_m[first.building.classification == 2]
     assert on_ground[:, 2].mean() == pytest.approx(first.building.ground_z_m, abs=0.03)
-    assert found[-1].angle_deg is None and found[-1].eave_height_m is None
+    assert hamlet_cases[-1].angle_deg is None and hamlet_cases[-1].eave_height_m is None
 
 
 def test_medians_are_of_the_train_split_above_the_clouds_ground(hamlet: Path) -> None:
@@ -80,12 +80,12 @@ def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path:
     assert np.isnan(cases.train_medians(cases.Manifest([])).angle_deg)
 
 
-def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case]) -> None:
+def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[cases.Case]) -> None:
     medians = cases.train_medians(cases.read_manifest(hamlet))
     # only upwards and from slopes: 0 and 90 would be clipped
-    predictor = Knowing(found, wrong_m=0.25)
-    rows = predict.predict(found, predictor, RECONSTRUCT)
-    errors = parameters.masked_errors(found, rows, predictor, medians)
+    predictor = Knowing(hamlet_cases, wrong_m=0.25)
+    rows = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
+    errors = parameters.masked_errors(hamlet_cases, rows, predictor, medians)
     given, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
     assert (errors["num_buildings"], errors["num_left_out"]) == (16, 0)
     assert given["height_m"]["mean"] == pytest.approx(0.25) and given["height_m"]["std"] < 1e-5
@@ -93,7 +93,7 @@ def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case
     assert masked["coordinate_m"]["mean"] == pytest.approx(0.15)  # 0.3 in x, 0 in y
     assert masked["vertex_m"]["mean"] == pytest.approx(0.3)
     assert errors["settings"]["all_masked_signs"]["vertex_m"]["mean"] == pytest.approx(0.6)
-    truth = [case.eave_height_m for case in found[:16]]
+    truth = [case.eave_height_m for case in hamlet_cases[:16]]
     assert errors["settings"]["constant"]["height_m"]["mean"] == pytest.approx(
         np.abs(np.array(truth) - medians.eave_height_m).mean()
     )
@@ -101,11 +101,11 @@ def test_table_1_is_the_error_that_was_made(hamlet: Path, found: list[cases.Case
     assert table[1][:4] == ["Height (m)", 0.23, 0.9, pytest.approx(0.25)]
 
 
-def test_the_truth_measures_better_than_a_flat_roof(found: list[cases.Case]) -> None:
-    ours = predict.predict(found[:16], Knowing(found), RECONSTRUCT)
-    flat = predict.by_dataset(found[:16], lod1, RECONSTRUCT)
-    for case, good, bad in zip(found, ours, flat, strict=False):
-        a, b = (measure.measure_building(case, made, CONFIG) for made in (good, bad))
+def test_the_truth_measures_better_than_a_flat_roof(hamlet_cases: list[cases.Case]) -> None:
+    ours = predict.predict(hamlet_cases[:16], Knowing(hamlet_cases), RECONSTRUCT)
+    flat = predict.by_dataset(hamlet_cases[:16], lod1, RECONSTRUCT)
+    for case, good, bad in zip(hamlet_cases, ours, flat, strict=False):
+        a, b = (measure.measure_building(case, reconstruction, CONFIG) for reconstruction in (good, bad))
         assert a["points_to_mesh_m"] < 0.04  # the noise is 0.03 m
         assert a["roof_chamfer_m"] < 0.4 and a["watertight"] and a["oriented"]
         assert a["height_error_m"] == pytest.approx(0, abs=1e-4)
@@ -113,25 +113,27 @@ def test_the_truth_measures_better_than_a_flat_roof(found: list[cases.Case]) -> 
             assert b["points_to_mesh_m"] > a["points_to_mesh_m"] and b["chamfer_m"] > a["chamfer_m"]
 
 
-def test_measures_do_not_depend_on_order_or_on_the_rest(found: list[cases.Case]) -> None:
-    flat = predict.by_dataset(found, lod1, RECONSTRUCT)
-    method = {case.key: made for case, made in zip(found, flat, strict=True)}
-    forth = list(measure.measure(found, [method], CONFIG))
-    back = list(measure.measure(found[::-1][:9], [method], CONFIG))
+def test_measures_do_not_depend_on_order_or_on_the_rest(hamlet_cases: list[cases.Case]) -> None:
+    flat = predict.by_dataset(hamlet_cases, lod1, RECONSTRUCT)
+    method = {case.key: row for case, row in zip(hamlet_cases, flat, strict=True)}
+    forth = list(measure.measure(hamlet_cases, [method], CONFIG))
+    back = list(measure.measure(hamlet_cases[::-1][:9], [method], CONFIG))
     assert back == forth[::-1][:9]
-    few = measure.subset(found[0], found[0].building.point_m, Eval(max_num_points=100))
+    few = measure.subset(hamlet_cases[0], hamlet_cases[0].building.point_m, Eval(max_num_points=100))
     assert len(np.unique(few, axis=0)) == 100
 
 
-def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Path) -> None:
-    made = predict.by_dataset(found, lod1, RECONSTRUCT)
-    made[3] = no_mesh(found[3].building, "lod1", "lost")
-    odds = np.random.default_rng(0).dirichlet([1, 1, 1], sum(map(len, made[4].rings)))
-    made[4] = replace(made[4], class_probability=odds)
+def test_reconstructions_survive_the_file(hamlet_cases: list[cases.Case], tmp_path: Path) -> None:
+    reconstructions = predict.by_dataset(hamlet_cases, lod1, RECONSTRUCT)
+    reconstructions[3] = no_mesh(hamlet_cases[3].building, "lod1", "no height")
+    probability = np.random.default_rng(0).dirichlet([1, 1, 1], sum(map(len, reconstructions[4].rings)))
+    reconstructions[4] = replace(reconstructions[4], class_probability=probability)
     path = tmp_path / "r.parquet"
-    files.write_table(path, reconstruction_columns(made, [c.dataset for c in found]), RECONSTRUCTIONS, {})
+    files.write_table(
+        path, reconstruction_columns(reconstructions, [c.dataset for c in hamlet_cases]), RECONSTRUCTIONS, {}
+    )
     back = read_reconstructions(path)
-    for case, before in zip(found, made, strict=True):
+    for case, before in zip(hamlet_cases, reconstructions, strict=True):
         after = back[case.key]
         assert np.array_equal(before.vertex_m, after.vertex_m)
         assert np.array_equal(before.triangle, after.triangle) and np.array_equal(before.kind, after.kind)
@@ -141,8 +143,8 @@ def test_reconstructions_survive_the_file(found: list[cases.Case], tmp_path: Pat
             assert after.class_probability is None
         else:
             assert np.allclose(before.class_probability, after.class_probability, atol=1e-6)
-    row = measure.measure_building(found[3], back[found[3].key], CONFIG)
-    assert row["status"] == "lost" and row["chamfer_m"] is None and row["watertight"] is None
+    row = measure.measure_building(hamlet_cases[3], back[hamlet_cases[3].key], CONFIG)
+    assert row["status"] == "no height" and row["chamfer_m"] is None and row["watertight"] is None
 
 
 def measures(rows: list[dict[str, object]]) -> pa.Table:
@@ -161,9 +163,9 @@ def test_table_2_has_the_papers_rows_and_figures() -> None:
         }
         for cd, t in ((1.0, 10), (2.0, 20), (4.0, 60))
     ]
-    rows.append({"dataset": "simulated", "method": "point2wss", "status": "lost"})
+    rows.append({"dataset": "simulated", "method": "point2wss", "status": "no height"})
     details = tables.details(measures(rows), CONFIG)
-    runs = [tables.Run("point2wss", "ok"), tables.Run("roofer", "not run: no program roofer was found")]
+    runs = [tables.Run("point2wss", "ok"), tables.Run("roofer", "not run: program roofer not found")]
     table = tables.table_2(tables.columns_2(details, runs), report.dataset_names(CONFIG))
     assert (details[0].num_buildings, details[0].num_without_mesh) == (4, 1)
     assert [row[0] for row in table] == ["Statistic", *tables.ROWS_2]
@@ -178,39 +180,41 @@ def test_table_2_has_the_papers_rows_and_figures() -> None:
     assert len({len(row) for row in read}) == 1 and read[1][not_run] == ""
 
 
-def test_roofer_is_run_and_read_back(found: list[cases.Case], tmp_path: Path) -> None:
-    """A stand-in program: boxes up to the highest point, from the real input files."""
+def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: Path) -> None:
+    """A toy program in place of Roofer: boxes up to the highest point, from the real input files."""
     program = tmp_path / "roofer"
     program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
     tool = roofer_command.find(str(program))
     assert isinstance(tool, roofer_command.Roofer) and tool.version == "toy 1.0"
-    made = roofer.run(tool, found, {"simulated": "EPSG:2154", "real": "EPSG:2154"}, CONFIG)
-    for case, one in zip(found, made, strict=True):
-        mesh = trimesh.Trimesh(one.vertex_m, one.triangle)
+    reconstructions = roofer.run(tool, hamlet_cases, {"simulated": "EPSG:2154", "real": "EPSG:2154"}, CONFIG)
+    for case, reconstruction in zip(hamlet_cases, reconstructions, strict=True):
+        mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle)
         top = case.building.point_m[:, 2].max() - case.building.ground_z_m
-        assert one.status == "ok" and mesh.is_watertight and mesh.volume > 0
+        assert reconstruction.status == "ok" and mesh.is_watertight and mesh.volume > 0
         assert mesh.bounds[1, 2] == pytest.approx(top, abs=0.011)
-        # the box of the footprint, in its own frame
+        # the bounding box of the footprint, in the frame of the building
         assert mesh.bounds[0, :2] == pytest.approx(case.building.rings[0].min(axis=0), abs=0.011)
 
 
-def test_roofer_that_fails_or_is_absent_makes_no_figure(
-    hamlet: Path, found: list[cases.Case], tmp_path: Path
+def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
+    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path
 ) -> None:
     program = tmp_path / "roofer"
     program.write_text("#!/bin/sh\necho no memory >&2\nexit 3\n")
     program.chmod(0o755)
     manifest = cases.read_manifest(hamlet)
     tool = roofer_command.Roofer([str(program)], "x")
-    made = roofer.run(tool, found[:2], manifest.crs(), CONFIG)
-    assert [m.status for m in made] == ["Roofer failed with exit status 3"] * 2 and not made[0].has_mesh
+    reconstructions = roofer.run(tool, hamlet_cases[:2], manifest.crs(), CONFIG)
+    assert [row.status for row in reconstructions] == [
+        "Roofer failed with exit status 3"
+    ] * 2 and not reconstructions[0].has_mesh
     absent = Eval(roofer_command=str(tmp_path / "nothing"))
-    rows, facts = baselines.baseline("roofer", found, manifest, absent, RECONSTRUCT)
-    assert rows == {} and facts["status"].startswith("not run: no program")
+    rows, facts = baselines.baseline("roofer", hamlet_cases, manifest, absent, RECONSTRUCT)
+    assert rows == {} and facts["status"].startswith("not run: program")
     assert roofer_command.find("") == "not run: eval.roofer_command is empty"
     with pytest.raises(InputError, match="choose lod1"):
-        baselines.baseline("lod2", found, manifest, CONFIG, RECONSTRUCT)
+        baselines.baseline("lod2", hamlet_cases, manifest, CONFIG, RECONSTRUCT)
 
 
 WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}}
@@ -219,15 +223,15 @@ WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}
 def test_report_from_files_is_one_self_contained_page(
     hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The commands as the rules run them, with the truth in the network's place."""
+    """The commands as the rules run them, with a predictor that knows the truth."""
     manifest = cases.read_manifest(hamlet)
-    found = cases.test_cases(manifest)
-    predictor = Knowing(found, 0.1)
-    made = predict.predict(found, predictor, RECONSTRUCT)
+    hamlet_cases = cases.test_cases(manifest)
+    predictor = Knowing(hamlet_cases, 0.1)
+    reconstructions = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
     facts = files.provenance(method="point2wss", status="ok", code="0123")
-    columns = reconstruction_columns(made, [case.dataset for case in found])
+    columns = reconstruction_columns(reconstructions, [case.dataset for case in hamlet_cases])
     files.write_table(tmp_path / "point2wss.parquet", columns, RECONSTRUCTIONS, facts)
-    errors = parameters.masked_errors(found, made, predictor, cases.train_medians(manifest))
+    errors = parameters.masked_errors(hamlet_cases, reconstructions, predictor, cases.train_medians(manifest))
     files.write_json(tmp_path / "parameters.json", errors)
     config = json.dumps(
         {"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
@@ -260,7 +264,7 @@ def test_report_from_files_is_one_self_contained_page(
         *("--scans", tmp_path / "0652_6862.png"),
     )
     page = (tmp_path / "report.html").read_text()
-    # nothing is loaded from anywhere: scripts and style sheets stand in the page, every image inside
+    # nothing is loaded from elsewhere: scripts, style sheets and images are embedded in the page
     assert not re.search(r"<script[^>]* src|<link|@import|url\(", page)
     assert 'id="viewer-data"' in page
     sources = re.findall(r'src="([^"]{0,30})', page)

@@ -1,4 +1,4 @@
-"""Our measures of Roofer's recorded outputs on real LiDAR against those of an independent judge."""
+"""Our measures of Roofer's recorded outputs on real LiDAR against an independent judge."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ABSENT = "no-such-program-as-roofer"
 
 
 def real_cases(folder: str, cloud: str, tile: str, crs: int) -> list[cases.Case]:
-    """The buildings of a folder of the real data as the stage crops and the evaluation read them."""
+    """The buildings of a folder of real data, as the stage crops writes and the evaluation reads them."""
     config = Config()
     frame = scenes.read_footprints(DATA / folder / "footprints.gpkg")
     frame = scenes.clean_footprints(frame.to_crs(crs), config.scenes)
@@ -51,7 +51,7 @@ def rows(delft: list[cases.Case]) -> list[dict]:
 
 
 @needs_data
-def test_roofer_on_delft_measures_as_the_judge_says(delft: list[cases.Case], rows: list[dict]) -> None:
+def test_measures_of_roofer_on_delft_agree_with_the_judge(delft: list[cases.Case], rows: list[dict]) -> None:
     """The judge: CD 0.914, roof CD 0.243, points to mesh 0.118 m, 62.5 triangles, 74 of 74 meshes closed."""
     assert len(rows) == 74 and all(row["status"] == "ok" and row["watertight"] for row in rows)
     mean = {
@@ -61,13 +61,13 @@ def test_roofer_on_delft_measures_as_the_judge_says(delft: list[cases.Case], row
     assert mean["chamfer_m"] == pytest.approx(0.914, abs=0.012)  # three seeds of the judge: 0.907 to 0.914
     assert mean["roof_chamfer_m"] == pytest.approx(0.243, abs=0.005)
     assert mean["num_triangles"] == pytest.approx(62.486, abs=0.001)
-    # the judge's distance to the mesh is that to 40,000 samples of it: so is this; ours is exact, so less
+    # the judge measures the distance to 40,000 samples of the mesh, as is done here; ours is exact, so smaller
     recorded = roofer.recorded([DATA / "delft_ahn3/roofer_lod22.city.jsonl"], delft)
     sampled = []
     for case, row in zip(delft, rows, strict=True):
-        made = recorded[case.key]
-        point = measure.local_points(case, made)[measure.points_on_building(case)]
-        sample = sample_surface(made.vertex_m, made.triangle, 40_000, np.random.default_rng(0))
+        solid = recorded[case.key]
+        point = measure.local_points(case, solid)[measure.points_on_building(case)]
+        sample = sample_surface(solid.vertex_m, solid.triangle, 40_000, np.random.default_rng(0))
         sampled.append(cKDTree(sample).query(point)[0].mean())
         assert row["points_to_mesh_m"] < sampled[-1] < row["points_to_mesh_m"] + 0.08
     assert np.mean(sampled) == pytest.approx(0.118, abs=0.003)
@@ -76,33 +76,33 @@ def test_roofer_on_delft_measures_as_the_judge_says(delft: list[cases.Case], row
 @needs_data
 @pytest.mark.slow
 @pytest.mark.skipif(not JUDGE.is_file(), reason="no judge beside the checkout")
-def test_every_building_measures_as_the_judge_says(rows: list[dict]) -> None:
+def test_measures_of_every_building_agree_with_the_judge(rows: list[dict]) -> None:
     folder = DATA / "delft_ahn3"
     files = [folder / name for name in ("roofer_lod22.city.jsonl", "footprints.gpkg", "ahn3.laz")]
     command = [sys.executable, JUDGE, *files, "--json"]
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
-    judged = {row["id"]: row for row in json.loads(done.stdout)["rows"]}
+    completed = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
+    judged = {row["id"]: row for row in json.loads(completed.stdout)["rows"]}
     assert len(judged) == len(rows)
-    off_m: list[float] = []
+    difference_m: list[float] = []
     for row in rows:
         other = judged[row["building_id"]]
         assert row["num_triangles"] == other["tri"] and row["watertight"] == other["watertight"]
         # two draws of 2048 samples
         assert row["chamfer_m"] == pytest.approx(other["cd"], abs=0.06)
-        off_m.append(abs(row["roof_chamfer_m"] - other["roof"]))
-    # at one house the cleaned footprint leaves out points that the judge counts
-    assert sorted(off_m)[-2] < 0.01 and max(off_m) < 0.04
+        difference_m.append(abs(row["roof_chamfer_m"] - other["roof"]))
+    # at one house the cleaned footprint excludes points that the judge counts
+    assert sorted(difference_m)[-2] < 0.01 and max(difference_m) < 0.04
 
 
 @needs_data
-def test_recorded_outputs_are_called_so_and_only_stand_for_real_buildings(delft: list[cases.Case]) -> None:
+def test_recorded_outputs_are_named_as_such_and_cover_only_real_buildings(delft: list[cases.Case]) -> None:
     simulated = [cases.Case(SIMULATED, *list(vars(case).values())[1:]) for case in delft[:3]]
     file = DATA / "delft_ahn3/roofer_lod22.city.jsonl"
     config = Eval(roofer_command=ABSENT, roofer_recorded=str(file))
-    found, facts = baselines.baseline(
+    reconstructions, facts = baselines.baseline(
         "roofer", [*simulated, *delft], cases.Manifest([]), config, Reconstruct()
     )
-    assert set(found) == {case.key for case in delft}
+    assert set(reconstructions) == {case.key for case in delft}
     assert facts["status"] == "recorded" and file.name in facts["roofer"]
     assert tables.Run("roofer", facts["status"]).name == "Roofer (recorded)"
     assert roofer_command.state(config) == f"recorded: {file.name}"
@@ -112,26 +112,28 @@ def test_recorded_outputs_are_called_so_and_only_stand_for_real_buildings(delft:
 
 
 @needs_data
-def test_recorded_outputs_of_another_place_are_not_shown_as_failures(delft: list[cases.Case]) -> None:
+def test_recorded_outputs_of_another_place_do_not_count_as_failures(delft: list[cases.Case]) -> None:
     config = Eval(roofer_command=ABSENT, roofer_recorded=str(DATA / "bresse_ign/roofer_lod22.city.jsonl"))
-    found, facts = baselines.baseline("roofer", delft, cases.Manifest([]), config, Reconstruct())
-    assert found == {} and facts["status"].startswith("not run, and none of the buildings")
+    reconstructions, facts = baselines.baseline("roofer", delft, cases.Manifest([]), config, Reconstruct())
+    assert reconstructions == {} and facts["status"].startswith("not run, and none of the buildings")
 
 
 @needs_data
-def test_what_roofer_left_out_counts_as_without_a_mesh() -> None:
+def test_a_building_that_roofer_skips_counts_as_without_a_mesh() -> None:
     bresse = real_cases("bresse_ign", "lidar.laz", "0870_6618", 2154)
-    found = roofer.recorded([DATA / "bresse_ign/roofer_lod22.city.jsonl"], bresse)
-    assert len(found) == len(bresse) == 6
-    assert sum(made.has_mesh for made in found.values()) == 5
-    (lost,) = [made for made in found.values() if not made.has_mesh]
-    assert lost.status == "no mesh from Roofer"
+    recorded = roofer.recorded([DATA / "bresse_ign/roofer_lod22.city.jsonl"], bresse)
+    assert len(recorded) == len(bresse) == 6
+    assert sum(row.has_mesh for row in recorded.values()) == 5
+    (skipped,) = [row for row in recorded.values() if not row.has_mesh]
+    assert skipped.status == "no mesh from Roofer"
 
 
-def test_a_roofer_that_appears_is_another_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_state_changes_when_roofer_is_installed_or_updated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The rule has the state among its parameters: it runs again when the program, or its version, changes."""
     config = Eval(roofer_command="roofer-of-test")
-    assert roofer_command.state(config) == "not run: no program roofer-of-test was found"
+    assert roofer_command.state(config) == "not run: program roofer-of-test not found"
     program = tmp_path / "roofer-of-test"
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     states = []
@@ -140,22 +142,22 @@ def test_a_roofer_that_appears_is_another_state(tmp_path: Path, monkeypatch: pyt
         program.chmod(0o755)
         states.append(roofer_command.state(config))
     assert states == ["roofer 1.0", "roofer 1.1"]
-    # with a program, what was recorded is not looked at
-    found = config.model_copy(update={"roofer_recorded": str(tmp_path / "nothing")})
-    assert roofer_command.recorded_files(found) == []
+    # where Roofer can be run, recorded outputs are ignored
+    with_program = config.model_copy(update={"roofer_recorded": str(tmp_path / "nothing")})
+    assert roofer_command.recorded_files(with_program) == []
     with pytest.raises(InputError, match=r"roofer_recorded: .*nothing: no such file"):
-        roofer_command.recorded_files(found.model_copy(update={"roofer_command": ABSENT}))
+        roofer_command.recorded_files(with_program.model_copy(update={"roofer_command": ABSENT}))
 
 
 @needs_data
 def test_height_rmse_and_far_share_of_flat_roofs_on_delft(delft: list[cases.Case]) -> None:
-    """Flat roofs need no mesh to be measured: heights over one number."""
-    some = delft[:8]
-    for case, made in zip(some, lod1([c.building for c in some], Reconstruct(simplify_m=0)), strict=True):
-        row = measure.measure_building(case, made, Eval(num_samples=64))
-        assert made.eave_height_m is not None
+    """The heights over a flat roof are differences from a single number."""
+    few = delft[:8]
+    for case, flat in zip(few, lod1([c.building for c in few], Reconstruct(simplify_m=0)), strict=True):
+        row = measure.measure_building(case, flat, Eval(num_samples=64))
+        assert flat.eave_height_m is not None
         z = case.building.point_m[measure.points_on_building(case)][:, 2]
-        above = z - made.ground_z_m - made.eave_height_m
+        above = z - flat.ground_z_m - flat.eave_height_m
         xy = case.building.point_m[measure.points_on_building(case)][:, :2]
         inner = shapely.distance(case.building.polygon.boundary, shapely.points(xy)) >= 0.5
         assert row["height_rmse_m"] == pytest.approx(np.sqrt((above[inner] ** 2).mean()), abs=1e-5)

@@ -1,4 +1,4 @@
-"""Our variants on a hamlet that is known, Table 1 by what is seen, groups, reasons, and tables as text."""
+"""Our variants on a hamlet with known buildings, Table 1 by visibility, groups, causes, and tables as text."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
+from p2wss.eval.causes import cause_of_error
 from p2wss.eval.clock import CpuClock
-from p2wss.eval.gallery import Gallery, counts_of_reasons
-from p2wss.eval.reasons import reason
+from p2wss.eval.gallery import Gallery, cause_counts
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.fit.mesh import build_meshes
 from p2wss.reconstruct.flat import constant, lod1
@@ -33,45 +33,47 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
 
 
 @pytest.fixture(scope="module")
-def found(hamlet: Path) -> list[cases.Case]:
+def hamlet_cases(hamlet: Path) -> list[cases.Case]:
     return cases.test_cases(cases.read_manifest(hamlet))
 
 
 @pytest.fixture(scope="module")
-def made(found: list[cases.Case]) -> dict[str, dict[tuple[str, str, str], Reconstruction]]:
-    """From a network that is 40 cm too high and takes every roof for a hip of 30 degrees."""
-    network = Knowing(found, wrong_m=0.4, slope_deg=30.0)
+def reconstructions(hamlet_cases: list[cases.Case]) -> dict[str, dict[tuple[str, str, str], Reconstruction]]:
+    """From a network whose heights are 40 cm too high and whose roofs are all hips of 30 degrees."""
+    network = Knowing(hamlet_cases, wrong_m=0.4, slope_deg=30.0)
     every = {
-        NETWORK: predict.predict(found, network, RECONSTRUCT),
-        NETWORK_AND_FIT: predict.fit(found, network, RECONSTRUCT),
-        FIT: predict.fit(found, None, RECONSTRUCT),
+        NETWORK: predict.predict(hamlet_cases, network, RECONSTRUCT),
+        NETWORK_AND_FIT: predict.fit(hamlet_cases, network, RECONSTRUCT),
+        FIT: predict.fit(hamlet_cases, None, RECONSTRUCT),
     }
     return {
-        method: {case.key: one for case, one in zip(found, rows, strict=True)}
+        method: {case.key: row for case, row in zip(hamlet_cases, rows, strict=True)}
         for method, rows in every.items()
     }
 
 
 @pytest.fixture(scope="module")
-def table(found: list[cases.Case], made: dict) -> pa.Table:
-    return measures_of(found, list(made.values()))
+def table(hamlet_cases: list[cases.Case], reconstructions: dict) -> pa.Table:
+    return measures_of(hamlet_cases, list(reconstructions.values()))
 
 
-def measures_of(found: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
-    rows = list(measure.measure(found, methods, CONFIG))
+def measures_of(hamlet_cases: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
+    rows = list(measure.measure(hamlet_cases, methods, CONFIG))
     columns = {name: [row[name] for row in rows] for name in MEASURES.names}
     return pa.table({field.name: pa.array(columns[field.name], field.type) for field in MEASURES})
 
 
-def test_the_variants_are_what_their_names_say(found: list[cases.Case], made: dict) -> None:
-    for case in found[:16]:
-        network, network_and_fit, fit = (made[name][case.key] for name in (NETWORK, NETWORK_AND_FIT, "fit"))
-        assert [one.method for one in (network, network_and_fit, fit)] == [
+def test_each_variant_does_what_its_name_says(hamlet_cases: list[cases.Case], reconstructions: dict) -> None:
+    for case in hamlet_cases[:16]:
+        network, network_and_fit, fit = (
+            reconstructions[name][case.key] for name in (NETWORK, NETWORK_AND_FIT, "fit")
+        )
+        assert [variant.method for variant in (network, network_and_fit, fit)] == [
             "point2wss",
             "point2wss+fit",
             "fit",
         ]
-        # what the fit found, not what the network said
+        # the confidence of the fit, not that of the network
         assert network.confidence == 0.5 and min(network_and_fit.confidence or 0, fit.confidence or 0) > 0.5
         assert network_and_fit.num_parts == fit.num_parts == 1, "one height on simulated buildings"
         assert case.eave_height_m is not None
@@ -80,13 +82,13 @@ def test_the_variants_are_what_their_names_say(found: list[cases.Case], made: di
 
 
 def test_real_buildings_may_have_parts_and_simpler_footprints() -> None:
-    own = predict.for_dataset(RECONSTRUCT, REAL)
+    real = predict.for_dataset(RECONSTRUCT, REAL)
     simulated = predict.for_dataset(RECONSTRUCT, SIMULATED)
-    assert (own.max_parts, own.simplify_m) == (RECONSTRUCT.max_parts, RECONSTRUCT.simplify_m)
-    assert (simulated.max_parts, simulated.simplify_m) == (1, 0.0) and own.max_parts > 1
+    assert (real.max_parts, real.simplify_m) == (RECONSTRUCT.max_parts, RECONSTRUCT.simplify_m)
+    assert (simulated.max_parts, simulated.simplify_m) == (1, 0.0) and real.max_parts > 1
 
 
-def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[cases.Case]) -> None:
+def test_the_clock_counts_every_building_and_no_warm_up(hamlet_cases: list[cases.Case]) -> None:
     clock, calls = CpuClock(), []
 
     def work(buildings: Sequence[Building], config: Reconstruct) -> list[Reconstruction]:
@@ -94,7 +96,7 @@ def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[c
         sum(i * i for i in range(200_000))
         return lod1(buildings, config)
 
-    predict.by_dataset(found, work, RECONSTRUCT, clock)
+    predict.by_dataset(hamlet_cases, work, RECONSTRUCT, clock)
     assert calls == [10, 16, 10, 12] and clock.num_buildings == {"simulated": 16, "real": 12}
     ms = clock.ms_per_building()
     assert 0 < ms["simulated"] < 500 and ms["simulated"] * 16 == pytest.approx(
@@ -106,19 +108,18 @@ def test_the_clock_counts_what_is_done_and_not_the_first_buildings(found: list[c
     base = {field.name: None for field in MEASURES}
     measured = pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
     cpu = {"point2wss": {"real": 3.0}, "point2wss+fit": {"real": 5.0}}
-    got = {d.method: d.cpu_ms for d in tables.details(measured, CONFIG, cpu)}
-    assert got == {"point2wss": 3.0, "point2wss+fit": 5.0, "fit": None}
+    cpu_by_method = {d.method: d.cpu_ms for d in tables.details(measured, CONFIG, cpu)}
+    assert cpu_by_method == {"point2wss": 3.0, "point2wss+fit": 5.0, "fit": None}
 
 
-def test_seen_edges_are_those_with_points_over_a_sloped_face(found: list[cases.Case]) -> None:
-    """Independent: a mesh of the label, its faces in plan, points counted by shapely."""
-    some = found[:8]
-    kept = []
-    for i, case in enumerate(some):
+def test_seen_edges_are_those_with_points_over_a_sloped_face(hamlet_cases: list[cases.Case]) -> None:
+    """An independent count: the faces of the label's mesh in plan, with points counted by shapely."""
+    thinned = []
+    for i, case in enumerate(hamlet_cases[:8]):
         x = case.building.point_m[:, 0]
         # points only left of the middle, or on the first 3 m of it
         left = x < (1.0 if i % 2 else -2.0)
-        kept.append(
+        thinned.append(
             replace(
                 case,
                 building=replace(
@@ -128,20 +129,20 @@ def test_seen_edges_are_those_with_points_over_a_sloped_face(found: list[cases.C
                 ),
             )
         )
-    truth = [case.angle_deg for case in kept if case.angle_deg is not None]
-    tents = [np.full(len(own), 30.0) for own in truth]
-    seen = parameters.seen_edges(kept, truth)
+    truth = [case.angle_deg for case in thinned if case.angle_deg is not None]
+    tents = [np.full(len(angle), 30.0) for angle in truth]
+    seen = parameters.seen_edges(thinned, truth)
     together = np.concatenate(seen)
     assert 0.1 < together.mean() < 0.95
-    alone = [parameters.seen_edges([case], [own])[0] for case, own in zip(kept, truth, strict=True)]
+    alone = [parameters.seen_edges([case], [angle])[0] for case, angle in zip(thinned, truth, strict=True)]
     assert all(map(np.array_equal, seen, alone))
-    seen_too = parameters.seen_edges(kept, tents)
-    assert np.concatenate(seen_too).sum() > together.sum()
-    for case, told, own, own_too in zip(kept, tents, seen, seen_too, strict=True):
+    seen_as_tents = parameters.seen_edges(thinned, tents)
+    assert np.concatenate(seen_as_tents).sum() > together.sum()
+    for case, tent, mask, tent_mask in zip(thinned, tents, seen, seen_as_tents, strict=True):
         assert case.angle_deg is not None
-        of_label, of_tent = num_points_over_faces(case, case.angle_deg), num_points_over_faces(case, told)
-        assert np.array_equal(own, of_label >= 10)
-        assert np.array_equal(own_too, np.maximum(of_label, of_tent) >= 10)
+        of_label, of_tent = num_points_over_faces(case, case.angle_deg), num_points_over_faces(case, tent)
+        assert np.array_equal(mask, of_label >= 10)
+        assert np.array_equal(tent_mask, np.maximum(of_label, of_tent) >= 10)
 
 
 def num_points_over_faces(case: cases.Case, angle_deg: np.ndarray) -> np.ndarray:
@@ -152,25 +153,27 @@ def num_points_over_faces(case: cases.Case, angle_deg: np.ndarray) -> np.ndarray
     point = case.building.point_m[measure.points_on_building(case)]
     count = np.zeros(len(angle_deg), int)
     for e in np.flatnonzero((angle_deg > 0) & (angle_deg < 90)):
-        own_faces = mesh.triangle[(mesh.edge == e) & (mesh.kind >= 2)]
-        plan = shapely.union_all([shapely.Polygon(mesh.vertex_m[t][:, :2]) for t in own_faces])
+        faces = mesh.triangle[(mesh.edge == e) & (mesh.kind >= 2)]
+        plan = shapely.union_all([shapely.Polygon(mesh.vertex_m[t][:, :2]) for t in faces])
         count[e] = shapely.contains_xy(plan.buffer(1e-9), point[:, 0], point[:, 1]).sum()
     return count
 
 
-def test_table_1_has_the_variants_and_what_is_seen(found: list[cases.Case], made: dict) -> None:
+def test_table_1_has_the_variants_over_all_and_over_seen_values(
+    hamlet_cases: list[cases.Case], reconstructions: dict
+) -> None:
     errors = parameters.with_reconstructions(
-        {"settings": {"all_masked": {}}}, {case.key: case for case in found}, made
+        {"settings": {"all_masked": {}}}, {case.key: case for case in hamlet_cases}, reconstructions
     )
     settings = errors["settings"]
     assert settings["footprint_given"]["height_m"]["mean"] == pytest.approx(0.4, abs=1e-5)
-    truth = np.concatenate([case.angle_deg for case in found[:16] if case.angle_deg is not None])
+    truth = np.concatenate([case.angle_deg for case in hamlet_cases[:16] if case.angle_deg is not None])
     assert settings["footprint_given"]["angle_deg"]["mean"] == pytest.approx(
         np.abs(truth - 30).mean(), abs=1e-4
     )
     assert settings["point2wss+fit"]["height_m"]["mean"] < 0.05 and settings["fit"]["height_m"]["mean"] < 0.05
-    angles = [made["point2wss+fit"][case.key].angle_deg for case in found[:16]]
-    seen = np.concatenate(parameters.seen_edges(found[:16], angles))
+    angles = [reconstructions["point2wss+fit"][case.key].angle_deg for case in hamlet_cases[:16]]
+    seen = np.concatenate(parameters.seen_edges(hamlet_cases[:16], angles))
     assert settings["point2wss+fit"]["angle_seen_deg"]["count"] == seen.sum() <= len(truth)
     rows = tables.table_1(errors)
     assert [row[0] for row in rows[-2:]] == ["Height, roof seen (m)", "Angles, roof face seen (°)"]
@@ -184,9 +187,11 @@ def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table) -> Non
     records = [dict(zip(header, row, strict=True)) for row in rows]
     for dataset, size in (("simulated", 16), ("real", 12)):
         for by in {r["by"] for r in records if r["dataset"] == dataset}:
-            for method in made_methods(table):
-                own = [r for r in records if (r["dataset"], r["by"], r["method"]) == (dataset, by, method)]
-                assert sum(r["num_buildings"] for r in own) == size
+            for method in methods_of(table):
+                groups_of_method = [
+                    r for r in records if (r["dataset"], r["by"], r["method"]) == (dataset, by, method)
+                ]
+                assert sum(r["num_buildings"] for r in groups_of_method) == size
     # by hand: the median of flat roofs of one method
     plain = table.to_pylist()
     flat = [
@@ -194,37 +199,37 @@ def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table) -> Non
         for row in plain
         if row["dataset"] == "simulated" and row["method"] == "fit" and row["roof_type"] == "flat"
     ]
-    (told,) = [
+    (record,) = [
         r
         for r in records
         if (r["dataset"], r["by"], r["group"], r["method"]) == ("simulated", "kind", "flat", "fit")
     ]
-    assert told["num_buildings"] == len(flat) == 4
-    assert told["median_points_to_mesh_m"] == pytest.approx(np.median(flat))
-    # real buildings are told by the edges of the best reconstruction, not by the network's hips
+    assert record["num_buildings"] == len(flat) == 4
+    assert record["median_points_to_mesh_m"] == pytest.approx(np.median(flat))
+    # the kinds of real buildings come from the best reconstruction, not from the network's hips
     kinds = {r["group"] for r in records if (r["dataset"], r["by"]) == ("real", "kind")}
     assert {"flat", "gable"} <= kinds
 
 
-def made_methods(table: pa.Table) -> list[str]:
+def methods_of(table: pa.Table) -> list[str]:
     return list(dict.fromkeys(table["method"].to_pylist()))
 
 
 def test_calibration_is_the_share_within_half_a_metre_and_five_degrees(
-    found: list[cases.Case], table: pa.Table
+    hamlet_cases: list[cases.Case], table: pa.Table
 ) -> None:
-    """The network: heights are right (0.4 m off), angles where they are from 25 to 35 degrees."""
-    own = groups.calibration(table, "simulated", NETWORK)
+    """Of the network all heights count as correct (0.4 m off), and angles where the label is from 25 to 35 degrees."""
+    scores = groups.calibration(table, "simulated", NETWORK)
     shares = [
         (1 + (np.abs(case.angle_deg - 30) <= 5).sum()) / (1 + len(case.angle_deg))
-        for case in found[:16]
+        for case in hamlet_cases[:16]
         if case.angle_deg is not None
     ]
-    assert [(b.count, b.stated) for b in own.bins] == [(16, 0.5)] and own.count == 16
-    assert own.bins[0].observed == pytest.approx(np.mean(shares)) == own.observed
-    assert own.gap == pytest.approx(abs(0.5 - np.mean(shares)))
-    # the same value for all tells nothing apart
-    assert own.auc in (0.5, pytest.approx(np.nan, nan_ok=True)) and np.isnan(own.correlation)
+    assert [(b.count, b.stated) for b in scores.bins] == [(16, 0.5)] and scores.count == 16
+    assert scores.bins[0].observed == pytest.approx(np.mean(shares)) == scores.observed
+    assert scores.gap == pytest.approx(abs(0.5 - np.mean(shares)))
+    # a constant confidence does not rank
+    assert scores.auc in (0.5, pytest.approx(np.nan, nan_ok=True)) and np.isnan(scores.correlation)
     rows = groups.calibration_table(table, ["simulated", "real"])
     assert rows[-1][:2] == ["simulated", NETWORK] and rows[-1][4] == 16
     assert {row[1] for row in rows[1:]} == {NETWORK, NETWORK_AND_FIT, FIT}
@@ -250,7 +255,7 @@ def test_roof_kinds(angle: list[float], kind: str) -> None:
 
 
 def scene(height_m: np.ndarray, mesh_height_m: float = 5.0) -> tuple[cases.Case, Reconstruction]:
-    """A flat roof of 10 m by 10 m at ``mesh_height_m``, and points every half metre at the heights given."""
+    """A flat roof of 10 m by 10 m at ``mesh_height_m``, and points every half metre at the heights ``height_m``."""
     at = np.arange(0.25, 10, 0.5)
     x, y = (g.ravel() for g in np.meshgrid(at, at, indexing="ij"))
     ring = np.array([[0.0, 0], [10, 0], [10, 10], [0, 10]])
@@ -260,43 +265,45 @@ def scene(height_m: np.ndarray, mesh_height_m: float = 5.0) -> tuple[cases.Case,
     return cases.Case(REAL, building, 1.0, None, None, None, None), flat
 
 
-def test_reasons_are_the_ones_that_were_built_in() -> None:
+def test_each_cause_is_recognised() -> None:
     level = np.full((20, 20), 5.0)
     case, flat = scene(level + 1.3)
-    told = reason(case, flat)
-    assert told.kind == "height error" and "1.3 m too low" in told.sentence
+    cause = cause_of_error(case, flat)
+    assert cause.kind == "height error" and "1.3 m too low" in cause.sentence
     annex = level.copy()
     annex[:6, :10] = 2.6  # 3 m by 5 m in a corner: 15 %
-    told = reason(*scene(annex))
-    # those within half a metre of the outer walls could be on them: 5 by 9 of 6 by 10 are left
-    assert told.kind == "garage or annex" and "11% of the points (15 m²" in told.sentence
-    assert "2.4 m below" in told.sentence
+    cause = cause_of_error(*scene(annex))
+    # points within half a metre of the outer walls could be on them: of 6 by 10, 5 by 9 remain
+    assert cause.kind == "garage or annex" and "11% of the points (15 m²" in cause.sentence
+    assert "2.4 m below" in cause.sentence
     dormer = level.copy()
     dormer[8:12, 8:12] = 6.1
-    told = reason(*scene(dormer))
-    assert told.kind == "dormer" and "4% of the points (4 m², inside) lie 1.1 m above" in told.sentence
+    cause = cause_of_error(*scene(dormer))
+    assert cause.kind == "dormer" and "4% of the points (4 m², inside) lie 1.1 m above" in cause.sentence
     facade = level.copy()
-    facade[0] = 2.0  # 25 cm inside the footprint, as the points on a wall are
-    assert reason(*scene(facade)).kind == "walls"
+    facade[0] = 2.0  # 25 cm inside the footprint, like points on a wall
+    assert cause_of_error(*scene(facade)).kind == "walls"
     tower = level.copy()
     tower[10:] = 9.0
-    assert reason(*scene(tower)).kind == "higher part"
-    assert reason(*scene(tower), num_parts=2).kind == "several heights"
+    assert cause_of_error(*scene(tower)).kind == "higher part"
+    assert cause_of_error(*scene(tower), num_parts=2).kind == "several heights"
     case, flat = scene(level)
     few = replace(case.building, point_m=case.building.point_m[:30], classification=np.full(30, 6, np.uint8))
-    assert reason(replace(case, building=few), flat).sentence.startswith(
+    assert cause_of_error(replace(case, building=few), flat).sentence.startswith(
         "Sparse: 30 points on the building, 0.3"
     )
-    assert reason(replace(case, visible_roof_share=0.3), flat).kind == "occluded"
-    assert reason(case, flat).kind == "walls"
-    lost = no_mesh(case.building, "x", "no height")
-    assert reason(case, lost).sentence == "No mesh: no height."
+    assert cause_of_error(replace(case, visible_roof_share=0.3), flat).kind == "occluded"
+    assert cause_of_error(case, flat).kind == "walls"
+    missing = no_mesh(case.building, "x", "no height")
+    assert cause_of_error(case, missing).sentence == "No mesh: no height."
 
 
-def test_the_gallery_shows_what_it_says(found: list[cases.Case], made: dict, table: pa.Table) -> None:
-    by_key = {case.key: case for case in found}
+def test_the_gallery_shows_the_worst_buildings_and_the_counterparts(
+    hamlet_cases: list[cases.Case], reconstructions: dict, table: pa.Table
+) -> None:
+    by_key = {case.key: case for case in hamlet_cases}
     rows = table.to_pylist()
-    gallery = Gallery(by_key, made, rows)
+    gallery = Gallery(by_key, reconstructions, rows)
     assert gallery.main == NETWORK_AND_FIT
     worst = gallery.worst("simulated", 5)
     value = {
@@ -305,14 +312,16 @@ def test_the_gallery_shows_what_it_says(found: list[cases.Case], made: dict, tab
         if r["method"] == NETWORK_AND_FIT
     }
     expected = sorted((v for key, v in value.items() if key[0] == "simulated"), reverse=True)[:5]
-    assert [value[shown.key] for shown in worst] == expected
-    assert all(shown.sentence.endswith(".") for shown in worst)
-    figures = {own.figure: own for own in gallery.counterparts(2)}
+    assert [value[exhibit.key] for exhibit in worst] == expected
+    assert all(exhibit.sentence.endswith(".") for exhibit in worst)
+    figures = {counterpart.figure: counterpart for counterpart in gallery.counterparts(2)}
     assert list(figures) == ["7 (1)", "7 (2)", "8", "9", "10", "11", "12", "13", "14"]
-    # the network's hip is wrong by more than 5 degrees but for the hips of 40: none has right angles
-    assert figures["7 (1)"].shown == [] and not figures["14"].shown, "no Roofer was run"
-    assert figures["11"].shown and all(shown.method == NETWORK_AND_FIT for shown in figures["11"].shown)
-    assert all(count > 0 for _, count in counts_of_reasons(gallery, "simulated"))
+    # the network's hips are wrong by more than 5 degrees on every roof
+    assert figures["7 (1)"].exhibits == [] and not figures["14"].exhibits, "Roofer was not run"
+    assert figures["11"].exhibits and all(
+        exhibit.method == NETWORK_AND_FIT for exhibit in figures["11"].exhibits
+    )
+    assert all(count > 0 for _, count in cause_counts(gallery, "simulated"))
 
 
 HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b> ± ° ² μ σ – …"
@@ -360,8 +369,8 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     assert more[0] == ["Measure", "Simulated / Fit alone", "Real / Roofer (recorded)"]
     counts = {row[0]: row[1:] for row in more}
     assert counts["Buildings"] == [1, 2] and counts["Without a mesh"] == [0, 1]
-    lost = tables.without_mesh(details, runs, names)
-    assert lost[1:] == [
+    without = tables.without_mesh(details, runs, names)
+    assert without[1:] == [
         ["Real", "Roofer (recorded)", "no mesh", "no mesh from Roofer", 1],
         ["Simulated", "Fit alone", "flat roof", "too-few-points", 1],
     ]
@@ -386,17 +395,23 @@ def test_small_faces_overshoot_and_bent_faces_are_counted() -> None:
     for cut, expected in ((0.04, 0), (0.03, 1)):
         ring = np.array([[0.0, 0], [10, 0], [10, 10 - cut], [10 - cut, 10], [0, 10]])
         building = replace(case.building, rings=[ring])
-        (made,) = constant([building], np.array([5.0]), 0.0, RECONSTRUCT.model_copy(update={"simplify_m": 0}))
-        row = measure.measure_building(replace(case, building=building), made, CONFIG)
+        (flat_roof,) = constant(
+            [building], np.array([5.0]), 0.0, RECONSTRUCT.model_copy(update={"simplify_m": 0})
+        )
+        row = measure.measure_building(replace(case, building=building), flat_roof, CONFIG)
         assert (row["num_small_faces"], row["num_mesh_vertices"]) == (expected, 10)
 
 
-def test_a_picture_has_the_same_bytes_each_time_and_all_panels(found: list[cases.Case], made: dict) -> None:
-    case = found[3]
-    panels = [(method, own[case.key]) for method, own in made.items()]
+def test_a_picture_has_the_same_bytes_each_time_and_all_panels(
+    hamlet_cases: list[cases.Case], reconstructions: dict
+) -> None:
+    case = hamlet_cases[3]
+    panels = [(method, by_key[case.key]) for method, by_key in reconstructions.items()]
     first, second = (figures.data_uri(figures.building(case, panels), 60) for _ in range(2))
     assert first == second and len(figures.building(case, panels).axes) == 4
-    bins = groups.calibration(measures_of(found[:4], [made[NETWORK]]), "simulated", NETWORK).bins
+    bins = groups.calibration(
+        measures_of(hamlet_cases[:4], [reconstructions[NETWORK]]), "simulated", NETWORK
+    ).bins
     axes = figures.reliability_diagram({NETWORK: bins}, tables.METHOD_NAMES, "x").axes[0]
     dots = axes.collections[0].get_offsets()
     assert np.allclose(dots, [[b.stated, b.observed] for b in bins])

@@ -1,4 +1,4 @@
-"""The 3D view of the report: what it stores, and that a real browser draws, turns and switches it."""
+"""The 3D view of the report: its data, and that a real browser draws, turns and switches buildings."""
 
 from __future__ import annotations
 
@@ -28,59 +28,60 @@ TITLES = {"simulated": "Simulated", "real": "LiDAR"}
 
 @pytest.fixture(scope="module")
 def view(hamlet: Path) -> Viewer:
-    """Ours: everything a 35 degree hip, 5 m high; the last building has no mesh."""
+    """Ours: hip roofs of 35 degrees with eaves at 5 m; the last building has no mesh."""
     found = cases.test_cases(cases.read_manifest(hamlet))
     buildings = [case.building for case in found]
     config = Reconstruct()
     ours = constant(buildings, np.full(len(found), 5.0), 35.0, config, "point2wss")
     none = np.zeros((0, 3), np.int32)
-    ours[-1] = replace(ours[-1], triangle=none, vertex_m=np.zeros((0, 3)), status="lost")
+    ours[-1] = replace(ours[-1], triangle=none, vertex_m=np.zeros((0, 3)), status="no height")
     tables = {"point2wss": ours, "lod1": lod1(buildings, config), "constant": ours}
     by_key = {
         name: {case.key: row for case, row in zip(found, rows, strict=True)} for name, rows in tables.items()
     }
     rows = [*measure.measure(found, [by_key["point2wss"], by_key["lod1"]], Eval(num_samples=64))]
-    made = viewer({case.key: case for case in found}, by_key, rows, TITLES, NAMES, "point2wss")
-    assert made is not None
-    return made
+    view = viewer({case.key: case for case in found}, by_key, rows, TITLES, NAMES, "point2wss")
+    assert view is not None
+    return view
 
 
 def numbers(text: str, kind: str) -> np.ndarray:
     return np.frombuffer(base64.b64decode(text), kind)
 
 
-def test_what_is_stored_is_what_was_measured(view: Viewer, hamlet: Path) -> None:
+def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) -> None:
     assert "<" not in view.data and "</script" not in view.library + view.script
     data = json.loads(view.data)
     assert [method["key"] for method in data["methods"]] == ["point2wss", "lod1"]
     by_id = {building["id"]: building for building in data["buildings"]}
     found = cases.test_cases(cases.read_manifest(hamlet))
     assert set(by_id) == {case.building.building_id for case in found} and len(by_id) == len(found)
-    lost = found[-1].building.building_id
-    assert "point2wss" not in by_id[lost]["meshes"] and by_id[lost]["title"].startswith("no mesh")
-    # the worst of a data set stands first, and what has no mesh is worse than all
-    assert next(b["id"] for b in data["buildings"] if b["group"] == "LiDAR: worst") == lost
+    without_mesh = found[-1].building.building_id
+    assert "point2wss" not in by_id[without_mesh]["meshes"]
+    assert by_id[without_mesh]["title"].startswith("no mesh")
+    # the worst of a data set comes first, and a building without a mesh is the worst
+    assert next(b["id"] for b in data["buildings"] if b["group"] == "LiDAR: worst") == without_mesh
     for case in found[:-1]:
-        shown = by_id[case.building.building_id]
-        point_m = numbers(shown["points"], "<i2").reshape(-1, 3) / 100
+        stored = by_id[case.building.building_id]
+        point_m = numbers(stored["points"], "<i2").reshape(-1, 3) / 100
         expected = case.building.point_m - [0, 0, case.building.ground_z_m]
         assert len(point_m) <= MAX_POINTS and point_m == pytest.approx(expected, abs=0.0051)
-        mesh = shown["meshes"]["point2wss"]
+        mesh = stored["meshes"]["point2wss"]
         vertex_m = numbers(mesh["vertices"], "<i4").reshape(-1, 3) / 1000
         triangle = numbers(mesh["triangles"], "<u4").reshape(-1, 3)
         assert vertex_m[:, 2].min() == 0 and triangle.max() == len(vertex_m) - 1
         assert len(numbers(mesh["kinds"], "u1")) == len(triangle)
-        assert len(numbers(shown["distances"], "u1")) == len(point_m)
-        low, high = np.array(shown["bounds"])
+        assert len(numbers(stored["distances"], "u1")) == len(point_m)
+        low, high = np.array(stored["bounds"])
         assert (point_m >= low - 0.01).all() and (vertex_m <= high + 0.01).all()
 
 
 def test_choose_shows_no_building_twice() -> None:
     for count in range(70):
-        chosen = [rank for ranks in choose(count).values() for rank in ranks]
-        assert len(chosen) == len(set(chosen))
-        assert len(chosen) == count if count <= 25 else 25 <= len(chosen) <= 30
-        assert all(0 <= rank < count for rank in chosen)
+        ranks_shown = [rank for ranks in choose(count).values() for rank in ranks]
+        assert len(ranks_shown) == len(set(ranks_shown))
+        assert len(ranks_shown) == count if count <= 25 else 25 <= len(ranks_shown) <= 30
+        assert all(0 <= rank < count for rank in ranks_shown)
 
 
 def test_nothing_to_show() -> None:
@@ -88,17 +89,17 @@ def test_nothing_to_show() -> None:
 
 
 class Page:
-    """The view in a browser, with all that it says and asks for."""
+    """The view in a browser, with its messages and requests."""
 
     def __init__(self, page: Any, path: Path) -> None:
         self.page = page
-        self.said: list[str] = []
-        page.on("console", lambda message: self.said.append(f"{message.type}: {message.text}"))
-        page.on("pageerror", lambda error: self.said.append(f"error: {error}"))
-        page.on("request", lambda request: self.said.append(f"request: {request.url}"))
+        self.messages: list[str] = []
+        page.on("console", lambda message: self.messages.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: self.messages.append(f"error: {error}"))
+        page.on("request", lambda request: self.messages.append(f"request: {request.url}"))
         page.goto(path.as_uri())
-        assert self.said == [f"request: {path.as_uri()}"]
-        self.said.clear()
+        assert self.messages == [f"request: {path.as_uri()}"]
+        self.messages.clear()
         page.locator("#viewer").scroll_into_view_if_needed()
 
     @property
@@ -106,10 +107,10 @@ class Page:
         return self.page.locator("#viewer canvas").get_attribute("data-building")
 
     def pixels(self) -> np.ndarray:
-        """What the canvas shows, (rows, columns, 3), once it is drawn."""
+        """The picture on the canvas, (rows, columns, 3), once it is drawn."""
         self.page.evaluate("new Promise((r) => requestAnimationFrame(() => requestAnimationFrame(r)))")
         picture = imread(io.BytesIO(self.page.locator("#viewer canvas").screenshot()))[..., :3]
-        return picture[12:-12, 12:-12]  # without its round corners
+        return picture[12:-12, 12:-12]  # without the round corners
 
 
 def changed(before: np.ndarray, after: np.ndarray) -> float:
@@ -147,69 +148,69 @@ def path(view: Viewer, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_draws_turns_switches_and_toggles(browser: Any, path: Path) -> None:
-    shown = Page(browser.new_page(viewport={"width": 1000, "height": 800}), path)
-    # the worst simulated one has both meshes
-    first, name = shown.pixels(), shown.building
-    assert shown.page.locator("#viewer .ours").inner_text() == "the mesh of Ours"
+    view = Page(browser.new_page(viewport={"width": 1000, "height": 800}), path)
+    # the worst simulated building has both meshes
+    first, name = view.pixels(), view.building
+    assert view.page.locator("#viewer .ours").inner_text() == "the mesh of Ours"
     assert drawn(first) > 0.05
 
-    box = shown.page.locator("#viewer canvas").bounding_box()
+    box = view.page.locator("#viewer canvas").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    shown.page.mouse.move(x, y)
-    shown.page.mouse.down()
-    shown.page.mouse.move(x + 150, y + 20, steps=5)
-    shown.page.mouse.up()
-    turned = shown.pixels()
+    view.page.mouse.move(x, y)
+    view.page.mouse.down()
+    view.page.mouse.move(x + 150, y + 20, steps=5)
+    view.page.mouse.up()
+    turned = view.pixels()
     assert changed(first, turned) > 0.02 and drawn(turned) > 0.05
-    shown.page.mouse.wheel(0, 400)
-    assert drawn(shown.pixels()) < 0.95 * drawn(turned)
-    shown.page.locator("#viewer .reset").click()
-    assert changed(first, shown.pixels()) < 0.002
+    view.page.mouse.wheel(0, 400)
+    assert drawn(view.pixels()) < 0.95 * drawn(turned)
+    view.page.locator("#viewer .reset").click()
+    assert changed(first, view.pixels()) < 0.002
 
-    boxes = shown.page.locator("#viewer input")
+    boxes = view.page.locator("#viewer input")
     assert [boxes.nth(i).is_checked() for i in range(3)] == [True, True, False]
-    assert shown.page.locator("#viewer label").nth(2).inner_text() == "LoD1 <flat>"
+    assert view.page.locator("#viewer label").nth(2).inner_text() == "LoD1 <flat>"
     boxes.nth(0).uncheck()
-    without_points = shown.pixels()
+    without_points = view.pixels()
     assert changed(first, without_points) > 0.01 and drawn(without_points) > 0.05
     boxes.nth(1).uncheck()
-    assert drawn(shown.pixels()) == 0
+    assert drawn(view.pixels()) == 0
     boxes.nth(2).check()
-    assert drawn(shown.pixels()) > 0.05 and changed(without_points, shown.pixels()) > 0.02
+    assert drawn(view.pixels()) > 0.05 and changed(without_points, view.pixels()) > 0.02
 
-    shown.page.locator("#viewer .next").click()
-    assert shown.building != name
-    # what is shown stays chosen from building to building
+    view.page.locator("#viewer .next").click()
+    assert view.building != name
+    # the choice of layers is kept from building to building
     assert [boxes.nth(i).is_checked() for i in range(3)] == [False, False, True]
-    shown.page.locator("#viewer .previous").click()
-    assert shown.building == name
-    lost = shown.page.locator("#viewer option", has_text="no mesh").first.get_attribute("value")
-    shown.page.locator("#viewer select").select_option(lost)
-    assert "Ours: no mesh" in shown.page.locator("#viewer .facts").inner_text()
-    assert boxes.nth(1).is_disabled() and drawn(shown.pixels()) > 0.05
-    shown.page.emulate_media(media="print")
-    assert not shown.page.locator("#viewer").is_visible()
-    assert shown.said == []
+    view.page.locator("#viewer .previous").click()
+    assert view.building == name
+    without_mesh = view.page.locator("#viewer option", has_text="no mesh").first.get_attribute("value")
+    view.page.locator("#viewer select").select_option(without_mesh)
+    assert "Ours: no mesh" in view.page.locator("#viewer .facts").inner_text()
+    assert boxes.nth(1).is_disabled() and drawn(view.pixels()) > 0.05
+    view.page.emulate_media(media="print")
+    assert not view.page.locator("#viewer").is_visible()
+    assert view.messages == []
 
 
 def test_on_a_phone_a_finger_turns_it(browser: Any, path: Path) -> None:
     context = browser.new_context(
         viewport={"width": 390, "height": 844}, device_scale_factor=2, has_touch=True, is_mobile=True
     )
-    shown = Page(context.new_page(), path)
-    assert shown.page.evaluate("document.documentElement.scrollWidth") == 390
-    canvas = shown.page.locator("#viewer canvas").bounding_box()
-    # the page can be scrolled past it
+    view = Page(context.new_page(), path)
+    assert view.page.evaluate("document.documentElement.scrollWidth") == 390
+    canvas = view.page.locator("#viewer canvas").bounding_box()
+    # the page can be scrolled beside the canvas
     assert canvas["width"] > 300 and canvas["height"] < 0.7 * 844
-    before = shown.pixels()
+    before = view.pixels()
     assert drawn(before) > 0.05
-    wire = context.new_cdp_session(shown.page)
+    wire = context.new_cdp_session(view.page)
     x, y = canvas["x"] + 195, canvas["y"] + canvas["height"] / 2
     for kind, shift in (("touchStart", 0), ("touchMove", 40), ("touchMove", 90), ("touchEnd", None)):
         points = [] if shift is None else [{"x": x + shift, "y": y}]
         wire.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-    assert changed(before, shown.pixels()) > 0.02
-    assert shown.said == []
+    assert changed(before, view.pixels()) > 0.02
+    assert view.messages == []
 
 
 def test_without_webgl_it_says_so(browser: Any, path: Path) -> None:

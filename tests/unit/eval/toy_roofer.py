@@ -1,4 +1,4 @@
-"""Stands in for Roofer in tests: a box per footprint, from the ground to its highest point."""
+"""A toy program in place of Roofer for tests: a box per footprint, from the ground to its highest point."""
 
 import json
 import sys
