@@ -177,9 +177,7 @@ def test_table_1_has_the_variants_over_all_and_over_seen_values(
     assert settings["point2wss+fit"]["angle_seen_deg"]["count"] == seen.sum() <= len(truth)
     rows = tables.table_1(errors)
     assert [row[0] for row in rows[-2:]] == ["Height, roof seen (m)", "Angles, roof face seen (°)"]
-    assert (
-        rows[1][rows[0].index("Footprint given + fit MAE")] == settings["point2wss+fit"]["height_m"]["mean"]
-    )
+    assert rows[1][rows[0].index("Point2WSS + fit MAE")] == settings["point2wss+fit"]["height_m"]["mean"]
 
 
 def test_groups_hold_the_same_buildings_for_every_method(table: pa.Table) -> None:
