@@ -342,11 +342,11 @@ def main() -> int:
     plain(other)
     task = model_task.ModelTask(other, plain_vae, buildings, buildings, whole, config.dvae, device)
     with no_buckets():
-        task.order.batch(0)
+        task.sampler.batch(0)
     longest = int(np.argmax(buildings.num_vertices))
-    first = task.order.batch
+    first = task.sampler.batch
     # the longest building in every batch
-    task.order.batch = lambda step: np.append(first(step)[1:], longest)
+    task.sampler.batch = lambda step: np.append(first(step)[1:], longest)
     plain_step = optimised(task)
     took, theirs = alternating(step, plainly, options.steps, options.compile)
     size = config.model.optimiser.batch_size

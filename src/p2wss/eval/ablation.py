@@ -1,4 +1,4 @@
-"""The table of the ablation: what each switch of the section model is worth."""
+"""The table of the ablation: the errors of variants of the section model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEADER = (
 
 @dataclass(frozen=True)
 class Row:
-    """Mean and standard deviation of absolute errors on the test split, footprint given, one variant."""
+    """One variant: mean and standard deviation of absolute errors on the test split, with footprints known."""
 
     variant: str
     num_buildings: int
@@ -40,7 +40,8 @@ class Row:
 
 
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> list[Row]:
-    """One row per model; a model is named by its folder. The constants: :func:`p2wss.eval.cases.train_medians`.
+    """One row per model, which is named by its folder. The errors of a constant predictor are those of
+    :func:`p2wss.eval.cases.train_medians`.
 
     Raises :class:`InputError` for an unusable manifest or model.
     """
@@ -66,26 +67,28 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
 
 
 def csv(rows: Sequence[Row]) -> str:
+    """The table as CSV."""
     return "\n".join([",".join(HEADER), *(",".join(_cells(row, 4)) for row in rows)]) + "\n"
 
 
 def markdown(rows: Sequence[Row]) -> str:
+    """The table as Markdown, followed by the :func:`spreads`."""
     lines = [HEADER, ["---"] * len(HEADER), *(_cells(row, 2) for row in rows)]
     table = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([*table, *(["", *spreads(rows)] if spreads(rows) else [])]) + "\n"
 
 
 def spreads(rows: Sequence[Row]) -> list[str]:
-    """What another seed changes: one line per variant that was trained with several, named ``.._seed_1``, .."""
-    seeds: dict[str, list[Row]] = {}
+    """Spread between seeds: a line per variant that was trained with several, named ``variant_seed_1`` and so on."""
+    variants: dict[str, list[Row]] = {}
     for row in rows:
-        seeds.setdefault(row.variant.partition("_seed_")[0], []).append(row)
+        variants.setdefault(row.variant.partition("_seed_")[0], []).append(row)
     return [
-        f"{variant} over {len(own)} seeds: height {_spread([row.height_mae_m for row in own])} m, "
-        f"angle {_spread([row.angle_mae_deg for row in own])} degrees (mean of the errors above "
+        f"{variant} over {len(repeats)} seeds: height {_spread([row.height_mae_m for row in repeats])} m, "
+        f"angle {_spread([row.angle_mae_deg for row in repeats])} degrees (mean of the errors above "
         "± standard deviation between seeds)"
-        for variant, own in seeds.items()
-        if len(own) > 1
+        for variant, repeats in variants.items()
+        if len(repeats) > 1
     ]
 
 

@@ -1,7 +1,7 @@
-"""Stage model: train Point2WSS (paper, sections 4 and 5.2), and use it.
+"""Stage model: train Point2WSS (paper, sections 4 and 5.2).
 
-A height is the gutter above the ground that the cloud itself shows (``ground_z_m`` of the crops), because
-that is all an inference knows; the label is moved there from the terrain it was made on.
+Heights are those of the eave above the ground as estimated from the cloud (``ground_z_m`` of the crops), because
+inference has no other ground; labels, which refer to the terrain of the simulation, are converted.
 """
 
 from __future__ import annotations
@@ -37,30 +37,32 @@ log = logging.getLogger("p2wss")
 
 
 def train(
-    manifest: Path, tokens: Path, config: ModelConfig, checkpoints: Path, code: str
+    manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, code: str
 ) -> tuple[Point2Wss, DvaeConfig]:
-    """Train on the train split of ``manifest`` with the trained dvae ``tokens``; see :mod:`training`.
+    """Train on the train split of ``manifest`` with the weights of ``dvae``; see :mod:`training`.
 
-    Returns the weights to keep and the dvae's config. Raises :class:`InputError` for unusable input.
+    Returns the network with the weights to keep, and the config of the dvae. Raises :class:`InputError` for
+    unusable input.
     """
-    vae, dvae_config = load_dvae(tokens)
+    vae, dvae_config = load_dvae(dvae)
     tokenizer = build_tokenizer(config)
     limits = training_limits(config, dvae_config, tokenizer)
     device = compute.device_of(config.compute.device)
     with distributed.process_group(device):
         cache = cloud_cache_folder(checkpoints)
-        buildings = load_dataset(manifest, ["train"], limits, True, False, cache)
-        held_out = load_dataset(manifest, ["val"], limits, True, False, cache)
+        training_set = load_dataset(manifest, ["train"], limits, True, False, cache)
+        validation_set = load_dataset(manifest, ["val"], limits, True, False, cache)
         if preserves_patches(config.augmentation):
-            cut = PatchSettings(dvae_config.num_points, dvae_config.num_patches, dvae_config.patch_size)
-            buildings = precompute_patches(buildings, cut, device)
-        log.info("model: train: %s", describe(buildings))
-        log.info("model: val: %s", describe(held_out))
+            settings = PatchSettings(dvae_config.num_points, dvae_config.num_patches, dvae_config.patch_size)
+            training_set = precompute_patches(training_set, settings, device)
+        log.info("model: train: %s", describe(training_set))
+        log.info("model: val: %s", describe(validation_set))
         torch.manual_seed(derive_seed(config.seed, "model", "weights"))
         module = build_model(config, dvae_config, tokenizer)
         module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
         log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
-        task = ModelTask(module.to(device), vae.to(device), buildings, held_out, config, dvae_config, device)
+        module, vae = module.to(device), vae.to(device)
+        task = ModelTask(module, vae, training_set, validation_set, config, dvae_config, device)
         plan = training.Plan(
             config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps, config.compute
         )
@@ -69,22 +71,22 @@ def train(
             "config": training.training_config(config),
             "code": code,
             "data": files.sha256(manifest),
-            "dvae": files.sha256(tokens),
+            "dvae": files.sha256(dvae),
         }
-        kept = training.train(task, plan, checkpoints, identity)
-    assert isinstance(kept, Point2Wss)
-    return kept, dvae_config
+        trained = training.train(task, plan, checkpoints, identity)
+    assert isinstance(trained, Point2Wss)
+    return trained, dvae_config
 
 
 class ModelTask:
-    """The second stage as :func:`training.train` sees it."""
+    """The stage as a :class:`p2wss.nets.training.Task`."""
 
     def __init__(
         self,
         module: Point2Wss,
         vae: DiscreteVae,
-        buildings: BuildingDataset,
-        held_out: BuildingDataset,
+        training_set: BuildingDataset,
+        validation_set: BuildingDataset,
         config: ModelConfig,
         dvae_config: DvaeConfig,
         device: torch.device,
@@ -92,15 +94,15 @@ class ModelTask:
         self.module = module
         self.vae = vae
         self.device = device
-        self.buildings: BatchSource = buildings
+        self.training_set: BatchSource = training_set
         if config.compute.resident:
-            self.buildings = ResidentDataset(buildings, device)
-        self.held_out = held_out
+            self.training_set = ResidentDataset(training_set, device)
+        self.validation_set = validation_set
         self.config = config
         self.dvae_config = dvae_config
-        self.order = BatchSampler(buildings.num_vertices, config.optimiser.batch_size, config.seed)
-        self.constant_height = float(np.median(buildings.height_m))
-        self.constant_angle = float(np.median(buildings.angle_deg))
+        self.sampler = BatchSampler(training_set.num_vertices, config.optimiser.batch_size, config.seed)
+        self.median_height = float(np.median(training_set.height_m))
+        self.median_angle = float(np.median(training_set.angle_deg))
 
     def compilable_parts(self) -> Sequence[nn.Module]:
         return [*(part for part in self.module.modules() if isinstance(part, Encoder)), self.vae.to_logits]
@@ -108,9 +110,9 @@ class ModelTask:
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
         seed = derive_seed(config.seed, "model", "points", step)
-        own = distributed.shard(self.order.batch(step))
-        batch = self.buildings.batch(own, self.dvae_config.num_points, seed).to(self.device)
-        batch = augmented(batch, config, self.dvae_config.min_points)
+        index = distributed.shard(self.sampler.batch(step))
+        batch = self.training_set.batch(index, self.dvae_config.num_points, seed).to(self.device)
+        batch = augment_batch(batch, config.augmentation, self.dvae_config.min_points)
         tokenizer = self.module.tokenizer
         parameters, _ = tokenizer.canonical(
             tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
@@ -124,7 +126,7 @@ class ModelTask:
             masking.random_ratio,
         )
         patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        auxiliary = patches[: max(round(config.auxiliary_share * len(own)), 1)]
+        auxiliary = patches[: max(round(config.auxiliary_share * len(index)), 1)]
         patch_masked = mask_patches(auxiliary, masking.patch_ratio)
         with compute.autocast(config.compute, self.device):
             losses = self.module.losses(
@@ -138,45 +140,45 @@ class ModelTask:
                 config.match_balanced,
             )
         weights = config.loss_weights.model_dump()
-        total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()  # (5)
+        total = torch.stack([weights[name] * value for name, value in losses.items()]).sum()  # equation 5
         return {"loss": total, **{f"loss_{name}": value for name, value in losses.items()}}
 
     def validate(self, module: nn.Module) -> dict[str, float]:
         assert isinstance(module, Point2Wss)
-        # one view: the learning curve needs no more
-        decode = self.config.decoding.model_copy(update={"num_rotations": 1})
+        # one view is enough for the learning curve
+        settings = self.config.decoding.model_copy(update={"num_rotations": 1})
         limits = training_limits(self.config, self.dvae_config, module.tokenizer)
-        predictor = Predictor(module, decode, self.dvae_config, self.config.max_vertices, limits)
-        index = np.arange(min(len(self.held_out), self.config.num_validation))
-        height, angle = predictor.errors(self.held_out, index)
-        label = self.held_out.batch(index, 1, None)
+        predictor = Predictor(module, settings, self.dvae_config, self.config.max_vertices, limits)
+        index = np.arange(min(len(self.validation_set), self.config.num_validation))
+        height, angle = predictor.errors(self.validation_set, index)
+        label = self.validation_set.batch(index, 1, None)
         inside = torch.arange(label.angle.shape[1]) < label.num_vertices[:, None]
-        constant_angle = (label.angle[inside] - self.constant_angle).abs()
+        constant_angle = (label.angle[inside] - self.median_angle).abs()
         return {
             "val_height_mae_m": float(np.abs(height).mean()),
-            "val_height_mae_constant_m": float((label.height - self.constant_height).abs().mean()),
+            "val_height_mae_constant_m": float((label.height - self.median_height).abs().mean()),
             "val_angle_mae_deg": float(np.abs(angle).mean()),
             "val_angle_mae_constant_deg": float(constant_angle.mean()),
         }
 
 
-def preserves_patches(change: Augmentation) -> bool:
-    """Whether the same points make a patch however a building is changed: it is turned and scaled only."""
-    return change.keep_points == (1, 1) and not (change.occlusion_share or change.lift_m or change.jitter_m)
+def preserves_patches(settings: Augmentation) -> bool:
+    """Whether the augmentation only rotates, mirrors and scales buildings: then patches keep their points."""
+    changes_points = settings.occlusion_share or settings.lift_m or settings.jitter_m
+    return settings.keep_points == (1, 1) and not changes_points
 
 
-def augmented(batch: Batch, config: ModelConfig, min_points: int) -> Batch:
-    """The random changes of the config, the paper's rotation among them; the result is centred."""
-    change = config.augmentation
-    if change.keep_points != (1, 1):
-        batch = augment.drop_points_randomly(batch, change.keep_points, min_points)
-    if change.occlusion_share > 0:
-        batch = augment.occlude_randomly(batch, change.occlusion_share, min_points)
-    if change.lift_m > 0:
-        batch = augment.lift_randomly(batch, change.lift_m)
-    if change.scale != (1, 1):
-        batch = augment.scale_randomly(batch, change.scale)
-    if change.mirror:
+def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batch:
+    """The random augmentations of the config, and the paper's rotation; the result is centred."""
+    if settings.keep_points != (1, 1):
+        batch = augment.drop_points_randomly(batch, settings.keep_points, min_points)
+    if settings.occlusion_share > 0:
+        batch = augment.occlude_randomly(batch, settings.occlusion_share, min_points)
+    if settings.lift_m > 0:
+        batch = augment.lift_randomly(batch, settings.lift_m)
+    if settings.scale != (1, 1):
+        batch = augment.scale_randomly(batch, settings.scale)
+    if settings.mirror:
         batch = augment.mirror_randomly(batch)
     batch = augment.rotate_randomly(augment.centre(batch))
-    return augment.jitter(batch, change.jitter_m) if change.jitter_m > 0 else batch
+    return augment.jitter(batch, settings.jitter_m) if settings.jitter_m > 0 else batch

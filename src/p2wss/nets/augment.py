@@ -1,4 +1,4 @@
-"""Random changes of clouds and their parameters, on whole batches, that keep the two in agreement."""
+"""Random augmentations of whole batches that keep clouds and their parameters consistent."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ def rotate(batch: Batch, theta: Tensor) -> Batch:
 
 
 def rotate_randomly(batch: Batch) -> Batch:
+    """Rotate each building by a random angle about the vertical through the origin."""
     return rotate(batch, 2 * math.pi * torch.rand(len(batch.points), device=batch.points.device))
 
 
@@ -50,7 +51,7 @@ def mirror_randomly(batch: Batch) -> Batch:
 
 
 def scale_randomly(batch: Batch, ratio: tuple[float, float]) -> Batch:
-    """Scale buildings as a whole by a factor drawn from ``ratio``: slopes stay, heights follow."""
+    """Scale each building as a whole by a factor drawn from ``ratio``: angles stay, heights follow."""
     low, high = ratio
     factor = low + (high - low) * torch.rand(len(batch.points), device=batch.points.device)
     return replace(
@@ -69,10 +70,10 @@ def jitter(batch: Batch, sigma_m: float) -> Batch:
 
 
 def lift_randomly(batch: Batch, lift_m: float) -> Batch:
-    """Raise or lower what stands on the ground by up to ``lift_m``, the gutter with it.
+    """Raise or lower the upper part of each building by up to ``lift_m``, and its eave with it.
 
-    Points above half the gutter height move, by at most a third of that height downwards: the walls are
-    stretched or squeezed, the roof keeps its shape.
+    Points above half the eave height move, downwards by at most a third of that height: walls are stretched or
+    compressed, the roof keeps its shape.
     """
     lift = lift_m * (2 * torch.rand(len(batch.points), device=batch.points.device) - 1)
     lift = torch.maximum(lift, -batch.height / 3)
@@ -82,11 +83,11 @@ def lift_randomly(batch: Batch, lift_m: float) -> Batch:
     return replace(batch, points=points, height=batch.height + lift, patch_index=None)
 
 
-def occlude_randomly(batch: Batch, share: float, at_least: int) -> Batch:
-    """Take the points of a wedge, 10 to 60 degrees wide, from a ``share`` of the clouds.
+def occlude_randomly(batch: Batch, share: float, min_points: int) -> Batch:
+    """Remove the points within a wedge, 10 to 60 degrees wide, from a ``share`` of the clouds.
 
-    Its apex is one of the cloud's points, as the edge of what stands in the way could be. Clouds that would
-    keep fewer than ``at_least`` points stay as they are.
+    The apex is one of the cloud's points, as if an obstacle stood there. Clouds of which fewer than ``min_points``
+    points would remain are not changed.
     """
     num, device = len(batch.points), batch.points.device
     chosen = torch.rand(num, device=device) < share
@@ -95,17 +96,17 @@ def occlude_randomly(batch: Batch, share: float, at_least: int) -> Batch:
     heading = 2 * math.pi * torch.rand(num, device=device)
     half_width = torch.deg2rad(5 + 25 * torch.rand(num, device=device))
     along = from_apex[..., 0] * torch.cos(heading)[:, None] + from_apex[..., 1] * torch.sin(heading)[:, None]
-    hidden = along > from_apex.norm(dim=-1) * torch.cos(half_width)[:, None]
-    kept = batch.valid & ~hidden
-    chosen &= kept.sum(1) >= at_least
-    return replace(batch, valid=torch.where(chosen[:, None], kept, batch.valid), patch_index=None)
+    occluded = along > from_apex.norm(dim=-1) * torch.cos(half_width)[:, None]
+    remaining = batch.valid & ~occluded
+    chosen &= remaining.sum(1) >= min_points
+    return replace(batch, valid=torch.where(chosen[:, None], remaining, batch.valid), patch_index=None)
 
 
-def drop_points_randomly(batch: Batch, keep: tuple[float, float], at_least: int) -> Batch:
-    """Keep a share of each cloud drawn from ``keep``, but ``at_least`` so many points (or all there are)."""
-    low, high = keep
+def drop_points_randomly(batch: Batch, ratio: tuple[float, float], min_points: int) -> Batch:
+    """Keep a share of each cloud drawn from ``ratio``, but at least ``min_points`` points (or all of them)."""
+    low, high = ratio
     device = batch.points.device
     share = low + (high - low) * torch.rand(len(batch.points), 1, device=device)
-    count = (share * batch.valid.sum(1, keepdim=True)).clamp(min=at_least)
+    count = (share * batch.valid.sum(1, keepdim=True)).clamp(min=min_points)
     rank = torch.rand(batch.valid.shape, device=device).masked_fill(~batch.valid, 2).argsort(1).argsort(1)
     return replace(batch, valid=batch.valid & (rank < count), patch_index=None)

@@ -1,4 +1,4 @@
-"""On which device tensors live and how precisely they are multiplied."""
+"""The device that tensors are on, and the precision of matrix products."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 
 
 def device_of(name: DeviceName) -> torch.device:
-    """The device of that name; "auto" is CUDA where there is some. Each process of torchrun gets its own GPU.
+    """The device of that name; "auto" is CUDA where available. Each process of torchrun gets a GPU of its own.
 
-    Raises :class:`InputError` for "cuda" where there is none.
+    Raises :class:`InputError` for "cuda" without a GPU.
     """
     available = torch.cuda.is_available()
     if name == "cuda" and not available:
-        raise InputError("device cuda: torch finds no GPU; install torch with CUDA, or take --device cpu")
+        raise InputError("device cuda: torch finds no GPU; install torch with CUDA, or use --device cpu")
     if name == "cpu" or not available:
         return torch.device("cpu")
     device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
@@ -30,5 +30,5 @@ def device_of(name: DeviceName) -> torch.device:
 
 
 def autocast(compute: Compute, device: torch.device) -> AbstractContextManager[object]:
-    """Matrix products in bfloat16, where the config asks for it. Weights stay float32."""
+    """Matrix products in bfloat16 if the config says so. Weights stay float32."""
     return torch.autocast(device.type, torch.bfloat16, enabled=compute.precision == "bfloat16")

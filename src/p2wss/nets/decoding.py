@@ -1,8 +1,8 @@
 """From logits of masked digits to heights, angles and coordinates.
 
-The digits of one number are predicted side by side, so their joint distribution is the product. The paper
-takes the most probable digit at each place; a slip at the tens then costs ten metres. The median of the
-joint distribution is the value of least expected absolute error, and averages well over rotations.
+The digits of one number are predicted independently, so their joint distribution is the product. The paper takes
+the most probable digit at each place; a wrong tens digit then costs ten metres. The median of the joint
+distribution has the least expected absolute error, and the distributions of several views can be averaged.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from p2wss.nets.tokenizer import Tokenizer
 Mode = Literal["argmax", "median"]
 Support = Literal["roofs", "all"]
 
-CONFIDENT_HEIGHT_M = 0.5
-CONFIDENT_ANGLE_DEG = 5
-# The mean of several views is too modest, and so is a product of digits about a height. What becomes of the logarithm
-# of the odds that a height or an angle is right, coefficients of 1 and of itself:
+# a height or an angle counts as correct within these
+HEIGHT_TOLERANCE_M = 0.5
+ANGLE_TOLERANCE_DEG = 5
+# The mean over several views is under-confident, and so is the product of the digits of a height. Intercept and slope
+# of the calibrated log odds that a height or an angle is correct, over the raw log odds (Platt scaling):
 # python benchmarks/confidence.py MANIFEST .. --model models/point2wss.safetensors --fit
 HEIGHT_CALIBRATION, ANGLE_CALIBRATION = (1.99, 0.76), (0.66, 0.97)
-_LEAST_PROBABILITY = 1e-3
+_MIN_PROBABILITY = 1e-3
 
 
 def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int, ...]) -> Tensor:
-    """(..., 10^k) probabilities of the integers 0 .. 10^k - 1 from logits (..., k, words) of k digits.
+    """(..., 10^k) probabilities of the integers 0 .. 10^k - 1 from logits (..., k, vocabulary) of k digits.
 
-    Only the ten words of each place count.
+    At each place only its ten digit tokens count.
     """
     joint = torch.ones(*logits.shape[:-2], 1, device=logits.device)
     for index, place in enumerate(places):
@@ -42,7 +43,7 @@ def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int,
 
 
 def angle_support(support: Support) -> Tensor:
-    """bool (100,): degrees that an answer may have; "roofs" is the paper's 0, 90 and 20 to 45."""
+    """bool (100,): the angles in degrees that may be predicted; "roofs" is the paper's 0, 90 and 20 to 45."""
     allowed = torch.zeros(100, dtype=torch.bool)
     if support == "all":
         allowed[:91] = True
@@ -52,20 +53,20 @@ def angle_support(support: Support) -> Tensor:
 
 
 def constrain(distribution: Tensor, allowed: Tensor) -> Tensor:
-    """Set what is not ``allowed`` (v,) to 0 and renormalise (..., v); uniform where nothing is left."""
-    kept = distribution * allowed
-    total = kept.sum(-1, keepdim=True)
-    return torch.where(total > 0, kept / total.clamp_min(1e-30), allowed / allowed.sum())
+    """Set the values that are not ``allowed`` (v,) to 0 and renormalise (..., v); uniform where all are 0."""
+    masked = distribution * allowed
+    total = masked.sum(-1, keepdim=True)
+    return torch.where(total > 0, masked / total.clamp_min(1e-30), allowed / allowed.sum())
 
 
 def class_probability(distribution: Tensor) -> Tensor:
     """(..., 3): of 0 degrees, of 90 degrees and of a slope, from probabilities of angles (..., 100)."""
-    flat, upright = distribution[..., 0], distribution[..., 90]
-    return torch.stack([flat, upright, (distribution.sum(-1) - flat - upright).clamp_min(0)], -1)
+    flat, vertical = distribution[..., 0], distribution[..., 90]
+    return torch.stack([flat, vertical, (distribution.sum(-1) - flat - vertical).clamp_min(0)], -1)
 
 
 def decode(distribution: Tensor, mode: Mode) -> Tensor:
-    """int64 (...): most probable value, or smallest value with half of the mass below or at it."""
+    """int64 (...): the most probable value ("argmax"), or the smallest with half of the mass at or below it."""
     if mode == "argmax":
         return distribution.argmax(-1)
     # double: the sum over 10^4 values must not stop short of one half
@@ -74,7 +75,7 @@ def decode(distribution: Tensor, mode: Mode) -> Tensor:
 
 
 def mass_near(distribution: Tensor, value: Tensor, tolerance: int) -> Tensor:
-    """(...): probability of the integers within ``tolerance`` of ``value``."""
+    """(...): the probability of the integers within ``tolerance`` of ``value``."""
     cumulated = F.pad(distribution.cumsum(-1), (1, 0))
     low = (value - tolerance).clamp(min=0)
     high = (value + tolerance + 1).clamp(max=distribution.shape[-1])
@@ -82,14 +83,16 @@ def mass_near(distribution: Tensor, value: Tensor, tolerance: int) -> Tensor:
 
 
 def expected_share(probability: np.ndarray) -> float:
-    """The share of a building's numbers that is to be expected within 0.5 m and 5 degrees, from probabilities
-    (1 + n,) as the network tells them: of the height, then of the angles."""
-    odds = log_odds(probability)
-    odds[0] = HEIGHT_CALIBRATION[0] + HEIGHT_CALIBRATION[1] * odds[0]
-    odds[1:] = ANGLE_CALIBRATION[0] + ANGLE_CALIBRATION[1] * odds[1:]
-    return float(expit(odds).mean())
+    """The expected share of a building's values that are within 0.5 m and 5 degrees.
+
+    ``probability`` (1 + n,): the network's uncalibrated ones, of the height, then of the angles.
+    """
+    calibrated = log_odds(probability)
+    calibrated[0] = HEIGHT_CALIBRATION[0] + HEIGHT_CALIBRATION[1] * calibrated[0]
+    calibrated[1:] = ANGLE_CALIBRATION[0] + ANGLE_CALIBRATION[1] * calibrated[1:]
+    return float(expit(calibrated).mean())
 
 
 def log_odds(probability: np.ndarray) -> np.ndarray:
-    """log(p / (1 - p)), of probabilities that are neither 0 nor 1."""
-    return logit(np.clip(probability, _LEAST_PROBABILITY, 1.0 - _LEAST_PROBABILITY))
+    """log(p / (1 - p)); probabilities of 0 and 1 are moved a little inwards, to stay finite."""
+    return logit(np.clip(probability, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY))

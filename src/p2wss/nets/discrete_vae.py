@@ -1,4 +1,4 @@
-"""The discrete VAE whose codes are the words of point patches (paper, section 4.2; Point-BERT, stage 1).
+"""The discrete VAE whose codes are the tokens of point patches (paper, section 4.2; Point-BERT, stage 1).
 
 mini-PointNet -> DGCNN over patch centres -> Gumbel softmax over the codebook -> DGCNN -> folding decoder.
 """
@@ -15,28 +15,28 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from p2wss.nets import distributed
-from p2wss.nets.layers import BatchNorm, PlaceLinear
+from p2wss.nets.layers import BatchNorm, CoordinateLinear
 from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.pointwise import norm_relu_linear
 
 NUM_NEIGHBOURS = 4
 NORM_GROUPS = 4
 SEED_RADIUS = 0.05
-# patches that a CPU embeds at once at inference: the features of their points should stay in its second cache
-PATCHES_AT_ONCE = 32
+# patches that a CPU embeds at once at inference, so that the features of their points stay in its L2 cache
+INFERENCE_PATCHES = 32
 
 
 class MiniPointNet(nn.Module):
     """Patch points (b, g, k, 3) to one embedding per patch (b, g, dim).
 
-    Widths dim/2, dim, 2 dim, dim. The second block reads each point beside its patch's maximum; the weight of
-    that pair is split, so that the maximum's half is multiplied once per patch and not once per point. The
-    point's half follows on a layer without an activation in between: both are multiplied before the points.
+    Widths dim/2, dim, 2 dim, dim. The second block reads each point together with the maximum over its patch. Its
+    weight is split, so that the half for the maximum is applied once per patch and not once per point. No
+    activation stands between the half for the points and the layer before it: the two weights are multiplied first.
     """
 
     def __init__(self, dim: int) -> None:
         super().__init__()
-        self.first = PlaceLinear(3, dim // 2)
+        self.first = CoordinateLinear(3, dim // 2)
         self.first_norm = BatchNorm(dim // 2)
         self.second = nn.Linear(dim // 2, dim)
         self.third_point = nn.Linear(dim, 2 * dim, bias=False)
@@ -56,10 +56,10 @@ class MiniPointNet(nn.Module):
         return x.unflatten(0, points.shape[:2])
 
     def infer(self, points: Tensor) -> Tensor:
-        """What :meth:`forward` says in evaluation mode, to rounding, in less than half of the time; no gradients.
+        """:meth:`forward` in evaluation mode up to rounding, in less than half of the time, without gradients.
 
-        Norms are absorbed by the layers before them, ``third_point`` by ``second``, as nothing stands between
-        the two, and what is the same for all points of a patch is added to their maximum.
+        Norms are folded into the layers before them, ``third_point`` into ``second``, and terms that are equal for
+        all points of a patch are added once per patch.
         """
         scale, shift = self.first_norm.scale_and_shift()
         first, first_bias = self.first.weight * scale[:, None], self.first.bias * scale + shift
@@ -68,22 +68,22 @@ class MiniPointNet(nn.Module):
         third_patch = self.third_patch.weight * scale[:, None]
         second_bias = self.second.bias
         third_bias = (self.third_point(second_bias) + self.third_patch(second_bias)) * scale + shift
-        found = []
-        at_once = PATCHES_AT_ONCE if points.device.type == "cpu" else points.shape[:2].numel()
-        for part in points.flatten(0, 1).split(at_once):
+        features = []
+        num_at_once = INFERENCE_PATCHES if points.device.type == "cpu" else points.shape[:2].numel()
+        for part in points.flatten(0, 1).split(num_at_once):
             x = F.linear(part, first, first_bias).relu_()
             patch = F.linear(x, self.second.weight).amax(1)
             x = F.linear(x, third).add_(F.linear(patch, third_patch, third_bias)[:, None]).relu_()
-            found.append(F.linear(x, self.fourth.weight).amax(1))
-        return torch.cat(found).view(*points.shape[:2], -1) + self.fourth.bias
+            features.append(F.linear(x, self.fourth.weight).amax(1))
+        return torch.cat(features).view(*points.shape[:2], -1) + self.fourth.bias
 
 
 class EdgeConvolution(nn.Module):
     """One edge convolution on a given graph: max over neighbours of act(norm(W [neighbour - x; x])).
 
-    W [nb - x; x] = W1 nb + (W2 - W1) x is applied per node before the gather: k times fewer multiplications.
-    The edges' features are never built. Their group norm's moments follow from those of the nodes and of the
-    graph, and as norm and activation are monotonous in each channel only the extreme neighbour counts.
+    W [nb - x; x] = W1 nb + (W2 - W1) x is applied per node before the gather: k times fewer multiplications. The
+    features of edges are never built: the moments of their group norm follow from those of the nodes and from the
+    graph, and because norm and activation are monotonic in each channel, only the extreme neighbour counts.
     """
 
     def __init__(self, dim_in: int, dim_out: int) -> None:
@@ -113,24 +113,24 @@ class EdgeConvolution(nn.Module):
         count = k * from_self.shape[1]
         degree = adjacency.sum(1)[..., None]
         neighbour_sum = (degree * from_neighbour).sum(1)
-        mean = _over_groups(neighbour_sum + k * from_self.sum(1)) / count
-        # about the mean, or the squares would cancel
-        own = from_self - mean[:, None]
-        around = torch.bmm(adjacency, from_neighbour)
-        square = (degree * from_neighbour.square() + k * own.square() + 2 * own * around).sum(1)
-        return mean[:, None], _over_groups(square)[:, None] / count
+        mean = _group_mean(neighbour_sum + k * from_self.sum(1)) / count
+        # squares about the mean, or they would cancel
+        centred = from_self - mean[:, None]
+        neighbours = torch.bmm(adjacency, from_neighbour)
+        square = (degree * from_neighbour.square() + k * centred.square() + 2 * centred * neighbours).sum(1)
+        return mean[:, None], _group_mean(square)[:, None] / count
 
 
-def _over_groups(x: Tensor) -> Tensor:
+def _group_mean(x: Tensor) -> Tensor:
     """Mean over the channels of each group of the norm, for every channel (b, dim)."""
     groups = x.unflatten(-1, (NORM_GROUPS, -1))
     return groups.mean(-1, keepdim=True).expand_as(groups).flatten(1)
 
 
 class _LargestNeighbour(torch.autograd.Function):
-    """(n, dim): per channel the largest value of the rows ``neighbour`` (n, k) of ``x`` (n, dim).
+    """(n, dim): per channel the largest value among the rows ``neighbour`` (n, k) of ``x`` (n, dim).
 
-    By hand, because a maximum with its index is ten times slower than one without.
+    A function of its own, because torch's maximum with its index is ten times slower than one without.
     """
 
     @staticmethod
@@ -144,13 +144,13 @@ class _LargestNeighbour(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
         x, neighbour, largest = ctx.saved_tensors
-        found, left = torch.zeros_like(x), gradient.clone()
+        d_x, remaining = torch.zeros_like(x), gradient.clone()
         for row in neighbour.T:
-            # the first of equals takes all
-            share = x.index_select(0, row).eq_(largest).mul_(left)
-            found.index_add_(0, row, share)
-            left -= share
-        return found, None
+            # of equal neighbours the first gets the whole gradient
+            share = x.index_select(0, row).eq_(largest).mul_(remaining)
+            d_x.index_add_(0, row, share)
+            remaining -= share
+        return d_x, None
 
 
 def adjacency_matrix(neighbour: Tensor) -> Tensor:
@@ -161,9 +161,9 @@ def adjacency_matrix(neighbour: Tensor) -> Tensor:
 
 
 class Dgcnn(nn.Module):
-    """Four edge convolutions on the graph of the patch centres, their outputs joined (Point-BERT's DGCNN).
+    """Four edge convolutions on the graph of the patch centres, with their outputs concatenated (Point-BERT's DGCNN).
 
-    The graph is the same for all four, so it is found once per cloud and passed in.
+    The graph is the same for all four, so it is computed once per cloud and passed in.
     """
 
     def __init__(self, dim_in: int, dim: int, dim_out: int) -> None:
@@ -200,9 +200,9 @@ class FoldingDecoder(nn.Module):
         )
         side = torch.tensor([-SEED_RADIUS, SEED_RADIUS])
         self.register_buffer("seeds", torch.cartesian_prod(side, side), persistent=False)
-        # the input of the fold is [feature; seed; coarse point]: its first layer is split by what it reads
+        # the fold reads [feature; seed; coarse point]: its first layer is split accordingly
         self.from_feature = nn.Linear(dim, 2 * dim)
-        self.from_point = PlaceLinear(5, 2 * dim, bias=False)
+        self.from_point = CoordinateLinear(5, 2 * dim, bias=False)
         self.norm = BatchNorm(2 * dim)
         self.middle = nn.Linear(2 * dim, 2 * dim)
         self.middle_norm = BatchNorm(2 * dim)
@@ -223,7 +223,7 @@ class FoldingDecoder(nn.Module):
 
 @dataclass(frozen=True)
 class DvaeSizes:
-    """What a checkpoint must agree on. ``patch_size`` is a multiple of 4."""
+    """Sizes that determine the network's weights. ``patch_size`` is a multiple of 4."""
 
     num_patches: int
     patch_size: int
@@ -233,7 +233,7 @@ class DvaeSizes:
 
 
 class DiscreteVae(nn.Module):
-    """See the module's docstring. ``tokens`` is what the second stage uses."""
+    """See the module's docstring. The second stage uses :meth:`tokens`."""
 
     def __init__(self, sizes: DvaeSizes) -> None:
         super().__init__()
@@ -256,7 +256,7 @@ class DiscreteVae(nn.Module):
         return self.to_logits(self.encoder.infer(patches.points), centre_graph(patches)).argmax(-1)
 
     def forward(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
-        """Reconstruction (Chamfer-L1 of coarse and fine), divergence from the uniform code, codes used."""
+        """Losses of the coarse and fine reconstructions (Chamfer-L1), divergence from uniform codes, and the codes."""
         graph = centre_graph(patches)
         logits = self.to_logits(self.encoder(patches.points), graph).float()
         soft = F.gumbel_softmax(logits, tau=temperature, hard=False, dim=-1)
@@ -282,18 +282,18 @@ def centre_graph(patches: Patches) -> Tensor:
     return torch.where(near.isinf(), index[..., :1], index)
 
 
-def chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
+def chamfer_l1(reconstruction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
     """Half the sum of the two mean nearest distances of point sets (b, g, n, 3) and (b, g, m, 3).
 
-    The mean over patches leaves out those that are not ``valid`` (b, g).
+    The mean is over the patches that are ``valid`` (b, g).
     """
-    made = made.float()
-    # which points are nearest is found without gradients: those of all pairs would cost more than all else
+    reconstruction = reconstruction.float()
+    # the search for the nearest points needs no gradients, which for all pairs would cost more than the rest
     with torch.no_grad():
-        distance = squared_distance(made, given)
-        to_given, to_made = distance.min(-1)[1], distance.min(-2)[1]
-    forth = _distance(made, _pick(given, to_given)).mean(-1)
-    back = _distance(_pick(made, to_made), given).mean(-1)
+        distance = squared_distance(reconstruction, target)
+        nearest_target, nearest_reconstruction = distance.min(-1)[1], distance.min(-2)[1]
+    forth = _distance(reconstruction, _pick(target, nearest_target)).mean(-1)
+    back = _distance(_pick(reconstruction, nearest_reconstruction), target).mean(-1)
     return ((forth + back) * valid).sum() / (2 * distributed.average_count(valid.sum()))
 
 
@@ -302,7 +302,7 @@ def _pick(points: Tensor, index: Tensor) -> Tensor:
 
 
 def _distance(a: Tensor, b: Tensor) -> Tensor:
-    # the root has no finite slope at 0
+    # the square root has no finite slope at 0
     return (a - b).square().sum(-1).clamp_min(1e-12).sqrt()
 
 
@@ -314,7 +314,7 @@ def _masked_mean(x: Tensor, valid: Tensor) -> Tensor:
 def temperature(progress: float, end: float) -> float:
     """Gumbel temperature at ``progress`` in [0, 1]: cosine from 1 to ``end`` over the first half.
 
-    Point-BERT's 100,000 of 197,000 iterations, as a share, so that it holds for any length of training.
+    Point-BERT uses 100,000 of 197,000 iterations; a share suits any length of training.
     """
     return end + (1 - end) * (1 + math.cos(math.pi * min(progress / 0.5, 1.0))) / 2
 

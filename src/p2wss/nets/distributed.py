@@ -1,8 +1,8 @@
-"""Training on several processes (torchrun): what differs from one process.
+"""Training on several processes (torchrun).
 
-Each process takes its rows of a batch. Losses are written so that their mean over the processes, and the
-mean of their gradients, are those of one process with the whole batch: sums are divided by counts averaged
-over the processes, batch norms take moments over all, and losses over pairs see the features of all.
+Each process takes some rows of a batch. Losses are defined so that their mean over the processes, and the mean of
+their gradients, equal those of a single process with the whole batch: sums are divided by counts averaged over the
+processes, batch norms use the moments over all, and losses over pairs see the features of all.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ def rank() -> int:
 
 @contextmanager
 def process_group(device: torch.device) -> Iterator[None]:
-    """Join the processes that torchrun started, if it did: NCCL between GPUs, gloo between CPUs."""
+    """Join the processes that torchrun started, if any: NCCL between GPUs, gloo between CPUs."""
     if int(os.environ.get("WORLD_SIZE", "1")) == 1 or dist.is_initialized():
         yield
         return
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
     if rank():
-        log.setLevel(logging.WARNING)  # the first process tells how far they are
+        log.setLevel(logging.WARNING)  # the main process reports the progress
     try:
         yield
     finally:
@@ -45,7 +45,7 @@ def process_group(device: torch.device) -> Iterator[None]:
 
 
 def is_main_process() -> bool:
-    """Whether this process writes the results: also known before and after :func:`process_group`."""
+    """Whether this process writes the results. Also valid outside of :func:`process_group`."""
     return os.environ.get("RANK", "0") == "0"
 
 
@@ -55,13 +55,13 @@ def barrier() -> None:
 
 
 def shard(index: np.ndarray) -> np.ndarray:
-    """The part of a batch (n,) that this process takes: equally many each, the remainder is left out."""
+    """The rows of a batch (n,) that this process takes: the same number each, without the remainder."""
     count = num_processes()
     return index[: len(index) // count * count][rank() :: count]
 
 
 def average_count(count: Tensor) -> Tensor:
-    """A count averaged over the processes, at least 1 in total: what a process divides its sum by."""
+    """A count averaged over the processes, at least 1 in total: the divisor of the sum of each process."""
     if num_processes() == 1:
         return count.clamp(min=1)
     total = count.clone()
@@ -80,7 +80,7 @@ def average_values(values: dict[str, float]) -> dict[str, float]:
 
 
 def average_gradients(module: nn.Module) -> None:
-    """Replace every gradient by its mean over the processes, in one message."""
+    """Replace every gradient by its mean over the processes, in a single reduction."""
     if num_processes() == 1:
         return
     gradients = [p.grad for p in module.parameters() if p.grad is not None]
@@ -92,12 +92,12 @@ def average_gradients(module: nn.Module) -> None:
 
 
 def average(x: Tensor) -> Tensor:
-    """The mean over the processes, which gradients pass through."""
+    """The differentiable mean over the processes."""
     return x if num_processes() == 1 else _Average.apply(x)
 
 
 def gather(x: Tensor) -> Tensor:
-    """The rows (b, ..) of all processes, joined; gradients find the way back to the process of the row."""
+    """The rows (b, ...) of all processes; each gradient goes back to the process of its row."""
     return x if num_processes() == 1 else _Gather.apply(x)
 
 

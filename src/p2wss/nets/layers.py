@@ -1,4 +1,4 @@
-"""Layers that both networks use: batch norm over all processes, and linear layers that read places."""
+"""Layers of both networks: batch norm over all processes, and linear layers that read coordinates."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from p2wss.nets import distributed
 
 
 class BatchNorm(nn.BatchNorm1d):
-    """Batch norm of rows (n, channels), with the moments of the rows of all processes (on CPUs too)."""
+    """Batch norm of rows (n, channels) with the moments over all processes (also on CPUs, unlike SyncBatchNorm)."""
 
     def forward(self, x: Tensor) -> Tensor:
         if not self.training or distributed.num_processes() == 1:
             return super().forward(x)
         rows = x.float()
-        # equally many rows in each process
+        # every process has the same number of rows
         mean, square = distributed.average(torch.stack([rows.mean(0), rows.square().mean(0)]))
         var = square - mean.square()
         self.track(mean, var, len(x) * distributed.num_processes())
@@ -25,7 +25,7 @@ class BatchNorm(nn.BatchNorm1d):
 
     @torch.no_grad()
     def track(self, mean: Tensor, var: Tensor, count: int) -> None:
-        """Follow the moments (channels,) of ``count`` rows."""
+        """Update the running moments with those (channels,) of ``count`` rows."""
         momentum = self.momentum or 0.0
         for name, value in (("running_mean", mean), ("running_var", var * (count / (count - 1)))):
             buffer = self.get_buffer(name)
@@ -33,15 +33,15 @@ class BatchNorm(nn.BatchNorm1d):
         self.get_buffer("num_batches_tracked").add_(1)
 
     def scale_and_shift(self) -> tuple[Tensor, Tensor]:
-        """The norm of evaluation, ``x * scale + shift``, each (channels,): what a neighbouring layer can absorb."""
+        """The norm in evaluation mode as ``x * scale + shift``, each (channels,), to be folded into another layer."""
         scale = self.weight * torch.rsqrt(self.get_buffer("running_var") + self.eps)
         return scale, self.bias - self.get_buffer("running_mean") * scale
 
 
-class PlaceLinear(nn.Linear):
-    """A linear layer that reads coordinates: in float32 under autocast, too.
+class CoordinateLinear(nn.Linear):
+    """A linear layer that reads coordinates: in float32 also under autocast.
 
-    In bfloat16 a coordinate of 50 m is known to 0.25 m.
+    In bfloat16 a coordinate of 50 m is rounded to 0.25 m.
     """
 
     def forward(self, x: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Which tokens the network has to restore while it trains."""
+"""Which tokens the network has to restore during training."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from p2wss.nets.tokenizer import KIND_ANGLE, KIND_COORDINATE, KIND_FRAME, KIND_H
 
 
 def mask_patches(patches: Patches, ratio: tuple[float, float]) -> Tensor:
-    """bool (b, g): a random valid patch and its neighbours, a share drawn from ``ratio`` (Point-BERT)."""
+    """bool (b, g): a random valid patch and its nearest neighbours; a share drawn from ``ratio`` (Point-BERT)."""
     valid = patches.valid
     batch = len(valid)
     device = valid.device
@@ -28,9 +28,9 @@ def mask_parameters(
 ) -> Tensor:
     """bool (b, l): tokens to hide, each sample by one of three patterns drawn with the given shares.
 
-    Inference pattern: all digits of height and angles. Table-1 pattern: all digits. Else: each token but
-    [start] and [end] with a probability drawn per sample from ``random_ratio``. The paper's masking is shares
-    of 0 and a ratio of (0.3, 0.3). ``kind`` is what :meth:`Tokenizer.kinds` gives.
+    Inference pattern: all digits of height and angles. Table-1 pattern: all digits. Random pattern, for the rest:
+    each token but [start] and [end] with a probability drawn per sample from ``random_ratio``. The paper's masking
+    has shares of 0 and a ratio of (0.3, 0.3). ``kind`` is the result of :meth:`Tokenizer.kinds`.
     """
     batch = len(kind)
     device = kind.device
@@ -38,9 +38,9 @@ def mask_parameters(
     ratio = random_ratio[0] + (random_ratio[1] - random_ratio[0]) * torch.rand(batch, 1, device=device)
     random = torch.rand(kind.shape, device=device) < ratio
     random &= (kind != KIND_PAD) & (kind != KIND_FRAME)
-    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
+    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
     return torch.where(
         draw < inference_share,
-        asked,
-        torch.where(draw < inference_share + table1_share, asked | (kind == KIND_COORDINATE), random),
+        targets,
+        torch.where(draw < inference_share + table1_share, targets | (kind == KIND_COORDINATE), random),
     )

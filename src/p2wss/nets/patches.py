@@ -1,7 +1,7 @@
 """Clouds to patches: farthest point sampling and k nearest neighbours (paper, section 4.2; Point-BERT).
 
-Padded points never become a centre or a neighbour. Plain torch: the known compiled operation skips points
-near the origin (Pointnet2_PyTorch #157), and at 64 steps per batch it is no faster where it matters.
+Padded points never become a centre or a neighbour. This is plain torch: the usual compiled operation skips points
+near the origin (Pointnet2_PyTorch #157), and with 64 centres per cloud it would hardly be faster.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ class Patches:
     """Patches of a batch of clouds.
 
     centre: float32 (b, g, 3). points: float32 (b, g, k, 3), relative to the centre. valid: bool (b, g), false
-    where a cloud has fewer distinct points than g: such a patch repeats another one and counts nowhere.
+    for the surplus patches of a cloud with fewer than g distinct points: they repeat others and are masked everywhere.
     """
 
     centre: Tensor
@@ -29,13 +29,13 @@ class Patches:
 
 
 def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Farthest point sampling from the first valid point on.
+    """Farthest point sampling that starts at the first valid point.
 
     ``points`` (b, p, 3), ``valid`` (b, p) with at least one true per row. Returns int64 (b, num_centres)
     indices, bool (b, num_centres), false once every valid point coincides with a chosen one, and the squared
     distances (b, num_centres, p) of all points from each chosen one, infinite for padding.
     """
-    # planar copies: contiguous rows make each step a few fused passes
+    # contiguous copies per axis make each step a few fused passes
     x, y, z = points.masked_fill(~valid[..., None], torch.inf).permute(2, 0, 1).contiguous()
     to_nearest = torch.where(valid, torch.inf, -1.0).to(points.dtype)
     chosen, distinct, distance = [], [], points.new_empty(num_centres, *valid.shape)
@@ -51,9 +51,9 @@ def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Te
 
 
 def nearest_points(distance: Tensor, k: int) -> Tensor:
-    """int64 (b, g, k): the k nearest of p points to each of g centres, the nearest repeated if there are fewer.
+    """int64 (b, g, k): the k points nearest to each of g centres; the nearest is repeated if there are fewer than k.
 
-    ``distance`` (b, g, p) as :func:`farthest_points` returns it: infinite for what is no point.
+    ``distance`` (b, g, p) as :func:`farthest_points` returns it: infinite for padding.
     """
     if distance.shape[-1] < k:
         pad = distance.new_full((*distance.shape[:2], k - distance.shape[-1]), torch.inf)
@@ -71,9 +71,9 @@ def squared_distance(a: Tensor, b: Tensor) -> Tensor:
 
 
 def patch_index(points: Tensor, valid: Tensor, num_patches: int, patch_size: int) -> Tensor:
-    """int64 (b, g, k): the points of each patch, one at its centre first; ``~index`` if it repeats another.
+    """int64 (b, g, k): the points of each patch, its centre first; ``~index`` for a patch that repeats another.
 
-    ``points`` (b, p, 3), ``valid`` (b, p). Turning, mirroring, scaling and moving a cloud does not change it.
+    ``points`` (b, p, 3), ``valid`` (b, p). Rotating, mirroring, scaling or moving a cloud does not change it.
     """
     _, distinct, distance = farthest_points(points, valid, num_patches)
     index = nearest_points(distance, patch_size)
@@ -81,7 +81,7 @@ def patch_index(points: Tensor, valid: Tensor, num_patches: int, patch_size: int
 
 
 def cut_patches(points: Tensor, index: Tensor) -> Patches:
-    """The patches of clouds (b, p, 3) that :func:`patch_index` (b, g, k) chose."""
+    """The patches of clouds (b, p, 3) from their :func:`patch_index` (b, g, k)."""
     distinct = index[..., 0] >= 0
     index = torch.where(distinct[..., None], index, ~index)
     neighbours = points.gather(1, index.flatten(1)[..., None].expand(-1, -1, 3)).unflatten(1, index.shape[1:])

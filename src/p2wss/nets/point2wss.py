@@ -1,4 +1,4 @@
-"""Point2WSS: two masked transformer branches that read each other (paper, sections 4.1 to 4.5)."""
+"""Point2WSS: two masked transformer branches with cross-attention to each other (paper, sections 4.1 to 4.5)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from p2wss.nets import distributed
 from p2wss.nets.discrete_vae import MiniPointNet
-from p2wss.nets.layers import PlaceLinear
+from p2wss.nets.layers import CoordinateLinear
 from p2wss.nets.patches import Patches
 from p2wss.nets.tokenizer import MASK, MINUS, PAD, Tokenizer
 from p2wss.nets.transformer import Encoder
@@ -19,13 +19,13 @@ from p2wss.nets.transformer import Encoder
 POSITION_WIDTH = 128
 INITIAL_LOGIT_SCALE = math.log(1 / 0.07)
 MAX_LOGIT_SCALE = math.log(100)
-# what inference needs: the rest of the weights serves training only
+# the weights that inference needs; the others serve training only
 INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.")
 
 
 @dataclass(frozen=True)
 class ModelSizes:
-    """Sizes and switches of the network that its weights depend on."""
+    """Sizes and switches that determine the network's weights."""
 
     dim: int
     num_heads: int
@@ -45,7 +45,7 @@ class ModelSizes:
 
 
 class CloudEncoder(nn.Module):
-    """Patches to features: mini-PointNet, [cls] token, position of the centres before every block."""
+    """Patches to features: mini-PointNet, [cls] token, positions of the patch centres added before every block."""
 
     def __init__(self, sizes: ModelSizes) -> None:
         super().__init__()
@@ -54,7 +54,7 @@ class CloudEncoder(nn.Module):
         self.embed = MiniPointNet(sizes.patch_dim)
         self.reduce = nn.Linear(sizes.patch_dim, dim)
         self.position = nn.Sequential(
-            PlaceLinear(4 if sizes.ground_relative else 3, POSITION_WIDTH),
+            CoordinateLinear(4 if sizes.ground_relative else 3, POSITION_WIDTH),
             nn.GELU(),
             nn.Linear(POSITION_WIDTH, dim),
         )
@@ -64,15 +64,16 @@ class CloudEncoder(nn.Module):
         self.encoder = Encoder(dim, sizes.cloud_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
 
     def embed_patches(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Embeddings (b, 1 + g, dim), positions (b, 1 + g, dim) and validity (b, 1 + g), [cls] first."""
+        """Embeddings and positional embeddings (b, 1 + g, dim) and validity (b, 1 + g), [cls] first."""
         batch = len(patches.centre)
-        where = patches.centre
+        coordinates = patches.centre
         if self.ground_relative:
-            where = torch.cat([where, where[..., 2:] - ground_z[:, None, None]], -1)
+            above_ground = coordinates[..., 2:] - ground_z[:, None, None]
+            coordinates = torch.cat([coordinates, above_ground], -1)
         cls = self.cls_token.expand(batch, 1, -1)
         embedded = self.embed(patches.points) if self.training else self.embed.infer(patches.points)
         x = torch.cat([cls, self.reduce(embedded)], 1)
-        position = torch.cat([self.cls_position.expand(batch, 1, -1), self.position(where)], 1)
+        position = torch.cat([self.cls_position.expand(batch, 1, -1), self.position(coordinates)], 1)
         return x, position, F.pad(patches.valid, (1, 0), value=True)
 
     def hide(self, x: Tensor, masked: Tensor) -> Tensor:
@@ -81,7 +82,7 @@ class CloudEncoder(nn.Module):
 
 
 class SequenceEncoder(nn.Module):
-    """Parameter token sequences to features."""
+    """Sequences of parameter tokens to features."""
 
     def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer) -> None:
         super().__init__()
@@ -89,7 +90,7 @@ class SequenceEncoder(nn.Module):
         self.tokenizer = tokenizer
         self.max_vertices = sizes.max_vertices
         self.word = nn.Embedding(tokenizer.vocabulary_size, dim)
-        # a position is the slot within the header or a vertex, and the vertex; the last rows mean "none"
+        # a position is the slot within the header or a vertex block, and the vertex; the last rows mean "none"
         self.slot = nn.Embedding(tokenizer.header_length + tokenizer.block_length + 1, dim)
         self.vertex = nn.Embedding(sizes.max_vertices + 1, dim)
         self.encoder = Encoder(dim, sizes.sequence_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
@@ -104,7 +105,7 @@ class SequenceEncoder(nn.Module):
         self.edge: nn.Module | None = None
         if sizes.edge_embedding:
             self.edge = nn.Sequential(
-                PlaceLinear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim)
+                CoordinateLinear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim)
             )
 
     def embed(self, tokens: Tensor, num_vertices: Tensor, edges: Tensor) -> Tensor:
@@ -120,7 +121,7 @@ class SequenceEncoder(nn.Module):
         if self.numerical is not None:
             x = x + self.numerical[tokens]
         if self.edge is not None:
-            # tokens of vertices only: the last one must not depend on how long its batch is
+            # tokens of vertices only: the end token must not depend on the length of the batch
             inside = torch.arange(edges.shape[1], device=tokens.device) < num_vertices[:, None]
             edge = (self.edge(edges) * inside[..., None]).repeat_interleave(tok.block_length, 1)
             x = x + F.pad(edge, (0, 0, tok.header_length, 1))
@@ -128,9 +129,9 @@ class SequenceEncoder(nn.Module):
 
 
 def numerical_encoding(value: Tensor, dim: int) -> Tensor:
-    """(words, dim): the Regression Transformer's NE[2i] = v / (2i + 1), NE[2i + 1] = -NE[2i].
+    """(vocabulary, dim): the Regression Transformer's NE[2i] = v / (2i + 1), NE[2i + 1] = -NE[2i].
 
-    v is the word's value scaled to at most 10.
+    v is the token's ``value`` (vocabulary,), scaled to at most 10.
     """
     even = value[:, None] * (10 / value.max()) / (2 * torch.arange((dim + 1) // 2) + 1)
     return torch.stack([even, -even], -1).flatten(1)[:, :dim]
@@ -139,19 +140,19 @@ def numerical_encoding(value: Tensor, dim: int) -> Tensor:
 def edge_features(
     tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, token_value: Tensor, scale: float
 ) -> Tensor:
-    """Both ends, length and outward normal of each edge, read from the tokens; zeros where any is hidden.
+    """The geometry of each edge, read from the tokens; zeros where a coordinate of its ends is masked.
 
-    Returns (b, n, 9): visible, start, end (scaled), length (scaled), outward normal, distance of the edge's
-    line from the origin. It restates what the coordinate words say: no digit that is masked can leak.
+    Returns (b, n, 9): visible, start, end (scaled), length (scaled), outward normal, signed distance of the
+    origin from the edge's line. It follows from the visible coordinate tokens alone: no masked digit can leak.
     """
     block = tokenizer.blocks(tokens)
     count = len(tokenizer.coord_places)
     axes = []
     visible = torch.ones(block.shape[:2], dtype=torch.bool, device=tokens.device)
     for slot in (tokenizer.x_slot, tokenizer.y_slot):
-        words = block[..., slot : slot + 1 + count]
-        visible &= (words != MASK).all(-1)
-        axes.append(token_value[words[..., 1:]].sum(-1) * torch.where(words[..., 0] == MINUS, -1, 1))
+        number = block[..., slot : slot + 1 + count]
+        visible &= (number != MASK).all(-1)
+        axes.append(token_value[number[..., 1:]].sum(-1) * torch.where(number[..., 0] == MINUS, -1, 1))
     start = torch.stack(axes, -1) * scale
     position = torch.arange(block.shape[1], device=tokens.device)
     following = (position + 1) % num_vertices[:, None].clamp(min=1)
@@ -167,26 +168,26 @@ def edge_features(
 
 
 class EdgeAttention(nn.Module):
-    """Each visible edge gathers what the patches around it say, seen from the edge.
+    """Attention of each visible edge to the patches, in the frame of the edge.
 
-    A pair of edge and patch is described by the patch's features and its place in the frame of the edge:
-    distance inwards from the edge's line, how far beyond its ends, position along it, height above the
-    ground. The network would find these relations by itself, from far more buildings.
+    A pair of edge and patch is described by the features of the patch and its position relative to the edge:
+    distance inwards from the edge's line, distance beyond its ends, position along it, height above the ground.
+    Without this layer the network would have to learn these relations from far more buildings.
     """
 
     def __init__(self, dim: int, num_heads: int) -> None:
         super().__init__()
         self.num_heads = num_heads
         self.from_patch = nn.Linear(dim, dim)
-        self.from_pair = PlaceLinear(7, dim, bias=False)
+        self.from_pair = CoordinateLinear(7, dim, bias=False)
         self.logits = nn.Linear(dim, num_heads)
-        # each head starts with its own reach around the edge, 10 m / decay
+        # the range of each head around the edge, at first, is 10 m / decay
         self.decay = nn.Parameter(torch.logspace(0.5, 1.5, num_heads))
         self.value = nn.Linear(dim, dim)
         self.out = nn.Linear(dim, dim)
 
     def forward(self, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor) -> Tensor:
-        """``edges`` (b, n, 9) of :func:`edge_features`, ``cloud`` (b, g, dim) -> (b, n, dim); 0: hidden."""
+        """``edges`` (b, n, 9) of :func:`edge_features`, ``cloud`` (b, g, dim) -> (b, n, dim), 0 for masked edges."""
         visible, start, end, length, normal, _ = edges.split([1, 2, 2, 1, 2, 1], -1)
         along = (end - start) / length.clamp_min(1e-6)
         offset = patches.centre[:, None, :, :2] - start[:, :, None]
@@ -194,22 +195,22 @@ class EdgeAttention(nn.Module):
         position = (offset * along[:, :, None]).sum(-1)
         beyond = torch.relu(-position) + torch.relu(position - length)
         height = (patches.centre[..., 2] - ground_z[:, None])[:, None].expand_as(inwards)
-        turned = normal[:, :, None].expand(*offset.shape)
+        direction = normal[:, :, None].expand(*offset.shape)
         pair = torch.stack([inwards, inwards.abs(), beyond, position - length / 2, height], -1)
-        h = F.gelu(self.from_pair(torch.cat([pair, turned], -1)) + self.from_patch(cloud)[:, None])
+        h = F.gelu(self.from_pair(torch.cat([pair, direction], -1)) + self.from_patch(cloud)[:, None])
         distance = inwards.abs() + beyond
         logits = self.logits(h) - distance[..., None] * self.decay
         logits = logits.masked_fill(~patches.valid[:, None, :, None], -torch.inf)
-        share = logits.softmax(2)
-        # the shares of a head add up to 1: what patches say is mixed before the value layer, once per edge
-        mixed = share.transpose(2, 3) @ h
+        attention = logits.softmax(2)
+        # the attention of a head sums to 1: averaging before the value layer is the same, and once per edge only
+        mixed = attention.transpose(2, 3) @ h
         weight = self.value.weight.unflatten(0, (self.num_heads, -1))
         value = torch.einsum("bnhd,hod->bnho", mixed, weight).flatten(2) + self.value.bias
         return self.out(value) * visible
 
 
 class Point2Wss(nn.Module):
-    """Both branches, token classifiers and alignment heads. ``sequence`` is the parameter branch."""
+    """Both branches, their token classifiers and alignment heads. ``sequence`` is the parameter branch."""
 
     def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer, scale: float) -> None:
         super().__init__()
@@ -253,44 +254,46 @@ class Point2Wss(nn.Module):
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
-        patches, ground_z (b,): in scaled, centred units. tokens int64 (b, l) without masks, token_masked bool
-        (b, l), num_vertices (b,). patch_masked bool (a, g), patch_labels int64 (a, g), codes of the dVAE:
-        of the first a <= b pairs, on which (1), (3) and (4) are computed. In the paper a = b.
+        patches, ground_z (b,): scaled and centred. tokens int64 (b, l) without masks, token_masked bool (b, l),
+        num_vertices (b,). patch_masked bool (a, g), patch_labels int64 (a, g), codes of the discrete VAE: of the
+        first a <= b pairs, on which the losses (1), (3) and (4) are computed. In the paper a = b.
         """
         first = slice(len(patch_masked))
-        # each branch runs once on a batch of its masked and its unmasked form
+        # each branch runs once, on a batch of its masked and its unmasked inputs
         x, position, valid = self.cloud.embed_patches(patches, ground_z)
         both = self.cloud.encoder(
             torch.cat([self.cloud.hide(x[first], patch_masked), x]),
             torch.cat([valid[first], valid]),
-            torch.cat([position[first], position]),
+            embedding=torch.cat([position[first], position]),
         )
         cloud_masked, cloud = both.tensor_split([len(patch_masked)])
-        hidden = tokens.masked_fill(token_masked, MASK)
+        masked = tokens.masked_fill(token_masked, MASK)
         present = tokens != PAD
-        edges = self._edges(hidden, num_vertices)
-        shown, num_shown = tokens[first], num_vertices[first]
+        edges = self._edges(masked, num_vertices)
+        unmasked, num_unmasked = tokens[first], num_vertices[first]
         both = self.sequence.encoder(
             torch.cat(
                 [
-                    self.sequence.embed(shown, num_shown, self._edges(shown, num_shown)),
-                    self.sequence.embed(hidden, num_vertices, edges),
+                    self.sequence.embed(unmasked, num_unmasked, self._edges(unmasked, num_unmasked)),
+                    self.sequence.embed(masked, num_vertices, edges),
                 ]
             ),
             torch.cat([present[first], present]),
         )
-        sequence, sequence_masked = both.tensor_split([len(shown)])
-        from_cloud = self.cloud_cross(cloud_masked, valid[first], position[first], sequence, present[first])
-        sequence_masked = self._look(sequence_masked, edges, cloud, patches, ground_z)
-        from_sequence = self.sequence_cross(sequence_masked, present, None, cloud, valid)
+        sequence, sequence_masked = both.tensor_split([len(unmasked)])
+        cloud_fused = self.cloud_cross(
+            cloud_masked, valid[first], embedding=position[first], source=(sequence, present[first])
+        )
+        sequence_masked = self._add_edge_attention(sequence_masked, edges, cloud, patches, ground_z)
+        sequence_fused = self.sequence_cross(sequence_masked, present, source=(cloud, valid))
 
-        cloud_logits = self.cloud_head(from_cloud[:, 1:][patch_masked])
-        sequence_logits = self.sequence_head(from_sequence[token_masked])
+        cloud_logits = self.cloud_head(cloud_fused[:, 1:][patch_masked])
+        sequence_logits = self.sequence_head(sequence_fused[token_masked])
         return {
             "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
             "sequence": _mean_cross_entropy(sequence_logits, tokens[token_masked]),  # (2)
             "modal": self._modal_loss(cloud[first, 0], sequence[:, 0]),  # (3)
-            "match": self._match_loss(from_cloud[:, 0], from_sequence[first, 0], match_balanced),  # (4)
+            "match": self._match_loss(cloud_fused[:, 0], sequence_fused[first, 0], match_balanced),  # (4)
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
@@ -303,8 +306,8 @@ class Point2Wss(nn.Module):
     def _match_loss(self, g_p: Tensor, g_s: Tensor, balanced: bool) -> Tensor:
         """Equation 4 over all B^2 pairs of (b, dim) features, of all processes.
 
-        FC(g_p[i] * g_s[j]) = sum_d W[c, d] g_p[i, d] g_s[j, d] + b[c]: two matrix products instead of
-        B^2 fused features; exact.
+        FC(g_p[i] * g_s[j]) = sum_d W[c, d] g_p[i, d] g_s[j, d] + b[c], so two matrix products replace the
+        B^2 fused features exactly.
         """
         weight, bias = self.match.weight.float(), self.match.bias.float()
         g_p, g_s = distributed.gather(g_p.float()), distributed.gather(g_s.float())
@@ -312,15 +315,15 @@ class Point2Wss(nn.Module):
         target = torch.eye(len(g_p), dtype=torch.int64, device=g_p.device)
         if balanced:
             loss = F.cross_entropy(logits.flatten(0, 1), target.flatten(), reduction="none").view_as(target)
-            same = loss.diagonal().mean()
-            other = (loss.sum() - loss.diagonal().sum()) / max(loss.numel() - len(loss), 1)
-            return (same + other) / 2
+            matching = loss.diagonal().mean()
+            others = (loss.sum() - loss.diagonal().sum()) / max(loss.numel() - len(loss), 1)
+            return (matching + others) / 2
         return F.cross_entropy(logits.flatten(0, 1), target.flatten(), weight=logits.new_tensor([0.1, 0.9]))
 
     def cloud_features(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor]:
         """(b, 1 + g, dim) features of unmasked clouds and their validity (b, 1 + g)."""
         x, position, valid = self.cloud.embed_patches(patches, ground_z)
-        return self.cloud.encoder(x, valid, position), valid
+        return self.cloud.encoder(x, valid, embedding=position), valid
 
     def restore(
         self,
@@ -330,29 +333,32 @@ class Point2Wss(nn.Module):
         ground_z: Tensor,
         cloud: Tensor,
         valid: Tensor,
-        asked: Tensor | None = None,
+        positions: Tensor | None = None,
     ) -> Tensor:
-        """Logits (b, l, words) of partly masked sequences, given the ``cloud_features`` of their patches.
+        """Logits (b, l, vocabulary) of partly masked sequences, given the ``cloud_features`` of their patches.
 
-        With ``asked``, int64 (r,), those at these positions only, (b, r, words), which takes less time.
+        With ``positions``, int64 (r,), only the logits there are computed, (b, r, vocabulary), which is faster.
         """
         present = tokens != PAD
         edges = self._edges(tokens, num_vertices)
         x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, edges), present)
-        x = self._look(x, edges, cloud, patches, ground_z)
-        return self.sequence_head(self.sequence_cross(x, present, None, cloud, valid, asked))
+        x = self._add_edge_attention(x, edges, cloud, patches, ground_z)
+        x = self.sequence_cross(x, present, source=(cloud, valid), positions=positions)
+        return self.sequence_head(x)
 
     def _edges(self, tokens: Tensor, num_vertices: Tensor) -> Tensor:
         value = self.sequence.get_buffer("token_value")
         return edge_features(self.tokenizer, tokens, num_vertices, value, self.scale)
 
-    def _look(self, x: Tensor, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor) -> Tensor:
-        """Add to the tokens of each vertex what its edge gathers from the patches."""
+    def _add_edge_attention(
+        self, x: Tensor, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor
+    ) -> Tensor:
+        """Add the features of each edge, from its attention to the patches, to the tokens of its vertex."""
         if self.look is None:
             return x
         tok = self.tokenizer
-        seen = self.look(edges, cloud[:, 1:], patches, ground_z).repeat_interleave(tok.block_length, 1)
-        return x + F.pad(seen, (0, 0, tok.header_length, 1))
+        features = self.look(edges, cloud[:, 1:], patches, ground_z).repeat_interleave(tok.block_length, 1)
+        return x + F.pad(features, (0, 0, tok.header_length, 1))
 
 
 def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
@@ -362,15 +368,15 @@ def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
 
 
 def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The part of a state dict that :meth:`Point2Wss.restore` and ``cloud_features`` use."""
+    """The part of a state dict that :meth:`Point2Wss.restore` and :meth:`Point2Wss.cloud_features` use."""
     return {name: value for name, value in state.items() if name.startswith(INFERENCE_PARTS)}
 
 
 def _initialise(module: nn.Module) -> None:
-    """Embeddings as large as what a linear layer makes of them.
+    """Embeddings with a standard deviation of 1 / sqrt(width).
 
-    Linear layers keep the default, which follows their width: Point-BERT's 0.02 suits a width of 384 and
-    would drown the position of patches in a narrow network.
+    Linear layers keep torch's default, which follows their width: Point-BERT's 0.02 suits a width of 384, and in a
+    narrow network it would make the positions of patches too small beside other terms.
     """
     if isinstance(module, nn.Embedding):
         nn.init.trunc_normal_(module.weight, std=module.embedding_dim**-0.5)

@@ -1,7 +1,8 @@
-"""Batch norm, ReLU and a linear layer over all points of all patches, in pieces that fit a CPU's cache.
+"""Batch norm, ReLU and a linear layer over all points of all patches, fused in chunks that fit a CPU's cache.
 
-Most of a training step on a CPU is spent here, and layer by layer most of that is memory: each layer writes
-tens of megabytes and reads them again, forwards and backwards. Here only the rows before the norm are kept.
+Most of a training step on a CPU is spent here, and layer by layer most of that time would go into memory traffic:
+each layer writes tens of megabytes and reads them again, forwards and backwards. Fused, only the rows before the
+norm are kept in memory.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from torch.nn import functional as F
 from p2wss.nets import distributed
 from p2wss.nets.layers import BatchNorm
 
-# numbers of the widest layer per thread and piece: a few such arrays fit into 1 MiB
-PIECE = 524288
+# numbers per thread and chunk, at the widest layer
+CHUNK_NUMBERS = 524288
 
 
 def norm_relu_linear(
@@ -28,9 +29,9 @@ def norm_relu_linear(
     num_pooled: int = 0,
     offset: Tensor | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """``linear(relu(norm(rows)))``: of the first ``num_pooled`` outputs the maximum of each group only.
+    """``linear(relu(norm(rows)))``; of the first ``num_pooled`` outputs only the maximum over each group.
 
-    ``rows`` (g, k, c), or (1, k, c) to which each group adds its own ``offset`` (g, c). ``weight`` (out, c),
+    ``rows`` (g, k, c), or (1, k, c) if every group adds an ``offset`` (g, c) to the same rows. ``weight`` (out, c),
     ``bias`` (out,). Returns (g, num_pooled) and (g, k, out - num_pooled).
     """
     fused = rows.device.type == "cpu" and not torch.is_autocast_enabled("cpu")
@@ -48,8 +49,9 @@ def norm_relu_linear(
 
 
 class _NormReluLinear(torch.autograd.Function):
-    """The same by hand. With z = rows + offset, m and q the means of z and of its square over all rows:
+    """The fused layers and their gradients.
 
+    With z = rows + offset, and m and q the means of z and of its square over all rows:
     y = relu(scale z + shift) W + bias, where scale and shift follow from m, q and the norm's weights.
     """
 
@@ -69,7 +71,7 @@ class _NormReluLinear(torch.autograd.Function):
         k, width = rows.shape[1:]
         if norm.training:
             total = torch.zeros(2, width, dtype=torch.float64)
-            for _, z in _pieces(rows, offset, weight):
+            for _, z in _chunks(rows, offset, weight):
                 total[0] += z.sum(0)
                 total[1] += z.square().sum(0)
             moments = distributed.average(total / (groups * k))
@@ -80,11 +82,11 @@ class _NormReluLinear(torch.autograd.Function):
         pooled = rows.new_empty(groups, num_pooled)
         winner = torch.empty(groups, num_pooled, dtype=torch.int64)
         y = rows.new_empty(groups, k, len(weight) - num_pooled)
-        for part, z in _pieces(rows, offset, weight):
+        for part, z in _chunks(rows, offset, weight):
             h = torch.addcmul(shift, z, scale).relu_()
             if num_pooled:
-                found = torch.addmm(bias[:num_pooled], h, weight[:num_pooled].T).unflatten(0, (-1, k))
-                torch.max(found, 1, out=(pooled[part], winner[part]))
+                outputs = torch.addmm(bias[:num_pooled], h, weight[:num_pooled].T).unflatten(0, (-1, k))
+                torch.max(outputs, 1, out=(pooled[part], winner[part]))
             if num_pooled < len(weight):
                 torch.addmm(bias[num_pooled:], h, weight[num_pooled:].T, out=y[part].flatten(0, 1))
         ctx.save_for_backward(rows, offset, gamma, beta, weight, winner, moments)
@@ -107,35 +109,35 @@ class _NormReluLinear(torch.autograd.Function):
         d_weight = torch.zeros_like(weight)
         d_bias = torch.cat([d_pooled.sum(0), rows.new_zeros(len(weight) - num_pooled)])
         d_shift = rows.new_zeros(width)
-        # first without what z changes by changing m and q
-        for part, z in _pieces(rows, offset, weight):
+        # first pass: the gradient with m and q taken as constants
+        for part, z in _chunks(rows, offset, weight):
             h = torch.addcmul(shift, z, scale).relu_()
             d_z = torch.empty_like(z) if d_offset is not None else d_rows[part].flatten(0, 1)
             if num_pooled:
-                d_found = rows.new_zeros(part.stop - part.start, k, num_pooled)
-                d_found = d_found.scatter_(1, winner[part, None], d_pooled[part, None]).flatten(0, 1)
-                d_weight[:num_pooled].addmm_(d_found.T, h)
-                d_z.addmm_(d_found, weight[:num_pooled], beta=0)
+                d_outputs = rows.new_zeros(part.stop - part.start, k, num_pooled)
+                d_outputs = d_outputs.scatter_(1, winner[part, None], d_pooled[part, None]).flatten(0, 1)
+                d_weight[:num_pooled].addmm_(d_outputs.T, h)
+                d_z.addmm_(d_outputs, weight[:num_pooled], beta=0)
             if num_pooled < len(weight):
-                d_found = d_y[part].flatten(0, 1)
-                d_weight[num_pooled:].addmm_(d_found.T, h)
-                d_bias[num_pooled:] += d_found.sum(0)
-                d_z.addmm_(d_found, weight[num_pooled:], beta=1 if num_pooled else 0)
+                d_outputs = d_y[part].flatten(0, 1)
+                d_weight[num_pooled:].addmm_(d_outputs.T, h)
+                d_bias[num_pooled:] += d_outputs.sum(0)
+                d_z.addmm_(d_outputs, weight[num_pooled:], beta=1 if num_pooled else 0)
             torch.ops.aten.threshold_backward.grad_input(d_z, h, 0, grad_input=d_z)
             d_shift += d_z.sum(0)
             if d_offset is not None:
                 torch.sum(d_z.unflatten(0, (-1, k)), 1, out=d_offset[part])
                 d_rows += d_z.unflatten(0, (-1, k)).sum(0)
-        # sum of d_z z: where d_z is not 0, z is (h - shift) / scale, and the sum of d_h h is in d_weight
+        # the sum of d_z z: where d_z is not 0, z is (h - shift) / scale, and d_weight holds the sum of d_h h
         d_scale = ((weight * d_weight).sum(0) - shift * d_shift) / scale
         d_scale = torch.where(scale.abs() < 1e-6, 0.0, d_scale)
         d_moments, d_gamma, d_beta = torch.autograd.grad(affine, leaves, (d_scale, d_shift))
         # the moments are those of all processes
         d_moments = torch.zeros_like(d_moments) if ctx.constant else distributed.average(d_moments)
-        # then with it: d_z scale + d_m / n + 2 z d_q / n
+        # second pass, with m and q as functions of z: d_z scale + d_m / n + 2 z d_q / n
         d_mean, d_square = (d_moments * torch.tensor([[1.0], [2.0]]) / (groups * k)).to(rows.dtype)
         if offset is None or d_offset is None:
-            for part, z in _pieces(rows, None, weight):
+            for part, z in _chunks(rows, None, weight):
                 d_z = d_rows[part].flatten(0, 1)
                 torch.addcmul(torch.addcmul(d_mean, z, d_square), d_z, scale, out=d_z)
         else:
@@ -144,17 +146,17 @@ class _NormReluLinear(torch.autograd.Function):
         return d_rows, d_offset, d_gamma, d_beta, d_weight, d_bias, None, None
 
 
-def _pieces(rows: Tensor, offset: Tensor | None, weight: Tensor) -> Iterator[tuple[slice, Tensor]]:
-    """Groups of each piece and their rows + offset (n, c)."""
+def _chunks(rows: Tensor, offset: Tensor | None, weight: Tensor) -> Iterator[tuple[slice, Tensor]]:
+    """The groups of each chunk and their rows + offset (n, c)."""
     groups = len(rows) if offset is None else len(offset)
-    size = max(PIECE * torch.get_num_threads() // (rows.shape[1] * max(weight.shape)), 1)
+    size = max(CHUNK_NUMBERS * torch.get_num_threads() // (rows.shape[1] * max(weight.shape)), 1)
     for first in range(0, groups, size):
         part = slice(first, min(first + size, groups))
         yield part, (rows[part] if offset is None else rows + offset[part, None]).flatten(0, 1)
 
 
 def _affine(moments: Tensor, gamma: Tensor, beta: Tensor, eps: float) -> tuple[Tensor, Tensor]:
-    """What the norm multiplies by and adds, from the means of z and its square, in float64."""
+    """Scale and shift of the norm, from the means of z and of its square, in float64."""
     mean, square = moments
     scale = gamma * torch.rsqrt((square - mean.square()).clamp_min(0) + eps)
     return scale.to(gamma.dtype), (beta - mean * scale).to(gamma.dtype)

@@ -4,12 +4,13 @@ A building with n vertices is ::
 
     [start] [height] d d d d  ( [point] [x] ± d d d d [y] ± d d d d [angle] d d ) * n  [end]
 
-where ``d`` at place j is the word d * 10^j, as in the Regression Transformer (Born and Manica, 2022). With
-four digits per length and two per angle that is 7 + 16 n tokens of 51 words. The sequence starts at the
-uppermost-left vertex (largest y, then smallest x, on the quantised integers: axis-aligned buildings tie
-exactly) and goes round counter-clockwise; the angle after a vertex is that of the edge which leaves it.
+where ``d`` at place j is the token d * 10^j, as in the Regression Transformer (Born and Manica, 2022). With
+four digits per length and two per angle the sequence has 7 + 16 n tokens from a vocabulary of 51. It starts at
+the uppermost-left vertex (largest y, then smallest x; compared as quantised integers, because vertices of
+axis-aligned buildings tie exactly) and goes round counter-clockwise. The angle after a vertex is that of the edge
+that leaves it.
 
-All functions work on batches of padded tensors; ``num_vertices`` tells how much of a row is meant.
+All functions work on batches of padded tensors, of which each row is valid up to its ``num_vertices``.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ SPECIAL = (
 PAD, MASK, START, END, HEIGHT, ANGLE, POINT, X, Y, PLUS, MINUS = range(len(SPECIAL))
 FIRST_DIGIT = len(SPECIAL)
 
-# what a position of the sequence holds
+# the kinds of positions of a sequence
 KIND_PAD, KIND_FRAME, KIND_TYPE, KIND_SIGN, KIND_HEIGHT, KIND_COORDINATE, KIND_ANGLE = range(7)
 
 
@@ -44,7 +45,7 @@ class Parameters:
     """Quantised parameter sets of a batch, in canonical order.
 
     height: int64 (b,), units of 10^-height_decimals m. xy: int64 (b, n, 2), units of 10^-coord_decimals m.
-    angle: int64 (b, n), degrees. num_vertices: int64 (b,). What lies beyond ``num_vertices`` is 0.
+    angle: int64 (b, n), degrees. num_vertices: int64 (b,). Values beyond ``num_vertices`` are 0.
     """
 
     height: Tensor
@@ -85,13 +86,13 @@ class Tokenizer:
         # slots within a vertex block
         self.x_slot, self.y_slot = 2, 4 + len(self.coord_places)
         self.angle_slot = self.block_length - len(self.angle_places)
-        # value of each word, 0 for those that are no digits
+        # the number that each token stands for, 0 for those that are not digits
         self.token_value = torch.tensor(
             [0.0] * FIRST_DIGIT + [digit * 10.0**place for place in self.places for digit in range(10)]
         )
 
     def length(self, num_vertices: int) -> int:
-        """Tokens of a building with so many vertices."""
+        """Number of tokens of a building with ``num_vertices`` vertices."""
         return self.header_length + self.block_length * num_vertices + 1
 
     # --- quantise, canonical order ---
@@ -166,7 +167,7 @@ class Tokenizer:
     def decode(self, tokens: Tensor) -> Parameters:
         """The parameters of complete sequences (no [mask]), the inverse of :meth:`encode`.
 
-        Raises ``ValueError`` for a sequence that :meth:`encode` cannot have made.
+        Raises ``ValueError`` for a sequence that :meth:`encode` cannot produce.
         """
         num_vertices = self.num_vertices(tokens)
         n = (tokens.shape[1] - self.header_length - 1) // self.block_length
@@ -192,15 +193,15 @@ class Tokenizer:
         return parameters
 
     def num_vertices(self, tokens: Tensor) -> Tensor:
-        """int64 (b,): vertices of each sequence, told by its padding ([mask] counts as a token)."""
+        """int64 (b,): vertices of each sequence, from its length without padding ([mask] counts as a token)."""
         return ((tokens != PAD).sum(1) - self.header_length - 1) // self.block_length
 
     def blocks(self, tokens: Tensor) -> Tensor:
-        """(b, n, block_length) view of what lies between header and the last position."""
+        """(b, n, block_length): the tokens between the header and the last position, per vertex; a view."""
         return tokens[:, self.header_length : -1].unflatten(1, (-1, self.block_length))
 
     def kinds(self, tokens_shape: torch.Size, num_vertices: Tensor) -> Tensor:
-        """int64 (b, l): what each position holds, one of the ``KIND_`` constants."""
+        """int64 (b, l): the kind of each position, one of the ``KIND_`` constants."""
         device = num_vertices.device
         n = (tokens_shape[1] - self.header_length - 1) // self.block_length
         kind = torch.cat([self._header[1], self._block[1].repeat(n), torch.tensor([KIND_PAD])]).to(device)
@@ -209,8 +210,8 @@ class Tokenizer:
         kind = kind.expand(len(num_vertices), -1).masked_fill(position >= end, KIND_PAD)
         return kind.masked_fill(position == end, KIND_FRAME)
 
-    def masked(self, parameters: Parameters) -> tuple[Tensor, Tensor]:
-        """The inference sequence (section 4.3): digits of height and angles are [mask].
+    def mask_targets(self, parameters: Parameters) -> tuple[Tensor, Tensor]:
+        """The sequence of inference (section 4.3), in which the digits of height and angles are [mask].
 
         ``height`` and ``angle`` of the argument are ignored. Returns tokens (b, l) and kinds (b, l).
         """
@@ -225,33 +226,35 @@ class Tokenizer:
         return tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK), kind
 
     def target_positions(self, n: int) -> Tensor:
-        """int64 (r,): positions of the digits of the height, then of the angles of n vertices, edge by edge."""
+        """int64 (r,): the positions that inference predicts: the digits of the height, then those of the angles of n
+        vertices, edge by edge."""
         kind = torch.cat([self._header[1], self._block[1].repeat(n)])
         return torch.cat([(kind == KIND_HEIGHT).nonzero()[:, 0], (kind == KIND_ANGLE).nonzero()[:, 0]])
 
     def _digits(self, value: Tensor, places: tuple[int, ...]) -> Tensor:
-        """(..., len(places)) words of non-negative integers in units of the last place."""
+        """(..., len(places)): digit tokens of non-negative integers in units of the last place."""
         powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=value.device)
         first = torch.tensor(
             [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=value.device
         )
         return (value[..., None] // powers) % 10 + first
 
-    def _number(self, words: Tensor, places: tuple[int, ...]) -> Tensor:
-        powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=words.device)
+    def _number(self, digits: Tensor, places: tuple[int, ...]) -> Tensor:
+        """The inverse of :meth:`_digits`."""
+        powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=digits.device)
         first = torch.tensor(
-            [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=words.device
+            [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=digits.device
         )
-        return ((words - first) * powers).sum(-1)
+        return ((digits - first) * powers).sum(-1)
 
     def digit_tokens(self, place: int) -> slice:
-        """The ten words of a place, as a slice of the vocabulary."""
+        """The ten digit tokens of a place, as a slice of the vocabulary."""
         first = FIRST_DIGIT + 10 * self.places.index(place)
         return slice(first, first + 10)
 
 
 def roll_index(start: Tensor, num_vertices: Tensor, n: int) -> Tensor:
-    """int64 (b, n): index (start + i) mod num_vertices; beyond a ring's end any valid index."""
+    """int64 (b, n): the index (start + i) mod num_vertices; beyond the end of a ring any valid index."""
     return (start[:, None] + torch.arange(n, device=start.device)) % num_vertices[:, None].clamp(min=1)
 
 

@@ -1,4 +1,4 @@
-"""Pre-norm transformer blocks, with and without cross-attention."""
+"""Pre-norm transformer blocks, with or without cross-attention."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch.nn import functional as F
 
 
 class Attention(nn.Module):
-    """Multi-head attention of ``x`` over ``source``; no bias in the projections (Point-BERT)."""
+    """Multi-head attention from ``x`` to ``source``, without biases in the projections (Point-BERT)."""
 
     def __init__(self, dim: int, num_heads: int) -> None:
         super().__init__()
@@ -42,8 +42,14 @@ class DropPath(nn.Module):
 
 
 class Mlp(nn.Sequential):
+    """Two linear layers, the hidden width being ``ratio`` times ``dim``."""
+
     def __init__(self, dim: int, ratio: float) -> None:
         super().__init__(nn.Linear(dim, int(ratio * dim)), nn.GELU(), nn.Linear(int(ratio * dim), dim))
+
+
+# features (b, s, dim) and where attention to them is allowed, bool to (b, heads, l, s)
+Source = tuple[Tensor, Tensor]
 
 
 class Block(nn.Module):
@@ -53,33 +59,30 @@ class Block(nn.Module):
         super().__init__()
         self.self_norm = nn.LayerNorm(dim)
         self.self_attention = Attention(dim, num_heads)
-        if cross:
-            self.cross_norm = nn.LayerNorm(dim)
-            self.cross_attention = Attention(dim, num_heads)
+        self.cross_norm = nn.LayerNorm(dim) if cross else None
+        self.cross_attention = Attention(dim, num_heads) if cross else None
         self.mlp_norm = nn.LayerNorm(dim)
         self.mlp = Mlp(dim, mlp_ratio)
         self.drop_path = DropPath(drop_path)
 
     def forward(
-        self,
-        x: Tensor,
-        allowed: Tensor,
-        source: Tensor | None = None,
-        source_allowed: Tensor | None = None,
-        rows: Tensor | None = None,
+        self, x: Tensor, allowed: Tensor, source: Source | None, positions: Tensor | None = None
     ) -> Tensor:
-        """(b, l, dim), or (b, r, dim) if only ``rows``, int64 (r,), are asked for."""
+        """``x`` (b, l, dim), ``allowed`` bool to (b, heads, l, l) -> (b, l, dim), or (b, r, dim) of the
+        ``positions``, int64 (r,). ``source`` is what a block with cross-attention reads."""
         h = query = self.self_norm(x)
-        if rows is not None:
-            x, query = x[:, rows], h[:, rows]
+        if positions is not None:
+            x, query = x[:, positions], h[:, positions]
         x = x + self.drop_path(self.self_attention(query, h, allowed))
-        if source is not None and source_allowed is not None:
-            x = x + self.drop_path(self.cross_attention(self.cross_norm(x), source, source_allowed))
+        if self.cross_attention is not None and self.cross_norm is not None:
+            assert source is not None
+            features, source_allowed = source
+            x = x + self.drop_path(self.cross_attention(self.cross_norm(x), features, source_allowed))
         return x + self.drop_path(self.mlp(self.mlp_norm(x)))
 
 
 class Encoder(nn.Module):
-    """``depth`` blocks and a final norm; drop path grows linearly to ``drop_path``."""
+    """``depth`` blocks and a final norm; the rate of stochastic depth grows linearly to ``drop_path``."""
 
     def __init__(
         self,
@@ -99,19 +102,23 @@ class Encoder(nn.Module):
         self,
         x: Tensor,
         valid: Tensor,
-        position: Tensor | None = None,
-        source: Tensor | None = None,
-        source_valid: Tensor | None = None,
-        rows: Tensor | None = None,
+        *,
+        embedding: Tensor | None = None,
+        source: Source | None = None,
+        positions: Tensor | None = None,
     ) -> Tensor:
-        """(b, l, dim). ``valid`` bool (b, l); ``source`` (b, s, dim) with ``source_valid`` bool (b, s).
+        """``x`` (b, l, dim), ``valid`` bool (b, l), false for padding -> (b, l, dim).
 
-        ``position`` (b, l, dim) is added before every block (Point-BERT's habit for clouds). Whoever reads only
-        some ``rows``, int64 (r,), gets those, (b, r, dim): the last block computes no others.
+        embedding: (b, l, dim), of positions, added before every block (as Point-BERT does for clouds). source:
+        for cross-attention, features (b, s, dim) and their validity, bool (b, s). positions: int64 (r,), those
+        whose output is needed; the result is (b, r, dim), and the last block computes no others.
         """
         allowed = valid[:, None, None]
-        source_allowed = None if source_valid is None else source_valid[:, None, None]
-        for block in self.blocks:
-            asked = rows if block is self.blocks[-1] else None
-            x = block(x if position is None else x + position, allowed, source, source_allowed, asked)
+        if source is not None:
+            features, source_valid = source
+            source = features, source_valid[:, None, None]
+        last = len(self.blocks) - 1
+        for index, block in enumerate(self.blocks):
+            x = x if embedding is None else x + embedding
+            x = block(x, allowed, source, positions if index == last else None)
         return self.norm(x)

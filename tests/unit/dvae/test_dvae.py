@@ -16,7 +16,7 @@ from p2wss.dvae import task
 from p2wss.errors import InputError
 from p2wss.nets import training
 from p2wss.nets.metrics_log import read_metrics
-from p2wss.nets.weights import load_dvae, write_weights
+from p2wss.nets.weights import load_dvae
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +76,3 @@ def test_a_collapsed_codebook_is_refused(
     monkeypatch.setattr(task, "MIN_CODE_USAGE", 1.1)
     with pytest.raises(InputError, match=r"codebook collapsed: .* of 16 codes in use"):
         dvae.train(manifest, load({"dvae": SMALL_DVAE}).dvae, tmp_path, "x")
-
-
-def test_weights_of_the_other_stage_are_refused(tmp_path: Path) -> None:
-    write_weights(tmp_path / "m.safetensors", {}, {"kind": "model"})
-    with pytest.raises(InputError, match="not a dvae of p2wss"):
-        load_dvae(tmp_path / "m.safetensors")

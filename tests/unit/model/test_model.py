@@ -19,7 +19,7 @@ from p2wss.model import task
 from p2wss.nets import dataset
 from p2wss.nets.builders import build_dvae, build_tokenizer
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
-from p2wss.nets.predictor import INFERENCE_BATCH, Predictor, load_predictor
+from p2wss.nets.predictor import BATCH_SIZE, Predictor, load_predictor
 from p2wss.nets.shards import load_dataset
 from p2wss.nets.weights import save_dvae
 
@@ -156,7 +156,7 @@ def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predi
     batches = list(predictor._similar_size_batches(num_points, num_vertices))
     assert sorted(np.concatenate(batches)) == list(range(200))
     for batch in batches:
-        assert len(batch) <= INFERENCE_BATCH["cpu"]
+        assert len(batch) <= BATCH_SIZE["cpu"]
         assert num_vertices[batch].max() <= 1.25 * num_vertices[batch].min()
     assert len(batches) < 25
 

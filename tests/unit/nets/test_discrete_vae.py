@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from torch.nn import functional as F
 
 from p2wss.nets.discrete_vae import (
-    PATCHES_AT_ONCE,
+    INFERENCE_PATCHES,
     DiscreteVae,
     DvaeSizes,
     EdgeConvolution,
@@ -81,7 +81,7 @@ def test_point_net_infers_what_it_says_in_evaluation() -> None:
     torch.manual_seed(0)
     net = with_random_norms(MiniPointNet(16))
     points = torch.randn(3, 15, 7, 3)  # more patches than it embeds at once, and a rest
-    assert PATCHES_AT_ONCE < 3 * 15 and (3 * 15) % PATCHES_AT_ONCE
+    assert INFERENCE_PATCHES < 3 * 15 and (3 * 15) % INFERENCE_PATCHES
     assert torch.allclose(net.infer(points), net(points), atol=2e-5)
     assert net(points).std() > 0.1
 

@@ -114,7 +114,7 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     tok = Tokenizer()
     square = torch.tensor([[[-3.0, 2.5], [-3.0, -2.5], [3.0, -2.5], [3.0, 2.5]]])
     parameters = tok.quantise(torch.tensor([5.0]), square, torch.zeros(1, 4), torch.tensor([4]))
-    tokens, _ = tok.masked(parameters)
+    tokens, _ = tok.mask_targets(parameters)
     found = edge_features(tok, tokens, torch.tensor([4]), tok.token_value, 0.1)[0]
     #            seen  start        end          length normal  distance
     expected = [
@@ -143,7 +143,7 @@ def test_edges_look_at_patches_in_their_own_frame() -> None:
 
     def seen(shift: float, some: Patches, hidden: int | None = None) -> torch.Tensor:
         parameters = tok.quantise(torch.tensor([5.0]), square + shift, torch.zeros(1, 4), num)
-        tokens, _ = tok.masked(parameters)
+        tokens, _ = tok.mask_targets(parameters)
         if hidden is not None:
             tokens[0, tok.header_length + tok.block_length * hidden + tok.x_slot + 1] = MASK
         return look(edge_features(tok, tokens, num, tok.token_value, 0.1), cloud, some, ground)[0]

@@ -1,4 +1,4 @@
-"""Norm, ReLU and linear layer in pieces against the layers of torch."""
+"""Norm, ReLU and linear layer in chunks against the layers of torch."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from p2wss.nets.pointwise import norm_relu_linear
 
 
 @pytest.fixture(autouse=True)
-def small_pieces(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Several pieces, the last one smaller; float64, so that only mistakes differ."""
-    monkeypatch.setattr(pointwise, "PIECE", 150)
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Several chunks, the last one smaller; float64, so that only mistakes differ."""
+    monkeypatch.setattr(pointwise, "CHUNK_NUMBERS", 150)
     torch.manual_seed(0)
     torch.set_default_dtype(torch.float64)
     yield

@@ -129,7 +129,7 @@ def test_inference_sequence_hides_height_and_angles_only() -> None:
     height, xy, angle, num = buildings(3, 6)
     parameters, _ = tok.canonical(tok.quantise(height, xy, angle, num))
     full = tok.encode(parameters)
-    hidden, kind = tok.masked(parameters)
+    hidden, kind = tok.mask_targets(parameters)
     masked = hidden == MASK
     assert torch.equal(hidden[~masked], full[~masked])
     assert torch.equal(masked.sum(1), 4 + 2 * num)

@@ -21,7 +21,6 @@ from p2wss.errors import InputError
 from p2wss.nets import compute, training
 from p2wss.nets.metrics_log import last_validation, read_metrics
 from p2wss.nets.training_state import TrainingState, learning_rate, remove_checkpoints
-from p2wss.nets.weights import read_weights, write_weights
 
 IDENTITY = {"config": {"a": 1}, "code": "x"}
 
@@ -173,21 +172,6 @@ def test_metrics_are_lines_of_json_and_the_folder_can_go(tmp_path: Path) -> None
     assert last_validation(read_metrics(folder))["step"] == 60
     remove_checkpoints(folder)
     assert not folder.exists()
-
-
-def test_weights_carry_their_facts_and_other_files_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "w.safetensors"
-    state = {"a": torch.arange(6.0).view(2, 3).T}
-    write_weights(path, state, {"kind": "model", "config": {"b": 1}})
-    found, facts = read_weights(path, "model")
-    assert torch.equal(found["a"], state["a"]) and facts["config"] == {"b": 1}
-    with pytest.raises(InputError, match="not a dvae of p2wss"):
-        read_weights(path, "dvae")
-    path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(InputError, match="not a readable safetensors file"):
-        read_weights(path, "model")
-    with pytest.raises(InputError, match="no such file"):
-        read_weights(tmp_path / "none", "model")
 
 
 def test_tensorboard_that_is_not_installed_is_one_clear_line(

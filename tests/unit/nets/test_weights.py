@@ -1,0 +1,69 @@
+"""Files of trained weights, those of older versions among them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+from places import ROOT
+from small_networks import SMALL_DVAE, SMALL_MODEL
+
+from p2wss.config import load
+from p2wss.errors import InputError
+from p2wss.nets.builders import build_model, build_tokenizer
+from p2wss.nets.weights import load_dvae, load_model, read_weights, save_model, write_weights
+
+SHIPPED = ROOT / "models" / "point2wss.safetensors"
+
+
+def test_weights_carry_their_metadata_and_other_files_are_rejected(tmp_path: Path) -> None:
+    path = tmp_path / "w.safetensors"
+    state = {"a": torch.arange(6.0).view(2, 3).T}
+    write_weights(path, state, {"kind": "model", "config": {"b": 1}})
+    read, metadata = read_weights(path, "model")
+    assert torch.equal(read["a"], state["a"]) and metadata["config"] == {"b": 1}
+    with pytest.raises(InputError, match="not a dvae of p2wss"):
+        read_weights(path, "dvae")
+    with pytest.raises(InputError, match="not a dvae of p2wss"):
+        load_dvae(path)
+    path.write_bytes(path.read_bytes()[:20])
+    with pytest.raises(InputError, match="not a readable safetensors file"):
+        read_weights(path, "model")
+    with pytest.raises(InputError, match="no such file"):
+        read_weights(tmp_path / "none", "model")
+
+
+def test_the_shipped_weights_load_whatever_their_metadata_was_called_when_they_were_written() -> None:
+    _, metadata = read_weights(SHIPPED, "model")
+    assert "words" not in metadata
+    module, config, dvae_config = load_model(SHIPPED)
+    assert tuple(metadata["vocabulary"]) == module.tokenizer.vocabulary
+    assert config.model_dump(mode="json") == metadata["config"]
+    assert dvae_config.model_dump(mode="json") == metadata["dvae_config"]
+
+
+def test_metadata_with_former_names_loads_as_metadata_with_present_ones(tmp_path: Path) -> None:
+    config = load({"dvae": SMALL_DVAE, "model": SMALL_MODEL})
+    module = build_model(config.model, config.dvae, build_tokenizer(config.model))
+    path = tmp_path / "m.safetensors"
+    save_model(module, path, config.model, config.dvae, "x", "")
+    state, present = read_weights(path, "model")
+    former = dict(present)
+    former["words"] = former.pop("vocabulary")
+    write_weights(path, state, former)
+    assert read_weights(path, "model")[1] == present
+    loaded, *configs = load_model(path)
+    assert configs == [config.model, config.dvae]
+    assert all(torch.equal(loaded.state_dict()[name], state[name]) for name in state)
+
+
+@pytest.mark.parametrize("change", [{"vocabulary": ["[pad]"]}, {"config": {"width": 3}}])
+def test_weights_that_this_version_does_not_support_are_one_clear_line(
+    tmp_path: Path, change: dict[str, object]
+) -> None:
+    state, metadata = read_weights(SHIPPED, "model")
+    path = tmp_path / "m.safetensors"
+    write_weights(path, state, metadata | change)
+    with pytest.raises(InputError, match=r"written by p2wss .* does not support; train it again"):
+        load_model(path)
