@@ -30,7 +30,7 @@ _FAR_OFF_M = 0.05
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What decides between roofs; `docs/reconstruct.md` says how the defaults were chosen."""
+    """What decides between roofs; `docs/methods/fit.md` says how the defaults were chosen."""
 
     effort: Effort = field(default_factory=Effort)
     limits: Limits = field(default_factory=Limits)

@@ -1,5 +1,5 @@
 """Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in
-docs/lidar.md)."""
+docs/methods/scans.md)."""
 
 from __future__ import annotations
 
