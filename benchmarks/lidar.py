@@ -163,7 +163,10 @@ def main() -> int:
     del run
     clutter_costs(buildings, terrain, size_m)
     two_at_once(figures, arguments.quick)
-    print_table(simulated_clouds(250.0) | real_clouds(arguments.data))
+    realism = simulated_clouds(250.0) | real_clouds(arguments.data)
+    print_table(realism)
+    for name, row in realism.items():
+        figures.row(f"realism, {name}", row.as_json())
     return figures.end()
 
 

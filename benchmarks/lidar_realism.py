@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 
 import geopandas as gpd
@@ -45,6 +45,10 @@ class Realism:
     vegetation_share: float
     returns: float
     strips: float
+
+    def as_json(self) -> dict[str, float | None]:
+        """The figures by name, None for NaN."""
+        return {name: None if np.isnan(value) else round(value, 4) for name, value in asdict(self).items()}
 
 
 def print_table(rows: dict[str, Realism]) -> None:

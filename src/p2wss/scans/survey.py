@@ -2,7 +2,7 @@
 
 The density is an input. Parallel strips of swath W = 2 H tan(half angle) lie S = W (1 - overlap) apart; their
 mean density is D = PRF / (v S) for any scan pattern, and the pulse rate follows from it. Because one scene
-holds only a strip or two, the pulse rate is set from the time the beam really spends over the scene.
+holds only a strip or two, the pulse rate is set from the time that the beam really spends over the scene.
 """
 
 from __future__ import annotations
@@ -210,8 +210,8 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
 def _lines(
     box: Box, heading_rad: float, swath_m: float, spacing_m: float, phase: float
 ) -> list[tuple[float, float, float, float]]:
-    """Flight lines (x, y of the start, heading, length) whose swaths cover ``box``; every second one flies
-    back.
+    """Flight lines (x, y of the start, heading, length) whose swaths cover ``box``; every second one is flown
+    in the opposite direction.
 
     An infinite spacing gives one line over the middle.
     """

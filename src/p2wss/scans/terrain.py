@@ -12,10 +12,10 @@ from p2wss.skeleton.compiled import entry, inlined
 class TerrainGrid(NamedTuple):
     """The terrain in the local frame, as two triangles between every four neighbouring cell centres.
 
-    height_m: float32 (rows, columns), NaN where there is no data. block_range_m: float32 (.., .., 2), the
-    lowest and the highest of each block of :data:`BLOCK_SQUARES` squares and its border, the lowest is -inf
-    where data is missing; region_range_m: the same of :data:`REGION_SQUARES`. min_m, max_m: the lowest and
-    the highest of all. x_min_m, y_max_m: centre of the north-west cell.
+    height_m: float32 (rows, columns), NaN where there is no data. block_range_m: float32 (.., .., 2), lowest
+    and highest height of each block of :data:`BLOCK_SQUARES` by :data:`BLOCK_SQUARES` squares with its
+    border; the lowest is -inf where data is missing. region_range_m: the same for :data:`REGION_SQUARES`.
+    min_m, max_m: lowest and highest height of all. x_min_m, y_max_m: centre of the north-west cell.
 
     A square between the centres nw, ne, sw, se is cut along nw-se; a triangle with a NaN corner does not
     exist.
@@ -69,7 +69,7 @@ def local_grid(
 
 @entry
 def _ranges(height: np.ndarray, size: int) -> np.ndarray:
-    """Lowest and highest centre of every block of ``size`` squares, float32 (.., .., 2)."""
+    """Lowest and highest cell centre of every block of ``size`` by ``size`` squares, float32 (.., .., 2)."""
     rows, columns = height.shape
     result = np.empty((max((rows - 2) // size + 1, 0), max((columns - 2) // size + 1, 0), 2), np.float32)
     for i in range(result.shape[0]):
@@ -112,7 +112,7 @@ def first_crossing(
 
 @inlined
 def frame_of(grid: TerrainGrid) -> GridFrame:
-    """What :func:`crossing` needs beside the arrays."""
+    """What :func:`crossing` needs of a grid besides its arrays."""
     return GridFrame(
         grid.height_m.shape[0],
         grid.height_m.shape[1],
@@ -137,8 +137,8 @@ def crossing(
     """:func:`first_crossing` for loops over many rays, which take the arrays out of the grid once: numba
     counts the references to an array each time that it is taken out of a tuple.
 
-    In float64, no tree has to be built. The lowest and the highest of the region and then of the block that
-    the ray falls through leave some decimetres of it, mostly in one square.
+    In float64, and without a tree. The height range of the region and then that of the block through which
+    the ray passes narrow the search to some decimetres of the ray, mostly within one square.
     """
     per_dz = 1 / dz
     start = max((frame.max_m - oz) * per_dz, 0.0)
@@ -188,7 +188,7 @@ def _adjoin(u0: float, v0: float, u1: float, v1: float, size: int) -> bool:
 
 @inlined
 def _range(blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size: int) -> tuple[float, float]:
-    """The lowest and the highest of the one, two or four blocks that two such places span."""
+    """Lowest and highest height of the one, two or four blocks that two such places span."""
     per = 1.0 / size
     i0, j0, i1, j1 = np.uint64(v0 * per), np.uint64(u0 * per), np.uint64(v1 * per), np.uint64(u1 * per)
     low = min(min(blocks[i0, j0, 0], blocks[i1, j1, 0]), min(blocks[i0, j1, 0], blocks[i1, j0, 0]))
@@ -205,8 +205,8 @@ def _walk(
     start: float,
     end: float,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """First crossing between ``start`` and ``end``: block by block, through the squares of those that the ray
-    may meet."""
+    """First crossing between ``start`` and ``end``: block by block, and square by square in the blocks whose
+    terrain the ray may meet."""
     rows, columns = height.shape
     # lengths of ray per cell; a ray that stays in its column or row never leaves it
     per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300

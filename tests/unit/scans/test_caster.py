@@ -71,7 +71,7 @@ def only(pattern):
     return {name: float(name == pattern) for name in PATTERNS}
 
 
-def strips(preset, **changes):
+def plan_strips(preset, **changes):
     settings = Scans(preset=preset, **{"density_per_m2": 30, "density_bounds_per_m2": (30, 30), **changes})
     return plan(settings, 11, BOX, BOX).strips
 
@@ -101,9 +101,9 @@ def first_hits(triangles, origin, direction, chunk=2000):
 @pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_points_are_the_exact_first_hits(count):
     scene = surface(tilted(TOWN, np.random.default_rng(0)))
-    flown = strips("none", density_per_m2=1.2 * count / 3600, pattern_shares=only("parallel"))[:1]
-    points, counts = cast(scene, flown, BOX)
-    path = flown[0].path
+    strips = plan_strips("none", density_per_m2=1.2 * count / 3600, pattern_shares=only("parallel"))[:1]
+    points, counts = cast(scene, strips, BOX)
+    path = strips[0].path
     # the same rays again, from the aircraft, in float64 and without any of the code under test
     time_s = points.pulse / path.pulse_rate_hz
     turns = time_s * path.scan_rate_hz + path.scan_phase
@@ -131,7 +131,7 @@ def test_points_are_the_exact_first_hits(count):
 
 
 def test_no_face_is_tagged_wrongly():
-    points, _ = cast(surface(TOWN), strips("none"), BOX)
+    points, _ = cast(surface(TOWN), plan_strips("none"), BOX)
     x, y, z = points.xyz_mm.T / 1000
     boxes = np.array([[*v.min(axis=0), *v.max(axis=0)] for v, _, _ in TOWN])
     ground = points.building < 0
@@ -153,7 +153,7 @@ def test_a_deep_courtyard_gets_no_points():
         block(-20, -1, -1, 1, 30),
         block(1, -1, 20, 1, 30),
     ]
-    points, _ = cast(surface(around), strips("none", pattern_shares=only("conical")), BOX)
+    points, _ = cast(surface(around), plan_strips("none", pattern_shares=only("conical")), BOX)
     x, y, z = points.xyz_mm.T / 1000
     inside = (abs(x) < 1.001) & (abs(y) < 1.001) & (z < 29.99)
     # 18 degrees off nadir and more: at most 2.83 m / tan(18) = 8.7 m down
@@ -172,11 +172,11 @@ def digest(points):
 @pytest.mark.parametrize(("preset", "most"), [("none", 1), ("paper", 1), ("hd", 1), ("hd", 5)])
 def test_points_do_not_depend_on_chunks_or_threads(preset, most):
     changes = {"density_per_m2": 8, "density_bounds_per_m2": (8, 8), "max_returns": most}
-    scene, flown = surface(TOWN), strips(preset, **changes)
-    one, counts = cast(scene, flown, BOX)
+    scene, strips = surface(TOWN), plan_strips(preset, **changes)
+    first, counts = cast(scene, strips, BOX)
     for threads, chunk in ((1, 1000), (2, 5000), (3, 100_000)):
-        again, same = cast(scene, flown, BOX, threads, chunk)
-        assert digest(again) == digest(one) and same == counts
+        again, same = cast(scene, strips, BOX, threads, chunk)
+        assert digest(again) == digest(first) and same == counts
 
 
 GOLDEN = {
@@ -190,19 +190,21 @@ GOLDEN = {
 @pytest.mark.parametrize("case", GOLDEN)
 def test_points_are_the_same_on_every_machine(case):
     preset, _, several = case.partition(", ")
-    flown = strips(preset, density_per_m2=4, density_bounds_per_m2=(4, 4), max_returns=5 if several else 1)
-    assert digest(cast(surface(TOWN), flown, BOX)[0]) == GOLDEN[case]
+    strips = plan_strips(
+        preset, density_per_m2=4, density_bounds_per_m2=(4, 4), max_returns=5 if several else 1
+    )
+    assert digest(cast(surface(TOWN), strips, BOX)[0]) == GOLDEN[case]
 
 
 @pytest.mark.parametrize("most", [2, 5])
 def test_several_returns_come_from_edges_only_and_in_order(most):
     wide = {"divergence_mrad": (1, 1), "max_returns": most, "range_noise_m": (0, 0)}
-    flown = strips("hd", **wide)
-    plain, _ = cast(surface([]), flown, BOX)
+    strips = plan_strips("hd", **wide)
+    plain, _ = cast(surface([]), strips, BOX)
     assert (plain.num_returns == 1).all() and (plain.return_number == 1).all()
 
     tower = surface([block(-10, -10, 10, 10, 20)])
-    points, counts = cast(tower, flown, BOX)
+    points, counts = cast(tower, strips, BOX)
     assert counts["recorded"] < len(points.pulse)
     assert points.num_returns.max() == min(most, 3)  # roof, wall, ground
     assert (points.return_number <= points.num_returns).all()
@@ -215,7 +217,7 @@ def test_several_returns_come_from_edges_only_and_in_order(most):
     assert (points.strip[pair] == points.strip[pair - 1]).all()
     apart_m = np.linalg.norm(np.diff(points.xyz_mm[np.stack([pair - 1, pair])] / 1000, axis=0)[0], axis=1)
     assert apart_m.min() > 0.3 and (z[pair] < z[pair - 1]).all()
-    # the beam is half a metre wide, and walls are seen at a slant
+    # the beam is half a metre wide, and walls are hit at a slant
     edge_m = np.abs(np.maximum(np.abs(x), np.abs(y))[pair - 1] - 10)
     assert np.quantile(edge_m, 0.99) < 1.5
     energy = points.intensity.astype(float)
@@ -229,17 +231,17 @@ def test_no_pulse_has_more_returns_than_the_maximum():
     stairs = [block(-10 + 0.4 * i, -10, -9.6 + 0.4 * i, 10, 4 * i + 1) for i in range(9)]
     wide = {"divergence_mrad": (1.5, 1.5), "return_separation_m": 0.5}
     most = [
-        cast(surface(stairs), strips("hd", **wide, max_returns=m), BOX)[0].num_returns.max()
+        cast(surface(stairs), plan_strips("hd", **wide, max_returns=m), BOX)[0].num_returns.max()
         for m in (1, 2, 3, 7)
     ]
     assert most[:3] == [1, 2, 3] and most[3] > 3
 
 
 def test_noise_has_the_planned_size():
-    scene, flown = surface([]), strips("paper")
-    exact = [replace(s, errors=s.errors._replace(noise_xy_m=0.0, noise_z_m=0.0)) for s in flown]
+    scene, strips = surface([]), plan_strips("paper")
+    exact = [replace(s, errors=s.errors._replace(noise_xy_m=0.0, noise_z_m=0.0)) for s in strips]
     wide = BOX._replace(x_min_m=-35.0, x_max_m=35.0, y_min_m=-35.0, y_max_m=35.0)
-    noisy, clean = cast(scene, flown, wide)[0], cast(scene, exact, wide)[0]
+    noisy, clean = cast(scene, strips, wide)[0], cast(scene, exact, wide)[0]
     key = [p.strip.astype(np.int64) << 40 | p.pulse for p in (noisy, clean)]
     _, i, j = np.intersect1d(*key, return_indices=True)
     assert len(i) > 50_000
@@ -250,42 +252,42 @@ def test_noise_has_the_planned_size():
 
 
 def test_hd_noise_is_small_on_planes_and_strips_are_shifted():
-    flown = strips("hd", divergence_mrad=(0.3, 0.3), strip_offset_z_m=0.5, cross_strip_share=1)
-    points, _ = cast(surface([]), flown, BOX)
-    seen = np.unique(points.strip)
-    assert len(seen) >= 2
-    for number in seen:
-        strip = flown[number]
+    strips = plan_strips("hd", divergence_mrad=(0.3, 0.3), strip_offset_z_m=0.5, cross_strip_share=1)
+    points, _ = cast(surface([]), strips, BOX)
+    numbers = np.unique(points.strip)
+    assert len(numbers) >= 2
+    for number in numbers:
+        strip = strips[number]
         z = points.xyz_mm[points.strip == number, 2] / 1000
         assert z.mean() == pytest.approx(strip.errors.offset_z_m, abs=0.005)
         # the footprint of 30 cm averages out on a plane: only the ranging noise is left
         assert 0.012 < z.std() < 0.035
-    assert len({flown[number].errors.offset_z_m for number in seen}) == len(seen)
+    assert len({strips[number].errors.offset_z_m for number in numbers}) == len(numbers)
 
 
 def test_dark_roofs_lose_points_and_grazing_walls_more_than_roofs():
     tower = [block(-15, -15, 15, 15, 30)]
-    flown = strips("hd", cross_strip_share=0)
-    bright, dark = (cast(surface(tower, loss), flown, BOX)[0] for loss in (0.0, 0.6))
+    strips = plan_strips("hd", cross_strip_share=0)
+    bright, dark = (cast(surface(tower, loss), strips, BOX)[0] for loss in (0.0, 0.6))
     share = (dark.building == 0).sum() / (bright.building == 0).sum()
     assert share == pytest.approx(0.4, abs=0.03)
-    none = [replace(s, errors=s.errors._replace(min_intensity=0.0, base_loss=0.0)) for s in flown]
+    none = [replace(s, errors=s.errors._replace(min_intensity=0.0, base_loss=0.0)) for s in strips]
     everything = cast(surface(tower), none, BOX)[0]
-    kept = {
+    detected_share = {
         kind: ((bright.face & 3 == kind) & (bright.building == 0)).sum()
         / ((everything.face & 3 == kind) & (everything.building == 0)).sum()
         for kind in (ROOF, WALL)
     }
-    assert kept[WALL] < kept[ROOF]
-    assert kept[ROOF] > 0.98
+    assert detected_share[WALL] < detected_share[ROOF]
+    assert detected_share[ROOF] > 0.98
 
 
 def test_scan_angle_and_intensity():
-    points, _ = cast(surface([]), strips("none", pattern_shares=only("parallel")), BOX)
+    points, _ = cast(surface([]), plan_strips("none", pattern_shares=only("parallel")), BOX)
     degrees = points.scan_angle * 0.006
     assert 0 < np.ptp(degrees) < 61 and np.abs(degrees).max() < 30.1
-    flown = strips("none", pattern_shares=only("parallel"))
-    for number, strip in enumerate(flown):
+    strips = plan_strips("none", pattern_shares=only("parallel"))
+    for number, strip in enumerate(strips):
         of_strip = points.strip == number
         right = np.array([np.sin(strip.path.heading_rad), -np.cos(strip.path.heading_rad)])
         across = (points.xyz_mm[of_strip, :2] / 1000 - [strip.path.start_x_m, strip.path.start_y_m]) @ right

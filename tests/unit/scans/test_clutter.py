@@ -81,11 +81,11 @@ def test_points_on_the_labelled_building_keep_their_places_and_tags():
     np.testing.assert_allclose(z[ground], ground_m(x[ground], y[ground]), atol=0.002)
     assert (scan.points.building[ground] == -1).all()
     for number, row in enumerate(rows):
-        own = np.flatnonzero((scan.points.building == number) & (kind == 2))
-        u, width = x[own] - row["origin_x_m"], row["footprint_xy_m"][4]
-        across = np.where(edge[own] == 1, width - u, u)
+        index = np.flatnonzero((scan.points.building == number) & (kind == 2))
+        u, width = x[index] - row["origin_x_m"], row["footprint_xy_m"][4]
+        across = np.where(edge[index] == 1, width - u, u)
         roof = row["terrain_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
-        np.testing.assert_allclose(z[own], roof, atol=0.003)
+        np.testing.assert_allclose(z[index], roof, atol=0.003)
     facts = scan.facts
     names = ("ground", "wall", "roof", "tree", "other")
     assert sum(facts[f"num_{name}_points"] for name in names) == facts["num_points"]
@@ -135,11 +135,11 @@ def test_annexes_stand_beside_their_building_and_in_no_other():
     assert len(np.unique(number)) > 5
     assert depth.max() < 0 and depth.min() > -6 * np.sqrt(2)
     assert (above < eave - 0.29).all() and above.max() < 3.201
-    own = scan.points.face == 4 * ClutterKind.ANNEX
-    x, y = (scan.points.xyz_mm[own, :2] / 1000 + scan.origin_m[:2]).T
+    is_annex = scan.points.face == 4 * ClutterKind.ANNEX
+    x, y = (scan.points.xyz_mm[is_annex, :2] / 1000 + scan.origin_m[:2]).T
     for number, row in enumerate(rows):
         corners = row["footprint_xy_m"].reshape(-1, 2) + np.array([row["origin_x_m"], row["origin_y_m"]])
-        others = scan.points.building[own] != number
+        others = scan.points.building[is_annex] != number
         shape = shapely.Polygon(corners).buffer(-0.06)
         assert not shapely.contains_xy(shape, x[others], y[others]).any()
 
@@ -176,15 +176,15 @@ def test_skylights_and_shades_lose_points():
 def on_house(scan, row, number):
     """Of the points of one house: kind of face, distance inwards from the footprint edge of the face, height
     above the roof."""
-    own = np.flatnonzero(scan.points.building == number)
-    x, y, z = (scan.points.xyz_mm[own] / 1000 + scan.origin_m).T
+    index = np.flatnonzero(scan.points.building == number)
+    x, y, z = (scan.points.xyz_mm[index] / 1000 + scan.origin_m).T
     u, v = x - row["origin_x_m"], y - row["origin_y_m"]
     width, length = row["footprint_xy_m"][4:6]
     inwards = np.stack([v, width - u, length - v, u])
-    face = scan.points.face[own]
+    face = scan.points.face[index]
     across = np.minimum(u, width - u)
     roof = row["terrain_z_m"] + row["eave_height_m"] + across * np.tan(np.radians(row["angle_deg"][1]))
-    return face & 3, inwards[np.clip((face >> 2) - 1, 0, 3), np.arange(len(own))], z - roof
+    return face & 3, inwards[np.clip((face >> 2) - 1, 0, 3), np.arange(len(index))], z - roof
 
 
 def test_walls_are_set_back_under_the_eaves_and_roofs_stay():
@@ -205,12 +205,12 @@ def test_walls_are_set_back_under_the_eaves_and_roofs_stay():
 def test_a_wall_against_a_neighbour_stays():
     rows = [house(652_540, 6_861_950, 10, 12, 4, 35.0, "A"), house(652_550, 6_861_950, 9, 12, 9, 40.0, "B")]
     scan = survey(rows, eave_overhang_share=1, eave_overhang_m=(0.3, 0.3))
-    own = (scan.points.building == 1) & (scan.points.face & 3 == 1)
+    is_wall = (scan.points.building == 1) & (scan.points.face & 3 == 1)
     x, y = (scan.points.xyz_mm[:, :2] / 1000 + scan.origin_m[:2]).T
-    shared = own & ((scan.points.face >> 2) - 1 == 3)
+    shared = is_wall & ((scan.points.face >> 2) - 1 == 3)
     assert shared.sum() > 10  # above the lower roof
     np.testing.assert_allclose(x[shared], 652_550, atol=0.002)
-    north = own & ((scan.points.face >> 2) - 1 == 2)
+    north = is_wall & ((scan.points.face >> 2) - 1 == 2)
     np.testing.assert_allclose(y[north], 6_861_962 - 0.3, atol=0.002)
 
 
@@ -225,11 +225,11 @@ def test_a_low_part_takes_the_place_of_the_roof_above_it():
     kind = scan.points.face & 3
     for name in np.unique(number):
         row = rows[name]
-        own = np.flatnonzero(
+        index = np.flatnonzero(
             (scan.points.building == name) & (scan.points.face == 4 * ClutterKind.LOWER_PART)
         )
-        z = scan.points.xyz_mm[own, 2] / 1000 + scan.origin_m[2] - row["terrain_z_m"]
-        level = own[np.abs(z - z.min()) < 0.002]
+        z = scan.points.xyz_mm[index, 2] / 1000 + scan.origin_m[2] - row["terrain_z_m"]
+        level = index[np.abs(z - z.min()) < 0.002]
         assert len(level) > 20 and 2.199 < z.min() < 3.201
         low, high = (f(np.stack([x[level], y[level]]), axis=1) for f in (np.min, np.max))
         inside = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
