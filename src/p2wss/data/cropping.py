@@ -11,7 +11,7 @@ from math import sqrt
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inlined, inner
+from p2wss.skeleton.compiled import ZERO, entry, inlined, inner
 from p2wss.skeleton.ordering import median
 from p2wss.skeleton.types import Polygons
 
@@ -225,7 +225,7 @@ def ring_medians(
         most = max(most, offset[p + 1] - offset[p])
     some = np.empty(most)
     for p in range(len(offset) - 1):
-        n = 0
+        n = ZERO
         for k in range(offset[p], offset[p + 1]):
             if among[point[k]] and not inside[k]:
                 some[n] = value[point[k]]

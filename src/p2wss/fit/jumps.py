@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import allocating, entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.ordering import sort_first, stable_order
 
 _STEP_M, _BIN_M = 0.25, 1.2
@@ -68,7 +68,7 @@ def jump_scores(along, across, z, lines, low_m, high_m):
     score = np.zeros(len(lines))
     for i in range(len(lines)):
         for b in range(num_bins):
-            left, right = 0, 0
+            left, right = ZERO, ZERO
             for k in order[first[b] : first[b + 1]]:
                 offset = along[k] - lines[i]
                 if -_FAR_M * stretch < offset < -_NEAR_M:
@@ -96,7 +96,7 @@ def candidates(xy_m, x, y, z):
         np.empty(2 * (_MOST_LINES + _MOST_CORNERS), np.int64),
         np.empty(2 * (_MOST_LINES + _MOST_CORNERS)),
     )
-    count = 0
+    count = ZERO
     for axis in range(2):
         corners = xy_m[:, axis].copy()
         sort_first(corners, len(corners))

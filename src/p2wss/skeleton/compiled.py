@@ -9,17 +9,20 @@ found, not even by processes that run while a file is being edited.
 
 from __future__ import annotations
 
+import gc
 import inspect
-from collections.abc import Callable
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numba import njit, typeof
-from numba.core import cgutils
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba import config, njit, typeof
+from numba.core import cgutils, event
+from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.errors import TypingError
 from numba.core.typing import signature
 from numba.extending import intrinsic
@@ -27,6 +30,7 @@ from numba.extending import intrinsic
 # a variable that starts as the literal 0 makes numba compile what it is passed to once more, for that
 # constant
 ZERO: Any = np.int64(0)
+log = logging.getLogger("p2wss")
 
 
 @cache
@@ -38,37 +42,103 @@ def _digest_of_sources(folder: Path) -> str:
     return digest.hexdigest()
 
 
-class _PackageCacheFile(IndexDataCacheFile):
-    """The cached files of one function; the first new one removes those of other sources."""
+class CacheLocator:
+    """Where numba keeps the machine code of a function and how it tells that of other sources: the interface that
+    ``NUMBA_CACHE_LOCATOR_CLASSES`` asks for. The folders are numba's usual ones."""
 
-    def __init__(self, folder: str, base: str, digest: str):
-        super().__init__(folder, f"{base}.{digest}", digest)
-        self._folder, self._function, self._digest = Path(folder), base.rpartition("-")[0], digest
+    def __init__(self, function: Callable, file: str, folder: str) -> None:
+        self._py_file = file
+        self._folder = Path(folder)
+        self._digest = _digest_of_sources(Path(file).parent)
+        self._function = f"{Path(file).stem}.{function.__qualname__}".replace("<", "").replace(">", "")
+        self._line = function.__code__.co_firstlineno
 
-    def save(self, key: object, data: object) -> None:
-        super().save(key, data)
+    @classmethod
+    def from_function(cls, function: Callable, file: str) -> CacheLocator | None:
+        """None: there is no folder to write to."""
+        for usual in (UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator):
+            found = usual.from_function(function, file)
+            if found is not None:
+                return cls(function, file, found.get_cache_path())
+        return None
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return self._digest
+
+    def get_disambiguator(self) -> str:
+        """Part of the names of the files, between the function and the version of Python."""
+        return f"{self._line}.{self._digest}"
+
+    def ensure_cache_path(self) -> None:
+        """Called before every file that is written: those of other sources go."""
+        self._folder.mkdir(parents=True, exist_ok=True)
         for path in self._folder.glob(f"{self._function}-*.nb[ic]"):
             if f".{self._digest}." not in path.name:
                 path.unlink(missing_ok=True)
 
 
-class _PackageCache(FunctionCache):
-    def __init__(self, function: Callable):
-        super().__init__(function)
-        digest = _digest_of_sources(Path(function.__code__.co_filename).parent)
-        self._cache_file = _PackageCacheFile(self._cache_path, self._impl.filename_base, digest)
+@contextmanager
+def _our_locator() -> Iterator[None]:
+    before = config.CACHE_LOCATOR_CLASSES
+    config.CACHE_LOCATOR_CLASSES = f"{__name__}.{CacheLocator.__name__}"
+    try:
+        yield
+    finally:
+        config.CACHE_LOCATOR_CLASSES = before
 
 
 def _compiled(**options: Any) -> Callable[[Callable], Any]:
     def decorate(function: Callable) -> Any:
-        dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
-        try:
-            dispatcher._cache = _PackageCache(function)
-        except RuntimeError:  # no folder to write to: compiled anew in each process
-            return dispatcher
-        return dispatcher
+        common = {"nogil": True, "error_model": "numpy", **options}
+        with _our_locator():
+            try:
+                return njit(cache=True, **common)(function)
+            except RuntimeError:  # no folder to write to: compiled anew in each process
+                _notice.is_cached = False
+                return njit(**common)(function)
 
     return decorate
+
+
+_ONCE = "once, up to a minute; p2wss warm-up does it ahead"
+_EACH_TIME = "up to a minute, every time: set NUMBA_CACHE_DIR to a folder that can be written"
+
+
+class _Notice(event.Listener):
+    """Tells, once in a process, that functions of p2wss are compiled: it takes up to a minute without a word.
+
+    The garbage collector rests meanwhile: looking through all that a compiler holds takes a tenth of the time.
+    """
+
+    def __init__(self) -> None:
+        self.told, self.is_cached = False, True
+        self._depth, self._collects = 0, False
+
+    def on_start(self, begun: Any) -> None:
+        if not self.told and begun.data["dispatcher"].py_func.__module__.partition(".")[0] == "p2wss":
+            self.told = True
+            log.info("compiling for this computer (%s)", _ONCE if self.is_cached else _EACH_TIME)
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
+
+    def on_end(self, ended: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
+            gc.enable()
+
+
+_notice = _Notice()
+event.register("numba:compile", _notice)
+
+
+def expect_compilation() -> None:
+    """This process compiles on purpose: no word of it."""
+    _notice.told = True
 
 
 # called from Python

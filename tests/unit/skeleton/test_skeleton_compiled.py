@@ -1,25 +1,39 @@
-"""The cache of compiled code: tied to all sources of the package, and no condition of its use."""
+"""How functions are compiled: a cache tied to all sources of the package, calls by address, one notice."""
 
+import gc
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba.core import event
+from numba.core.errors import TypingError
 
 import p2wss.skeleton
+from p2wss.skeleton.compiled import address_of, by_address, entry, inner
+
+NOTICE = "compiling for this computer"
 
 
-def run(folder: Path, **more: str) -> int:
-    environment = {**os.environ, "PYTHONPATH": str(folder), **more}
+def run(folder: Path, **more: str) -> tuple[int, str]:
+    """What a process returns, and its log."""
+    command = (
+        "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
+        "import p2wss.skeleton.probe as probe; print(probe.outer(1))"
+    )
     done = subprocess.run(
-        [sys.executable, "-c", "import p2wss.skeleton.probe as probe; print(probe.outer(1))"],
-        env=environment,
+        [sys.executable, "-c", command],
+        env={**os.environ, "PYTHONPATH": str(folder), **more},
         capture_output=True,
         text=True,
         check=True,
         cwd=folder,
     )
-    return int(done.stdout)
+    return int(done.stdout), done.stderr
 
 
 def package(folder: Path) -> Path:
@@ -42,13 +56,15 @@ def package(folder: Path) -> Path:
 def test_an_edit_in_another_file_is_noticed(tmp_path):
     skeleton = package(tmp_path)
     cache = tmp_path / "cache"
-    assert run(tmp_path, NUMBA_CACHE_DIR=str(cache)) == 2
+    result, log = run(tmp_path, NUMBA_CACHE_DIR=str(cache))
+    assert result == 2 and log.count(NOTICE) == 1  # for two functions
     before = {path.name for path in cache.rglob("*.nb?")}
-    assert run(tmp_path, NUMBA_CACHE_DIR=str(cache)) == 2
+    assert run(tmp_path, NUMBA_CACHE_DIR=str(cache)) == (2, "")
     assert {path.name for path in cache.rglob("*.nb?")} == before and len(before) == 4
     called = skeleton / "called.py"
     called.write_text(called.read_text().replace("x + 1", "x + 7"))
-    assert run(tmp_path, NUMBA_CACHE_DIR=str(cache)) == 8
+    result, log = run(tmp_path, NUMBA_CACHE_DIR=str(cache))
+    assert result == 8 and NOTICE in log
     after = {path.name for path in cache.rglob("*.nb?")}
     assert len(after) == 4 and not after & before  # the outdated ones are gone
 
@@ -60,5 +76,78 @@ def test_no_folder_to_cache_in(tmp_path):
     blocked.touch()
     (tmp_path / "p2wss" / "skeleton" / "__pycache__").touch()
     more = {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked), "PYTHONDONTWRITEBYTECODE": "1"}
-    assert run(tmp_path, NUMBA_CACHE_DIR=str(blocked), **more) == 2
-    assert run(tmp_path, **more) == 2
+    for own in (str(blocked), ""):
+        result, log = run(tmp_path, NUMBA_CACHE_DIR=own, **more)
+        assert result == 2 and "set NUMBA_CACHE_DIR" in log
+
+
+class Code(NamedTuple):
+    total: int
+
+
+@inner
+def total(values, count):
+    result = 0.0
+    for k in range(count):
+        result += values[k]
+    return result, count
+
+
+total_at = by_address(total)
+
+
+def test_call_by_address() -> None:
+    code = Code(address_of(total, np.zeros(1), 1))
+    assert code == Code(address_of(total, np.zeros(1), 1))
+
+    @entry
+    def twice(code, values, count):
+        first, _ = total_at(code, values, 1)  # a literal is no other type
+        every, n = total_at(code, values, count)
+        return first, every, n
+
+    assert twice(code, np.arange(1.0, 5.0), 3) == (1.0, 6.0, 3)
+    assert len(total.signatures) == 1
+    with pytest.raises(TypingError, match="total is called by address with"):
+        twice(code, np.arange(4), 3)
+
+
+def test_an_exception_of_what_is_called_by_address() -> None:
+    @entry
+    def fail(value):
+        if value > 1.0:
+            raise ValueError("too much")
+        return value
+
+    fail_at = by_address(fail)
+
+    class Codes(NamedTuple):
+        fail: int
+
+    @entry
+    def outer(code, value):
+        return fail_at(code, value)
+
+    code = Codes(address_of(fail, 1.0))
+    assert outer(code, 0.5) == 0.5
+    with pytest.raises(ValueError, match="too much"):
+        outer(code, 2.0)
+
+
+def test_the_garbage_collector_rests_while_numba_compiles() -> None:
+    seen = []
+
+    class Listener(event.Listener):
+        def on_start(self, event):
+            seen.append(gc.isenabled())
+
+        def on_end(self, event):
+            pass
+
+    @entry
+    def one(x):
+        return x + 1
+
+    with event.install_listener("numba:compile", Listener()):
+        assert one(1) == 2
+    assert seen == [False] and gc.isenabled()
