@@ -152,6 +152,12 @@ def test_every_target_and_setting_of_snakemake_commands_exists():
                 assert word in RULES or word in ("...", "<your", "image>"), where
 
 
+def test_contributing_has_every_room():
+    table = (ROOT / "CONTRIBUTING.md").read_text()
+    for package in (ROOT / "src/p2wss").glob("*/__init__.py"):
+        assert f"`{package.parent.name}/`" in table
+
+
 def test_every_target_of_make_exists():
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     for page, command, _ in commands("make"):
