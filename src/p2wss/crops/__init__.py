@@ -1,7 +1,8 @@
 """Stage crops: the points of each building, from a simulated scan or from real LiDAR (paper, section 5.1)."""
 
-from p2wss.crops.crop import check_crs, crop_real, crop_simulated
 from p2wss.crops.manifest import list_shards
+from p2wss.crops.real import check_crs, crop_real
+from p2wss.crops.simulated import crop_simulated
 from p2wss.crops.splits import assign_splits
 
 __all__ = [

@@ -1,4 +1,8 @@
-"""Compiled loops over the points of each crop."""
+"""Compiled loops over the points of each polygon.
+
+Pairs of a polygon and a point are in slices: polygon p has the pairs ``offset[p]:offset[p + 1]``, and ``point[k]``
+is the index of the point of pair k (see :class:`p2wss.data.points.Cropped`).
+"""
 
 from __future__ import annotations
 
@@ -9,9 +13,9 @@ from p2wss.skeleton.compiled import entry
 
 @entry
 def gather_cm(value_m: np.ndarray, point: np.ndarray, offset: np.ndarray, origin_m: np.ndarray) -> np.ndarray:
-    """``value_m[point] - origin`` of each pair's polygon, in whole centimetres, int16 (num_pairs,).
+    """``value_m`` of each pair relative to the origin of its polygon, in whole centimetres, int16 (num_pairs,).
 
-    What does not fit is -32768, which no value within 327.67 m of the origin is.
+    -32768 if the value is more than 327.67 m from the origin.
     """
     result = np.empty(len(point), np.int16)
     for p in range(len(offset) - 1):
@@ -23,7 +27,7 @@ def gather_cm(value_m: np.ndarray, point: np.ndarray, offset: np.ndarray, origin
 
 @entry
 def medians(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Median of ``value[point]`` per polygon, NaN for a polygon without points."""
+    """Median of ``value`` over the points of each polygon, float64 (num_polygons,); NaN without points."""
     result = np.full(len(offset) - 1, np.nan)
     for p in range(len(offset) - 1):
         if offset[p] < offset[p + 1]:
@@ -33,7 +37,7 @@ def medians(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndar
 
 @entry
 def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """True values of ``mask`` in each slice ``offset[i]:offset[i + 1]``, int64 (len(offset) - 1,)."""
+    """Number of true values of ``mask`` in each slice ``offset[i]:offset[i + 1]``, int64 (len(offset) - 1,)."""
     result = np.zeros(len(offset) - 1, np.int64)
     for i in range(len(offset) - 1):
         for k in range(offset[i], offset[i + 1]):
@@ -42,11 +46,14 @@ def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
 
 
 @entry
-def own_kinds(
+def face_kinds(
     building: np.ndarray, face: np.ndarray, point: np.ndarray, offset: np.ndarray, row: np.ndarray
 ) -> np.ndarray:
-    """Kind of face (``face & 3``) of each pair's point, uint8 (num_pairs,), 0 if it is on another building
-    than ``row[polygon]``. building, face: int32, one per point."""
+    """Kind of the face under the point of each pair (``face & 3``), uint8 (num_pairs,).
+
+    0 if the point is not on the building of the pair's polygon, ``row[polygon]``. building, face: int32, one per
+    point.
+    """
     result = np.zeros(len(point), np.uint8)
     for p in range(len(offset) - 1):
         for k in range(offset[p], offset[p + 1]):
@@ -57,9 +64,12 @@ def own_kinds(
 
 @entry
 def count_distinct(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """How many values each polygon's points have, int32 (num_polygons,). value: uint16, one per point."""
+    """Number of distinct values over the points of each polygon, int32 (num_polygons,).
+
+    value: uint16, one per point.
+    """
     result = np.zeros(len(offset) - 1, np.int32)
-    last_seen = np.full(1 << 16, -1, np.int64)  # polygon
+    last_seen = np.full(1 << 16, -1, np.int64)  # polygon in which a value was last seen
     for p in range(len(offset) - 1):
         for k in range(offset[p], offset[p + 1]):
             v = value[point[k]]
@@ -73,7 +83,7 @@ def count_distinct(value: np.ndarray, point: np.ndarray, offset: np.ndarray) -> 
 def walls_seen(
     face: np.ndarray, point: np.ndarray, on_wall: np.ndarray, offset: np.ndarray, min_points: int
 ) -> np.ndarray:
-    """Number of edges with ``min_points`` points on their wall or more, int32 (num_polygons,).
+    """Number of edges whose wall has at least ``min_points`` points, int32 (num_polygons,).
 
     face: int32, one per point, whose edge is ``(face >> 2) - 1``; on_wall: bool (num_pairs,).
     """

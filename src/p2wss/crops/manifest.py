@@ -1,4 +1,4 @@
-"""The list of all shards."""
+"""The manifest: the list of all shards of crops."""
 
 from __future__ import annotations
 
@@ -14,21 +14,25 @@ from p2wss.errors import InputError
 
 
 def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, Any]:
-    """The manifest: every shard (file, data set) with its path relative to ``folder``, rows per split and
-    SHA-256.
+    """The manifest of ``shards``, pairs of a file and its dataset.
 
-    Raises :class:`InputError` if there is no row at all, or if shards of one data set differ in CRS.
+    It lists for each shard the path relative to ``folder``, dataset, tile, rows per split, exclusions per reason
+    and SHA-256.
+
+    Raises :class:`InputError` if no shard has a row, or if shards of one dataset differ in CRS.
     """
-    listed: list[dict[str, Any]] = []
+    entries: list[dict[str, Any]] = []
     total: Counter[str] = Counter()
     crs: dict[str, Any] = {}
     for path, dataset in shards:
         split = files.read_table(path, CROPS, columns=["split"])["split"].to_pylist()
         metadata = files.read_metadata(path)
         if crs.setdefault(dataset, metadata.get("crs")) != metadata.get("crs"):
-            raise InputError(f"{path}: is in {metadata.get('crs')}, other {dataset} shards in {crs[dataset]}")
+            raise InputError(
+                f"{path}: is in {metadata.get('crs')}, but other {dataset} shards are in {crs[dataset]}"
+            )
         total.update(split)
-        listed.append(
+        entries.append(
             {
                 "path": Path(os.path.relpath(path, folder)).as_posix(),
                 "dataset": dataset,
@@ -40,10 +44,10 @@ def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, A
             }
         )
     if not total:
-        raise InputError("no building in any shard; the log of the stage crops tells why they were left out")
+        raise InputError("no building in any shard; the logs of the stage crops list the reasons")
     return {
         "num_rows": sum(total.values()),
         "splits": dict(sorted(total.items())),
         "crs": crs,
-        "shards": listed,
+        "shards": entries,
     }

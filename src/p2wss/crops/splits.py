@@ -1,4 +1,4 @@
-"""Which building is for training, validation and test: by blocks of the map."""
+"""Split buildings into train, val and test by location, in square blocks."""
 
 from __future__ import annotations
 
@@ -12,37 +12,38 @@ from p2wss.skeleton.types import Polygons
 
 
 def assign_splits(polygons: Polygons, settings: Crops) -> np.ndarray:
-    """train, val, test or guard for each polygon (object array), by the place of its centroid.
+    """The split of each polygon: "train", "val", "test" or "guard" (object array).
 
-    Square blocks go to a split as a whole; of every 5 by 2 blocks, one drawn by the seed is val and another
-    is test, so that the shares are 80, 10 and 10 percent of any larger area. A val or test building nearer
-    than ``guard_m`` to a building of another split is set aside as guard. The polygons must be in the CRS,
-    not local; a polygon without rings is guard. Where ``split`` names one, all the others are in that.
+    polygons: in the CRS, not in local coordinates. The centroid of a polygon decides its block. Of every 5 by 2
+    blocks, one drawn block is val and another is test, so that the shares approach 80, 10 and 10 percent of a
+    large area. A val or test building closer than ``guard_m`` to a building of another split becomes guard and
+    is not used. A polygon without rings is guard too. If ``settings.split`` names a split, all are in it.
     """
     shapes = polygon_arrays.to_geometries(polygons)
     split = np.full(len(shapes), "guard", dtype=object)
-    filled = np.flatnonzero(~shapely.is_empty(shapes))
+    rows = np.flatnonzero(~shapely.is_empty(shapes))
     if settings.split != "blocks":
-        split[filled] = settings.split
+        split[rows] = settings.split
         return split
-    shapes = shapes[filled]
+    shapes = shapes[rows]
     centroid = shapely.centroid(shapes)
     block = np.floor(shapely.get_coordinates(centroid) / settings.block_size_m).astype(np.int64)
-    group, place = block // [5, 2], block % [5, 2]
-    groups, group_of = np.unique(group, axis=0, return_inverse=True)
-    drawn = np.array(
+    group, position = block // [5, 2], block % [5, 2]
+    groups, group_index = np.unique(group, axis=0, return_inverse=True)
+    # per group of blocks: the numbers (0 to 9) of its val block and of its test block
+    val_and_test = np.array(
         [generator(settings.seed, "crops", "split", x, y).permutation(10)[:2] for x, y in groups.tolist()]
-    ).reshape(-1, 2)
-    cell = place[:, 0] + 5 * place[:, 1]
-    first = np.where(cell == drawn[group_of.ravel(), 0], "val", "train").astype(object)
-    first[cell == drawn[group_of.ravel(), 1]] = "test"
+    ).reshape(-1, 2)[group_index.ravel()]
+    number = position[:, 0] + 5 * position[:, 1]
+    block_split = np.where(number == val_and_test[:, 0], "val", "train").astype(object)
+    block_split[number == val_and_test[:, 1]] = "test"
 
-    held_out = np.flatnonzero(first != "train")
-    one, other = shapely.STRtree(shapes).query(
+    held_out = np.flatnonzero(block_split != "train")
+    index, neighbour = shapely.STRtree(shapes).query(
         shapes[held_out], predicate="dwithin", distance=settings.guard_m
     )
-    one = held_out[one]
-    final = first.copy()
-    final[one[first[one] != first[other]]] = "guard"
-    split[filled] = final
+    index = held_out[index]
+    guarded_split = block_split.copy()
+    guarded_split[index[block_split[index] != block_split[neighbour]]] = "guard"
+    split[rows] = guarded_split
     return split

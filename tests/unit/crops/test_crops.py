@@ -312,7 +312,9 @@ def test_real_lidar_of_delft():
 @needs_data
 def test_real_lidar_of_bresse_where_the_classifier_missed_a_building():
     folder = DATA / "bresse_ign"
-    columns, num_excluded = lidar_columns(folder / "footprints.gpkg", [folder / "lidar.laz"], "0870_6618", 1000)
+    columns, num_excluded = lidar_columns(
+        folder / "footprints.gpkg", [folder / "lidar.laz"], "0870_6618", 1000
+    )
     assert num_excluded["too-few-points"] == 34
     missed = columns["building_id"].tolist().index("BRESSE0008")
     assert columns["num_points"][missed] == 2567

@@ -1,0 +1,91 @@
+"""Crop the points of each building from real LiDAR, without labels."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pyarrow as pa
+import pyproj
+
+from p2wss.config import Crops
+from p2wss.crops.kernels import count_true
+from p2wss.crops.rows import crop_columns
+from p2wss.data import polygon_arrays, tiling
+from p2wss.data.clouds import read_clouds, same_crs
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.points import GROUND_RINGS_M, crop_cloud
+from p2wss.data.schemas.crops import CROPS
+from p2wss.errors import InputError
+from p2wss.skeleton.types import Polygons
+
+
+def crop_real(
+    frame: gpd.GeoDataFrame,
+    clouds: Sequence[str | Path],
+    tile: str,
+    tile_size_m: float,
+    settings: Crops,
+) -> tuple[dict[str, Any], Counter[str]]:
+    """The columns of :data:`p2wss.data.schemas.crops.CROPS` without labels, and the number of excluded footprints
+    per reason.
+
+    frame: the result of :func:`p2wss.data.footprints.clean_footprints`. Its footprints are assigned to tiles as in
+    the scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
+    its margin, in the CRS of ``frame``.
+
+    Raises :class:`InputError` if a cloud is unreadable or in another CRS.
+    """
+    frame = frame[np.isfinite(frame["middle_x_m"])]
+    frame = frame[tiling.tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile]
+    is_usable = frame["status"].to_numpy() == "ok"
+    num_excluded = Counter(frame["status"].to_numpy()[~is_usable])
+    frame = frame[is_usable]
+    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+    cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)))
+    check_crs(cloud.crs, frame.crs, f"{clouds[0]}")
+
+    cropped = crop_cloud(cloud, polygons, settings.buffer_m)
+    classification = cloud.classification[cropped.point]
+    on_roof = (classification == BUILDING_CLASS) & cropped.inside
+    # a classifier may miss a whole building: then all points inside the footprint count, except ground
+    is_missed = np.repeat(count_true(on_roof, cropped.offset) == 0, np.diff(cropped.offset))
+    on_roof |= is_missed & cropped.inside & (classification != GROUND_CLASS)
+    selection, columns = crop_columns(
+        cloud, cropped, polygons, polygon_arrays.origins(polygons), on_roof, settings, num_excluded
+    )
+    for field in CROPS:
+        if field.nullable:
+            columns[field.name] = pa.nulls(len(selection), field.type)
+    columns["building_id"] = frame["building_id"].to_numpy()[selection]
+    columns["tile"] = np.full(len(selection), tile, dtype=object)
+    columns["split"] = np.full(len(selection), "none", dtype=object)
+    return columns, num_excluded
+
+
+def check_crs(cloud_crs: pyproj.CRS | None, footprint_crs: Any, name: str) -> None:
+    """Raise :class:`InputError` if the CRS of a cloud differs from that of the footprints.
+
+    A cloud or footprints that do not state a CRS pass. name: path of the cloud, used in the message.
+    """
+    if cloud_crs is None or footprint_crs is None:
+        return
+    footprint_crs = pyproj.CRS.from_user_input(footprint_crs)
+    if not same_crs(cloud_crs, footprint_crs):
+        raise InputError(
+            f"{name}: is in {cloud_crs.name}, but the footprints are in {footprint_crs.name}; "
+            "reproject one of them"
+        )
+
+
+def _window(polygons: Polygons, tile_bounds: tiling.Bounds) -> tiling.Bounds:
+    """Bounds of the points to read: the polygons (the tile if there are none) and the ground around them."""
+    if not len(polygons.xy_m):
+        return tiling.grown(tile_bounds, GROUND_RINGS_M[-1])
+    low, high = polygons.xy_m.min(axis=0), polygons.xy_m.max(axis=0)
+    bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    return tiling.grown(bounds, GROUND_RINGS_M[-1])

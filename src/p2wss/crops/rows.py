@@ -1,0 +1,91 @@
+"""The columns of crops that are the same for simulated and for real clouds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from p2wss.config import Crops
+from p2wss.crops.kernels import count_distinct, count_true, gather_cm, medians
+from p2wss.data import files, polygon_arrays
+from p2wss.data.clouds import Cloud
+from p2wss.data.cropping import seen_share
+from p2wss.data.points import Cropped
+from p2wss.skeleton.types import Polygons
+
+_MAX_REACH_M = 320.0  # int16 centimetres end at 327 m
+_OUT_OF_RANGE = -32768
+
+
+def crop_columns(
+    cloud: Cloud,
+    cropped: Cropped,
+    polygons: Polygons,
+    origin_xy_m: np.ndarray,
+    on_roof: np.ndarray,
+    settings: Crops,
+    num_excluded: Counter[str],
+) -> tuple[np.ndarray, dict[str, Any]]:
+    """The indices of the polygons that make a row, and their columns of :data:`p2wss.data.schemas.crops.CROPS`.
+
+    cropped: of ``cloud`` and ``polygons``. origin_xy_m: float64 (num_polygons, 2). on_roof: bool (num_pairs,),
+    which of the cropped points are on the roof of their building. Polygons that are too large or have too few
+    points are excluded, and added to ``num_excluded``.
+    """
+    offset = cropped.offset
+    local = Polygons(
+        polygons.xy_m - repeat_per_vertex(polygons, origin_xy_m),
+        polygons.ring_offset,
+        polygons.polygon_offset,
+    )
+    origin_z_m = np.round(medians(cloud.z_m, cropped.point, offset))
+    x_cm = gather_cm(cloud.x_m, cropped.point, offset, origin_xy_m[:, 0].copy())
+    y_cm = gather_cm(cloud.y_m, cropped.point, offset, origin_xy_m[:, 1].copy())
+    z_cm = gather_cm(cloud.z_m, cropped.point, offset, origin_z_m)
+    in_range = z_cm != _OUT_OF_RANGE  # points 300 m above or below the others do not belong to the building
+
+    reach_m = np.abs(local.xy_m).max(axis=1) + settings.buffer_m
+    is_large = count_true(reach_m > _MAX_REACH_M, local.vertex_offset) > 0
+    has_few = ~is_large & (count_true(in_range, offset) < settings.min_points)
+    num_excluded["too-large"] += int(is_large.sum())
+    num_excluded["too-few-points"] += int(has_few.sum())
+    is_row = ~(is_large | has_few)
+    selection = np.flatnonzero(is_row)
+    strip = np.zeros(len(cloud), np.uint16) if cloud.strip is None else cloud.strip
+    mask = in_range & np.repeat(is_row, np.diff(offset))
+    pairs = slice(None) if mask.all() else mask  # mostly all pairs are used, and none need be copied
+    num_points = count_true(in_range, offset)[selection]
+    point_offset = np.concatenate([[0], np.cumsum(num_points)])
+    footprints = polygon_arrays.take(local, selection)
+    columns = {
+        "num_points": num_points.astype(np.int32),
+        "origin_x_m": origin_xy_m[selection, 0],
+        "origin_y_m": origin_xy_m[selection, 1],
+        "origin_z_m": origin_z_m[selection],
+        "x_cm": files.ragged(x_cm[pairs], point_offset),
+        "y_cm": files.ragged(y_cm[pairs], point_offset),
+        "z_cm": files.ragged(z_cm[pairs], point_offset),
+        "classification": files.ragged(cloud.classification[cropped.point[pairs]], point_offset),
+        **polygon_arrays.to_columns(footprints, np.zeros((len(selection), 2))),
+        "ground_z_m": cropped.ground_z_m[selection],
+        "num_roof_points": count_true(on_roof & in_range, offset)[selection].astype(np.int32),
+        "num_strips": count_distinct(strip, cropped.point, offset)[selection],
+        "is_truncated": num_points > settings.max_points,
+        "visible_roof_share": seen_share(
+            x_cm[pairs],
+            y_cm[pairs],
+            on_roof[pairs],
+            point_offset,
+            footprints.xy_m,
+            footprints.ring_offset,
+            footprints.polygon_offset,
+        ),
+    }
+    return selection, columns
+
+
+def repeat_per_vertex(polygons: Polygons, values: np.ndarray) -> np.ndarray:
+    """``values`` (num_polygons, ..) repeated for each vertex of a polygon."""
+    return np.repeat(values, np.diff(polygons.vertex_offset), axis=0)

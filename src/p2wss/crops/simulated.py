@@ -1,0 +1,70 @@
+"""Crop the points of each building from a simulated scan, with labels."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from p2wss.config import Crops
+from p2wss.crops.kernels import count_true, face_kinds, walls_seen
+from p2wss.crops.rows import crop_columns, repeat_per_vertex
+from p2wss.crops.splits import assign_splits
+from p2wss.data import polygon_arrays
+from p2wss.data.clouds import Cloud
+from p2wss.data.points import crop_cloud
+from p2wss.skeleton.types import FaceKind, Polygons
+
+_MIN_POINTS_OF_WALL = 10  # a wall with fewer points does not count in num_walls_seen
+_LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
+
+
+def crop_simulated(
+    buildings: pa.Table, scan: tuple[Cloud, np.ndarray, np.ndarray], settings: Crops
+) -> tuple[dict[str, Any], Counter[str]]:
+    """The columns of :data:`p2wss.data.schemas.crops.CROPS` with labels, and the number of excluded buildings per
+    reason.
+
+    buildings: the columns of :data:`p2wss.data.schemas.buildings.BUILDINGS`; those in the margin of the tile are
+    not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.data.schemas.scan.read_scan`.
+    """
+    cloud, building_of_point, face_of_point = scan
+    polygons = _footprints(buildings)
+    split = assign_splits(polygons, settings)
+    num_excluded: Counter[str] = Counter()
+    tile_rows = np.flatnonzero(buildings["in_tile"].to_numpy())
+    status = np.array(buildings["status"].to_pylist(), dtype=object)[tile_rows]
+    num_excluded.update(status[status != "ok"].tolist())
+    rows = tile_rows[status == "ok"]
+
+    footprints = polygon_arrays.take(polygons, rows)
+    cropped = crop_cloud(cloud, footprints, settings.buffer_m)
+    kind = face_kinds(building_of_point, face_of_point, cropped.point, cropped.offset, rows)
+    on_roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
+    on_wall = kind == FaceKind.WALL
+    selection, columns = crop_columns(
+        cloud, cropped, footprints, _origins(buildings)[rows], on_roof, settings, num_excluded
+    )
+    labels = buildings.take(rows[selection])
+    num_walls = walls_seen(face_of_point, cropped.point, on_wall, cropped.offset, _MIN_POINTS_OF_WALL)
+    columns |= {name: labels[name].combine_chunks() for name in _LABELS}
+    columns |= {
+        "label_terrain_z_m": labels["terrain_z_m"].combine_chunks(),
+        "split": split[rows[selection]],
+        "num_wall_points": count_true(on_wall, cropped.offset)[selection].astype(np.int32),
+        "num_walls_seen": num_walls[selection],
+    }
+    return columns, num_excluded
+
+
+def _origins(buildings: pa.Table) -> np.ndarray:
+    return np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
+
+
+def _footprints(buildings: pa.Table) -> Polygons:
+    """Footprints in the CRS of the file, not in local coordinates."""
+    local = polygon_arrays.from_columns(buildings)
+    xy_m = local.xy_m + repeat_per_vertex(local, _origins(buildings))
+    return Polygons(xy_m, local.ring_offset, local.polygon_offset)
