@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 TILE_PATTERN = r"\d{4}_\d{4}|\d{7}_\d{7}"
 Bounds = tuple[float, float, float, float]
@@ -64,6 +66,8 @@ def tiles_of_points(x_m: np.ndarray, y_m: np.ndarray, tile_size_m: float) -> np.
 
     Arguments are float arrays of shape (n,), the result is an array of n strings.
     """
+    import numpy as np  # not at the top: the Snakefile imports this module at each start, and numpy is slow to load
+
     column = np.floor(np.asarray(x_m) / tile_size_m)
     row = np.ceil(np.asarray(y_m) / tile_size_m)
     names = [

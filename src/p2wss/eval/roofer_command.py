@@ -11,6 +11,7 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from p2wss.config import Eval
@@ -32,16 +33,23 @@ def find(command: str) -> Roofer | str:
     words = shlex.split(command)
     if not words:
         return "not run: eval.roofer_command is empty"
-    if shutil.which(words[0]) is None:
+    path = shutil.which(words[0])
+    if path is None:
         return f"not run: program {words[0]} not found"
     try:
-        completed = subprocess.run(
-            [words[0], "--version"], capture_output=True, text=True, timeout=60, check=False
-        )
+        return Roofer(words, _version(path, Path(path).stat().st_mtime_ns))
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"not run: {words[0]} --version: {error}"
+
+
+@cache
+def _version(program: str, modified_ns: int) -> str:
+    """The version that the program reports; asked once per process, unless the file at ``program`` changes."""
+    completed = subprocess.run(
+        [program, "--version"], capture_output=True, text=True, timeout=60, check=False
+    )
     text = (completed.stdout or completed.stderr).strip().splitlines()
-    return Roofer(words, text[0] if text else "unknown version")
+    return text[0] if text else "unknown version"
 
 
 def recorded_files(config: Eval) -> list[Path]:
