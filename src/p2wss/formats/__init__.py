@@ -1,1 +1,1 @@
-"""Buildings as files that other programs read: CityJSON text sequences, GLB, GeoPackage."""
+"""Buildings in the formats of other programs: CityJSON, GLB, OBJ, PLY, STL, GeoPackage; one format per module."""

@@ -30,8 +30,11 @@ _KIND = {"GroundSurface": FaceKind.GROUND, "WallSurface": FaceKind.WALL, "RoofSu
 
 @dataclass(frozen=True)
 class Surface:
-    """One planar polygon of a building: its kind, the footprint edge it grows from (or -1), and its rings of
-    vertex indices, exterior first, counter-clockwise from outside; holes the other way round."""
+    """One planar polygon of a building.
+
+    kind: a ``FaceKind``. edge: the footprint edge or the plane it belongs to, or -1. rings: vertex indices, the
+    exterior first, counter-clockwise seen from outside; holes clockwise.
+    """
 
     kind: int
     edge: int
@@ -40,9 +43,9 @@ class Surface:
 
 @dataclass(frozen=True)
 class Solid:
-    """A building for the file: vertex_m float64 (v, 3) in the CRS, its surfaces, and plain attributes.
+    """A building to write: vertex_m float64 (v, 3) in the CRS, surfaces, and attributes of JSON types.
 
-    Without surfaces it becomes a Building without geometry, whose attributes tell why.
+    Without surfaces it becomes a Building without geometry.
     """
 
     building_id: str
@@ -52,7 +55,7 @@ class Solid:
 
 
 def reference_system(epsg: int) -> str:
-    """The URL of a CRS as CityJSON wants it.
+    """The URL of a CRS in the form that CityJSON requires.
 
     >>> reference_system(2154)
     'https://www.opengis.net/def/crs/EPSG/0/2154'
@@ -61,7 +64,7 @@ def reference_system(epsg: int) -> str:
 
 
 def lines(solids: Iterable[Solid], epsg: int | None, lod: str = "2.0") -> Iterator[str]:
-    """The lines of a sequence, header first, without line ends. The first solid gives the local origin."""
+    """The lines of a CityJSONSeq, header first, without line ends. The first solid defines the local origin."""
     translate = [0.0, 0.0, 0.0]
     started = False
     for solid in solids:
@@ -76,10 +79,10 @@ def lines(solids: Iterable[Solid], epsg: int | None, lod: str = "2.0") -> Iterat
 
 
 def document(solids: Sequence[Solid], epsg: int | None, lod: str = "2.0") -> str:
-    """The same as one CityJSON object."""
+    """The same content as :func:`lines`, as a single CityJSON object."""
     texts = map(json.loads, lines(solids, epsg, lod))
-    whole = next(texts)
-    vertices: list[list[int]] = whole["vertices"]
+    city = next(texts)
+    vertices: list[list[int]] = city["vertices"]
     for feature in texts:
         first = len(vertices)
         vertices += feature["vertices"]
@@ -89,12 +92,12 @@ def document(solids: Sequence[Solid], epsg: int | None, lod: str = "2.0") -> str
                     [[[vertex + first for vertex in ring] for ring in rings] for rings in shell]
                     for shell in geometry["boundaries"]
                 ]
-        whole["CityObjects"] |= feature["CityObjects"]
+        city["CityObjects"] |= feature["CityObjects"]
     if vertices:
-        corner = np.array(vertices) * SCALE_M + whole["transform"]["translate"]
+        corner = np.array(vertices) * SCALE_M + city["transform"]["translate"]
         extent = [*corner.min(axis=0), *corner.max(axis=0)]
-        whole.setdefault("metadata", {})["geographicalExtent"] = [round(float(v), 4) for v in extent]
-    return _compact(whole)
+        city.setdefault("metadata", {})["geographicalExtent"] = [round(float(v), 4) for v in extent]
+    return _compact(city)
 
 
 def _header(translate: list[float], epsg: int | None) -> dict[str, Any]:
@@ -124,7 +127,7 @@ def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
         if rings:
             shell.append(rings)
             kinds.append(SURFACE_TYPE[FaceKind(surface.kind)])
-    # a vertex amid triangles of one plane is in no ring
+    # a vertex within a face is in no ring
     used = sorted({vertex for rings in shell for ring in rings for vertex in ring})
     number = {vertex: position for position, vertex in enumerate(used)}
     shell = [[[number[vertex] for vertex in ring] for ring in rings] for rings in shell]
@@ -151,7 +154,7 @@ def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
 
 
 def _without_repeats(ring: np.ndarray) -> list[int]:
-    """Two vertices closer than the scale have become one."""
+    """The ring without consecutive equal vertices: vertices closer than the scale have become equal."""
     return [int(v) for v, before in zip(ring, np.roll(ring, 1), strict=True) if v != before]
 
 
@@ -161,9 +164,12 @@ def _compact(value: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class ReadSolid:
-    """A building read back, triangulated: vertex_m float64 (v, 3) in the CRS, triangle int (t, 3), kind uint8
-    (t,), surface int (t,), the number of the polygon that a triangle is part of; empty if the building has no
-    geometry of the wanted level of detail."""
+    """A building from a file, triangulated.
+
+    vertex_m: float64 (v, 3) in the CRS. triangle: int (t, 3). kind: uint8 (t,), a ``FaceKind``. surface: int (t,), the
+    number of the polygon that a triangle is part of. All are empty if the building has no geometry of the level of
+    detail.
+    """
 
     building_id: str
     vertex_m: np.ndarray
@@ -174,9 +180,9 @@ class ReadSolid:
 
 
 def read(path: str | Path, lod: str) -> list[ReadSolid]:
-    """Every Building of a CityJSON file or sequence with its solids of one level of detail, parts together.
+    """Every Building of a CityJSON file or CityJSONSeq with its solids of one level of detail, parts joined.
 
-    Raises :class:`InputError` if the file is missing or is no CityJSON.
+    Raises :class:`InputError` if the file is missing or not CityJSON.
     """
     try:
         text = Path(path).read_text()
@@ -189,14 +195,14 @@ def read(path: str | Path, lod: str) -> list[ReadSolid]:
         raise InputError(f"{path}: not CityJSON: the first object must have the type CityJSON")
     transform = documents[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
     scale, translate = np.array(transform["scale"]), np.array(transform["translate"])
-    found: list[ReadSolid] = []
+    solids: list[ReadSolid] = []
     for document in documents:
         if document.get("vertices"):
             vertex = np.array(document["vertices"], float) * scale + translate
         else:
             vertex = np.zeros((0, 3))
-        found += _buildings(document["CityObjects"], vertex, lod)
-    return found
+        solids += _buildings(document["CityObjects"], vertex, lod)
+    return solids
 
 
 def _whole(path: str | Path, text: str) -> dict[str, Any]:
@@ -207,7 +213,7 @@ def _whole(path: str | Path, text: str) -> dict[str, Any]:
 
 
 def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[ReadSolid]:
-    found = []
+    solids = []
     for name, building in objects.items():
         if building["type"] != "Building":
             continue
@@ -219,9 +225,9 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[
                     triangles.append(triangle)
                     kinds.append(np.full(len(triangle), kind, np.uint8))
         triangle = np.concatenate(triangles)
-        surface = np.repeat(np.arange(len(triangles)), [len(own) for own in triangles]) - 1
+        surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
         used, local = np.unique(triangle, return_inverse=True)
-        found.append(
+        solids.append(
             ReadSolid(
                 name,
                 vertex_m[used],
@@ -231,7 +237,7 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[
                 building.get("attributes", {}),
             )
         )
-    return found
+    return solids
 
 
 def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
@@ -248,14 +254,14 @@ def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tu
 
 
 def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:
-    """Triangles, int (t, 3), of one planar polygon of vertex indices, with the polygon's own orientation."""
+    """Triangles, int (t, 3), of one planar polygon of vertex indices, in the orientation of the polygon."""
     exterior = vertex_m[rings[0]]
-    # Newell's normal: exact for a planar ring, the mean of a slightly bent one
+    # Newell's normal: exact for a planar ring, an average for a slightly bent one
     normal = np.cross(exterior - exterior[0], np.roll(exterior, -1, axis=0) - exterior[0]).sum(axis=0)
     drop = int(np.abs(normal).argmax())
-    keep = [axis for axis in range(3) if axis != drop]
+    axes = [axis for axis in range(3) if axis != drop]
     index = np.concatenate(rings)
-    plane = np.ascontiguousarray(vertex_m[index][:, keep])
+    plane = np.ascontiguousarray(vertex_m[index][:, axes])
     ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
     triangle = index[mapbox_earcut.triangulate_float64(plane, ends).reshape(-1, 3)]
     if not len(triangle):

@@ -1,4 +1,4 @@
-"""Meshes as one binary glTF 2.0 file: metres, y up as glTF prescribes, origin in the asset's extras."""
+"""Meshes as a binary glTF 2.0 file: metres, y up as glTF prescribes, origin in the extras of the asset."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
     """Bytes of a GLB with one node per mesh.
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with
-    ``frame.origin_m`` = (x0, y0, z0). The extras of the asset say so, and hold ``facts`` under ``p2wss``.
+    ``frame.origin_m`` = (x0, y0, z0). The extras of the asset document this, and hold ``facts`` under ``p2wss``.
     """
     scene = trimesh.Scene()
     materials = {

@@ -1,4 +1,4 @@
-"""GeoPackage tables, whole or not at all."""
+"""GeoPackage tables, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from p2wss.data import files
 def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str = "buildings") -> None:
     """Write one layer, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``.
 
-    Raises :class:`InputError` that names ``path`` if the disk refuses.
+    Raises :class:`InputError` that names ``path`` if it cannot be written.
     """
     with files.atomic(path) as temporary:
-        # GDAL makes the file itself, and takes an empty one for a broken one
+        # GDAL creates the file itself, and refuses an empty one
         temporary.unlink()
         try:
             frame.to_file(
@@ -27,5 +27,5 @@ def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str
                 engine="pyogrio",
                 dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)},
             )
-        except RuntimeError as error:  # pyogrio's errors are no OSError, a full disk among them
+        except RuntimeError as error:  # pyogrio's errors, a full disk among them, are not OSErrors
             raise OSError(str(error)) from error

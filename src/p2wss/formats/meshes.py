@@ -1,7 +1,7 @@
 """Triangle meshes for simulators: Wavefront OBJ, binary PLY and binary STL, in metres, z up, around a stated origin.
 
-Every triangle runs counter-clockwise from outside: its normal points out of the solid. Vertices stay shared, so a
-solid that is closed in memory is closed in the file.
+Triangles are counter-clockwise seen from outside: normals point out of the solid. Vertices stay shared, so a solid
+that is closed in memory is closed in the file.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from p2wss import __version__
 from p2wss.skeleton.types import FaceKind
 
-# kind of a terrain's triangle, after those of the kernel
+# kind of the triangles of terrain, after the kernel's ``FaceKind``
 TERRAIN = max(FaceKind) + 1
 SURFACE_NAMES = {
     FaceKind.GROUND: "ground",
@@ -42,7 +42,7 @@ class Mesh:
 
 @dataclass(frozen=True)
 class Frame:
-    """Where a file's (0, 0, 0) lies: ``origin_m`` (x, y, z) in the CRS that ``crs`` names."""
+    """Position of a file's (0, 0, 0): ``origin_m`` (x, y, z) in the CRS named ``crs``."""
 
     origin_m: np.ndarray
     crs: str
@@ -53,7 +53,7 @@ class Frame:
 
 
 def frame_around(meshes: Sequence[Mesh], crs: str) -> Frame:
-    """The least corner of all, in whole metres: coordinates stay small enough for 32 bits."""
+    """The frame at the lower corner of all meshes, in whole metres: coordinates are small enough for 32 bits."""
     corners = [mesh.vertex_m.min(axis=0) for mesh in meshes if len(mesh.vertex_m)]
     return Frame(np.floor(np.min(corners, axis=0)) if corners else np.zeros(3), crs)
 
@@ -78,10 +78,10 @@ def obj(meshes: Sequence[Mesh], frame: Frame) -> bytes:
 
 
 def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:
-    """Binary PLY; per face its kind and the number of its mesh, whose names stand in the comments."""
-    vertex, triangle, kind, owner = _joined(meshes, frame)
+    """Binary PLY; each face has its kind and the number of its mesh, whose name is in the comments."""
+    vertex, triangle, kind, mesh_number = _joined(meshes, frame)
     face = np.zeros(len(triangle), _PLY_FACE)
-    face["count"], face["vertex"], face["kind"], face["mesh"] = 3, triangle, kind, owner
+    face["count"], face["vertex"], face["kind"], face["mesh"] = 3, triangle, kind, mesh_number
     kinds = ", ".join(f"{int(number)} {name}" for number, name in SURFACE_NAMES.items())
     header = [
         "ply",
@@ -110,13 +110,13 @@ def stl(meshes: Sequence[Mesh], frame: Frame) -> bytes:
     corner = face["corner"].astype(float)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     face["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-    # a header that begins with "solid" would be taken for the text format
+    # readers take a header that begins with "solid" for the text format
     header = f"p2wss metres z up origin_m {frame.origin} crs {frame.crs}".encode("ascii", "replace")[:80]
     return header.ljust(80) + len(face).to_bytes(4, "little") + face.tobytes()
 
 
 def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (:data:`_VERTEX`), triangles, kind and number of the mesh per triangle, of all meshes."""
+    """Vertices (:data:`_VERTEX`), triangles, and per triangle kind and number of the mesh, of all meshes."""
     counts = np.array([len(mesh.vertex_m) for mesh in meshes], int)
     sizes = [len(mesh.triangle) for mesh in meshes]
     first = np.repeat(np.cumsum(counts) - counts, sizes)
@@ -130,5 +130,5 @@ def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarra
 
 
 def _word(name: str) -> str:
-    """Names in these formats end at white space."""
+    """The name without white space, which ends a name in these formats."""
     return "_".join(name.split()) or "_"

@@ -1,4 +1,4 @@
-"""The files of ``p2wss reconstruct``: every format from the same results, each written whole or not at all."""
+"""The output files of ``p2wss reconstruct``, all from the same results, each written whole or not at all."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from p2wss.reconstruct import terrain_mesh
 from p2wss.reconstruct.pipeline import Result, city_json, table, vertices_m
 
 MESH_OUTPUTS: tuple[Output, ...] = ("glb", "obj", "ply", "stl")
-# a footprint's own ground and the terrain differ by this much only where their heights are two systems
-_OTHER_SYSTEM_M = 1.0
+# a larger median gap between terrain and ground of the cloud means that their height systems differ
+_SAME_SYSTEM_M = 1.0
 
 
 def write(
@@ -36,17 +36,17 @@ def write(
     config: Reconstruct,
     terrain: Terrain | None = None,
 ) -> list[str]:
-    """Write every file of ``config.outputs`` to ``folder``, and ``STEM.json`` last; their names.
+    """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the names.
 
-    With a terrain the meshes stand in a block of it (:mod:`p2wss.terrain_mesh`); CityJSON stays as it is.
-    Raises :class:`InputError` if a file cannot be written or the terrain is somewhere else.
+    With a terrain the meshes stand in a block of it (:mod:`p2wss.reconstruct.terrain_mesh`); CityJSON does not change.
+    Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
     buildings = [mesh(result) for result in results if result.reconstruction.has_mesh]
     ground = None if terrain is None else block(buildings, terrain, config)
     if terrain is not None:
-        buildings = terrain_mesh.standing(buildings, terrain)
-    whole = buildings if ground is None else [*buildings, ground]
-    frame = frame_around(whole, crs.to_string())
+        buildings = terrain_mesh.lowered_into(buildings, terrain)
+    meshes = buildings if ground is None else [*buildings, ground]
+    frame = frame_around(meshes, crs.to_string())
     written = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
@@ -57,12 +57,12 @@ def write(
         elif output in ("cityjson", "cityjsonseq"):
             files.write_text(folder / name, city_json(results, crs, output))
         else:
-            files.write_bytes(folder / name, document(output, whole, frame, facts))
+            files.write_bytes(folder / name, document(output, meshes, frame, facts))
         written.append(name)
         if config.per_building and output in MESH_OUTPUTS:
-            for one, file in zip(whole, file_names([one.name for one in whole]), strict=True):
+            for single, file in zip(meshes, file_names([mesh.name for mesh in meshes]), strict=True):
                 path = folder / stem / f"{file}{OUTPUT_SUFFIXES[output]}"
-                files.write_bytes(path, document(output, [one], frame, facts))
+                files.write_bytes(path, document(output, [single], frame, facts))
             written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
     files.write_json(
         folder / f"{stem}.json",
@@ -70,7 +70,7 @@ def write(
             "p2wss": facts,
             "crs": frame.crs,
             "origin_m": frame.origin_m.tolist(),
-            "axes": {"obj, ply, stl": AXES, "glb": "as its asset's extras tell: y up"},
+            "axes": {"obj, ply, stl": AXES, "glb": "y up, see the extras of its asset"},
             "files": written,
             "buildings": counts(results),
             "terrain": None if ground is None else {"mesh": ground.name, "triangles": len(ground.triangle)},
@@ -80,34 +80,34 @@ def write(
 
 
 def document(output: str, meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
-    """Meshes in one of :data:`MESH_OUTPUTS`."""
+    """Content of a file with the meshes, in one of the formats :data:`MESH_OUTPUTS`."""
     if output == "glb":
         return glb(meshes, frame, facts)
     return {"obj": obj, "ply": ply, "stl": stl}[output](meshes, frame)
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """Names for files, all different on any file system.
+    """File names that differ on every file system, also on those that ignore case.
 
     >>> file_names(["A/1", "a_1", "..", "Ö 2"])
     ['A_1', 'a_1-2', '_', 'Ö_2']
     """
     result: list[str] = []
-    seen: set[str] = set()
+    used: set[str] = set()
     for number, name in enumerate(names, 1):
         plain = re.sub(r"[^\w.-]", "_", name).strip(".")[:100] or "_"
-        while plain.lower() in seen:
+        while plain.lower() in used:
             plain = f"{plain}-{number}"
-        seen.add(plain.lower())
+        used.add(plain.lower())
         result.append(plain)
     return result
 
 
 def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> Mesh | None:
-    """The terrain around the buildings; None without any. Raises :class:`InputError` if it is elsewhere."""
+    """The terrain around the buildings, None without buildings. Raises :class:`InputError` if it has no height."""
     if not buildings:
         return None
-    corners = np.concatenate([one.vertex_m for one in buildings])
+    corners = np.concatenate([building.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = config.terrain_margin_m
     bounds = (low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
@@ -118,27 +118,29 @@ def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> M
 
 
 def check_terrain(terrain_crs: pyproj.CRS, crs: pyproj.CRS, name: Path) -> None:
-    """Raise :class:`InputError` if the terrain is in another CRS than the clouds."""
+    """Raise :class:`InputError` if terrain and clouds are in different CRSs."""
     if not same_crs(terrain_crs, crs):
-        raise InputError(f"{name} is in {terrain_crs.name}, but the clouds in {crs.name}; reproject it")
+        raise InputError(f"{name} is in {terrain_crs.name}, but the clouds are in {crs.name}; reproject it")
 
 
 def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
-    """A warning where the terrain's heights are not those of the clouds."""
-    made = [result.reconstruction for result in results if result.reconstruction.has_mesh]
-    if not made:
+    """A warning if the heights of terrain and clouds differ, or None."""
+    rows = [result.reconstruction for result in results if result.reconstruction.has_mesh]
+    if not rows:
         return None
-    middle = np.array([one.vertex_m[:, :2].mean(axis=0) + one.origin_xy_m for one in made])
-    gap = terrain.interpolated(middle[:, 0], middle[:, 1]) - [one.ground_z_m for one in made]
-    known = gap[np.isfinite(gap)]
-    if len(known) and abs(np.median(known)) <= _OTHER_SYSTEM_M:
+    centre = np.array([row.vertex_m[:, :2].mean(axis=0) + row.origin_xy_m for row in rows])
+    gap_m = terrain.interpolated(centre[:, 0], centre[:, 1]) - [row.ground_z_m for row in rows]
+    gap_m = gap_m[np.isfinite(gap_m)]
+    if not len(gap_m):
+        return "the terrain has no heights at the buildings"
+    if abs(np.median(gap_m)) <= _SAME_SYSTEM_M:
         return None
-    told = f"{np.median(known):+.1f} m from the clouds' ground" if len(known) else "unknown at the buildings"
-    return f"the heights of the terrain are {told}: are both in the same height system?"
+    gap = f"{np.median(gap_m):+.1f} m from the ground of the clouds"
+    return f"the terrain is {gap}: are both in the same height system?"
 
 
 def counts(results: Sequence[Result]) -> dict[str, Any]:
-    """How many of each status, with reasons, methods and flags."""
+    """Numbers of buildings by status, reason and method."""
     return {
         "total": len(results),
         "status": dict(Counter(result.status for result in results)),
@@ -150,5 +152,5 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
 
 def mesh(result: Result) -> Mesh:
     """The building's mesh in the CRS of the cloud."""
-    made = result.reconstruction
-    return Mesh(made.building_id, vertices_m(made), made.triangle, made.kind)
+    row = result.reconstruction
+    return Mesh(row.building_id, vertices_m(row), row.triangle, row.kind)

@@ -1,4 +1,4 @@
-"""Terrain under reconstructed buildings: a light closed block, and buildings that reach into it."""
+"""Terrain under reconstructed buildings: a closed block of few triangles, and buildings that reach into it."""
 
 from __future__ import annotations
 
@@ -15,53 +15,53 @@ from p2wss.formats.meshes import TERRAIN, Mesh
 from p2wss.skeleton.types import FaceKind
 
 NAME = "terrain"
-# the block goes this far below the lowest ground, a building this far below the lowest ground at it
+# the block reaches this far below the lowest ground, a building this far below the lowest terrain under it
 _BELOW_M, _FOOT_M = 2.0, 0.5
-# of larger windows every k-th cell counts: 1 km at 0.5 m is all there
+# of larger windows only every k-th cell is used; 1 km at 0.5 m is used whole
 _MAX_CELLS = 4_000_000
 
 
 def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float = np.inf) -> Mesh:
-    """A closed solid over the middles of the cells in ``bounds`` and one more all around.
+    """A closed solid over the centres of the cells in ``bounds`` and of one more row of cells on every side.
 
-    Its top is a Delaunay triangulation with ever more cells as vertices until none is further than
+    The top is a Delaunay triangulation, to which cells are added as vertices until no cell is further than
     ``tolerance_m`` above or below it (greedy insertion, Garland and Heckbert 1995, section 4, the worst cell of
-    every triangle at a time); its sides are vertical, its bottom is level, below all ground and ``lowest_m``.
-    Cells without data take the height of the nearest with. Raises ``ValueError`` if there is none.
+    every triangle in each round). The sides are vertical; the bottom is level, below all ground and ``lowest_m``.
+    Cells without data take the height of the nearest cell with data. Raises ``ValueError`` if there is none.
     """
     height_m, x_m, y_m = _window(terrain, bounds)
     rows, columns = height_m.shape
-    chosen = np.array([0, columns - 1, (rows - 1) * columns, rows * columns - 1])
+    vertices = np.array([0, columns - 1, (rows - 1) * columns, rows * columns - 1])
     while True:
-        row, column = np.divmod(chosen, columns)
-        # Delaunay on whole numbers is exact: what lies on the border stays on it
+        row, column = np.divmod(vertices, columns)
+        # Delaunay on whole numbers is exact: points on the border stay on it
         plan = np.column_stack([column, row])
         upper = Delaunay(plan.astype(float)).simplices
         area = _doubled_area(plan[upper])
-        # rows run south, so what turns clockwise on the grid is seen from above counter-clockwise
+        # rows run south: what is clockwise on the grid is counter-clockwise seen from above
         upper = np.where((area > 0)[:, None], upper[:, ::-1], upper)[area != 0]
         worst = _worst_cells(height_m, plan[upper], tolerance_m)
-        more = np.union1d(chosen, worst[worst >= 0])
-        if len(more) == len(chosen):
+        extended = np.union1d(vertices, worst[worst >= 0])
+        if len(extended) == len(vertices):
             break
-        chosen = more
+        vertices = extended
     top_m = np.column_stack([x_m[column], y_m[row], height_m[row, column]])
     return _closed(top_m, upper, min(float(height_m.min()), lowest_m) - _BELOW_M)
 
 
-def standing(meshes: Sequence[Mesh], terrain: Terrain) -> list[Mesh]:
-    """The buildings with their ground faces lowered below the lowest terrain under each; walls grow with them.
+def lowered_into(meshes: Sequence[Mesh], terrain: Terrain) -> list[Mesh]:
+    """The buildings with their ground faces lowered below the lowest terrain under each, walls extended.
 
-    Where a slope falls away under a level floor, no gap is left to look or to send a pulse into.
+    So there is no gap between a level ground face and sloping terrain through which a ray could enter the building.
     """
     result = []
     for mesh in meshes:
         low, high = mesh.vertex_m.min(axis=0), mesh.vertex_m.max(axis=0)
-        here = terrain.cut((low[0], low[1], high[0], high[1])).height_m
-        lowest = np.nanmin(here) if np.isfinite(here).any() else np.inf
+        height_m = terrain.cut((low[0], low[1], high[0], high[1])).height_m
+        lowest = np.nanmin(height_m) if np.isfinite(height_m).any() else np.inf
         vertex_m = mesh.vertex_m.copy()
-        floor = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
-        vertex_m[floor, 2] = np.minimum(vertex_m[floor, 2], lowest - _FOOT_M)
+        ground = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
+        vertex_m[ground, 2] = np.minimum(vertex_m[ground, 2], lowest - _FOOT_M)
         result.append(Mesh(mesh.name, vertex_m, mesh.triangle, mesh.kind))
     return result
 
@@ -93,7 +93,7 @@ def _worst_cells(height_m: np.ndarray, corner: np.ndarray, tolerance_m: float) -
 
 
 def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights of a grid that covers ``bounds``, without gaps, and its x (columns,) and y (rows,)."""
+    """Heights of a grid that covers ``bounds``, gaps filled, with the x (columns,) and y (rows,) of its cells."""
     cell = terrain.cell_m
     x_min, y_min, x_max, y_max = bounds
     left = int(np.floor((x_min - terrain.x_min_m) / cell - 0.5))
@@ -105,31 +105,31 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
     row = np.arange(first, last + step, step)
     rows, columns = terrain.height_m.shape
     height = np.full((len(row), len(column)), np.nan)
-    own_row, own_column = (row >= 0) & (row < rows), (column >= 0) & (column < columns)
-    height[np.ix_(own_row, own_column)] = terrain.height_m[np.ix_(row[own_row], column[own_column])]
-    known = np.isfinite(height)
-    if not known.any():
+    in_row, in_column = (row >= 0) & (row < rows), (column >= 0) & (column < columns)
+    height[np.ix_(in_row, in_column)] = terrain.height_m[np.ix_(row[in_row], column[in_column])]
+    has_data = np.isfinite(height)
+    if not has_data.any():
         raise ValueError("no height in the window")
-    if not known.all():
-        nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    if not has_data.all():
+        nearest = distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
     return height, terrain.x_min_m + (column + 0.5) * cell, terrain.y_max_m - (row + 0.5) * cell
 
 
 def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Mesh:
-    """Top, vertical sides and a level bottom; the border of ``upper`` must be one ring."""
+    """The solid of a top surface, vertical sides and a level bottom; the border of ``upper`` must be a single ring."""
     border = _ring(upper)
     count, around = len(top_m), len(border)
     below = np.column_stack([top_m[border, :2], np.full(around, bottom_z_m)])
-    here, lower = np.arange(around), count + np.arange(around)
-    following = np.roll(here, -1)
+    lower = count + np.arange(around)
+    following = np.roll(np.arange(around), -1)
     sides = np.concatenate(
         [
             np.column_stack([border, lower, lower[following]]),
             np.column_stack([border, lower[following], border[following]]),
         ]
     )
-    # a fan: the border is a rectangle, with vertices within its sides that a clipper of ears would lose
+    # a fan, because the border has vertices within its straight sides, which an ear clipper would skip
     middle = [*((top_m[:, :2].min(axis=0) + top_m[:, :2].max(axis=0)) / 2), bottom_z_m]
     bottom = np.column_stack([lower[following], lower, np.full(around, count + around)])
     triangle = np.concatenate([upper, sides, bottom]).astype(np.int32)
@@ -137,7 +137,7 @@ def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Mesh:
 
 
 def _ring(triangle: np.ndarray) -> np.ndarray:
-    """The border of a triangulated disc, in the sense of its triangles."""
+    """The border of a triangulated disc, in the orientation of its triangles."""
     start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
     pairs = set(zip(start.tolist(), end.tolist(), strict=True))
     following = {a: b for a, b in pairs if (b, a) not in pairs}
@@ -149,6 +149,6 @@ def _ring(triangle: np.ndarray) -> np.ndarray:
 
 
 def _doubled_area(corner: np.ndarray) -> np.ndarray:
-    """Of triangles (t, 3, 2), positive where they turn counter-clockwise."""
+    """Twice the signed areas of triangles (t, 3, 2), positive if counter-clockwise."""
     u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]

@@ -1,4 +1,4 @@
-"""CityJSON text sequences: written, read back, and as an independent reader sees them."""
+"""CityJSON and CityJSONSeq: written, read back, and as an independent reader reads them."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def solid_of(name: str) -> tuple[Solid, np.ndarray, np.ndarray]:
     meshes = skeleton.build(Polygons.from_rings([rings]), np.array(angle, float), np.array([5.0]))
     assert meshes.status[0] == 0
     vertex, triangle, kind, edge = meshes.mesh(0)
-    there = vertex + np.array([652000.25, 6861000.5, 100])
+    placed = vertex + np.array([652000.25, 6861000.5, 100])
     return (
-        Solid(name, there, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}),
-        there,
+        Solid(name, placed, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}),
+        placed,
         triangle,
     )
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_written_is_read_back(name: str, tmp_path: Path) -> None:
+def test_written_files_are_read_back(name: str, tmp_path: Path) -> None:
     solid, vertex, triangle = solid_of(name)
     path = tmp_path / "a.city.jsonl"
     path.write_text("\n".join(cityjson.lines([solid], 2154)))
@@ -70,16 +70,16 @@ def test_what_is_written_is_read_back(name: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_polygons_are_planar_and_use_each_edge_once_each_way(name: str) -> None:
     solid, _, _ = solid_of(name)
-    seen = set()
+    sides = set()
     for surface in solid.surfaces:
         corner = solid.vertex_m[np.concatenate(surface.rings)]
         local = corner - corner.mean(axis=0)
         assert np.linalg.svd(local)[1][2] < 1e-6
         for ring in surface.rings:
             for edge in zip(ring.tolist(), np.roll(ring, -1).tolist(), strict=True):
-                assert edge not in seen
-                seen.add(edge)
-    assert {(b, a) for a, b in seen} == seen
+                assert edge not in sides
+                sides.add(edge)
+    assert {(b, a) for a, b in sides} == sides
 
 
 def test_merging_leaves_as_few_polygons_as_there_are_planes() -> None:
@@ -102,8 +102,8 @@ def solid_area(ring: np.ndarray) -> float:
 
 def test_header_and_features_follow_the_specification() -> None:
     solid, _, _ = solid_of("gables")
-    nothing = Solid("none", np.zeros((0, 3)), [], {"status": "none", "reason": "no point"})
-    header, feature, empty = (json.loads(line) for line in cityjson.lines([solid, nothing], 28992))
+    without_mesh = Solid("none", np.zeros((0, 3)), [], {"status": "none", "reason": "no point"})
+    header, feature, empty = (json.loads(line) for line in cityjson.lines([solid, without_mesh], 28992))
     assert (header["type"], header["version"]) == ("CityJSON", "2.0")
     assert header["metadata"]["referenceSystem"] == "https://www.opengis.net/def/crs/EPSG/0/28992"
     assert header["CityObjects"] == {} and header["vertices"] == []
@@ -118,7 +118,7 @@ def test_header_and_features_follow_the_specification() -> None:
     assert empty["CityObjects"]["none"]["attributes"]["reason"] == "no point"
 
 
-def test_both_forms_keep_the_rules(tmp_path: Path) -> None:
+def test_both_forms_follow_the_rules(tmp_path: Path) -> None:
     solids = [solid_of(name)[0] for name in CASES]
     solids.append(Solid("none", np.zeros((0, 3)), [], {"status": "none"}))
     sequence = [json.loads(line) for line in cityjson.lines(solids, 2154)]
@@ -127,15 +127,13 @@ def test_both_forms_keep_the_rules(tmp_path: Path) -> None:
     path = tmp_path / "a.city.json"
     path.write_text(json.dumps(document))
     (tmp_path / "a.city.jsonl").write_text("\n".join(map(json.dumps, sequence)))
-    for one, other in zip(
-        cityjson.read(path, "2.0"), cityjson.read(tmp_path / "a.city.jsonl", "2.0"), strict=True
-    ):
-        assert one.building_id == other.building_id and one.attributes == other.attributes
-        assert one.vertex_m[one.triangle] == pytest.approx(other.vertex_m[other.triangle])
+    for a, b in zip(cityjson.read(path, "2.0"), cityjson.read(tmp_path / "a.city.jsonl", "2.0"), strict=True):
+        assert a.building_id == b.building_id and a.attributes == b.attributes
+        assert a.vertex_m[a.triangle] == pytest.approx(b.vertex_m[b.triangle])
 
 
 def test_a_vertex_within_a_face_is_not_stored() -> None:
-    """A flat roof of four triangles around a middle, which only the triangles need."""
+    """A flat roof of four triangles around a vertex that no polygon needs."""
     corner = np.array([[x, y, z] for z in (0, 3) for x, y in ((0, 0), (4, 0), (4, 4), (0, 4))], float)
     vertex = np.vstack([corner, [2, 2, 3]])
     triangle = [[4, 5, 8], [5, 6, 8], [6, 7, 8], [7, 4, 8], [0, 2, 1], [0, 3, 2]]
@@ -148,7 +146,7 @@ def test_a_vertex_within_a_face_is_not_stored() -> None:
     assert len(document["vertices"]) == 8 and cityjson_rules.assert_document(document) == 1
 
 
-def test_the_rules_notice_what_is_wrong() -> None:
+def test_the_rules_detect_errors() -> None:
     def broken(change: str) -> dict[str, Any]:
         document = json.loads(cityjson.document([solid_of("gables")[0]], 2154))
         geometry = document["CityObjects"]["gables"]["geometry"][0]
@@ -182,14 +180,14 @@ def test_cjio_reads_both_forms(tmp_path: Path) -> None:
         return subprocess.run(command, input=stdin, capture_output=True, text=True, check=True).stdout
 
     sequence = "\n".join(cityjson.lines(solids, 2154)) + "\n"
-    for said in (cjio(str(path), "info"), cjio("stdin", "info", stdin=sequence)):
-        assert "CityJSON version = 2.0" in said and "EPSG = 2154" in said
-        assert f"Building ({len(CASES)})" in said
+    for output in (cjio(str(path), "info"), cjio("stdin", "info", stdin=sequence)):
+        assert "CityJSON version = 2.0" in output and "EPSG = 2154" in output
+        assert f"Building ({len(CASES)})" in output
     if find_spec("cjvalpy"):  # the official schema, where its validator can be installed
         assert "valid" in cjio(str(path), "validate").lower()
 
 
-def test_a_sequence_of_nothing_is_a_header() -> None:
+def test_a_sequence_without_buildings_is_a_header() -> None:
     assert [json.loads(line)["type"] for line in cityjson.lines([], None)] == ["CityJSON"]
 
 
@@ -201,7 +199,7 @@ def test_vertices_closer_than_the_scale_become_one() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", '{"type": "FeatureCollection"}'])
-def test_what_is_no_cityjson_is_refused(text: str, tmp_path: Path) -> None:
+def test_a_file_that_is_not_cityjson_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text(text)
     with pytest.raises(InputError, match="not CityJSON"):
@@ -211,7 +209,7 @@ def test_what_is_no_cityjson_is_refused(text: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="no shared data")
-def test_roofers_own_output_is_read_whole() -> None:
+def test_the_output_of_roofer_is_read_completely() -> None:
     solids = cityjson.read(DATA / "delft_ahn3" / "roofer_lod22.city.jsonl", "2.2")
     assert len(solids) == 74
     # counted by the independent judge: 62.5 triangles on average

@@ -1,4 +1,4 @@
-"""OBJ, PLY, STL and GLB as an independent reader sees them: the same solids, closed, seen from outside."""
+"""OBJ, PLY, STL and GLB as an independent reader reads them: the same solids, closed and outwards."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Frame, Mesh, frame_around, obj, ply, stl
 from p2wss.skeleton.types import FaceKind, Polygons
 
-THERE = np.array([652000.25, 6861000.5, 103.7])
+POSITION = np.array([652000.25, 6861000.5, 103.7])
 L_SHAPE = [np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13]], float)]
 COURTYARD = [
     np.array([[0, 0], [20, 0], [20, 20], [0, 20]], float),
@@ -25,16 +25,16 @@ COURTYARD = [
 @pytest.fixture(scope="module")
 def meshes() -> list[Mesh]:
     """An L with gables and, 40 m east of it, a block around a courtyard."""
-    made = skeleton.build(
+    built = skeleton.build(
         Polygons.from_rings([L_SHAPE, COURTYARD]),
         np.array([30, 90, 30, 30, 90, 30] + [35] * 8, float),
         np.array([5.0, 6.0]),
     )
-    assert (made.status == 0).all()
+    assert (built.status == 0).all()
     result = []
     for i, name in enumerate(("house 1", "courtyard")):
-        vertex, triangle, kind, _ = made.mesh(i)
-        result.append(Mesh(name, vertex + THERE + [40 * i, 0, 0], triangle, kind))
+        vertex, triangle, kind, _ = built.mesh(i)
+        result.append(Mesh(name, vertex + POSITION + [40 * i, 0, 0], triangle, kind))
     return result
 
 
@@ -43,13 +43,13 @@ def frame(meshes: list[Mesh]) -> Frame:
     return frame_around(meshes, "EPSG:2154")
 
 
-def test_frame_is_the_least_corner_in_whole_metres(frame: Frame) -> None:
+def test_frame_is_the_lower_corner_in_whole_metres(frame: Frame) -> None:
     assert frame.origin_m.tolist() == [652000, 6861000, 103]
     assert frame_around([], "EPSG:2154").origin_m.tolist() == [0, 0, 0]
 
 
-def one_by_one(content: bytes, kind: str) -> dict[str, trimesh.Trimesh]:
-    """Solids by name; formats that do not keep them apart are cut into their connected pieces."""
+def solids_of(content: bytes, kind: str) -> dict[str, trimesh.Trimesh]:
+    """Solids by name; for formats without separate solids, the connected pieces."""
     if kind == "obj":
         options = {"split_objects": True}
         return dict(trimesh.load_scene(BytesIO(content), file_type="obj", **options).geometry)
@@ -64,21 +64,21 @@ def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Mesh], fra
     content = (
         glb(meshes, frame, {}) if kind == "glb" else {"obj": obj, "ply": ply, "stl": stl}[kind](meshes, frame)
     )
-    found = list(one_by_one(content, kind).values())
-    assert len(found) == len(meshes)
+    pieces = list(solids_of(content, kind).values())
+    assert len(pieces) == len(meshes)
     expected = sorted(trimesh.Trimesh(m.vertex_m - frame.origin_m, m.triangle).volume for m in meshes)
-    assert sorted(piece.volume for piece in found) == pytest.approx(expected, rel=1e-5)
-    for piece in found:
+    assert sorted(piece.volume for piece in pieces) == pytest.approx(expected, rel=1e-5)
+    for piece in pieces:
         assert piece.is_watertight and piece.is_winding_consistent and piece.volume > 0
-    low = np.min([piece.bounds[0] for piece in found], axis=0)
-    high = np.max([piece.bounds[1] for piece in found], axis=0)
+    low = np.min([piece.bounds[0] for piece in pieces], axis=0)
+    high = np.max([piece.bounds[1] for piece in pieces], axis=0)
     corners = np.concatenate([m.vertex_m for m in meshes]) - frame.origin_m
-    wanted = np.array([corners.min(axis=0), corners.max(axis=0)])
+    expected_bounds = np.array([corners.min(axis=0), corners.max(axis=0)])
     if kind == "glb":
         # y up: x east, y height, -z north
-        wanted = np.array([wanted[0][[0, 2, 1]], wanted[1][[0, 2, 1]]])
-        wanted[:, 2] = -wanted[::-1, 2]
-    assert np.array([low, high]) == pytest.approx(wanted, abs=2e-4)
+        expected_bounds = expected_bounds[:, [0, 2, 1]]
+        expected_bounds[:, 2] = -expected_bounds[::-1, 2]
+    assert np.array([low, high]) == pytest.approx(expected_bounds, abs=2e-4)
 
 
 def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
@@ -86,19 +86,19 @@ def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
     assert [line for line in lines if line.startswith("o ")] == ["o house_1", "o courtyard"]
     assert "# crs EPSG:2154" in lines
     assert "# origin_m 652000 6861000 103 (add it to every vertex)" in lines
-    used: dict[str, int] = {}
+    num_faces: dict[str, int] = {}
     for line in lines:
         if line.startswith("g "):
             name = line.split()[1]
         if line.startswith("f "):
-            used[name] = used.get(name, 0) + 1
+            num_faces[name] = num_faces.get(name, 0) + 1
     kinds = np.concatenate([mesh.kind for mesh in meshes])
-    assert used["ground"] == (kinds == FaceKind.GROUND).sum()
-    assert used["wall"] == (kinds == FaceKind.WALL).sum()
-    assert used["roof"] == np.isin(kinds, (FaceKind.ROOF, FaceKind.FLAT)).sum()
+    assert num_faces["ground"] == (kinds == FaceKind.GROUND).sum()
+    assert num_faces["wall"] == (kinds == FaceKind.WALL).sum()
+    assert num_faces["roof"] == np.isin(kinds, (FaceKind.ROOF, FaceKind.FLAT)).sum()
 
 
-def test_ply_tells_kind_and_building_of_every_face(meshes: list[Mesh], frame: Frame) -> None:
+def test_ply_has_kind_and_building_of_every_face(meshes: list[Mesh], frame: Frame) -> None:
     content = ply(meshes, frame)
     header = content[: content.index(b"end_header")].decode().splitlines()
     assert "comment origin_m 652000 6861000 103 (add it to every vertex)" in header
@@ -123,7 +123,7 @@ def test_stl_is_binary_with_unit_normals_outwards(meshes: list[Mesh], frame: Fra
     assert values[:, :3] == pytest.approx(normal, abs=1e-3)
 
 
-def test_without_meshes_the_files_are_still_files() -> None:
+def test_files_without_meshes_are_valid() -> None:
     frame = frame_around([], "EPSG:2154")
     assert stl([], frame)[80:] == bytes(4)
     assert b"element face 0" in ply([], frame) and obj([], frame).startswith(b"# p2wss")

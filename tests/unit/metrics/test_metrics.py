@@ -32,7 +32,7 @@ def test_chamfer_is_half_the_sum_of_both_means(n: int, m: int, seed: int) -> Non
     assert chamfer_distance_m(a, b) == pytest.approx(expected)
 
 
-def test_chamfer_of_nothing_is_unknown() -> None:
+def test_chamfer_of_an_empty_set_is_nan() -> None:
     assert np.isnan(chamfer_distance_m(np.zeros((0, 3)), np.zeros((1, 3))))
 
 
@@ -42,7 +42,7 @@ def test_distance_to_mesh_is_that_of_dense_samples(seed: int) -> None:
     vertex, triangle = draw.normal(size=(9, 3)) * 3, draw.integers(0, 9, (6, 3))
     triangle = triangle[[len(set(t)) == 3 for t in triangle.tolist()]]
     point = draw.normal(size=(40, 3)) * 4
-    # every triangle on its own fine grid: no sampling of this package
+    # a fine grid on every triangle: independent of the package's sampling
     step = np.linspace(0, 1, 150)
     u, v = (g.ravel()[:, None] for g in np.meshgrid(step, step))
     inside = (u + v <= 1).ravel()
@@ -53,7 +53,7 @@ def test_distance_to_mesh_is_that_of_dense_samples(seed: int) -> None:
     assert np.allclose(exact, oracle, atol=0.05)
 
 
-def test_distance_to_degenerate_triangle_and_to_nothing() -> None:
+def test_distance_to_a_degenerate_triangle_and_without_triangles() -> None:
     line = np.array([[0.0, 0, 0], [2, 0, 0], [1, 0, 0]])
     assert distance_to_mesh(np.array([[1.0, 3, 4]]), line, np.array([[0, 1, 2]]))[0] == pytest.approx(5)
     assert np.isinf(distance_to_mesh(np.zeros((1, 3)), np.zeros((0, 3)), np.zeros((0, 3), int)))[0]
@@ -116,7 +116,7 @@ def test_summary_is_that_of_numpy_and_its_interval_covers() -> None:
 
 
 def test_two_boxes_that_touch_in_a_vertex_or_an_edge_are_no_manifold() -> None:
-    """Both are closed and oriented, edge by edge or not; only the fans at their vertices tell."""
+    """The boxes that touch in a vertex are closed and oriented; only the fans at their vertices show it."""
     one = trimesh.creation.box((2, 2, 2))
     assert mesh_facts(one.vertices, one.faces).manifold
     for shift, watertight in (((2, 2, 2), True), ((2, 2, 0), False)):
@@ -141,12 +141,12 @@ def test_manifold_as_walking_round_every_vertex_finds_it(seed: int) -> None:
     edges = [tuple(sorted((t[i], t[(i + 1) % 3]))) for t in kept for i in range(3)]
     fans = []
     for v in {v for t in kept for v in t}:
-        own = [set(t) for t in kept if v in t]
-        reached = [own.pop()]
+        pending = [set(t) for t in kept if v in t]
+        reached = [pending.pop()]
         for t in reached:
-            reached += [other for other in own if len(t & other) == 2]
-            own = [other for other in own if len(t & other) != 2]
-        fans.append(not own)
+            reached += [other for other in pending if len(t & other) == 2]
+            pending = [other for other in pending if len(t & other) != 2]
+        fans.append(not pending)
     expected = all(edges.count(edge) == 2 for edge in edges) and all(fans)
     assert mesh_facts(mesh.vertices, np.array(kept)).manifold is expected
 
@@ -169,9 +169,9 @@ def test_a_bent_square_is_out_of_plane_by_a_quarter_of_what_one_corner_is_lifted
 ) -> None:
     square = np.array([[0.0, 0, 0], [4, 0, 0], [4, 4, lift], [0, 4, 0]])
     turn = trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))[:3, :3]
-    found = out_of_plane_m(square @ turn.T + 1000, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int))
+    deviation = out_of_plane_m(square @ turn.T + 1000, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int))
     # the best plane halves the error between the two diagonals: each corner is a quarter of the lift off it
-    assert found[0] == pytest.approx(abs(lift) / 4, rel=0.02, abs=1e-9)
+    assert deviation[0] == pytest.approx(abs(lift) / 4, rel=0.02, abs=1e-9)
 
 
 def test_height_over_a_mesh_is_that_of_a_ray_from_above() -> None:
@@ -180,26 +180,26 @@ def test_height_over_a_mesh_is_that_of_a_ray_from_above() -> None:
         [trimesh.creation.icosphere(2, 3.0), trimesh.creation.box((2, 9, 4), np.eye(4))]
     )
     xy = draw.uniform(-4, 4, (300, 2))
-    found = surface_height_m(xy, mesh.vertices, mesh.faces)
+    height = surface_height_m(xy, mesh.vertices, mesh.faces)
     start = np.column_stack([xy, np.full(300, 50.0)])
     hit, ray, _ = mesh.ray.intersects_location(start, np.tile([0.0, 0, -1], (300, 1)), multiple_hits=True)
     expected = np.full(300, np.nan)
     for place, i in zip(hit, ray, strict=True):
         expected[i] = np.fmax(expected[i], place[2])
     assert 50 < np.isnan(expected).sum() < 250
-    assert np.allclose(found, expected, atol=1e-5, equal_nan=True)
+    assert np.allclose(height, expected, atol=1e-5, equal_nan=True)
     assert np.isnan(height_rmse_m(np.array([np.nan])))
 
 
-def test_reliability_finds_what_the_sample_was_drawn_from() -> None:
+def test_reliability_recovers_the_distribution_of_the_sample() -> None:
     draw = np.random.default_rng(5)
     confidence = draw.random(20000)
     honest = draw.random(20000) < confidence
     bins = reliability(confidence, honest.astype(float))
     assert len(bins) == 10 and sum(b.count for b in bins) == 20000
-    for own in bins:
-        chosen = (confidence >= own.low) & (confidence < own.high)
-        assert (own.count, own.observed) == (chosen.sum(), pytest.approx(honest[chosen].mean()))
+    for b in bins:
+        mask = (confidence >= b.low) & (confidence < b.high)
+        assert (b.count, b.observed) == (mask.sum(), pytest.approx(honest[mask].mean()))
     assert calibration_error(bins) < 0.02
     modest = draw.random(20000) < np.sqrt(confidence)
     # the mean of sqrt(c) - c over [0, 1] is 1/6
@@ -214,8 +214,8 @@ def test_ranking_is_the_share_of_pairs_in_order() -> None:
     pairs = [(a > b) + 0.5 * (a == b) for a in score[good] for b in score[~good]]
     assert rank_auc(score, good) == pytest.approx(np.mean(pairs))
     assert np.isnan(rank_auc(score, np.ones(60, bool)))
-    found = calibration(np.append(score, np.nan), np.append(good, 1.0))
-    assert (found.count, found.auc) == (60, pytest.approx(np.mean(pairs)))
-    assert found.stated == pytest.approx(score.mean()) and found.observed == pytest.approx(good.mean())
+    scores = calibration(np.append(score, np.nan), np.append(good, 1.0))
+    assert (scores.count, scores.auc) == (60, pytest.approx(np.mean(pairs)))
+    assert scores.stated == pytest.approx(score.mean()) and scores.observed == pytest.approx(good.mean())
     assert np.isnan(calibration(np.full(3, 0.5), np.array([0.0, 0.5, 1])).correlation)
     assert calibration(np.zeros(0), np.zeros(0)).count == 0

@@ -1,4 +1,4 @@
-"""The files of a reconstruction: all formats tell the same, each whole or not at all."""
+"""The output files of a reconstruction: the same content in all formats, each written whole or not at all."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import cityjson_rules
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
 import shapely
@@ -38,16 +39,20 @@ def results() -> list[reconstruct.Result]:
     return reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
 
 
-def test_every_format_tells_the_same(results: list[reconstruct.Result], tmp_path: Path) -> None:
+def test_every_format_has_the_same_content(results: list[reconstruct.Result], tmp_path: Path) -> None:
     written = exports.write(tmp_path, "out", results, LAMBERT, {"code": "x"}, EVERYTHING)
     names = sorted(path.name for path in tmp_path.iterdir() if path.is_file())
     assert names == sorted([f"out{suffix}" for suffix in OUTPUT_SUFFIXES.values()] + ["out.json"])
     assert set(names) <= set(written)
 
-    told = json.loads((tmp_path / "out.json").read_text())
-    assert told["crs"] == "EPSG:2154" and told["origin_m"] == [X, Y, 2] and told["p2wss"] == {"code": "x"}
-    assert told["buildings"]["status"] == {"ok": 2, "none": 1}
-    assert told["buildings"]["reasons"] == {"no point": 1} and told["buildings"]["total"] == 3
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert (
+        summary["crs"] == "EPSG:2154"
+        and summary["origin_m"] == [X, Y, 2]
+        and summary["p2wss"] == {"code": "x"}
+    )
+    assert summary["buildings"]["status"] == {"ok": 2, "none": 1}
+    assert summary["buildings"]["reasons"] == {"no point": 1} and summary["buildings"]["total"] == 3
 
     gpkg, parquet = gpd.read_file(tmp_path / "out.gpkg"), gpd.read_parquet(tmp_path / "out.parquet")
     assert gpkg.crs == parquet.crs == LAMBERT and files.read_metadata(tmp_path / "out.parquet") == {
@@ -55,30 +60,30 @@ def test_every_format_tells_the_same(results: list[reconstruct.Result], tmp_path
     }
     assert gpkg["building_id"].tolist() == ["A/1", "a_1", "far"]
     for column in gpkg.columns.drop("geometry"):
-        for one, other in zip(gpkg[column], parquet[column], strict=True):
-            assert one == other or ((one != one or one is None) and (other != other or other is None))
+        for a, b in zip(gpkg[column], parquet[column], strict=True):
+            assert a == b or (pd.isna(a) and pd.isna(b))
     assert gpkg.geometry.geom_equals(parquet.geometry).all()
     attributes = {
         feature["id"]: feature["CityObjects"][feature["id"]]["attributes"]
         for feature in map(json.loads, (tmp_path / "out.city.jsonl").read_text().splitlines()[1:])
     }
-    whole = json.loads((tmp_path / "out.city.json").read_text())
-    assert cityjson_rules.assert_document(whole) == 2
+    document = json.loads((tmp_path / "out.city.json").read_text())
+    assert cityjson_rules.assert_document(document) == 2
     for row in parquet.to_dict("records"):
-        own = attributes[row["building_id"]]
-        assert own == whole["CityObjects"][row["building_id"]]["attributes"]
-        assert set(own) == set(row) - {"building_id", "geometry"}
-        assert own["status"] == row["status"] and own["num_points"] == row["num_points"]
+        properties = attributes[row["building_id"]]
+        assert properties == document["CityObjects"][row["building_id"]]["attributes"]
+        assert set(properties) == set(row) - {"building_id", "geometry"}
+        assert properties["status"] == row["status"] and properties["num_points"] == row["num_points"]
 
     for suffix in (".obj", ".ply", ".stl", ".glb"):
         volume = sum(m.volume for m in trimesh.load_scene(tmp_path / f"out{suffix}").geometry.values())
         assert volume == pytest.approx(2 * 10 * 8 * 6, rel=1e-3)
         singles = sorted(path.name for path in (tmp_path / "out").glob(f"*{suffix}"))
-        # two ids that one file system or another takes for the same
+        # ids that are the same on a file system that ignores case
         assert singles == [f"A_1{suffix}", f"a_1-2{suffix}"]
         first = trimesh.load_mesh(tmp_path / "out" / f"A_1{suffix}")
         assert first.is_watertight and first.volume == pytest.approx(480, rel=1e-3)
-        # all around the origin of the tile
+        # all with the origin of the tile
         second = trimesh.load_mesh(tmp_path / "out" / f"a_1-2{suffix}")
         assert second.bounds[0, 0] == pytest.approx(30, abs=1e-3)
 
@@ -92,23 +97,25 @@ def test_meshes_stand_in_the_terrain(results: list[reconstruct.Result], tmp_path
     assert set(scene.geometry) == {"A/1", "a_1", "terrain"}
     assert all(mesh.is_watertight and mesh.volume > 0 for mesh in scene.geometry.values())
     low, high = scene.geometry["terrain"].bounds
-    # 70 m by 38 m, to the middles of the cells beyond
+    # 70 m by 38 m, to the centres of the next cells
     assert high[0] - low[0] == pytest.approx(71, abs=0.01) and high[2] - low[2] == pytest.approx(39, abs=0.01)
     assert scene.geometry["A/1"].bounds[0, 1] < scene.geometry["a_1"].bounds[0, 1]
-    told = json.loads((tmp_path / "out.json").read_text())
-    assert told["terrain"] == {"mesh": "terrain", "triangles": len(scene.geometry["terrain"].faces)}
-    # CityJSON keeps the buildings as they are
-    (tmp_path / "plain").mkdir()
-    exports.write(tmp_path / "plain", "out", results, LAMBERT, {}, config)
-    assert (tmp_path / "out.city.jsonl").read_text() == (tmp_path / "plain" / "out.city.jsonl").read_text()
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["terrain"] == {"mesh": "terrain", "triangles": len(scene.geometry["terrain"].faces)}
+    # the buildings in CityJSON do not change
+    (tmp_path / "without_terrain").mkdir()
+    exports.write(tmp_path / "without_terrain", "out", results, LAMBERT, {}, config)
+    assert (tmp_path / "out.city.jsonl").read_text() == (
+        tmp_path / "without_terrain" / "out.city.jsonl"
+    ).read_text()
 
 
-def test_terrain_from_somewhere_else(results: list[reconstruct.Result], tmp_path: Path) -> None:
+def test_terrain_of_another_place_is_refused(results: list[reconstruct.Result], tmp_path: Path) -> None:
     away = Terrain(np.zeros((20, 20), np.float32), X + 5000, Y, 1.0)
     with pytest.raises(InputError, match="no height around the buildings"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(), away)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match=r"dtm\.tif is in Amersfoort / RD New, but the clouds in RGF93"):
+    with pytest.raises(InputError, match=r"dtm\.tif is in Amersfoort / RD New, but the clouds are in RGF93"):
         exports.check_terrain(pyproj.CRS.from_epsg(28992), LAMBERT, Path("dtm.tif"))
     other = Terrain(np.full((99, 200), 50, np.float32), X - 80, Y + 50, 1.0)
     assert "+48.0 m" in (exports.terrain_note(results, other) or "")
@@ -123,5 +130,5 @@ def test_a_file_that_cannot_be_written_leaves_the_others_whole(
     (tmp_path / "out.obj" / "in the way").touch()
     with pytest.raises(InputError, match=r"out\.obj: not written"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(outputs=["stl", "obj", "ply"]))
-    left = sorted(name for name in os.listdir(tmp_path))
-    assert left == ["out.obj", "out.stl"] and trimesh.load_mesh(tmp_path / "out.stl").is_watertight
+    assert sorted(os.listdir(tmp_path)) == ["out.obj", "out.stl"]
+    assert trimesh.load_mesh(tmp_path / "out.stl").is_watertight

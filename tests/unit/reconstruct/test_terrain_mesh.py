@@ -1,4 +1,4 @@
-"""The block of terrain: closed, within its tolerance, and no gap between it and the buildings."""
+"""The block of terrain: closed, within its tolerance, and without a gap to the buildings."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ X, Y = 652000.0, 6861000.0
 
 
 def terrain(height_m: np.ndarray, cell_m: float = 1.0) -> Terrain:
-    """Its south-west corner is at (X, Y)."""
+    """Terrain whose south-west corner is at (X, Y)."""
     return Terrain(height_m.astype(np.float32), X, Y + len(height_m) * cell_m, cell_m)
 
 
 def checked(mesh: Mesh) -> trimesh.Trimesh:
-    """Closed, outwards, without a triangle of no area; in local coordinates."""
+    """The mesh in local coordinates, once checked: closed, outwards, no triangle without area."""
     local = trimesh.Trimesh(mesh.vertex_m - [X, Y, 0], mesh.triangle, process=False)
     assert local.is_watertight and local.is_winding_consistent and local.volume > 0
     assert local.area_faces.min() > 1e-6 and (mesh.kind == TERRAIN).all()
@@ -51,55 +51,55 @@ def test_every_cell_is_within_the_tolerance(
     local = checked(mesh)
     assert local.bounds[0, 2] < -50 and local.bounds[0, 2] < height.min()
     assert local.bounds[:, 0] == pytest.approx([cell_m / 2, (columns - 0.5) * cell_m])
-    # the oracle: rays from above, a hair inside the border
+    # the oracle: rays from above, slightly inside the border
     x, y = (np.arange(columns) + 0.5) * cell_m, (rows - np.arange(rows) - 0.5) * cell_m
-    over = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    over = np.clip(over, local.bounds[0, :2] + 1e-4, local.bounds[1, :2] - 1e-4)
-    above = np.column_stack([over, np.full(len(over), 60.0)])
-    down = np.tile([0.0, 0.0, -1.0], (len(over), 1))
+    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    xy = np.clip(xy, local.bounds[0, :2] + 1e-4, local.bounds[1, :2] - 1e-4)
+    above = np.column_stack([xy, np.full(len(xy), 60.0)])
+    down = np.tile([0.0, 0.0, -1.0], (len(xy), 1))
     hit, ray, _ = RayMeshIntersector(local).intersects_location(above, down, multiple_hits=False)
-    assert len(np.unique(ray)) == len(over)
+    assert len(np.unique(ray)) == len(xy)
     assert np.abs(hit[:, 2] - height.ravel()[ray]).max() <= tolerance_m + 0.01
 
 
-def test_flat_land_is_light_and_gaps_take_the_nearest_height() -> None:
+def test_flat_land_needs_few_triangles_and_gaps_take_the_nearest_height() -> None:
     height = np.full((50, 60), 12.0)
     height[:, 30:] = np.nan
     mesh = terrain_mesh.block(terrain(height), (X - 20, Y + 5, X + 50, Y + 45), 0.1)
     local = checked(mesh)
     assert len(mesh.triangle) == 14
     assert local.bounds[:, 2] == pytest.approx([10, 12])
-    # beyond the raster too
+    # also beyond the raster
     assert local.bounds[0, 0] <= -20 and local.bounds[1, 0] >= 50
 
 
-def test_no_height_at_all() -> None:
+def test_terrain_without_any_height_is_refused() -> None:
     with pytest.raises(ValueError, match="no height"):
         terrain_mesh.block(terrain(np.full((20, 20), np.nan)), (X, Y, X + 10, Y + 10), 0.1)
     with pytest.raises(ValueError, match="no height"):
         terrain_mesh.block(terrain(np.zeros((20, 20))), (X + 900, Y, X + 910, Y + 10), 0.1)
 
 
-def test_nothing_hangs_in_the_air_and_no_ray_sees_an_inside() -> None:
-    """Houses with level floors on a slope, each at the ground of its upper end."""
+def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
+    """Houses with level ground faces on a slope, each at the height of the ground at its upper end."""
     height = np.add.outer(np.zeros(60), 20 + 0.3 * np.arange(60)) + 0.2 * np.sin(np.arange(60))
     land = terrain(height)
-    made = skeleton.build(
+    meshes = skeleton.build(
         Polygons.from_rings([[np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)]] * 2),
         np.array([35.0, 90, 35, 90] * 2),
         np.array([5.0, 5.0]),
     )
     places, houses = ((15, 20), (35, 30)), []
     for i, (x, y) in enumerate(places):
-        vertex, triangle, kind, _ = made.mesh(i)
-        there = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
-        houses.append(Mesh(f"h{i}", vertex + there, triangle, kind))
+        vertex, triangle, kind, _ = meshes.mesh(i)
+        position = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
+        houses.append(Mesh(f"h{i}", vertex + position, triangle, kind))
     block = terrain_mesh.block(land, (X + 5, Y + 10, X + 55, Y + 48), 0.1, 20.0)
-    standing = terrain_mesh.standing(houses, land)
+    lowered = terrain_mesh.lowered_into(houses, land)
     draw = np.random.default_rng(0)
 
     ground = RayMeshIntersector(checked(block))
-    for (x, y), before, after in zip(places, houses, standing, strict=True):
+    for (x, y), before, after in zip(places, houses, lowered, strict=True):
         above = np.column_stack([draw.uniform([x, y], [x + 10, y + 8], (500, 2)), np.full(500, 90.0)])
         hit = ground.intersects_location(above, np.tile([0, 0, -1.0], (500, 1)), multiple_hits=False)[0]
         assert len(hit) == 500
@@ -109,13 +109,13 @@ def test_nothing_hangs_in_the_air_and_no_ray_sees_an_inside() -> None:
         assert moved.sum() == 4 and (after.vertex_m[~moved] == before.vertex_m[~moved]).all()
 
     scene = trimesh.util.concatenate(
-        [trimesh.Trimesh(m.vertex_m - [X, Y, 0], m.triangle, process=False) for m in (*standing, block)]
+        [trimesh.Trimesh(m.vertex_m - [X, Y, 0], m.triangle, process=False) for m in (*lowered, block)]
     )
     assert scene.is_watertight and scene.is_winding_consistent
     away = draw.normal(size=(20_000, 3))
     away /= np.linalg.norm(away, axis=1)[:, None]
     aim = draw.uniform([15, 20, 20], [45, 38, 40], (20_000, 3))
     hit = RayMeshIntersector(scene).intersects_first(aim + 200 * away, -away)
-    seen = hit >= 0
-    assert seen.mean() > 0.8
-    assert (scene.face_normals[hit[seen]] * -away[seen]).sum(axis=1).max() < 1e-3
+    is_hit = hit >= 0
+    assert is_hit.mean() > 0.8
+    assert (scene.face_normals[hit[is_hit]] * -away[is_hit]).sum(axis=1).max() < 1e-3
