@@ -2,13 +2,13 @@
 
     python benchmarks/training.py [--config config/models/cpu.yaml] [--num 4000] [--steps 3] [--batch N] [--compile]
 
-All speeds are CPU time of one thread, on clouds and outlines drawn here; steps of ours and of the reference
-take turns, and the fastest of each counts for the dvae, the mean for the model, whose batches differ. The
-reference does what the paper and Point-BERT describe, operation by operation: point and patch features joined
-before the layer, edge convolutions on gathered features with the graph found anew each time, the distances of
-all pairs of points in the loss, every sequence padded to the longest, all four losses on the whole batch.
-``--batch`` shrinks the batches of both, in float32, for large networks on few cores; it leaves inference out.
-``--compile`` compiles our networks (``compute.compile``), not the reference's.
+All speeds are CPU time of one thread, on random clouds and footprints. Steps of p2wss and of the reference
+alternate; the fastest step counts for the dvae, the mean for the model, whose batches differ. The reference does
+what the paper and Point-BERT describe, operation by operation: point and patch features concatenated before the
+layer, edge convolutions on gathered features with the graph recomputed each time, the distances of all pairs of
+points in the loss, every sequence padded to the longest, all four losses on the whole batch. ``--batch`` sets the
+batch size of both, in float32, for large networks on few cores, and skips inference. ``--compile`` compiles the
+networks of p2wss (``compute.compile``), not those of the reference.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.patches import Patches, squared_distance
 from p2wss.nets.predictor import Predictor
 
-# vertices of outlines and how often they occur, about as in the miniature's town
+# numbers of vertices of footprints and their shares, about as in the town of the miniature
 NUM_VERTICES, SHARES = [4, 5, 6, 8, 10, 12, 16], [0.55, 0.06, 0.17, 0.12, 0.05, 0.03, 0.02]
 
 
 def town(num: int, seed: int = 0) -> BuildingDataset:
-    """Clouds of 200 to 3,000 points on roofs over regular outlines: as large as real ones, of no meaning."""
+    """Random clouds of 200 to 3,000 points, and regular polygons as footprints: of realistic size only."""
     rng = np.random.default_rng(seed)
     vertices = rng.choice(NUM_VERTICES, num, p=SHARES)
     count = np.clip(rng.lognormal(6.9, 0.5, num), 200, 3000).astype(np.int64)
@@ -74,19 +74,19 @@ def town(num: int, seed: int = 0) -> BuildingDataset:
 
 
 class PlainEdgeConvolution(discrete_vae.EdgeConvolution):
-    """[neighbour - x; x] is built for every edge, multiplied, normalised, and only then the largest taken."""
+    """[neighbour - x; x] is built for every edge, multiplied and normalised before the maximum is taken."""
 
     def forward(self, x: Tensor, neighbour: Tensor, adjacency: Tensor) -> Tensor:
         rows = torch.arange(len(x))[:, None, None]
-        own = x[:, :, None].expand(-1, -1, neighbour.shape[-1], -1)
-        edges = torch.cat([x[rows, neighbour] - own, own], -1).permute(0, 3, 1, 2)
+        centre = x[:, :, None].expand(-1, -1, neighbour.shape[-1], -1)
+        edges = torch.cat([x[rows, neighbour] - centre, centre], -1).permute(0, 3, 1, 2)
         weight = torch.cat([self.difference.weight, self.self.weight], 1)
         y = F.conv2d(edges, weight[..., None, None])
         return F.leaky_relu(self.norm(y), 0.2).amax(-1).transpose(1, 2)
 
 
 class PlainDgcnn(discrete_vae.Dgcnn):
-    """The graph is found anew before each convolution."""
+    """The graph is recomputed before each convolution."""
 
     centre: Tensor
 
@@ -102,7 +102,7 @@ class PlainDgcnn(discrete_vae.Dgcnn):
 
 
 class PlainPointNet(discrete_vae.MiniPointNet):
-    """Every point is joined with its patch's maximum."""
+    """Every point is concatenated with the maximum over its patch."""
 
     def forward(self, points: Tensor) -> Tensor:
         batch, groups, k, _ = points.shape
@@ -120,7 +120,7 @@ class PlainPointNet(discrete_vae.MiniPointNet):
 
 
 class PlainDecoder(discrete_vae.FoldingDecoder):
-    """Every point of the fold is joined with its patch's features."""
+    """Every point of the fold is concatenated with the features of its patch."""
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         coarse = self.coarse(x).unflatten(-1, (self.num_coarse, 3))
@@ -133,16 +133,16 @@ class PlainDecoder(discrete_vae.FoldingDecoder):
         return coarse, centre + self.last(h).view(centre.shape)
 
 
-def plain_chamfer_l1(made: Tensor, given: Tensor, valid: Tensor) -> Tensor:
-    """Through the distances of all pairs."""
-    distance = squared_distance(made, given)
+def plain_chamfer_l1(reconstruction: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """With gradients through the distances of all pairs."""
+    distance = squared_distance(reconstruction, target)
     forth = distance.amin(-1).clamp_min(1e-12).sqrt().mean(-1)
     back = distance.amin(-2).clamp_min(1e-12).sqrt().mean(-1)
     return ((forth + back) * valid).sum() / (2 * valid.sum())
 
 
 def plain(network: nn.Module) -> None:
-    """The same weights in the reference's classes."""
+    """Replace the classes of a network's parts by those of the reference; the weights stay."""
     for part in network.modules():
         for ours, theirs in (
             (discrete_vae.EdgeConvolution, PlainEdgeConvolution),
@@ -158,8 +158,8 @@ def plain(network: nn.Module) -> None:
 
 
 @contextmanager
-def no_buckets() -> Iterator[None]:
-    """Batches of any lengths, padded to the longest building of all."""
+def unsorted_batches() -> Iterator[None]:
+    """Batches without regard to numbers of vertices."""
     window, dataset._WINDOW_BATCHES = dataset._WINDOW_BATCHES, 1
     try:
         yield
@@ -188,8 +188,8 @@ def optimised(
 def alternating(
     ours: Callable[[int], None], theirs: Callable[[int], None], steps: int, compiled: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """CPU seconds (steps,) of both. They take turns, because the machine's own speed drifts."""
-    # lengths differ: the second batch compiles for any
+    """CPU seconds (steps,) of both. They alternate, because the speed of the machine drifts."""
+    # compiled networks are specialised for the length of the first batch, and general from the second on
     for number in range(9 if compiled else 1):
         ours(number)
     theirs(0)
@@ -204,7 +204,7 @@ def alternating(
 
 @contextmanager
 def plain_patches(vae: DiscreteVae) -> Iterator[None]:
-    """Tell the reference's graphs where the centres are, and measure patches through all pairs of points."""
+    """The reference's loss, and the patch centres for the graphs of the reference."""
 
     def with_centres(*arguments: Any) -> Patches:
         patches = batch_patches(*arguments)
@@ -223,18 +223,18 @@ def plain_patches(vae: DiscreteVae) -> Iterator[None]:
         discrete_vae.chamfer_l1 = chamfer
 
 
-def cutting(buildings: BuildingDataset, config: DvaeConfig) -> tuple[BuildingDataset, float, float]:
-    """The buildings with patches kept, and CPU seconds per batch to compute patches and to fetch them."""
-    cut = PatchSettings(config.num_points, config.num_patches, config.patch_size)
-    kept = precompute_patches(buildings, cut, torch.device("cpu"))
+def with_patches(buildings: BuildingDataset, config: DvaeConfig) -> tuple[BuildingDataset, float, float]:
+    """The buildings with precomputed patches, and CPU seconds per batch to compute patches and to fetch them."""
+    settings = PatchSettings(config.num_points, config.num_patches, config.patch_size)
+    precomputed = precompute_patches(buildings, settings, torch.device("cpu"))
     whole = np.flatnonzero(np.diff(buildings.point_offset) <= config.num_points)
     index = np.random.default_rng(0).choice(whole, config.optimiser.batch_size)
-    batch = kept.batch(index, config.num_points, None)
+    batch = precomputed.batch(index, config.num_points, None)
     computed = cpu_seconds(
         lambda: batch_patches(replace(batch, patch_index=None), config.num_patches, config.patch_size)
     )
     fetched = cpu_seconds(lambda: batch_patches(batch, config.num_patches, config.patch_size))
-    return kept, computed, fetched
+    return precomputed, computed, fetched
 
 
 def loading(buildings: BuildingDataset, config: Config, folder: Path) -> tuple[float, float]:
@@ -304,11 +304,11 @@ def main() -> int:
         rate, batch_s = loading(buildings, config, Path(folder))
     figures.at_least("clouds per s and core from the cache", rate, 50_000)
 
-    kept, computed, fetched = cutting(buildings, config.dvae)
+    precomputed, computed_s, fetched_s = with_patches(buildings, config.dvae)
     torch.manual_seed(0)
     vae, plain_vae = (build_dvae(config.dvae) for _ in range(2))
     plain(plain_vae)
-    step = optimised(dvae_task.DvaeTask(vae, kept, buildings, config.dvae, device), options.compile)
+    step = optimised(dvae_task.DvaeTask(vae, precomputed, buildings, config.dvae, device), options.compile)
     plain_step = optimised(dvae_task.DvaeTask(plain_vae, buildings, buildings, config.dvae, device))
 
     def plainly(number: int) -> None:
@@ -318,9 +318,9 @@ def main() -> int:
     took, theirs = alternating(step, plainly, options.steps, options.compile)
     size = config.dvae.optimiser.batch_size
     print(f"dvae   {1 / took.min():.3f} steps/s of {size} clouds, reference {1 / theirs.min():.3f}")
-    saved = (computed - fetched) / (took.min() + computed - fetched)
+    saved = (computed_s - fetched_s) / (took.min() + computed_s - fetched_s)
     print(
-        f"patches of {size} whole clouds: {1e3 * computed:.0f} ms computed, {1e3 * fetched:.1f} ms kept; "
+        f"patches of {size} whole clouds: {1e3 * computed_s:.0f} ms computed, {1e3 * fetched_s:.1f} ms fetched; "
         f"{saved:.1%} of a step saved"
     )
     figures.row("patches", {"share of a dvae step saved": saved})
@@ -334,14 +334,14 @@ def main() -> int:
 
     for part in (vae, plain_vae):
         part.eval().requires_grad_(False)
-    known = kept if model_task.preserves_patches(config.model.augmentation) else buildings
-    task = model_task.ModelTask(network(), vae, known, buildings, config.model, config.dvae, device)
+    training_set = precomputed if model_task.preserves_patches(config.model.augmentation) else buildings
+    task = model_task.ModelTask(network(), vae, training_set, buildings, config.model, config.dvae, device)
     step = optimised(task, options.compile)
     whole = config.model.model_copy(update={"auxiliary_share": 1.0})
     other = network()
     plain(other)
     task = model_task.ModelTask(other, plain_vae, buildings, buildings, whole, config.dvae, device)
-    with no_buckets():
+    with unsorted_batches():
         task.sampler.batch(0)
     longest = int(np.argmax(buildings.num_vertices))
     first = task.sampler.batch

@@ -1,9 +1,9 @@
 """The first ten losses of both stages, seeded, on one CPU thread: what ``golden.json`` holds.
 
-Steps are small: training is chaotic, and at the usual rate another kind of CPU, which rounds otherwise, has
-other losses within ten steps. So the stage model also reads the tokens of a dvae that was not trained.
+The learning rate is small: training is chaotic, and at the usual rate the rounding of another kind of CPU leads to
+other losses within ten steps. For the same reason the stage model reads the tokens of an untrained dvae.
 
-python tests/unit/golden.py   writes it anew, after a change that is meant to change what is learnt
+python tests/unit/golden.py   writes it anew, after a change that is meant to change the training
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ NUM_STEPS = 10
 
 
 def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
-    """Per stage the logged losses of each of ten steps, on simple crops made in ``folder``."""
+    """Per stage the logged losses of each of ten steps, on simple crops in ``folder``."""
     steps = {"optimiser": {"num_steps": NUM_STEPS, "batch_size": 8, "learning_rate": 3e-4}}
     config = load({"dvae": SMALL_DVAE | steps, "model": SMALL_MODEL | steps})
     manifest = toy_crops.make(folder, {"train": 24, "val": 8})
-    found = {}
+    losses_of_stage = {}
     every, training.METRICS_EVERY_STEPS = training.METRICS_EVERY_STEPS, 1
     num_threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -47,12 +47,12 @@ def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
         torch.set_num_threads(num_threads)
     for stage in ("dvae", "model"):
         records = map(json.loads, read_metrics(folder / stage).splitlines())
-        found[stage] = [
+        losses_of_stage[stage] = [
             {name: round(value, 6) for name, value in record.items() if name != "learning_rate"}
             for record in records
             if "loss" in record
         ]
-    return found
+    return losses_of_stage
 
 
 if __name__ == "__main__":

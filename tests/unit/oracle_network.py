@@ -17,7 +17,7 @@ class Answer:
 
     @property
     def class_probability(self) -> list[np.ndarray]:
-        return [certain_probabilities(own) for own in self.angle_deg]
+        return [certain_probabilities(angles) for angles in self.angle_deg]
 
 
 class Oracle:
@@ -26,7 +26,7 @@ class Oracle:
     def __init__(self, slope_deg: float = 35.0, max_num_vertices: int = 8) -> None:
         self.slope_deg = slope_deg
         self.max_num_vertices = max_num_vertices
-        self.seen: list[Sequence[np.ndarray]] = []
+        self.rings: list[Sequence[np.ndarray]] = []
         self.num_views = 4
 
     def with_num_views(self, num_views: int) -> Oracle:
@@ -34,7 +34,7 @@ class Oracle:
         return self
 
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Answer:
-        self.seen += rings
+        self.rings += rings
         height = np.array([np.median(p[:, 2]) for p in points_m])
         angle = [np.full(sum(map(len, r)), self.slope_deg) for r in rings]
         return Answer(np.where(height > 50, np.nan, height), angle, np.full(len(rings), 0.9))

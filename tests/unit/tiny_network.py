@@ -1,4 +1,4 @@
-"""Sizes of a network that learns nothing but runs in milliseconds."""
+"""Sizes of a network that runs in milliseconds, too small to learn anything."""
 
 import numpy as np
 
@@ -24,6 +24,6 @@ SIZES = ModelSizes(
 
 
 def certain_probabilities(angle_deg: np.ndarray) -> np.ndarray:
-    """Probabilities (edges, 3) of 0 degrees, 90 degrees and a slope of a network that has no doubt."""
+    """Probabilities (edges, 3) of 0 degrees, 90 degrees and a slope of a network that is certain."""
     kind = np.where(angle_deg == 0, 0, np.where(angle_deg == 90, 1, 2))
     return np.eye(3)[kind]

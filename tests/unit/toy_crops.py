@@ -58,7 +58,7 @@ def ring_and_angles(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 
 def roof_height(ring: np.ndarray, angles: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Height above the gutter (n,) of the roof over points (n, 2); nan outside the convex ring."""
+    """Height above the eave (n,) of the roof over points (n, 2); nan outside the convex ring."""
     following = np.roll(ring, -1, 0)
     along = (following - ring) / np.linalg.norm(following - ring, axis=1)[:, None]
     distance = along[:, 0, None] * (xy[:, 1] - ring[:, 1, None]) - along[:, 1, None] * (

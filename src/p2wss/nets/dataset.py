@@ -170,9 +170,9 @@ class ResidentDataset:
 
 def thin(count: int, num_points: int) -> np.ndarray:
     """Indices of at most ``num_points`` of ``count`` points; the same for the same count."""
-    chosen = np.empty(min(count, num_points), np.int64)
-    _select(count, _random_states(np.zeros(1, np.int64), np.array([count]), None)[0], chosen)
-    return chosen
+    selected = np.empty(min(count, num_points), np.int64)
+    _select(count, _random_states(np.zeros(1, np.int64), np.array([count]), None)[0], selected)
+    return selected
 
 
 def _random_states(index: np.ndarray, count: np.ndarray, seed: int | None) -> np.ndarray:
@@ -183,25 +183,25 @@ def _random_states(index: np.ndarray, count: np.ndarray, seed: int | None) -> np
 
 
 @njit(cache=True, nogil=True)
-def _select(count: int, state: Any, chosen: np.ndarray) -> None:
-    """Fill ``chosen`` with a random subset of ``range(count)``, each equally likely, in ascending order.
+def _select(count: int, state: Any, selected: np.ndarray) -> None:
+    """Fill ``selected`` with a random subset of ``range(count)``, each equally likely, in ascending order.
 
     Selection sampling (Knuth, The Art of Computer Programming, algorithm 3.4.2 S); random numbers: splitmix64.
     """
-    wanted = len(chosen)
-    taken = 0
+    size = len(selected)
+    num_selected = 0
     for i in range(count):
-        if count - i > wanted - taken:
+        if count - i > size - num_selected:
             state += np.uint64(0x9E3779B97F4A7C15)
             z = state
             z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
             z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
             z = z ^ (z >> np.uint64(31))
-            if np.float64(z >> np.uint64(11)) * 2.0**-53 * (count - i) >= wanted - taken:
+            if np.float64(z >> np.uint64(11)) * 2.0**-53 * (count - i) >= size - num_selected:
                 continue
-        chosen[taken] = i
-        taken += 1
-        if taken == wanted:
+        selected[num_selected] = i
+        num_selected += 1
+        if num_selected == size:
             return
 
 
@@ -211,16 +211,16 @@ def _gather(
 ) -> None:
     """Fill ``points`` (b, p, 3) with the selected points in metres, and padding with zeros."""
     width = points.shape[1]
-    chosen = np.empty(width, np.int64)
+    selected = np.empty(width, np.int64)
     metre = np.float32(0.01)
     for row in range(len(index)):
         first = offset[index[row]]
         count = offset[index[row] + 1] - first
         if count > width:
-            _select(count, state[row], chosen)
+            _select(count, state[row], selected)
             for i in range(width):
                 for axis in range(3):
-                    points[row, i, axis] = metre * points_cm[first + chosen[i], axis]
+                    points[row, i, axis] = metre * points_cm[first + selected[i], axis]
         else:
             for i in range(count):
                 for axis in range(3):

@@ -50,7 +50,7 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(manifest: 
     assert not torch.equal(states[0]["codebook"], states[2]["codebook"])
 
 
-def test_losses_are_the_same_with_patches_that_were_found_before(
+def test_losses_are_the_same_with_precomputed_patches(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(training, "METRICS_EVERY_STEPS", 1)
@@ -59,12 +59,12 @@ def test_losses_are_the_same_with_patches_that_were_found_before(
         {"dvae": SMALL_DVAE | {"num_points": 1400, "optimiser": {"num_steps": 6, "batch_size": 8}}}
     ).dvae
     losses = []
-    for name in ("kept", "computed"):
+    for name in ("precomputed", "computed"):
         dvae.train(manifest, config, tmp_path / name, "x")
         records = map(json.loads, read_metrics(tmp_path / name).splitlines())
         losses.append([record["loss"] for record in records if "loss" in record])
         monkeypatch.setattr(task, "precompute_patches", lambda buildings, *_: buildings)
-    assert len(list(tmp_path.glob("kept/clouds/*/patches-1400-8x8.i16"))) == 1
+    assert len(list(tmp_path.glob("precomputed/clouds/*/patches-1400-8x8.i16"))) == 1
     assert not list(tmp_path.glob("computed/clouds/*/patches*"))
     # rounding decides where two points are equally far
     assert losses[0] == pytest.approx(losses[1], rel=0.02)

@@ -84,8 +84,8 @@ def test_the_table_holds_the_errors_on_the_test_split(tmp_path: Path) -> None:
         points = test.points_cm[test.point_offset[i] : test.point_offset[i + 1]] / 100
         clouds.append(points - [0, 0, test.ground_z_m[i]])
         rings.append([test.xy_m[test.vertex_offset[i] : test.vertex_offset[i + 1]]])
-    found = load_predictor(paths[1], "cpu").predict(clouds, rings)
-    expected = np.abs(found.eave_height_m - test.height_m).mean()
+    prediction = load_predictor(paths[1], "cpu").predict(clouds, rings)
+    expected = np.abs(prediction.eave_height_m - test.height_m).mean()
     # centimetres may fall either way: the frames differ by the ground
     assert float(rows[1]["height_mae_m"]) == pytest.approx(expected, abs=0.05)
     constant = np.abs(test.height_m - np.median(train.height_m)).mean()

@@ -26,7 +26,7 @@ from p2wss.nets.weights import save_dvae
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Crops, an untrained tokenizer and a hardly trained model, made by the commands."""
+    """Crops, an untrained tokenizer and a hardly trained model, by the commands."""
     folder = tmp_path_factory.mktemp("model")
     manifest = toy_crops.make(folder, {"train": 24, "val": 8, "test": 20})
     config = load({"dvae": SMALL_DVAE}).dvae
@@ -95,11 +95,11 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     with pytest.raises(KeyboardInterrupt):
         model.train(*data, tmp_path / "two", "x")
     monkeypatch.setattr(task.ModelTask, "step", real)
-    found = model.train(*data, tmp_path / "two", "x")[0].state_dict()
-    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    resumed = model.train(*data, tmp_path / "two", "x")[0].state_dict()
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
-def test_predictions_depend_on_no_order_and_no_company(
+def test_predictions_do_not_depend_on_the_order_or_on_other_buildings(
     predictor: Predictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
@@ -113,7 +113,7 @@ def test_predictions_depend_on_no_order_and_no_company(
     assert (together.confidence > 0).all() and (together.confidence <= 1).all()
 
 
-def test_predictions_follow_the_ring_they_are_asked_for(
+def test_predictions_follow_the_vertex_order_of_the_ring(
     predictor: Predictor, labelled: BuildingDataset
 ) -> None:
     """Another first vertex rolls the angles; a shift of cloud and ring changes nothing."""
@@ -133,13 +133,13 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
     predictor: Predictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
-    found = predictor.predict(clouds, rings)
+    prediction = predictor.predict(clouds, rings)
     height, angle = predictor.errors(labelled, np.arange(len(labelled)))
-    assert np.allclose(found.eave_height_m - labelled.height_m, height, atol=0.02)
-    assert np.array_equal(np.concatenate(found.angle_deg) - labelled.angle_deg, angle)
+    assert np.allclose(prediction.eave_height_m - labelled.height_m, height, atol=0.02)
+    assert np.array_equal(np.concatenate(prediction.angle_deg) - labelled.angle_deg, angle)
 
 
-def test_errors_come_in_the_order_asked_for(
+def test_errors_come_in_the_order_of_the_index(
     predictor: Predictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     order = np.random.default_rng(0).permutation(len(labelled))
@@ -177,13 +177,15 @@ def test_probabilities_of_classes_are_those_of_the_angles(
     predictor: Predictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
-    found = predictor.predict(clouds, rings)
-    odds, angle = np.concatenate(found.class_probability), np.concatenate(found.angle_deg)
-    assert np.allclose(odds.sum(axis=1), 1) and (odds >= 0).all()
+    prediction = predictor.predict(clouds, rings)
+    probability, angle = np.concatenate(prediction.class_probability), np.concatenate(prediction.angle_deg)
+    assert np.allclose(probability.sum(axis=1), 1) and (probability >= 0).all()
     # the median of a distribution has at least half of it at or below, and at or above
-    assert (odds[angle == 0, 0] >= 0.5 - 1e-6).all() and (odds[angle == 90, 1] >= 0.5 - 1e-6).all()
+    assert (probability[angle == 0, 0] >= 0.5 - 1e-6).all() and (
+        probability[angle == 90, 1] >= 0.5 - 1e-6
+    ).all()
     slope = (angle > 0) & (angle < 90)
-    assert (odds[slope][:, :2] <= 0.5 + 1e-6).all()
+    assert (probability[slope][:, :2] <= 0.5 + 1e-6).all()
 
 
 def test_a_footprint_beyond_the_number_format_has_no_prediction(
@@ -191,9 +193,9 @@ def test_a_footprint_beyond_the_number_format_has_no_prediction(
 ) -> None:
     clouds, rings = inputs(labelled)
     rings[3] = [rings[3][0] * 30]
-    found = predictor.predict(clouds, rings)
-    assert np.flatnonzero(np.isnan(found.eave_height_m)).tolist() == [3]
-    assert np.isnan(found.angle_deg[3]).all() and found.confidence[3] == 0
+    prediction = predictor.predict(clouds, rings)
+    assert np.flatnonzero(np.isnan(prediction.eave_height_m)).tolist() == [3]
+    assert np.isnan(prediction.angle_deg[3]).all() and prediction.confidence[3] == 0
     with pytest.raises(ValueError, match="building 0 has 9 vertices, not 3 to 8"):
         predictor.predict(clouds[:1], [[np.zeros((9, 2))]])
     with pytest.raises(ValueError, match="building 0 has no points"):
@@ -201,7 +203,7 @@ def test_a_footprint_beyond_the_number_format_has_no_prediction(
 
 
 @pytest.mark.parametrize("signs_visible", [True, False])
-def test_all_masked_footprints_come_in_the_frame_and_order_given(
+def test_footprints_predicted_from_masked_digits_keep_frame_and_order(
     predictor: Predictor, labelled: BuildingDataset, signs_visible: bool
 ) -> None:
     clouds, rings = inputs(labelled)
@@ -223,12 +225,12 @@ def test_all_masked_footprints_come_in_the_frame_and_order_given(
         assert np.abs(place + shift - other).mean() < 1
 
 
-def test_files_of_another_kind_are_refused(folder: Path) -> None:
+def test_files_of_another_kind_are_rejected(folder: Path) -> None:
     with pytest.raises(InputError, match="not a model of p2wss"):
         load_predictor(folder / "d.safetensors")
 
 
-def test_patches_are_kept_where_no_augmentation_changes_the_shape_of_a_cloud() -> None:
+def test_patches_are_precomputed_where_no_augmentation_changes_the_shape_of_a_cloud() -> None:
     assert model.preserves_patches(load(ROOT / "config" / "paper.yaml").model.augmentation)
     off = {"keep_points": [1, 1], "occlusion_share": 0, "lift_m": 0, "jitter_m": 0}
     assert model.preserves_patches(load({"model": {"augmentation": off}}).model.augmentation)
@@ -245,7 +247,7 @@ def test_the_papers_preset_is_a_valid_override() -> None:
 
 
 @pytest.mark.slow
-def test_eight_buildings_are_learnt_by_heart(folder: Path, tmp_path: Path) -> None:
+def test_eight_buildings_can_be_memorised(folder: Path, tmp_path: Path) -> None:
     manifest = toy_crops.make(tmp_path, {"train": 8, "val": 8}, seed=4)
     config = load(
         {
@@ -260,9 +262,11 @@ def test_eight_buildings_are_learnt_by_heart(folder: Path, tmp_path: Path) -> No
         }
     ).model
     module, dvae_config = model.train(manifest, folder / "d.safetensors", config, tmp_path / "c", "x")
-    known = load_dataset(manifest, ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False)
+    training_set = load_dataset(
+        manifest, ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False
+    )
     height, angle = Predictor(module, config.decoding, dvae_config, 8, TrainingLimits(64, 8, 70)).errors(
-        known, np.arange(8)
+        training_set, np.arange(8)
     )
     assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3
 

@@ -52,27 +52,27 @@ def test_rings_stay_on_their_points(change: object) -> None:
     assert not torch.equal(after.points, before.points)
 
 
-def test_known_patches_outlive_what_moves_a_cloud_as_a_whole_and_nothing_else() -> None:
+def test_a_patch_index_survives_rigid_changes_and_scaling_only() -> None:
     torch.manual_seed(0)
     before = batch()
     index = patch_index(before.points, before.valid, 8, 8)
-    known = replace(before, patch_index=index.to(torch.int16))
-    after = augment.scale_randomly(augment.mirror_randomly(augment.rotate_randomly(known)), (0.5, 2))
+    with_index = replace(before, patch_index=index.to(torch.int16))
+    after = augment.scale_randomly(augment.mirror_randomly(augment.rotate_randomly(with_index)), (0.5, 2))
     after = augment.centre(after)
     assert after.patch_index is not None
-    ours, computed = (cut_patches(after.points, after.patch_index.long()), batch_patches(after))
+    ours, computed = (cut_patches(after.points, after.patch_index.long()), recomputed_patches(after))
     assert torch.allclose(ours.points, computed.points) and torch.equal(ours.valid, computed.valid)
     for changed in (
-        augment.lift_randomly(known, 3),
-        augment.jitter(known, 0.1),
-        augment.occlude_randomly(known, 1.0, 4),
-        augment.drop_points_randomly(known, (0.5, 0.5), 4),
+        augment.lift_randomly(with_index, 3),
+        augment.jitter(with_index, 0.1),
+        augment.occlude_randomly(with_index, 1.0, 4),
+        augment.drop_points_randomly(with_index, (0.5, 0.5), 4),
     ):
         assert changed.patch_index is None
 
 
-def batch_patches(known: Batch) -> Patches:
-    return make_patches(known.points, known.valid, 8, 8)
+def recomputed_patches(batch: Batch) -> Patches:
+    return make_patches(batch.points, batch.valid, 8, 8)
 
 
 def test_centre_ignores_padding() -> None:
@@ -111,26 +111,26 @@ def test_lift_moves_the_roof_with_the_label_and_leaves_the_ground() -> None:
     assert (after.height > 0).all() and lift.abs().max() > 0.5
 
 
-def test_occlusion_takes_a_wedge_from_some_clouds_only() -> None:
+def test_occlusion_removes_a_wedge_from_some_clouds_only() -> None:
     torch.manual_seed(0)
     before = batch()
     after = augment.occlude_randomly(before, 1.0, 10)
-    taken = before.valid & ~after.valid
-    assert (taken.sum(1) > 0).sum() >= 3 and (after.valid.sum(1) >= 10).all()
-    for row in torch.where(taken.sum(1) > 1)[0]:
-        own = before.points[row, :, :2]
-        # some point of the cloud sees all that was taken within 60 degrees, and nothing else between
-        found = False
-        for apex in torch.where(before.valid[row] & ~taken[row])[0]:
-            towards = torch.nn.functional.normalize(own - own[apex], dim=-1)
-            middle = towards[taken[row]].sum(0)
+    removed = before.valid & ~after.valid
+    assert (removed.sum(1) > 0).sum() >= 3 and (after.valid.sum(1) >= 10).all()
+    for row in torch.where(removed.sum(1) > 1)[0]:
+        xy = before.points[row, :, :2]
+        # from some point of the cloud all removed points lie within 60 degrees, and no remaining one between them
+        is_wedge = False
+        for apex in torch.where(before.valid[row] & ~removed[row])[0]:
+            towards = torch.nn.functional.normalize(xy - xy[apex], dim=-1)
+            middle = towards[removed[row]].sum(0)
             side = towards[:, 0] * middle[1] - towards[:, 1] * middle[0]
             angle = torch.rad2deg(torch.atan2(side, towards @ middle))
-            low, high = angle[taken[row]].aminmax()
-            kept = after.valid[row].clone()
-            kept[apex] = False
-            found |= bool(high - low < 60 and not ((angle > low) & (angle < high) & kept).any())
-        assert found
+            low, high = angle[removed[row]].aminmax()
+            remaining = after.valid[row].clone()
+            remaining[apex] = False
+            is_wedge |= bool(high - low < 60 and not ((angle > low) & (angle < high) & remaining).any())
+        assert is_wedge
     assert torch.equal(augment.occlude_randomly(before, 0.0, 10).valid, before.valid)
     assert torch.equal(augment.occlude_randomly(before, 1.0, 50).valid, before.valid)
 

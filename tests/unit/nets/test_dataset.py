@@ -52,14 +52,14 @@ def test_splits_labels_and_real_lidar(manifest: Path) -> None:
 def test_heights_are_above_the_ground_that_the_cloud_shows(manifest: Path, tmp_path: Path) -> None:
     row = pq.read_table(manifest.parent / "0001_0001.parquet").slice(0, 1).to_pylist()[0]
     label_z = row["eave_height_m"] + row["label_terrain_z_m"]
-    found = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
-    assert found.height_m[0] == pytest.approx(label_z - row["ground_z_m"], abs=1e-4)
-    assert found.height_m[0] + found.ground_z_m[0] == pytest.approx(label_z - row["origin_z_m"], abs=1e-4)
+    loaded = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
+    assert loaded.height_m[0] == pytest.approx(label_z - row["ground_z_m"], abs=1e-4)
+    assert loaded.height_m[0] + loaded.ground_z_m[0] == pytest.approx(label_z - row["origin_z_m"], abs=1e-4)
     blind = rewrite(manifest, tmp_path, {0: {"ground_z_m": float("nan")}})
-    found = load_dataset(blind, ["train"], LIMITS, labelled=True, include_real=False)
+    loaded = load_dataset(blind, ["train"], LIMITS, labelled=True, include_real=False)
     low = np.quantile(row["z_cm"], 0.02) / 100
-    assert found.ground_z_m[0] == pytest.approx(low, abs=1e-4)
-    assert found.height_m[0] == pytest.approx(label_z - row["origin_z_m"] - low, abs=1e-4)
+    assert loaded.ground_z_m[0] == pytest.approx(low, abs=1e-4)
+    assert loaded.height_m[0] == pytest.approx(label_z - row["origin_z_m"] - low, abs=1e-4)
 
 
 def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
@@ -79,9 +79,9 @@ def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
             6: {"split": "guard"},
         },
     )
-    found = load_dataset(changed, ["train"], LIMITS, labelled=True, include_real=False)
-    assert len(found) == 23
-    assert found.num_excluded == {
+    loaded = load_dataset(changed, ["train"], LIMITS, labelled=True, include_real=False)
+    assert len(loaded) == 23
+    assert loaded.num_excluded == {
         "with fewer than 64 points": 1,
         "with courtyards": 1,
         "with more than 8 vertices": 1,
@@ -89,7 +89,7 @@ def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
         "too large for the number format": 1,
         "without labels": 1,
     }
-    assert "1 with courtyards" in describe(found)
+    assert "1 with courtyards" in describe(loaded)
 
 
 def test_nothing_left_and_broken_manifests_are_one_clear_line(manifest: Path, tmp_path: Path) -> None:
@@ -108,9 +108,9 @@ def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
     table = pq.read_table(manifest.parent / "0001_0001.parquet")
     batch = train.batch(np.array([7, 2]), 10**6, None)
     for row, i in enumerate((7, 2)):
-        own = batch.points[row][batch.valid[row]].numpy()
+        points = batch.points[row][batch.valid[row]].numpy()
         cm = np.column_stack([table[name][i].as_py() for name in ("x_cm", "y_cm", "z_cm")])
-        assert np.allclose(own, cm / 100, atol=1e-5)
+        assert np.allclose(points, cm / 100, atol=1e-5)
         assert np.allclose(batch.xy[row].numpy().ravel(), table["footprint_xy_m"][i].as_py(), atol=1e-5)
         assert batch.angle[row].tolist() == table["angle_deg"][i].as_py()
     thinned = train.batch(np.array([7, 2]), 100, 0)
@@ -122,16 +122,16 @@ def test_a_batch_holds_the_rows_of_the_shard(manifest: Path) -> None:
     assert torch.equal(again.points[1], train.batch(np.array([7]), 100, None).points[0])
 
 
-def test_an_epoch_visits_every_building_once_in_batches_of_like_length() -> None:
+def test_an_epoch_visits_every_building_once_in_batches_of_similar_length() -> None:
     num = np.random.default_rng(0).integers(3, 17, 1000)
     order = BatchSampler(num, 32, seed=1)
     epoch = [order.batch(step) for step in range(31)]
-    seen = np.concatenate(epoch)
-    assert len(set(seen)) == len(seen) == 31 * 32
+    visited = np.concatenate(epoch)
+    assert len(set(visited)) == len(visited) == 31 * 32
     spread = np.mean([np.ptp(num[batch]) for batch in epoch])
     assert spread < 4 < np.ptp(num)
     assert not np.array_equal(order.batch(31), epoch[0])
-    # any step can be asked for first
+    # any step can come first
     assert np.array_equal(BatchSampler(num, 32, seed=1).batch(40), order.batch(40))
     assert len(BatchSampler(num[:5], 32, seed=1).batch(3)) == 5
 
@@ -167,19 +167,19 @@ def test_an_interrupted_decoding_leaves_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_thinning_keeps_every_point_equally_often_and_in_order() -> None:
-    kept = np.zeros(50)
+def test_thinning_selects_every_point_equally_often_and_in_order() -> None:
+    count = np.zeros(50)
     for seed in range(4000):
         chosen = np.empty(20, np.int64)
         dataset._select(50, dataset._random_states(np.array([3]), np.array([50]), seed * 7919)[0], chosen)
         assert (np.diff(chosen) > 0).all() and chosen[-1] < 50
-        kept[chosen] += 1
+        count[chosen] += 1
     # 4,000 draws of 2 in 5: 5 standard deviations
-    assert np.abs(kept / 4000 - 0.4).max() < 5 * (0.4 * 0.6 / 4000) ** 0.5
+    assert np.abs(count / 4000 - 0.4).max() < 5 * (0.4 * 0.6 / 4000) ** 0.5
     assert dataset.thin(10, 20).tolist() == list(range(10))
 
 
-def test_patches_are_found_once_and_only_of_clouds_that_are_not_thinned(
+def test_patches_are_computed_once_and_only_of_clouds_that_are_not_thinned(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cpu = torch.device("cpu")
@@ -190,7 +190,7 @@ def test_patches_are_found_once_and_only_of_clouds_that_are_not_thinned(
     assert 0 < whole.sum() < len(train)
     monkeypatch.setattr(patch_cache, "_BATCH_SIZE", 4)
     first = precompute_patches(train, cut, cpu)
-    monkeypatch.setattr(patch_cache, "_fill_patch_index", lambda *_: pytest.fail("found again"))
+    monkeypatch.setattr(patch_cache, "_fill_patch_index", lambda *_: pytest.fail("computed again"))
     second = precompute_patches(train, cut, cpu)
     monkeypatch.undo()
     in_memory = precompute_patches(
@@ -206,7 +206,7 @@ def test_patches_are_found_once_and_only_of_clouds_that_are_not_thinned(
     assert batch.patch_index is not None and torch.equal(batch.patch_index[:1].long(), expected)
 
 
-def test_an_interrupted_search_for_patches_leaves_nothing(
+def test_an_interrupted_computation_of_patches_leaves_nothing(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     train = load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
@@ -220,9 +220,9 @@ def test_an_interrupted_search_for_patches_leaves_nothing(
         precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
     assert sorted(tmp_path.rglob("*")) == before
     monkeypatch.undo()
-    found = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
-    assert found.folder is not None
-    next(found.folder.glob("patches-*")).write_bytes(b"cut off")
+    loaded = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
+    assert loaded.folder is not None
+    next(loaded.folder.glob("patches-*")).write_bytes(b"cut off")
     with pytest.raises(InputError, match=r"patches-1000000-4x8\.i16: not readable .*; delete it"):
         precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
 

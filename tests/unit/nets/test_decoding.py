@@ -31,12 +31,12 @@ def test_median_minimises_the_expected_absolute_error() -> None:
     distribution /= distribution.sum(-1, keepdim=True)
     value = torch.arange(50.0)
     cost = distribution @ (value[:, None] - value).abs()
-    found = decode(distribution, "median")
-    assert torch.allclose(cost.gather(1, found[:, None])[:, 0], cost.amin(1), atol=1e-5)
+    median = decode(distribution, "median")
+    assert torch.allclose(cost.gather(1, median[:, None])[:, 0], cost.amin(1), atol=1e-5)
 
 
-def test_a_slip_at_the_tens_does_not_move_the_median() -> None:
-    """9.9 or 10.1: each digit is torn, their most probable values alone could say 10.9."""
+def test_a_wrong_tens_digit_does_not_move_the_median() -> None:
+    """9.9 or 10.1 with equal probability: the most probable digits on their own could make it 10.9."""
     tok = Tokenizer()
     logits = torch.full((1, 4, tok.vocabulary_size), -30.0)
     for index, (place, digits) in enumerate({1: (0, 1), 0: (9, 0), -1: (9, 1), -2: (0, 0)}.items()):
@@ -54,9 +54,9 @@ def test_support_is_the_papers() -> None:
     distribution[0, 10], distribution[0, 30] = 0.8, 0.2
     distribution[1, 99] = 1
     distribution[2, 0], distribution[2, 90] = 0.6, 0.4
-    kept = constrain(distribution, allowed)
-    assert decode(kept, "median").tolist()[0] == 30 and decode(kept, "median").tolist()[2] == 0
-    assert torch.allclose(kept.sum(-1), torch.ones(3))
+    constrained = constrain(distribution, allowed)
+    assert decode(constrained, "median").tolist()[0] == 30 and decode(constrained, "median").tolist()[2] == 0
+    assert torch.allclose(constrained.sum(-1), torch.ones(3))
 
 
 def test_mass_near_a_value() -> None:

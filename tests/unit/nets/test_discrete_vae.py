@@ -1,4 +1,4 @@
-"""The dVAE's parts against what they abbreviate."""
+"""The parts of the discrete VAE against plain implementations."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def test_edge_convolution_is_that_of_gathered_differences() -> None:
     graph = torch.randint(12, (2, 12, 4))
     weight = torch.cat([layer.difference.weight, layer.self.weight], 1)
     rows = torch.arange(2)[:, None, None]
-    own = x[:, :, None].expand(-1, -1, 4, -1)
-    edges = F.linear(torch.cat([x[rows, graph] - own, own], -1), weight).permute(0, 3, 1, 2)
+    centre = x[:, :, None].expand(-1, -1, 4, -1)
+    edges = F.linear(torch.cat([x[rows, graph] - centre, centre], -1), weight).permute(0, 3, 1, 2)
     expected = F.leaky_relu(layer.norm(edges), 0.2).amax(-1).transpose(1, 2)
-    found = layer(x, graph, adjacency_matrix(graph))
-    assert torch.allclose(found, expected, atol=1e-5)
-    weights = torch.randn_like(found)
+    result = layer(x, graph, adjacency_matrix(graph))
+    assert torch.allclose(result, expected, atol=1e-5)
+    weights = torch.randn_like(result)
     parameters = list(layer.parameters())
     for ours, theirs in zip(
-        torch.autograd.grad((found * weights).sum(), parameters),
+        torch.autograd.grad((result * weights).sum(), parameters),
         torch.autograd.grad((expected * weights).sum(), parameters),
         strict=True,
     ):
@@ -68,7 +68,7 @@ def test_point_net_reads_each_point_beside_its_patchs_maximum() -> None:
 
 
 def with_random_norms(net: MiniPointNet) -> MiniPointNet:
-    """In evaluation, with moments, scales and shifts that training might have left, negative scales too."""
+    """In evaluation mode, with moments, scales and shifts as after a training, negative scales too."""
     for norm in (net.first_norm, net.third_norm):
         torch.nn.init.normal_(norm.weight)
         torch.nn.init.normal_(norm.bias)
@@ -77,16 +77,16 @@ def with_random_norms(net: MiniPointNet) -> MiniPointNet:
     return net.eval()
 
 
-def test_point_net_infers_what_it_says_in_evaluation() -> None:
+def test_inference_of_the_point_net_equals_its_forward_pass_in_evaluation() -> None:
     torch.manual_seed(0)
     net = with_random_norms(MiniPointNet(16))
-    points = torch.randn(3, 15, 7, 3)  # more patches than it embeds at once, and a rest
+    points = torch.randn(3, 15, 7, 3)  # more patches than it embeds at once, and a remainder
     assert INFERENCE_PATCHES < 3 * 15 and (3 * 15) % INFERENCE_PATCHES
     assert torch.allclose(net.infer(points), net(points), atol=2e-5)
     assert net(points).std() > 0.1
 
 
-def test_point_net_does_not_see_the_order_of_points() -> None:
+def test_the_point_net_does_not_depend_on_the_order_of_points() -> None:
     torch.manual_seed(0)
     net = MiniPointNet(16).eval()
     points = torch.randn(2, 5, 7, 3)
@@ -95,17 +95,19 @@ def test_point_net_does_not_see_the_order_of_points() -> None:
 
 def test_chamfer_is_that_of_nearest_neighbours_and_skips_invalid_patches() -> None:
     torch.manual_seed(1)
-    made, given = torch.randn(2, 3, 8, 3), torch.randn(2, 3, 12, 3)
+    reconstruction, target = torch.randn(2, 3, 8, 3), torch.randn(2, 3, 12, 3)
     valid = torch.tensor([[True, True, False], [True, False, True]])
     expected = []
     for row, group in valid.nonzero().tolist():
-        a, b = made[row, group].numpy(), given[row, group].numpy()
+        a, b = reconstruction[row, group].numpy(), target[row, group].numpy()
         forth, back = cKDTree(b).query(a)[0].mean(), cKDTree(a).query(b)[0].mean()
         expected.append((forth + back) / 2)
-    assert float(chamfer_l1(made, given, valid)) == pytest.approx(sum(expected) / len(expected), abs=1e-5)
+    assert float(chamfer_l1(reconstruction, target, valid)) == pytest.approx(
+        sum(expected) / len(expected), abs=1e-5
+    )
 
 
-def test_the_graph_never_leads_to_a_repeated_patch() -> None:
+def test_no_neighbour_in_the_graph_is_a_repeated_patch() -> None:
     some = patches()
     valid = some.valid.clone()
     valid[:, 5] = False

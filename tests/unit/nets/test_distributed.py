@@ -42,8 +42,8 @@ def measure(module: nn.Module, losses: dict[str, Tensor]) -> dict[str, Tensor]:
     """Losses and gradients as the training loop would see them."""
     torch.stack(list(losses.values())).sum().backward()
     distributed.average_gradients(module)
-    found = distributed.average_values({name: float(value.detach()) for name, value in losses.items()})
-    result = {name: torch.tensor(value) for name, value in found.items()}
+    averages = distributed.average_values({name: float(value.detach()) for name, value in losses.items()})
+    result = {name: torch.tensor(value) for name, value in averages.items()}
     result |= {f"grad {name}": p.grad for name, p in module.named_parameters() if p.grad is not None}
     return result | {name: value for name, value in module.named_buffers() if "running" in name}
 
@@ -52,7 +52,7 @@ def dvae_step() -> dict[str, Tensor]:
     generator = torch.Generator().manual_seed(1)
     torch.manual_seed(0)
     module = DiscreteVae(DVAE)
-    # the noise is the one thing that is drawn per process
+    # only the noise is drawn per process
     F.gumbel_softmax = lambda logits, tau, **_: F.softmax(logits / tau, -1)
     losses = module(patches(generator), 0.5)
     return measure(module, {name: losses[name] for name in ("coarse", "fine", "kl")})
@@ -71,13 +71,15 @@ def model_step() -> dict[str, Tensor]:
     parameters, _ = tokenizer.canonical(tokenizer.quantise(height, xy, angle, num_vertices))
     tokens = tokenizer.encode(parameters)
     # unequal shares of masked tokens
-    hidden = torch.rand(tokens.shape, generator=generator) < torch.linspace(0.1, 0.9, NUM)[:, None]
-    hidden &= tokens > 3
+    token_masked = torch.rand(tokens.shape, generator=generator) < torch.linspace(0.1, 0.9, NUM)[:, None]
+    token_masked &= tokens > 3
     patch_masked = torch.rand(NUM, 8, generator=generator) < torch.linspace(0.2, 0.8, NUM)[:, None]
     labels = torch.randint(12, (NUM, 8), generator=generator)
-    own = patches(generator)
-    arguments = [rows(x) for x in (torch.zeros(NUM), patch_masked, labels, tokens, hidden, num_vertices)]
-    return measure(module, module.losses(own, *arguments, match_balanced=False))
+    patches_of_process = patches(generator)
+    arguments = [
+        rows(x) for x in (torch.zeros(NUM), patch_masked, labels, tokens, token_masked, num_vertices)
+    ]
+    return measure(module, module.losses(patches_of_process, *arguments, match_balanced=False))
 
 
 class Line:
@@ -112,9 +114,9 @@ def patches_beside_clouds(folder: Path) -> dict[str, Tensor]:
     flat = np.zeros(2, np.float32)
     offset = np.array([0, 90, 200])
     clouds = BuildingDataset(points, offset, flat, np.zeros((0, 2)), offset * 0, flat[:0], flat, {}, folder)
-    found = precompute_patches(clouds, PatchSettings(128, 8, 8), torch.device("cpu")).patch_index
-    assert found is not None
-    return {"patch_index": distributed.average(torch.from_numpy(found.astype(np.float32)))}
+    index = precompute_patches(clouds, PatchSettings(128, 8, 8), torch.device("cpu")).patch_index
+    assert index is not None
+    return {"patch_index": distributed.average(torch.from_numpy(index.astype(np.float32)))}
 
 
 def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
@@ -127,8 +129,8 @@ def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What two processes and one process found; run by torchrun, as a user would."""
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of one process and of two; run by torchrun, as a user would."""
     folder = tmp_path_factory.mktemp("distributed")
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     for count in (1, 2):
@@ -141,19 +143,19 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("part", ["dvae", "model", "line", "patches"])
-def test_losses_gradients_and_statistics_are_those_of_one_process(found: Path, part: str) -> None:
-    one, two = (torch.load(found / count / "found.pt")[part] for count in "12")
+def test_losses_gradients_and_statistics_are_those_of_one_process(outputs: Path, part: str) -> None:
+    one, two = (torch.load(outputs / count / "results.pt")[part] for count in "12")
     assert one.keys() == two.keys()
     for name in one:
         if one[name].is_floating_point():
             assert torch.allclose(one[name], two[name], rtol=1e-3, atol=2e-5), name
 
 
-def test_the_first_process_writes_once(found: Path) -> None:
-    one, two = ((found / count / "metrics.jsonl").read_text().splitlines() for count in "12")
+def test_the_first_process_writes_once(outputs: Path) -> None:
+    one, two = ((outputs / count / "metrics.jsonl").read_text().splitlines() for count in "12")
     assert len(one) == len(two) == 4
-    assert sorted(p.name for p in (found / "2").glob("*.pt")) == [
-        "found.pt",
+    assert sorted(p.name for p in (outputs / "2").glob("*.pt")) == [
+        "results.pt",
         "step-00000020.pt",
         "step-00000040.pt",
     ]
@@ -175,4 +177,4 @@ if __name__ == "__main__":
     with distributed.process_group(torch.device("cpu")):
         result = everything(folder)
         if distributed.rank() == 0:
-            torch.save(result, folder / "found.pt")
+            torch.save(result, folder / "results.pt")

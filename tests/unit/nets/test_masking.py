@@ -1,4 +1,4 @@
-"""What is hidden while training."""
+"""Masks of the training."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def kinds(count: int = 400) -> torch.Tensor:
     return tok.kinds(torch.Size((count, tok.length(12))), num)
 
 
-def test_each_pattern_hides_what_it_says() -> None:
+def test_each_pattern_masks_its_kinds_of_tokens() -> None:
     torch.manual_seed(0)
     kind = kinds()
-    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
-    assert torch.equal(mask_parameters(kind, 1, 0, (0.3, 0.3)), asked)
-    assert torch.equal(mask_parameters(kind, 0, 1, (0.3, 0.3)), asked | (kind == KIND_COORDINATE))
+    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
+    assert torch.equal(mask_parameters(kind, 1, 0, (0.3, 0.3)), targets)
+    assert torch.equal(mask_parameters(kind, 0, 1, (0.3, 0.3)), targets | (kind == KIND_COORDINATE))
     free = mask_parameters(kind, 0, 0, (0.3, 0.3))
     allowed = (kind != KIND_PAD) & (kind != KIND_FRAME)
     assert not free[~allowed].any()
@@ -43,13 +43,13 @@ def test_shares_of_the_mixture() -> None:
     torch.manual_seed(0)
     kind = kinds()
     masked = mask_parameters(kind, 0.5, 0.2, (0.15, 1))
-    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
-    inference = (masked == asked).all(1).float().mean()
-    table1 = (masked == (asked | (kind == KIND_COORDINATE))).all(1).float().mean()
+    targets = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE)
+    inference = (masked == targets).all(1).float().mean()
+    table1 = (masked == (targets | (kind == KIND_COORDINATE))).all(1).float().mean()
     assert abs(float(inference) - 0.5) < 0.08 and abs(float(table1) - 0.2) < 0.06
 
 
-def test_patches_are_hidden_in_one_block_around_a_valid_patch() -> None:
+def test_patches_are_masked_in_one_block_around_a_valid_patch() -> None:
     torch.manual_seed(0)
     centre = torch.rand(50, 20, 3)
     valid = torch.ones(50, 20, dtype=torch.bool)
@@ -59,8 +59,10 @@ def test_patches_are_hidden_in_one_block_around_a_valid_patch() -> None:
     count = masked.sum(1)
     assert count.min() >= 3 and count.max() <= 6 and len(count.unique()) > 2
     for row in range(50):
-        own = centre[row][valid[row]]
-        hidden = masked[row][valid[row]]
-        distance = torch.cdist(own, own)
-        # some hidden patch is nearer to all the others hidden than to any visible one
-        assert any(distance[i][hidden].max() < distance[i][~hidden].min() for i in torch.where(hidden)[0])
+        xyz = centre[row][valid[row]]
+        in_block = masked[row][valid[row]]
+        distance = torch.cdist(xyz, xyz)
+        # some masked patch is nearer to all other masked ones than to any visible one
+        assert any(
+            distance[i][in_block].max() < distance[i][~in_block].min() for i in torch.where(in_block)[0]
+        )

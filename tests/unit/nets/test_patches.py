@@ -41,11 +41,11 @@ def test_farthest_points_as_by_brute_force_and_never_padding(seed: int) -> None:
     assert distinct.all()
     assert (distance.isinf() == ~valid[:, None]).all()
     for row in range(3):
-        own = np.flatnonzero(valid[row])
-        expected = own[brute_force_farthest(points[row].numpy()[own].astype(float), 16)]
+        valid_index = np.flatnonzero(valid[row])
+        expected = valid_index[brute_force_farthest(points[row].numpy()[valid_index].astype(float), 16)]
         assert chosen[row].tolist() == expected.tolist()
-        away = cdist(points[row, chosen[row]].numpy(), points[row].numpy()[own])
-        assert np.allclose(distance[row].numpy()[:, own], away**2, rtol=1e-4, atol=1e-6)
+        reference = cdist(points[row, chosen[row]].numpy(), points[row].numpy()[valid_index])
+        assert np.allclose(distance[row].numpy()[:, valid_index], reference**2, rtol=1e-4, atol=1e-6)
 
 
 @settings(max_examples=25, deadline=None)
@@ -53,12 +53,12 @@ def test_farthest_points_as_by_brute_force_and_never_padding(seed: int) -> None:
 def test_nearest_points_as_by_kd_tree_and_never_padding(seed: int) -> None:
     points, valid = clouds(seed)
     centre = points[:, :8] * valid[:, :8, None]
-    away = torch.from_numpy(np.array([cdist(*pair) for pair in zip(centre, points, strict=True)]))
-    index = nearest_points(away.float().masked_fill(~valid[:, None], torch.inf), 12)
+    reference = torch.from_numpy(np.array([cdist(*pair) for pair in zip(centre, points, strict=True)]))
+    index = nearest_points(reference.float().masked_fill(~valid[:, None], torch.inf), 12)
     for row in range(3):
-        own = np.flatnonzero(valid[row])
-        _, expected = cKDTree(points[row].numpy()[own]).query(centre[row].numpy(), 12)
-        assert np.array_equal(np.sort(index[row].numpy()), np.sort(own[expected]))
+        valid_index = np.flatnonzero(valid[row])
+        _, expected = cKDTree(points[row].numpy()[valid_index]).query(centre[row].numpy(), 12)
+        assert np.array_equal(np.sort(index[row].numpy()), np.sort(valid_index[expected]))
 
 
 def test_small_clouds_repeat_points_and_mark_repeated_patches() -> None:

@@ -1,4 +1,4 @@
-"""The network: padding, masks and losses do what they should and nothing else."""
+"""The network: padding, masks and losses."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def test_padding_of_the_sequence_changes_nothing() -> None:
     assert torch.allclose(together[shortest, :length], alone[0], atol=1e-5)
 
 
-def test_inference_says_what_the_plain_network_says(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folded norms and the asked positions only, on padded clouds and sequences, against neither of the two."""
+def test_inference_equals_the_plain_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Folded norms and target positions only, on padded clouds and sequences, against the plain forward pass."""
     tok = Tokenizer()
     model = network()
     with_random_norms(model.cloud.embed)
@@ -60,7 +60,7 @@ def test_inference_says_what_the_plain_network_says(monkeypatch: pytest.MonkeyPa
     patches.valid[1, 7:] = False
     kind = tok.kinds(tokens.shape, num)
     tokens = tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK)
-    asked = tok.target_positions(int(num.max()))
+    targets = tok.target_positions(int(num.max()))
     ground = torch.randn(4)
 
     def logits(positions: torch.Tensor | None) -> torch.Tensor:
@@ -68,12 +68,12 @@ def test_inference_says_what_the_plain_network_says(monkeypatch: pytest.MonkeyPa
         return model.restore(tokens, num, patches, ground, cloud, valid, positions)
 
     model.eval()
-    found = logits(asked)
+    result = logits(targets)
     monkeypatch.setattr(MiniPointNet, "infer", MiniPointNet.forward)
     plain = logits(None)
-    assert found.shape == (4, len(asked), tok.vocabulary_size) and len(asked) < plain.shape[1]
-    assert torch.allclose(found, plain[:, asked], atol=2e-5)
-    assert plain[:, asked].std() > 0.1
+    assert result.shape == (4, len(targets), tok.vocabulary_size) and len(targets) < plain.shape[1]
+    assert torch.allclose(result, plain[:, targets], atol=2e-5)
+    assert plain[:, targets].std() > 0.1
 
 
 def test_repeated_patches_change_nothing() -> None:
@@ -91,20 +91,20 @@ def test_repeated_patches_change_nothing() -> None:
 
 
 def test_masked_digits_cannot_leak() -> None:
-    """What the network answers depends on no token that is hidden from it."""
+    """The input of the encoder does not depend on any masked token."""
     tok = Tokenizer()
     model = network().eval()
     patches, tokens, num = sample()
     kind = tok.kinds(tokens.shape, num)
-    asked = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE) | (kind == KIND_COORDINATE)
+    digits = (kind == KIND_HEIGHT) | (kind == KIND_ANGLE) | (kind == KIND_COORDINATE)
     captured: list[torch.Tensor] = []
     model.sequence.encoder.register_forward_pre_hook(lambda _m, inputs: captured.append(inputs[0].detach()))
     other = tokens.clone()
-    other[asked] = FIRST_DIGIT + (other[asked] - FIRST_DIGIT + 3) % 10
-    for given in (tokens, other):
+    other[digits] = FIRST_DIGIT + (other[digits] - FIRST_DIGIT + 3) % 10
+    for sequence in (tokens, other):
         model.losses(
             patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
-            given, asked, num, True,
+            sequence, digits, num, True,
         )  # fmt: skip
     assert torch.equal(captured[0][4:], captured[1][4:])  # the masked half of the doubled batch
     assert not torch.equal(captured[0][:4], captured[1][:4])
@@ -115,24 +115,24 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     square = torch.tensor([[[-3.0, 2.5], [-3.0, -2.5], [3.0, -2.5], [3.0, 2.5]]])
     parameters = tok.quantise(torch.tensor([5.0]), square, torch.zeros(1, 4), torch.tensor([4]))
     tokens, _ = tok.mask_targets(parameters)
-    found = edge_features(tok, tokens, torch.tensor([4]), tok.token_value, 0.1)[0]
-    #            seen  start        end          length normal  distance
+    edges = edge_features(tok, tokens, torch.tensor([4]), tok.token_value, 0.1)[0]
+    #         visible  start        end          length normal  distance
     expected = [
         [1, -0.3, 0.25, -0.3, -0.25, 0.5, -1, 0, 0.3],
         [1, -0.3, -0.25, 0.3, -0.25, 0.6, 0, -1, 0.25],
         [1, 0.3, -0.25, 0.3, 0.25, 0.5, 1, 0, 0.3],
         [1, 0.3, 0.25, -0.3, 0.25, 0.6, 0, 1, 0.25],
     ]
-    assert torch.allclose(found, torch.tensor(expected), atol=1e-6)
-    hidden = tokens.clone()
-    hidden[0, tok.header_length + tok.block_length + tok.x_slot + 2] = MASK  # a digit of vertex 1
-    found = edge_features(tok, hidden, torch.tensor([4]), tok.token_value, 0.1)[0]
-    assert (found[:2] == 0).all()
-    assert torch.allclose(found[2:], torch.tensor(expected)[2:], atol=1e-6)
+    assert torch.allclose(edges, torch.tensor(expected), atol=1e-6)
+    masked = tokens.clone()
+    masked[0, tok.header_length + tok.block_length + tok.x_slot + 2] = MASK  # a digit of vertex 1
+    edges = edge_features(tok, masked, torch.tensor([4]), tok.token_value, 0.1)[0]
+    assert (edges[:2] == 0).all()
+    assert torch.allclose(edges[2:], torch.tensor(expected)[2:], atol=1e-6)
 
 
-def test_edges_look_at_patches_in_their_own_frame() -> None:
-    """A patch that moves along with its edge says the same; hidden edges, repeated patches say nothing."""
+def test_edges_attend_to_patches_in_their_own_frame() -> None:
+    """A patch that moves with its edge has the same effect; masked edges and repeated patches have none."""
     torch.manual_seed(0)
     look = EdgeAttention(16, 2)
     tok = Tokenizer()
@@ -141,27 +141,29 @@ def test_edges_look_at_patches_in_their_own_frame() -> None:
     patches, _, _ = sample(1)
     cloud, ground = torch.randn(1, 12, 16), torch.zeros(1)
 
-    def seen(shift: float, some: Patches, hidden: int | None = None) -> torch.Tensor:
+    def attended(shift: float, some: Patches, masked: int | None = None) -> torch.Tensor:
         parameters = tok.quantise(torch.tensor([5.0]), square + shift, torch.zeros(1, 4), num)
         tokens, _ = tok.mask_targets(parameters)
-        if hidden is not None:
-            tokens[0, tok.header_length + tok.block_length * hidden + tok.x_slot + 1] = MASK
+        if masked is not None:
+            tokens[0, tok.header_length + tok.block_length * masked + tok.x_slot + 1] = MASK
         return look(edge_features(tok, tokens, num, tok.token_value, 0.1), cloud, some, ground)[0]
 
     moved = Patches(patches.centre + torch.tensor([0.2, 0.2, 0]), patches.points, patches.valid)
-    assert torch.allclose(seen(0, patches), seen(2, moved), atol=1e-5)
-    assert not torch.allclose(seen(0, patches), seen(0, moved), atol=1e-3)
-    assert torch.equal(seen(0, patches, hidden=2).abs().sum(1) == 0, torch.tensor([False, True, True, False]))
+    assert torch.allclose(attended(0, patches), attended(2, moved), atol=1e-5)
+    assert not torch.allclose(attended(0, patches), attended(0, moved), atol=1e-3)
+    assert torch.equal(
+        attended(0, patches, masked=2).abs().sum(1) == 0, torch.tensor([False, True, True, False])
+    )
     valid = patches.valid.clone()
     valid[:, 3] = False
     centre = patches.centre.clone()
     centre[:, 3] += 5
     some, other = (Patches(c, patches.points, valid) for c in (patches.centre, centre))
-    assert torch.equal(seen(0, some), seen(0, other))
+    assert torch.equal(attended(0, some), attended(0, other))
 
 
-def test_edges_mix_what_the_value_layer_says_of_each_patch() -> None:
-    """Mixing before the value layer is mixing behind it: here every pair of edge and patch has its value."""
+def test_averaging_before_the_value_layer_is_averaging_after_it() -> None:
+    """Against a value for every pair of edge and patch."""
     torch.manual_seed(0)
     look = EdgeAttention(16, 2)
     look.decay.data.zero_()
@@ -171,11 +173,11 @@ def test_edges_mix_what_the_value_layer_says_of_each_patch() -> None:
     edges = edge_features(tok, tokens, num, tok.token_value, 0.1)
     pairs: list[torch.Tensor] = []
     look.logits.register_forward_pre_hook(lambda _module, inputs: pairs.append(inputs[0]))
-    found = look(edges, torch.randn(4, 12, 16), patches, torch.randn(4))
+    result = look(edges, torch.randn(4, 12, 16), patches, torch.randn(4))
     share = look.logits(pairs[0]).masked_fill(~patches.valid[:, None, :, None], -torch.inf).softmax(2)
     value = look.value(pairs[0]).unflatten(-1, (2, 8))
     mixed = (share[..., None] * value).sum(2).flatten(2)
-    assert torch.allclose(found, look.out(mixed) * edges[..., :1], atol=1e-6)
+    assert torch.allclose(result, look.out(mixed) * edges[..., :1], atol=1e-6)
 
 
 @pytest.mark.parametrize("balanced", [False, True])
@@ -208,11 +210,11 @@ def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
     model = network().eval()
     patches, tokens, num = sample(8)
     masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
-    hidden, labels = mask_patches(patches, (0.25, 0.45)), torch.randint(20, (8, 12))
-    whole = model.losses(patches, torch.zeros(8), hidden, labels, tokens, masked, num, True)
-    some = model.losses(patches, torch.zeros(8), hidden[:3], labels[:3], tokens, masked, num, True)
+    patch_masked, labels = mask_patches(patches, (0.25, 0.45)), torch.randint(20, (8, 12))
+    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, tokens, masked, num, True)
+    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], tokens, masked, num, True)
     alone = model.losses(
-        patches[:3], torch.zeros(3), hidden[:3], labels[:3], tokens[:3], masked[:3], num[:3], True
+        patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], masked[:3], num[:3], True
     )
     assert torch.allclose(some["sequence"], whole["sequence"], atol=1e-5)
     for name in ("cloud", "modal", "match"):
@@ -223,11 +225,11 @@ def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
 def test_inference_needs_only_the_parts_that_are_kept() -> None:
     model = network().eval()
     patches, tokens, num = sample()
-    kept = inference_weights(model.state_dict())
-    assert not any(name.startswith(("cloud_cross", "cloud_head", "align", "match")) for name in kept)
+    weights = inference_weights(model.state_dict())
+    assert not any(name.startswith(("cloud_cross", "cloud_head", "align", "match")) for name in weights)
     torch.manual_seed(9)
     other = Point2Wss(SIZES, Tokenizer(), 0.1).eval()
-    other.load_state_dict(kept, strict=False)
+    other.load_state_dict(weights, strict=False)
     answers = []
     for net in (model, other):
         cloud, valid = net.cloud_features(patches, torch.ones(4))

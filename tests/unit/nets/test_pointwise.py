@@ -58,8 +58,8 @@ def test_outputs_gradients_and_running_moments(training: bool, num_pooled: int, 
     expected = results(parts, inputs, [other, other_linear])
 
     offset = inputs[1] if shared else None
-    found = norm_relu_linear(rows, norm, linear.weight, linear.bias, num_pooled, offset)
-    for ours, theirs in zip(results(list(found), inputs, [norm, linear]), expected, strict=True):
+    outputs = norm_relu_linear(rows, norm, linear.weight, linear.bias, num_pooled, offset)
+    for ours, theirs in zip(results(list(outputs), inputs, [norm, linear]), expected, strict=True):
         assert torch.allclose(ours, theirs, rtol=1e-6, atol=1e-8)
 
 

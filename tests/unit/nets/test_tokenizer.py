@@ -58,7 +58,7 @@ def test_vocabulary_and_length_are_the_papers() -> None:
     assert tok.token_value[tok.vocabulary.index("[7·10^-1]")] == pytest.approx(0.7)
 
 
-def test_the_sequence_of_a_square_word_by_word() -> None:
+def test_the_sequence_of_a_square_token_by_token() -> None:
     tok = Tokenizer()
     square = torch.tensor([[[-3.0, -2.5], [3.0, -2.5], [3.0, 2.5], [-3.0, 2.5]]])
     parameters, start = tok.canonical(
@@ -124,26 +124,26 @@ def test_mirror_keeps_orientation_and_each_angle_at_its_edge(seed: int) -> None:
     assert torch.equal(again, xy) and torch.equal(back, angle)
 
 
-def test_inference_sequence_hides_height_and_angles_only() -> None:
+def test_the_inference_sequence_masks_height_and_angles_only() -> None:
     tok = Tokenizer()
     height, xy, angle, num = buildings(3, 6)
     parameters, _ = tok.canonical(tok.quantise(height, xy, angle, num))
     full = tok.encode(parameters)
-    hidden, kind = tok.mask_targets(parameters)
-    masked = hidden == MASK
-    assert torch.equal(hidden[~masked], full[~masked])
+    incomplete, kind = tok.mask_targets(parameters)
+    masked = incomplete == MASK
+    assert torch.equal(incomplete[~masked], full[~masked])
     assert torch.equal(masked.sum(1), 4 + 2 * num)
     assert (full[masked] >= FIRST_DIGIT).all()
-    assert torch.equal(tok.num_vertices(hidden), num)
+    assert torch.equal(tok.num_vertices(incomplete), num)
     assert torch.equal(kind == KIND_PAD, full == PAD)
 
 
-def test_asked_are_the_digits_of_height_and_angles_edge_by_edge() -> None:
+def test_targets_are_the_digits_of_height_and_angles_edge_by_edge() -> None:
     tok = Tokenizer()
     kind = tok.kinds(torch.Size([1, tok.length(5)]), torch.tensor([5]))[0]
-    asked = tok.target_positions(5)
-    assert kind[asked].tolist() == [KIND_HEIGHT] * 4 + [KIND_ANGLE] * 10
-    assert torch.equal(asked[4:], torch.nonzero(kind == KIND_ANGLE)[:, 0])
+    targets = tok.target_positions(5)
+    assert kind[targets].tolist() == [KIND_HEIGHT] * 4 + [KIND_ANGLE] * 10
+    assert torch.equal(targets[4:], torch.nonzero(kind == KIND_ANGLE)[:, 0])
 
 
 @pytest.mark.parametrize("value", [100.0, -0.01])
@@ -163,9 +163,9 @@ def test_sequences_that_encode_cannot_make_are_refused() -> None:
     tok = Tokenizer()
     height, xy, angle, num = buildings(1, 1, most=4)
     tokens = tok.encode(tok.canonical(tok.quantise(height, xy, angle, num))[0])
-    for position, word in [(0, END), (1, ANGLE), (3, PLUS), (7, POINT)]:
+    for position, token in [(0, END), (1, ANGLE), (3, PLUS), (7, POINT)]:
         broken = tokens.clone()
-        broken[0, position] = word
+        broken[0, position] = token
         with pytest.raises(ValueError, match="not a token sequence"):
             tok.decode(broken)
     block = tok.blocks(tokens).roll(1, 1)  # another start vertex

@@ -76,9 +76,9 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     with pytest.raises(SystemExit) as stopped:
         run(tmp_path / "two", Line(stop_after), ema_decay)
     assert stopped.value.code == 0
-    found = run(tmp_path / "two", Line(), ema_decay)
-    assert expected.keys() == found.keys()
-    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    resumed = run(tmp_path / "two", Line(), ema_decay)
+    assert expected.keys() == resumed.keys()
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
     assert read_metrics(tmp_path / "one") == read_metrics(tmp_path / "two")
 
 
@@ -93,8 +93,8 @@ def test_a_kill_without_warning_repeats_the_steps_since_the_last_checkpoint(tmp_
 
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "two", Killed())
-    found = run(tmp_path / "two", Line())
-    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    resumed = run(tmp_path / "two", Line())
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
     assert read_metrics(tmp_path / "one") == read_metrics(tmp_path / "two")
 
 
@@ -103,18 +103,18 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, caplog: pytest.LogCa
     last = sorted(tmp_path.glob("step-*.pt"))
     assert [path.name for path in last] == ["step-00000040.pt", "step-00000060.pt"]
     last[-1].write_bytes(last[-1].read_bytes()[:500])
-    found = run(tmp_path, Line())
+    resumed = run(tmp_path, Line())
     assert "not readable" in caplog.text
-    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
 def test_checkpoints_of_another_config_are_not_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(SystemExit):
         run(tmp_path, Line(stop_after=30), identity={"config": {"a": 2}, "code": "x"})
-    found = run(tmp_path, Line())
+    resumed = run(tmp_path, Line())
     assert "starting afresh" in caplog.text
     expected = run(tmp_path / "other", Line())
-    assert all(torch.equal(expected[name], found[name]) for name in expected)
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
 def test_a_loss_that_is_not_finite_stops_with_one_clear_line(tmp_path: Path) -> None:
@@ -140,9 +140,9 @@ def test_a_full_disk_is_one_clear_line_and_leaves_the_last_checkpoint(
 
 def test_the_averaged_weights_are_what_is_measured_and_kept(tmp_path: Path) -> None:
     task = Line()
-    kept = run(tmp_path, task)
-    assert not torch.equal(kept["0.weight"], task.module.state_dict()["0.weight"])
-    assert torch.equal(kept["1.running_mean"], task.module.state_dict()["1.running_mean"])
+    trained = run(tmp_path, task)
+    assert not torch.equal(trained["0.weight"], task.module.state_dict()["0.weight"])
+    assert torch.equal(trained["1.running_mean"], task.module.state_dict()["1.running_mean"])
 
 
 def test_only_weights_of_linear_layers_decay() -> None:

@@ -72,7 +72,7 @@ def test_courtyards_stay_when_the_exterior_is_simplified_for_the_network() -> No
     yard = (YARD - [6, 4])[::1]
     oracle = Oracle(max_num_vertices=8)
     (made,) = reconstruct_with_network([building([round_ring, yard])], oracle, CONFIG)
-    assert len(oracle.seen[0][0]) <= 8 and np.array_equal(oracle.seen[0][1], yard)
+    assert len(oracle.rings[0][0]) <= 8 and np.array_equal(oracle.rings[0][1], yard)
     assert made.status == "ok"
     assert [len(ring) for ring in made.rings] == [40, 4] and len(made.angle_deg) == 44  # type: ignore[arg-type]
     mesh = trimesh.Trimesh(made.vertex_m, made.triangle)
