@@ -1,9 +1,13 @@
 """The graph of jobs, without running any (seconds)."""
 
+import json
 import re
+import shlex
 
 import pytest
 from checkout import ROOT, rules_to_run
+
+from p2wss import cli
 
 
 def test_the_miniature_plans_every_rule(project):
@@ -13,6 +17,29 @@ def test_the_miniature_plans_every_rule(project):
     with_output = re.findall(r"^(?:rule|checkpoint) (\w+):\n(?:    .*\n|\n)*?    output:", text, re.M)
     assert len(with_output) > 12
     assert set(with_output) <= set(jobs), set(with_output) - set(jobs)
+
+
+def commands_of(dry_run):
+    """The words of every command that a dry run prints, up to where its output goes."""
+    lines = (dry_run.stdout + dry_run.stderr).splitlines()
+    commands = [
+        line.removeprefix("Shell command: ") for line in lines if line.startswith("Shell command: p2wss")
+    ]
+    return [shlex.split(re.split(r" 2>|2>&1", command)[0])[1:] for command in commands]
+
+
+def test_every_printed_command_can_be_run_by_hand(project):
+    """Weights whose path the shell would cut into words are quoted; the command line knows all options."""
+    weights = project.folder / "my weights" / "$HOME; 'x'.safetensors"
+    weights.parent.mkdir()
+    weights.touch()
+    override = json.dumps({"weights": str(weights)})
+    commands = commands_of(project.snakemake("-n", "all", "--config", f"model={override}"))
+    commands += commands_of(project.snakemake("-n", "ablation", "resources/towns/1/rgealti"))
+    parsed = [cli._parser().parse_args(command) for command in commands]
+    assert {str(options.model) for options in parsed if getattr(options, "model", None)} == {str(weights)}
+    names = {" ".join(command[:2]) for command in commands}
+    assert {"eval fit", "eval predict", "crops simulated", "crops real", "towns --seed"} <= names
 
 
 def test_the_ablation_is_no_part_of_the_report(project):

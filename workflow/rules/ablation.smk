@@ -1,4 +1,9 @@
-"""Ablation. In: the crops and the dvae. Out: one model per variant of the section model, and a table of their errors."""
+"""Ablation: what each switch of the model is worth; no part of the report.
+
+In:  the crops, <results>/dvae/model.safetensors.
+Out: <results>/ablation/{variant}/model.safetensors and metrics.jsonl for each of ablation.variants, and the table of
+     their errors: <results>/ablation/table.csv and table.md.
+"""
 
 
 rule ablation_model:

@@ -1,4 +1,8 @@
-"""Buildings. In: a scene. Out: per tile the parameters and the closed mesh of each building, or why there is none."""
+"""Buildings: a closed mesh of each building, or the reason why there is none.
+
+In:  <results>/scenes/{tile}.parquet.
+Out: <results>/buildings/{tile}.parquet.
+"""
 
 
 rule build_roofs:

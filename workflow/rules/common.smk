@@ -1,14 +1,14 @@
-"""The validated config, its sections as parameters, and the tiles of the region."""
+"""What all rules share: the validated config, its sections as parameters, the tiles, paths that the config decides."""
 
 import os
 
 from snakemake.exceptions import WorkflowError
 
 from p2wss.config import ablated, load, section_json
+from p2wss.data.tiling import TILE_PATTERN, neighbours
 from p2wss.errors import InputError
 from p2wss.eval import roofer_command
 from p2wss.provenance import fingerprint
-from p2wss.data.tiling import TILE_PATTERN, neighbours
 
 # numpy asks the kernel for huge pages, which costs a scan a fifth of its time
 os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
@@ -49,32 +49,29 @@ def every_tile(path):
 
 
 def around(path):
-    """An input function: ``path`` of a LiDAR tile and of its neighbours, as far as the config has them."""
+    """An input function: ``path`` of a LiDAR tile and of those of its neighbours that the config lists."""
 
     def paths(wildcards):
-        wanted = [wildcards.tile, *neighbours(wildcards.tile, settings.region.tile_size_m)]
-        return expand(path, tile=[t for t in wanted if t in settings.region.lidar_tiles])
+        names = [wildcards.tile, *neighbours(wildcards.tile, settings.region.tile_size_m)]
+        return expand(path, tile=[name for name in names if name in settings.region.lidar_tiles])
 
     return paths
 
 
 def drawn_town(path):
-    """The town in ``path`` of the config, if rule draw_town makes it."""
+    """``path`` of the config if it is in a town that rule draw_town draws."""
     return path if settings.fetch.source == "folder" and str(path).startswith("resources/towns/") else []
 
 
 def baseline_state(wildcards):
-    """What a baseline is made with besides this code: another version of Roofer makes it anew."""
+    """What a baseline depends on beside the code: another version of Roofer runs it again."""
     return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""
 
 
-lidar_around = around("<results>/fetch/lidar/{tile}.laz")
-delivered_around = around("<resources>/lidar/{tile}.laz")
 weights = settings.model.weights or "<results>/model/model.safetensors"
 if settings.model.weights and not os.path.isfile(settings.model.weights):
     raise WorkflowError(f"config: model.weights: {settings.model.weights}: no such file")
-downloads = f"resources/ign/{settings.region.vintage}/downloads"
-# outputs of an earlier Roofer, where there is none to run
+# outputs of an earlier run of Roofer, used where it cannot be run
 try:
     RECORDED = roofer_command.recorded_files(settings.eval)
 except InputError as error:

@@ -1,4 +1,10 @@
-"""Crops. In: buildings and scans, or footprints and real LiDAR. Out: shards of building clouds and their manifest."""
+"""Crops: the points of each building, with labels where the scan is simulated.
+
+In:  <results>/buildings/{tile}.parquet and <results>/scans/{tile}.laz; or <results>/fetch/footprints.gpkg and
+     <results>/fetch/lidar/{tile}.laz.
+Out: <results>/crops/simulated/{tile}.parquet, <results>/crops/real/{tile}.parquet, and
+     <results>/crops/manifest.json, which lists both with hashes and splits.
+"""
 
 # what every later stage reads beside the manifest
 simulated_shards = every_tile("<results>/crops/simulated/{tile}.parquet")

@@ -1,4 +1,8 @@
-"""Dvae. In: the crops. Out: the discrete VAE that turns patches of points into tokens, and its metrics."""
+"""Dvae: the discrete VAE that turns patches of points into tokens.
+
+In:  the crops.
+Out: <results>/dvae/model.safetensors, <results>/dvae/metrics.jsonl; checkpoints beside them, declared by no rule.
+"""
 
 
 rule dvae:

@@ -1,4 +1,11 @@
-"""Eval. In: crops, model, metrics. Out: reconstructions by every method, their measures, the report with its tables."""
+"""Eval: reconstructions by every method, their measures, and the report with its tables.
+
+In:  the crops, the weights of the model, the metrics of the trainings, pictures of the scans.
+Out: <results>/eval/{method}.parquet and cpu/{method}.json for point2wss, point2wss+fit, fit and each of eval.baselines;
+     parameters.json (errors of Table 1), measures.parquet; report.html and its tables as CSV and LaTeX.
+"""
+
+from shlex import quote
 
 # our methods; each file of reconstructions is named after its method
 OURS = ["point2wss", "point2wss+fit", "fit"]
@@ -31,7 +38,7 @@ rule predict:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.predict", "eval.parameters", "nets.predictor"),
     shell:
-        "p2wss eval predict --manifest {input.manifest} --model {input.model} --out {output.reconstructions}"
+        "p2wss eval predict --manifest {input.manifest} --model {input.model:q} --out {output.reconstructions}"
         " --out-parameters {output.parameters} --out-cpu {output.cpu}"
         " --threads {threads} --config {params.config:q} 2> {log}"
 
@@ -58,7 +65,7 @@ rule fit:
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.predict", "nets.predictor"),
-        model=lambda wildcards, input: f"--model {input.model}" if input.model else "",
+        model=lambda wildcards, input: f"--model {quote(str(input.model))}" if input.model else "",
     shell:
         "p2wss eval fit --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.model}"
         " --threads {threads} --config {params.config:q} 2> {log}"
@@ -122,7 +129,7 @@ rule eval_report:
         parameters="<results>/eval/parameters.json",
         reconstructions=rules.measure.input.reconstructions,
         cpu=expand("<results>/eval/cpu/{name}.json", name=[*OURS, *settings.eval.baselines]),
-        # of weights that come from elsewhere there is no training to show
+        # weights from elsewhere have no metrics of a training here
         metrics=(
             []
             if settings.model.weights

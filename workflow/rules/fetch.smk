@@ -1,11 +1,19 @@
-"""Fetch. In: nothing (a service or folders, by the config). Out: footprints, terrain, LiDAR in our own form.
+"""Fetch: footprints, terrain and LiDAR, from a service or from folders, in one form.
 
-What a service sends is kept in <resources>/downloads, with a record of each request: a rerun of these rules asks
-for nothing that is there and whole.
+In:  what the section fetch of the config names; the town of rule draw_town, if it names one.
+Out: <results>/fetch/footprints.gpkg, <resources>/dtm/{tile}.tif, <resources>/lidar/{tile}.laz as delivered, and
+     <results>/fetch/lidar/{tile}.laz with a class for the ground.
+
+What a service sends is kept in <resources>/downloads with a record of each request: these rules, run again, request
+nothing that is there and whole.
 """
 
+lidar_around = around("<results>/fetch/lidar/{tile}.laz")
+delivered_around = around("<resources>/lidar/{tile}.laz")
+downloads = f"resources/ign/{settings.region.vintage}/downloads"  # pathvars do not reach params
 
-# a service is asked from the machine that runs Snakemake: cluster nodes often have no network
+
+# requests are sent from the machine that runs Snakemake: cluster nodes often have no network
 localrules:
     fetch_footprints,
     fetch_dtm,
@@ -24,7 +32,7 @@ rule fetch_footprints:
     retries: 2
     conda:
         "../../envs/p2wss.yaml"
-    # offline is a resource, for those are not tracked: to go offline changes no result and reruns nothing
+    # a resource, because resources are not tracked: to go offline changes no result and reruns nothing
     resources:
         ign_requests=1,
         offline=int(settings.fetch.offline),

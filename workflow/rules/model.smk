@@ -1,4 +1,8 @@
-"""Model. In: the crops and the dvae. Out: Point2WSS and its metrics."""
+"""Model: the network Point2WSS.
+
+In:  the crops, <results>/dvae/model.safetensors.
+Out: <results>/model/model.safetensors, <results>/model/metrics.jsonl; checkpoints beside them, declared by no rule.
+"""
 
 
 rule model:

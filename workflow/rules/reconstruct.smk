@@ -1,4 +1,8 @@
-"""Reconstruct. In: footprints, real LiDAR, the model. Out: per LiDAR tile the files of reconstruct.outputs, and a summary."""
+"""Reconstruct: buildings from real LiDAR, by the command that users type too.
+
+In:  <results>/fetch/footprints.gpkg, <results>/fetch/lidar/{tile}.laz with its neighbours, the weights of the model.
+Out: <results>/reconstruct/{tile} with the suffix of each of reconstruct.outputs, and {tile}.json, a summary.
+"""
 
 from p2wss.config import OUTPUT_SUFFIXES
 
@@ -25,7 +29,7 @@ rule reconstruct_tile:
         code=fingerprint("reconstruct", "nets.predictor"),
         folder=subpath(output.summary, parent=True),
     shell:
-        "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model}"
+        "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model:q}"
         " --tile {wildcards.tile} --threads {threads} --config {params.config:q} 2> {log}"
 
 

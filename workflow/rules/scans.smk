@@ -1,4 +1,8 @@
-"""Scans. In: a scene, its terrain, its buildings. Out: per tile a simulated LiDAR survey, its parameters, a picture."""
+"""Scans: a simulated LiDAR survey of a tile.
+
+In:  <results>/scenes/{tile}.parquet and {tile}.tif, <results>/buildings/{tile}.parquet.
+Out: <results>/scans/{tile}.laz, {tile}.json (parameters and counts) and {tile}.png (a picture of a part).
+"""
 
 
 rule cast_scan:

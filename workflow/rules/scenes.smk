@@ -1,4 +1,9 @@
-"""Scenes. In: footprints, terrain. Out: per tile the cleaned buildings with heights and angles, and the terrain."""
+"""Scenes: cleaned buildings of a tile and its margin, with heights and roof angles.
+
+In:  <results>/fetch/footprints.gpkg, <resources>/dtm/{tile}.tif.
+Out: <results>/scenes/index.tsv (buildings per tile), <results>/scenes/{tile}.parquet, <results>/scenes/{tile}.tif
+     (the terrain under the scene).
+"""
 
 
 checkpoint index_scenes:

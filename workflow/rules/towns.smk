@@ -1,4 +1,8 @@
-"""Towns. In: nothing but a seed. Out: the footprints and the terrain of a made-up town, in IGN's file formats."""
+"""Towns: made-up towns in IGN's file formats, to run and to train on.
+
+In:  the seed, in the name of the folder.
+Out: resources/towns/{seed}/bdtopo/BDTOPO_mini.gpkg (footprints) and resources/towns/{seed}/rgealti (terrain).
+"""
 
 
 rule draw_town:
