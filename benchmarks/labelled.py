@@ -1,6 +1,6 @@
-"""The fit on simulated buildings, whose eave and angles are known: errors beside their bars, and why.
+"""The fit on simulated buildings with known eave height and angles: errors beside their bars, and their causes.
 
-Which edges are seen: :func:`p2wss.eval.parameters.seen_edges`.
+Which edges count as seen: :func:`p2wss.eval.parameters.seen_edges`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from p2wss.eval.cases import Case
 from p2wss.eval.measure import points_on_building
 from p2wss.fit import fitting
 from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.skeleton.types import Polygons
 
 BARS = {"height_mae_m": 0.05, "angle_mae_deg": 0.5}
@@ -28,39 +29,43 @@ _CLUTTER_M, _CLUTTER_SHARE = 0.3, 0.1
 
 @dataclass(frozen=True)
 class Error:
-    """Of one building. seen: bool per edge. height_m, angle_deg: signed, found - true. clutter: share of the
-    points inside more than 0.3 m from the true roof."""
+    """Errors of one building.
+
+    is_seen: bool per edge. height_m, angle_deg: signed, reconstruction minus label. fitted_deg: angles of the
+    reconstruction. clutter: share of the points on the building that are more than 0.3 m above or below the true roof.
+    """
 
     case: Case
-    seen: np.ndarray
+    is_seen: np.ndarray
     height_m: float
     angle_deg: np.ndarray
-    found_deg: np.ndarray
+    fitted_deg: np.ndarray
     clutter: float
 
 
 def read(manifest: Path) -> list[Case]:
     """The labelled test split."""
-    listed = cases.test_cases(cases.read_manifest(manifest))
-    return [case for case in listed if case.dataset == SIMULATED and case.angle_deg is not None]
+    every = cases.test_cases(cases.read_manifest(manifest))
+    return [case for case in every if case.dataset == SIMULATED and case.angle_deg is not None]
 
 
 def config() -> Reconstruct:
-    """As the evaluation does: footprints as labelled, one height."""
+    """The settings of the evaluation: footprints as labelled, a single eave height."""
     return predict.for_dataset(Config().reconstruct, SIMULATED).model_copy(update={"max_parts": 1})
 
 
-def errors(labelled: list[Case], made: list[Reconstruction]) -> list[Error]:
-    # without an answer only the label tells what there is to see
-    told = [
-        case.angle_deg if one.angle_deg is None else one.angle_deg
-        for case, one in zip(labelled, made, strict=True)
+def errors(labelled: list[Case], reconstructions: list[Reconstruction]) -> list[Error]:
+    """Errors of the reconstructions, one per labelled building."""
+    # where the reconstruction has no angles, the label alone decides which edges are seen
+    angle_deg = [
+        case.angle_deg if row.angle_deg is None else row.angle_deg
+        for case, row in zip(labelled, reconstructions, strict=True)
     ]
-    seen = parameters.seen_edges(labelled, told)
-    return [_error(case, found, own) for case, found, own in zip(labelled, made, seen, strict=True)]
+    masks = parameters.seen_edges(labelled, angle_deg)
+    return [_error(*pair) for pair in zip(labelled, reconstructions, masks, strict=True)]
 
 
-def _error(case: Case, found: Reconstruction, seen: np.ndarray) -> Error:
+def _error(case: Case, reconstruction: Reconstruction, is_seen: np.ndarray) -> Error:
     building, true_deg = case.building, case.angle_deg
     assert true_deg is not None and case.eave_height_m is not None and case.label_terrain_z_m is not None
     eave_z_m = case.eave_height_m + case.label_terrain_z_m
@@ -68,31 +73,31 @@ def _error(case: Case, found: Reconstruction, seen: np.ndarray) -> Error:
     polygons = Polygons.from_rings([list(building.rings)])
     roof = skeleton.roof_points(polygons, true_deg, eave_z_m, point_m[:, :2], np.zeros(len(point_m), int))
     clutter = np.abs(point_m[:, 2] - roof.z_m) > _CLUTTER_M
-    height, angle = found.eave_height_m, found.angle_deg
+    height, angle = reconstruction.eave_height_m, reconstruction.angle_deg
     return Error(
         case,
-        seen,
-        np.nan if height is None else height + found.ground_z_m - eave_z_m,
+        is_seen,
+        np.nan if height is None else height + reconstruction.ground_z_m - eave_z_m,
         np.full(len(true_deg), np.nan) if angle is None else angle - true_deg,
         np.full(len(true_deg), np.nan) if angle is None else angle,
         float(clutter.mean()) if len(point_m) else 0.0,
     )
 
 
-def summary(found: list[Error]) -> dict[str, float]:
-    """Mean absolute errors of eaves, of the angles of edges that are seen and of all."""
-    height = np.array([abs(e.height_m) for e in found])
-    angle = np.concatenate([np.abs(e.angle_deg[e.seen]) for e in found])
-    every = np.concatenate([np.abs(e.angle_deg) for e in found])
+def summary(rows: list[Error]) -> dict[str, float]:
+    """Mean and median absolute errors of eave heights, of the angles of seen edges and of all edges."""
+    height = np.array([abs(e.height_m) for e in rows])
+    angle = np.concatenate([np.abs(e.angle_deg[e.is_seen]) for e in rows])
+    every = np.concatenate([np.abs(e.angle_deg) for e in rows])
     return {
-        "buildings": len(found),
+        "buildings": len(rows),
         "height_mae_m": float(np.nanmean(height)),
         "height_median_m": float(np.nanmedian(height)),
         "angle_mae_deg": float(np.nanmean(angle)),
         "angle_median_deg": float(np.nanmedian(angle)),
         "angle_mae_all_deg": float(np.nanmean(every)),
-        "edges_seen": float(np.concatenate([e.seen for e in found]).mean()),
-        "class_right": float(np.mean(np.concatenate([_class_right(e)[e.seen] for e in found]))),
+        "edges_seen": float(np.concatenate([e.is_seen for e in rows]).mean()),
+        "class_correct": float(np.mean(np.concatenate([_is_class_correct(e)[e.is_seen] for e in rows]))),
     }
 
 
@@ -100,29 +105,32 @@ def _kind(angle_deg: np.ndarray) -> np.ndarray:
     return np.where(angle_deg == 0, 0, np.where(angle_deg == 90, 2, 1))
 
 
-def _class_right(error: Error) -> np.ndarray:
+def _is_class_correct(error: Error) -> np.ndarray:
     assert error.case.angle_deg is not None
-    return _kind(error.case.angle_deg) == _kind(error.found_deg)
+    return _kind(error.case.angle_deg) == _kind(error.fitted_deg)
 
 
-def causes(found: list[Error]) -> dict[str, float]:
-    """Shares of the summed errors where the roof is seen: degrees by what the class became, metres by whether
-    a class is wrong or the points are cluttered."""
+def causes(rows: list[Error]) -> dict[str, float]:
+    """Shares of the summed errors, by cause, the largest first.
+
+    Degrees of seen edges by true and reconstructed class; metres by whether a class is wrong or the points are
+    cluttered.
+    """
     names = ("0", "slope", "90")
-    total = sum(np.nansum(np.abs(e.angle_deg[e.seen])) for e in found) or 1.0
+    total = sum(np.nansum(np.abs(e.angle_deg[e.is_seen])) for e in rows) or 1.0
     shares: dict[str, float] = {}
-    for e in found:
+    for e in rows:
         assert e.case.angle_deg is not None
-        for true, got, off, seen in zip(
-            _kind(e.case.angle_deg), _kind(e.found_deg), np.abs(e.angle_deg), e.seen, strict=True
+        for true, fitted, degrees, is_seen in zip(
+            _kind(e.case.angle_deg), _kind(e.fitted_deg), np.abs(e.angle_deg), e.is_seen, strict=True
         ):
-            if seen and off > 0:
-                key = f"degrees, {names[true]} as {names[got]}"
-                shares[key] = shares.get(key, 0.0) + float(off) / total
-    known = [e for e in found if np.isfinite(e.height_m)]
-    metres = sum(abs(e.height_m) for e in known) or 1.0
-    for e in known:
-        wrong = not _class_right(e)[e.seen].all()
+            if is_seen and degrees > 0:
+                key = f"degrees, {names[true]} as {names[fitted]}"
+                shares[key] = shares.get(key, 0.0) + float(degrees) / total
+    with_height = [e for e in rows if np.isfinite(e.height_m)]
+    metres = sum(abs(e.height_m) for e in with_height) or 1.0
+    for e in with_height:
+        wrong = not _is_class_correct(e)[e.is_seen].all()
         cluttered = e.clutter > _CLUTTER_SHARE
         key = "metres, " + ("class wrong" if wrong else "cluttered" if cluttered else "else")
         shares[key] = shares.get(key, 0.0) + abs(e.height_m) / metres
@@ -130,22 +138,22 @@ def causes(found: list[Error]) -> dict[str, float]:
 
 
 def figures(manifest: Path, predictor: Any) -> dict[str, Any]:
-    """Errors on the test split, fitted from nothing and, if there is a network, from it and by it alone."""
+    """Errors on the test split: of the fit and, with a predictor, of the network alone and of the fit after it."""
     labelled = read(manifest)
     buildings = [case.building for case in labelled]
-    made = {"fit": fitting.fit(buildings, config())}
+    by_method = {FIT: fitting.fit(buildings, config())}
     if predictor is not None:
-        known = reconstruct_with_network(buildings, predictor, config())
-        made |= {"network": known, "network and fit": fitting.fit(buildings, config(), known)}
+        starts = reconstruct_with_network(buildings, predictor, config())
+        by_method |= {NETWORK: starts, NETWORK_AND_FIT: fitting.fit(buildings, config(), starts)}
     result: dict[str, Any] = {}
-    for name, rows in made.items():
-        found = errors(labelled, rows)
-        result[f"simulated, {name}"] = told = summary(found)
+    for name, reconstructions in by_method.items():
+        rows = errors(labelled, reconstructions)
+        result[f"simulated, {name}"] = row = summary(rows)
         bars = [
-            f"{key} {told[key]:.3f} (bar {bar:g}{'' if told[key] <= bar else ' MISSED'})"
+            f"{key} {row[key]:.3f} (bar {bar:g}{'' if row[key] <= bar else ' MISSED'})"
             for key, bar in BARS.items()
         ]
-        rest = [f"{key} {value:.3f}" for key, value in told.items() if key not in BARS]
+        rest = [f"{key} {value:.3f}" for key, value in row.items() if key not in BARS]
         print(f"simulated, {name}: " + ", ".join(bars + rest), flush=True)
-        print("    " + ", ".join(f"{key} {share:.0%}" for key, share in causes(found).items()), flush=True)
+        print("    " + ", ".join(f"{key} {share:.0%}" for key, share in causes(rows).items()), flush=True)
     return result

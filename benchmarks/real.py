@@ -1,12 +1,12 @@
 """Reconstruction of real LiDAR against its bars: accuracy, triangles, closedness, CPU time; the last line is JSON.
 
     python benchmarks/real.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
-    .. --model model.safetensors                         # beside it with the network
-    .. --simulated results/mini/crops/manifest.json      # beside it the labelled test split
-    .. --sensitivity --simulated results/mini/crops/manifest.json    # only what the thresholds change
+    .. --model model.safetensors                         # also with the network
+    .. --simulated results/mini/crops/manifest.json      # also on the labelled test split
+    .. --sensitivity --simulated results/mini/crops/manifest.json    # only the effect of the thresholds
 
-``--data`` holds ``delft_ahn3`` and ``bresse_ign``. The judge is a script of its own that shares no code with
-this package. Halves A and B: every second building of Delft by id.
+``--data`` holds ``delft_ahn3`` and ``bresse_ign``. The judge is a separate script that shares no code with this
+package. Halves A and B: every second building of Delft by id.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ from p2wss.data.points import crop_cloud
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.product import NETWORK
 
 SETS = {"delft": ("delft_ahn3", "ahn3.laz", 28992), "bresse": ("bresse_ign", "lidar.laz", 2154)}
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh", "tri": "triangles"}
-TIMES = {"cpu_ms": "CPU ms each", "fit_cpu_ms": "of these the fit and the mesh"}
+TIMES = {"cpu_ms": "CPU ms each", "fit_cpu_ms": "of which fit and mesh"}
 BARS = {
     "one height": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
     "parts": {"cd": 0.90, "roof": 0.30, "p2m": 0.15, "tri": 44, "cpu_ms": 18},
@@ -59,17 +60,17 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
     origin = polygon_arrays.origins(polygons)
     xyz = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
     buildings = []
-    for i, name_of in enumerate(frame["building_id"]):
-        own = cropped.of(i)
-        if len(own) >= 50:  # as the judge does
+    for i, building_id in enumerate(frame["building_id"]):
+        rows = cropped.of(i)
+        if len(rows) >= 50:  # as the judge does
             buildings.append(
                 Building(
-                    str(name_of),
+                    str(building_id),
                     name,
                     (float(origin[i, 0]), float(origin[i, 1])),
                     [ring - origin[i] for ring in polygons.rings(i)],
-                    xyz[own] - np.array([*origin[i], 0.0]),
-                    cloud.classification[own],
+                    xyz[rows] - np.array([*origin[i], 0.0]),
+                    cloud.classification[rows],
                     float(cropped.ground_z_m[i]),
                 )
             )
@@ -77,31 +78,34 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
 
 
 def thinned(building: Building, count: int) -> Building:
-    """The building with ``count`` of its points at most, drawn by its id."""
+    """The building with at most ``count`` of its points, drawn with its id as the seed."""
     if len(building.point_m) <= count:
         return building
     seed = list(building.building_id.encode())
-    kept = np.sort(np.random.default_rng(seed).choice(len(building.point_m), count, replace=False))
-    return replace(building, point_m=building.point_m[kept], classification=building.classification[kept])
+    rows = np.sort(np.random.default_rng(seed).choice(len(building.point_m), count, replace=False))
+    return replace(building, point_m=building.point_m[rows], classification=building.classification[rows])
 
 
 def fitted(
     buildings: list[Building], config: Reconstruct, predictor: Any
 ) -> tuple[list[Reconstruction], dict[str, float]]:
-    """Reconstructions, and CPU milliseconds each: of all, and of what follows the network."""
+    """Reconstructions, and CPU milliseconds per building: in all, and of the steps after the network."""
     start = time.process_time()
-    known = reconstruct_with_network(buildings, predictor, config) if predictor is not None else None
+    starts = reconstruct_with_network(buildings, predictor, config) if predictor is not None else None
     begin_fit = time.process_time()
-    made = with_fallback(fitting.fit(buildings, config, known), buildings, config)
+    reconstructions = with_fallback(fitting.fit(buildings, config, starts), buildings, config)
     end, each = time.process_time(), 1e3 / max(len(buildings), 1)
-    return made, {"cpu_ms": each * (end - start), "fit_cpu_ms": each * (end - begin_fit)}
+    return reconstructions, {"cpu_ms": each * (end - start), "fit_cpu_ms": each * (end - begin_fit)}
 
 
-def judged(made: list[Reconstruction], name: str, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+def judged(
+    reconstructions: list[Reconstruction], name: str, arguments: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """The judge's rows, one per building."""
     place, cloud_file, epsg = SETS[name]
-    results = [reconstruct.Result(one, "ok", None, 0, np.nan, np.nan, False) for one in made]
+    results = [reconstruct.Result(row, "ok", None, 0, np.nan, np.nan, False) for row in reconstructions]
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "made.city.jsonl"
+        path = Path(folder) / "reconstructions.city.jsonl"
         path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(epsg)))
         data = arguments.data / place
         command = [
@@ -112,8 +116,10 @@ def judged(made: list[Reconstruction], name: str, arguments: argparse.Namespace)
             data / cloud_file,
             "--json",
         ]
-        done = subprocess.run([str(part) for part in command], capture_output=True, text=True, check=True)
-    return json.loads(done.stdout)["rows"]
+        completed = subprocess.run(
+            [str(part) for part in command], capture_output=True, text=True, check=True
+        )
+    return json.loads(completed.stdout)["rows"]
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -126,13 +132,13 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
 def report(
     title: str, rows: list[dict[str, Any]], bars: dict[str, float], cpu_ms: dict[str, float]
 ) -> dict[str, float]:
-    found = {**summary(rows), **cpu_ms}
-    parts = [f"{found['meshes']} of {found['buildings']} meshes", f"{found['watertight']:.1%} closed"]
+    row = {**summary(rows), **cpu_ms}
+    parts = [f"{row['meshes']} of {row['buildings']} meshes", f"{row['watertight']:.1%} closed"]
     for key, label in {**NAMES, **TIMES}.items():
-        if key in found:
-            parts.append(f"{label} {found[key]:.3f}{_bar(found[key], bars.get(key))}")
+        if key in row:
+            parts.append(f"{label} {row[key]:.3f}{_bar(row[key], bars.get(key))}")
     print(f"{title}: " + ", ".join(parts), flush=True)
-    return found
+    return row
 
 
 def _bar(value: float, bar: float | None) -> str:
@@ -140,7 +146,7 @@ def _bar(value: float, bar: float | None) -> str:
 
 
 def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
-    """Every set in every variant, without the network and, if there is one, with it."""
+    """Every data set in every variant, without the network and, with a predictor, with it."""
     config = Config().reconstruct
     figures: dict[str, Any] = {}
     for name in SETS:
@@ -160,25 +166,27 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
                     config.max_parts,
                 )
         for network in [None] if predictor is None else [None, predictor]:
-            fitted(buildings, config, network)  # loads what is compiled, also what few buildings need
-            for variant, (chosen, max_parts) in variants.items():
+            fitted(
+                buildings, config, network
+            )  # warm-up: compiles and loads also the code that few buildings need
+            for variant, (thinned_buildings, max_parts) in variants.items():
                 dormers = variant == "parts and dormers"
-                own = config.model_copy(update={"max_parts": max_parts, "dormers": dormers})
-                made, cpu_ms = fitted(chosen, own, network)
-                rows = judged(made, name, arguments)
+                settings = config.model_copy(update={"max_parts": max_parts, "dormers": dormers})
+                reconstructions, cpu_ms = fitted(thinned_buildings, settings, network)
+                rows = judged(reconstructions, name, arguments)
                 bars = BARS.get(variant, {}) if name == "delft" else {}
                 title = f"{name}, {variant}" + (", with the network" if network else "")
                 figures[title] = report(title, rows, bars, cpu_ms)
                 if variant in BARS and name == "delft":
                     for half, members in (("A", set(ids[::2])), ("B", set(ids[1::2]))):
                         of_half = f"{title}, half {half}"
-                        own_rows = [row for row in rows if row["id"] in members]
-                        figures[of_half] = report(of_half, own_rows, bars, {})
+                        half_rows = [row for row in rows if row["id"] in members]
+                        figures[of_half] = report(of_half, half_rows, bars, {})
     return figures
 
 
 def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
-    """Every row by its title, and each figure that has a bar by the title of its row and its name."""
+    """Every row by its title, and each figure that has a bar by the title of its row and its own name."""
     figures = Figures()
     for title, row in rows.items():
         figures.row(title, row)
@@ -189,8 +197,8 @@ def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
             figures.at_least(f"{title}, meshes", row["meshes"], row["buildings"])
             bars = BARS.get(variant, {})
         for key, limit in bars.items():
-            # the network alone is measured beside the fit, and has bars of its own in the training
-            if key in row and title != "simulated, network":
+            # the bars of the network alone are those of the training
+            if key in row and title != f"simulated, {NETWORK}":
                 figures.at_most(f"{title}, {NAMES.get(key, key)}", row[key], limit)
     return figures
 
@@ -199,15 +207,21 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--judge", type=Path, required=True)
-    parser.add_argument("--model", type=Path, default=None, help="beside it, from this network's results")
+    parser.add_argument(
+        "--model",
+        type=Path,
+        default=None,
+        help="weights of a network to start the fit from, besides the fit alone",
+    )
     parser.add_argument("--simulated", type=Path, default=None, help="manifest of crops with labels")
-    parser.add_argument("--sensitivity", action="store_true", help="only what other thresholds change")
+    parser.add_argument("--sensitivity", action="store_true", help="only the effect of the thresholds")
     arguments = parser.parse_args()
     predictor = None
     if arguments.model is not None:
         from p2wss.nets.predictor import load_predictor
 
-        predictor = load_predictor(arguments.model).with_num_views(1)  # as p2wss reconstruct does
+        # as p2wss reconstruct does
+        predictor = load_predictor(arguments.model).with_num_views(Config().reconstruct.num_views)
     figures: dict[str, Any] = {}
     if arguments.sensitivity:
         figures = thresholds.table(arguments.simulated, read(arguments.data, "delft", Config()))
