@@ -17,7 +17,6 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval import cases, parameters, predict
 from p2wss.eval.cases import Case
-from p2wss.eval.measure import points_on_building
 from p2wss.fit import fitting
 from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
@@ -69,7 +68,7 @@ def _error(case: Case, reconstruction: Reconstruction, is_seen: np.ndarray) -> E
     building, true_deg = case.building, case.angle_deg
     assert true_deg is not None and case.eave_height_m is not None and case.label_terrain_z_m is not None
     eave_z_m = case.eave_height_m + case.label_terrain_z_m
-    point_m = building.point_m[points_on_building(case)]
+    point_m = building.point_m[case.building.is_on_building]
     polygons = Polygons.from_rings([list(building.rings)])
     roof = skeleton.roof_points(polygons, true_deg, eave_z_m, point_m[:, :2], np.zeros(len(point_m), int))
     clutter = np.abs(point_m[:, 2] - roof.z_m) > _CLUTTER_M

@@ -13,12 +13,11 @@ import pyarrow as pa
 import pyproj
 
 from p2wss.config import Crops
-from p2wss.crops.kernels import count_true
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
+from p2wss.data.cloud_crops import GROUND_RINGS_M, crop_cloud
 from p2wss.data.clouds import read_clouds, same_crs
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.data.points import GROUND_RINGS_M, crop_cloud
+from p2wss.data.points import points_on_buildings
 from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
 from p2wss.skeleton.types import Polygons
@@ -51,10 +50,8 @@ def crop_real(
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)
     classification = cloud.classification[cropped.point]
-    on_roof = (classification == BUILDING_CLASS) & cropped.inside
-    # a classifier may miss a whole building: then all points inside the footprint count, except ground
-    is_missed = np.repeat(count_true(on_roof, cropped.offset) == 0, np.diff(cropped.offset))
-    on_roof |= is_missed & cropped.inside & (classification != GROUND_CLASS)
+    height_m = cloud.z_m[cropped.point] - np.repeat(cropped.ground_z_m, np.diff(cropped.offset))
+    on_roof = points_on_buildings(cropped.inside, classification, height_m, cropped.offset)
     selection, columns = crop_columns(
         cloud, cropped, polygons, polygon_arrays.origins(polygons), on_roof, settings, num_excluded
     )

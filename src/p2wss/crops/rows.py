@@ -10,9 +10,9 @@ import numpy as np
 from p2wss.config import Crops
 from p2wss.crops.kernels import count_distinct, count_true, gather_cm, medians
 from p2wss.data import files, polygon_arrays
+from p2wss.data.cloud_crops import Cropped
 from p2wss.data.clouds import Cloud
 from p2wss.data.cropping import seen_share
-from p2wss.data.points import Cropped
 from p2wss.skeleton.types import Polygons
 
 _MAX_REACH_M = 320.0  # int16 centimetres end at 327 m

@@ -13,8 +13,8 @@ from p2wss.crops.kernels import count_true, face_kinds, walls_seen
 from p2wss.crops.rows import crop_columns, repeat_per_vertex
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
+from p2wss.data.cloud_crops import crop_cloud
 from p2wss.data.clouds import Cloud
-from p2wss.data.points import crop_cloud
 from p2wss.skeleton.types import FaceKind, Polygons
 
 _MIN_POINTS_OF_WALL = 10  # a wall with fewer points does not count in num_walls_seen

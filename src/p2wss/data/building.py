@@ -8,18 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from p2wss.data.points import points_on_building
+
 NO_POINT = "no point"
-# of the heights of a cloud without ground points: the foot of a wall, at best
-GROUND_QUANTILE = 0.02
 
 
 @dataclass(frozen=True)
 class Building:
-    """What is known of one building before its reconstruction.
+    """A footprint with its points, before its reconstruction.
 
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
-    classification: uint8 (m,). ground_z_m: z of the ground at the building, NaN if unknown.
+    classification: uint8 (m,), LAS classes. ground_z_m: z of the ground at the building as the cloud shows it
+    (:func:`p2wss.data.cloud_crops.crop_cloud`), the zero of all its heights; NaN only without points.
     """
 
     building_id: str
@@ -34,15 +35,25 @@ class Building:
     def polygon(self) -> shapely.Polygon:
         return shapely.Polygon(self.rings[0], self.rings[1:])
 
+    @property
+    def is_on_building(self) -> np.ndarray:
+        """Which points are on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
+        return points_on_building(self.polygon, self.point_m, self.classification, self.ground_z_m)
+
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """One row of ``io.RECONSTRUCTIONS``: what a method made of a building. Without a mesh, ``triangle`` is
-    (0, 3) and ``status`` says why. Mesh: x and y relative to ``origin_xy_m``, z above ``ground_z_m``.
+    """What a method makes of a building: parameters and a mesh, or a status that says why there is none.
 
-    num_parts: with a height each. Of several, ``eave_height_m`` is that of the largest, ``angle_deg`` those of
-    the parts along the footprint, and ``edge`` numbers the planes instead of the edges. class_probability: of a
-    network, (edges, 3): that each edge has 0 degrees, 90 degrees or a slope."""
+    rings: of the mesh, relative to ``origin_xy_m`` like its x and y; z is above ``ground_z_m``. vertex_m: (v, 3).
+    triangle: int32 (t, 3), (0, 3) without a mesh. kind: uint8 (t,), :class:`p2wss.skeleton.FaceKind`. edge: int32
+    (t,), the footprint edge that the face grows from, -1 for none; of several parts the number of its plane.
+    eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: with a height each; of
+    several, ``eave_height_m`` is that of the largest and ``angle_deg`` those of the parts along the footprint.
+    confidence: the expected share of right numbers, 0 to 1. class_probability: of a network, (edges, 3): that each
+    edge has 0 degrees, 90 degrees or a slope. status: a value of :mod:`p2wss.data.reasons`; a mesh with another
+    status than "ok" is the flat roof that stands in for one.
+    """
 
     building_id: str
     tile: str
@@ -66,15 +77,6 @@ class Reconstruction:
         return len(self.triangle) > 0
 
 
-def ground_z_m(building: Building) -> float:
-    """The ground that the crop found, else a low quantile of the points; NaN without any."""
-    if np.isfinite(building.ground_z_m):
-        return float(building.ground_z_m)
-    return (
-        float(np.quantile(building.point_m[:, 2], GROUND_QUANTILE)) if len(building.point_m) else float("nan")
-    )
-
-
 def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
     """The row of a building that a method could not reconstruct."""
     return Reconstruction(
@@ -83,7 +85,7 @@ def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
         method,
         status,
         building.origin_xy_m,
-        ground_z_m(building),
+        building.ground_z_m,
         building.rings,
         None,
         None,

@@ -1,46 +1,55 @@
-"""The points of each building of a cloud, and the ground around it."""
+"""Which points are on a building: the one definition, for crops, fit, flat roofs, residuals and measures.
+
+Labels of simulated crops are another matter: there every point carries the face that it was cast on.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+import shapely
 
-from p2wss.data import polygon_arrays
-from p2wss.data.clouds import Cloud
-from p2wss.data.cropping import crop_points, ring_medians
-from p2wss.data.las_classes import GROUND_CLASS
-from p2wss.skeleton.types import Polygons
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, WATER_CLASS
 
-# distance from the footprint within which the ground is looked for, wider where it is not found
-GROUND_RINGS_M = (1.0, 4.0, 16.0, 64.0)
-_ENOUGH_GROUND_POINTS = 5
-_LOW_PERCENTILE = 5.0
+# with fewer points of the class building, a classifier has missed the building
+MIN_CLASSIFIED_POINTS = 10
+# of a building that a classifier has missed, what is lower may be a car, a hedge or rough ground
+MIN_HEIGHT_M = 2.0
+_NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 
 
-@dataclass(frozen=True)
-class Cropped:
-    """Points of each of n polygons: polygon p has the pairs ``offset[p]:offset[p + 1]``.
+def points_on_building(
+    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
+) -> np.ndarray:
+    """Which points (m, 3) are on the building over ``polygon``, bool (m,).
 
-    point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for the ring around the
-    footprint. ground_z_m: float64 (n,), see :func:`ground_height`.
+    Those of the class building inside the polygon; where there are fewer than ten, all inside that are neither
+    ground, noise nor water and at least 2 m above ``ground_z_m`` (if there are any). Never those of the ring around
+    the footprint: in a row of houses they belong to the neighbours.
     """
-
-    point: np.ndarray
-    inside: np.ndarray
-    offset: np.ndarray
-    ground_z_m: np.ndarray
-
-    def of(self, polygon: int) -> np.ndarray:
-        """Indices of the points of one polygon."""
-        return self.point[self.offset[polygon] : self.offset[polygon + 1]]
+    if not len(point_m):
+        return np.zeros(0, bool)
+    inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
+    offset = np.array([0, len(point_m)])
+    return points_on_buildings(inside, classification, point_m[:, 2] - ground_z_m, offset)
 
 
-def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cropped:
-    """The points of ``cloud`` inside or within ``buffer_m`` of each polygon, which is in the cloud's CRS."""
-    point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
-    known = (point, inside, offset) if buffer_m == GROUND_RINGS_M[0] else None
-    return Cropped(point, inside, offset, ground_height(cloud, polygons, known))
+def points_on_buildings(
+    inside: np.ndarray, classification: np.ndarray, height_m: np.ndarray, offset: np.ndarray
+) -> np.ndarray:
+    """As :func:`points_on_building` for many buildings at once, bool (num_points,).
+
+    inside: bool (num_points,), in the footprint. height_m: above the ground at the building. offset: building b has
+    the points ``offset[b]:offset[b + 1]``.
+    """
+    counts = np.diff(offset)
+    building = np.repeat(np.arange(len(counts)), counts)
+    classified = inside & (classification == BUILDING_CLASS)
+    missed = np.bincount(building[classified], minlength=len(counts)) < MIN_CLASSIFIED_POINTS
+    if not missed.any():
+        return classified
+    others = inside & ~np.isin(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
+    missed &= np.bincount(building[others], minlength=len(counts)) > 0
+    return np.where(missed[building], others, classified)
 
 
 def on_centimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
@@ -52,42 +61,3 @@ def on_centimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
     point_cm = np.rint(100 * (xyz_m - [*origin_xy_m, origin_z_m]))
     point_cm[:, 2] += 100 * origin_z_m
     return point_cm / 100
-
-
-def ground_height(
-    cloud: Cloud, polygons: Polygons, nearest: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-) -> np.ndarray:
-    """z of the ground around each polygon as the cloud tells it, float64 (num_polygons,), NaN where it does
-    not.
-
-    The median of the ground points (class 2) outside the footprint, at most 1 m away; if these are fewer than
-    five, at most 4, 16 or 64 m away. In a cloud without any class 2, a low percentile of all points of the
-    ring. ``nearest``: what :func:`crop_points` tells for 1 m, if that is known.
-    """
-    ground = cloud.classification == GROUND_CLASS
-    unclassified = not ground.any()
-    if unclassified:
-        ground = np.ones(len(cloud), bool)
-    result = np.full(len(polygons), np.nan)
-    pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
-    for distance_m in GROUND_RINGS_M:
-        if not len(pending):
-            break
-        if nearest is not None and distance_m == GROUND_RINGS_M[0] and len(pending) == len(polygons):
-            point, inside, offset = nearest
-        else:
-            point, inside, offset = crop_points(
-                cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, pending), distance_m, ground
-            )
-        counts, median = ring_medians(cloud.z_m, ground, point, inside, offset)
-        is_last = distance_m == GROUND_RINGS_M[-1]
-        enough = counts >= (1 if is_last else _ENOUGH_GROUND_POINTS)
-        if unclassified:
-            for p in np.flatnonzero(enough):
-                pairs = slice(offset[p], offset[p + 1])
-                heights = cloud.z_m[point[pairs][~inside[pairs]]]
-                result[pending[p]] = np.percentile(heights, _LOW_PERCENTILE)
-        else:
-            result[pending[enough]] = median[enough]
-        pending = pending[~enough]
-    return result

@@ -106,7 +106,7 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
             table = files.read_table(path, CROPS, columns=columns)
             table = table.filter(pc.is_in(table["split"], pa.array(splits)))
             lift = table["label_terrain_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
-            heights.append(table["eave_height_m"].to_numpy() + np.nan_to_num(lift))
+            heights.append(table["eave_height_m"].to_numpy() + lift)
             angles.append(files.list_column(table, "angle_deg")[0])
     height, angle = np.concatenate(heights), np.concatenate(angles)
     if not len(height):

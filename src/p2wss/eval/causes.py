@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import Case
-from p2wss.eval.measure import FAR_M, local_points, points_on_building
+from p2wss.eval.measure import FAR_M, local_points
 from p2wss.metrics.height import surface_height_m
 from p2wss.metrics.surface import distance_to_mesh, triangle_areas
 from p2wss.skeleton.types import FaceKind
@@ -58,7 +58,7 @@ def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 
     """
     if not reconstruction.has_mesh:
         return Cause("no mesh", f"No mesh: {reconstruction.status}.")
-    on_building = points_on_building(case)
+    on_building = case.building.is_on_building
     point_m = local_points(case, reconstruction)[on_building]
     if len(point_m) < SPARSE_POINTS or len(point_m) < SPARSE_PER_M2 * case.building.polygon.area:
         density = len(point_m) / case.building.polygon.area

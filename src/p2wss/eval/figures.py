@@ -18,7 +18,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from p2wss.data.building import Reconstruction, ground_z_m
+from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import Case
 from p2wss.metrics.calibration import Bin
 from p2wss.metrics.surface import distance_to_mesh
@@ -167,7 +167,7 @@ def _drawn_points(case: Case, origin_xy_m: Sequence[float], ground_z_m: float) -
 
 def _draw_points(axes: Any, case: Case) -> tuple[np.ndarray, np.ndarray]:
     """Draw the points alone, coloured by height; returns the lower and upper corner of their extent."""
-    point_m = _drawn_points(case, case.building.origin_xy_m, ground_z_m(case.building))
+    point_m = _drawn_points(case, case.building.origin_xy_m, case.building.ground_z_m)
     if not len(point_m):
         return np.zeros(2), np.ones(2)
     dots = point_m @ _VIEW.T

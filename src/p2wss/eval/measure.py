@@ -10,7 +10,6 @@ import shapely
 
 from p2wss.config import Eval
 from p2wss.data.building import Reconstruction
-from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case
 from p2wss.eval.roof_kinds import roof_kind
@@ -96,7 +95,7 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
     draw = generator(config.seed, "eval.measure", building.tile, building.building_id, reconstruction.method)
     samples = sample_surface(reconstruction.vertex_m, reconstruction.triangle, config.num_samples, draw)
     row["chamfer_m"] = _finite(chamfer_distance_m(subset(case, point_m, config), samples))
-    chosen = points_on_building(case)
+    chosen = building.is_on_building
     if chosen.sum() >= MIN_ROOF_POINTS:
         inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[chosen], y[chosen])
         row |= _roof_measures(reconstruction, point_m[chosen], inner, config, draw)
@@ -158,18 +157,6 @@ def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:
         return point_m
     draw = generator(config.seed, "eval.subset", case.building.tile, case.building.building_id)
     return point_m[np.sort(draw.choice(len(point_m), config.max_num_points, replace=False))]
-
-
-def points_on_building(case: Case) -> np.ndarray:
-    """Which points are inside the footprint and of the class building; where the cloud has no such class,
-    those not below 2 m above the ground."""
-    building = case.building
-    x, y, z = building.point_m.T
-    inside = shapely.contains_xy(building.polygon, x, y)
-    chosen = inside & (building.classification == BUILDING_CLASS)
-    if not chosen.any() and np.isfinite(building.ground_z_m):
-        chosen = inside & (z >= building.ground_z_m + 2.0)
-    return chosen
 
 
 def _parameter_errors(case: Case, reconstruction: Reconstruction) -> dict[str, float | None]:

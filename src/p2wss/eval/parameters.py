@@ -8,10 +8,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from p2wss.data.building import Building, Reconstruction, ground_z_m
+from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval.cases import Case, Medians
-from p2wss.eval.measure import points_on_building
 from p2wss.metrics.absolute_error import absolute_error, vertex_error
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
@@ -116,7 +115,7 @@ def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[st
     angle = [angle for _, _, angle in usable]
     errors = _errors(cases, height, angle, None)
     edge_mask = np.concatenate(seen_edges(cases, angle))
-    case_mask = np.array([points_on_building(case).sum() >= MIN_SEEN_POINTS for case in cases])
+    case_mask = np.array([case.building.is_on_building.sum() >= MIN_SEEN_POINTS for case in cases])
     target = np.array([target_height_m(case) for case in cases])
     truth = np.concatenate([case.angle_deg for case in cases if case.angle_deg is not None])
     errors["height_seen_m"] = asdict(absolute_error(height[case_mask], target[case_mask]))
@@ -132,7 +131,7 @@ def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[n
     roof is the same with 0 and with 90 degrees: neither counts as seen.
     """
     polygons = Polygons.from_rings([list(case.building.rings) for case in cases])
-    point = [case.building.point_m[points_on_building(case), :2] for case in cases]
+    point = [case.building.point_m[case.building.is_on_building, :2] for case in cases]
     index = np.repeat(np.arange(len(cases)), [len(xy) for xy in point])
     xy = np.concatenate([*point, np.zeros((0, 2))])
     first = np.concatenate([[0], np.cumsum([len(angle) for angle in angle_deg])])
@@ -148,7 +147,7 @@ def seen_edges(cases: Sequence[Case], angle_deg: Sequence[np.ndarray]) -> list[n
 def target_height_m(case: Case) -> float:
     """The eave height of the label, re-based to the ground of the cloud."""
     assert case.eave_height_m is not None and case.label_terrain_z_m is not None
-    return case.eave_height_m + case.label_terrain_z_m - ground_z_m(case.building)
+    return case.eave_height_m + case.label_terrain_z_m - case.building.ground_z_m
 
 
 def _all_masked(
@@ -157,7 +156,7 @@ def _all_masked(
     if not cases:
         return {}
     height, xy, angle = predictor.reconstruct_all_masked(
-        [case.building.point_m - [0, 0, ground_z_m(case.building)] for case in cases],
+        [case.building.point_m - [0, 0, case.building.ground_z_m] for case in cases],
         [case.building.rings[0] for case in cases],
         signs_visible,
     )

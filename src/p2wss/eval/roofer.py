@@ -19,7 +19,7 @@ import pyproj
 import shapely.affinity
 
 from p2wss.config import Eval
-from p2wss.data.building import Reconstruction, ground_z_m, no_mesh
+from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
@@ -90,8 +90,8 @@ def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, st
 def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
     """A solid of Roofer in the frame of the case."""
     building = case.building
-    # the ground face of Roofer's solid is at its own estimate of the ground, where we may have none
-    ground = ground_z_m(building)
+    # the ground face of Roofer's solid is at its own estimate of the ground
+    ground = building.ground_z_m
     return Reconstruction(
         building.building_id,
         building.tile,

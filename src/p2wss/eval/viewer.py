@@ -112,10 +112,9 @@ def _building(
     rows: Mapping[str, Mapping[str, Any] | None],
     ours: str,
 ) -> dict[str, Any]:
-    """One building for the page, relative to its origin and to the ground of our reconstruction."""
+    """One building for the page, relative to its origin and to its ground."""
     building = case.building
-    main = reconstructions[ours]
-    ground = building.ground_z_m if main is None or not np.isfinite(main.ground_z_m) else main.ground_z_m
+    ground = building.ground_z_m
     point_m = building.point_m - np.array([0.0, 0.0, ground])
     point_m = point_m[:: max(-(-len(point_m) // MAX_POINTS), 1)]
     point_cm = np.round(point_m * 100)

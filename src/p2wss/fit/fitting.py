@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import NO_POINT, Building, Reconstruction, ground_z_m, no_mesh
+from p2wss.data.building import NO_POINT, Building, Reconstruction, no_mesh
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Boxes, add_boxes, on_boxes
 from p2wss.fit.mesh import build_meshes as build
@@ -148,7 +148,7 @@ class _One:
             return _Found(rings, rotation, [], NO_POINT)
         if len(building.point_m) < config.min_num_points:
             return _Found(rings, rotation, [], f"fewer than {config.min_num_points} points")
-        ground = ground_z_m(building)
+        ground = building.ground_z_m
         polygon = shapely.Polygon(rings[0], rings[1:])
         point_m = roof_points(polygon, building.point_m, building.classification, ground)
         if len(point_m) < MIN_NUM_POINTS:
@@ -183,7 +183,7 @@ class _One:
         (single,) = _of_one_part([self], [found])
         if single is not None:
             return single
-        ground = ground_z_m(building)
+        ground = building.ground_z_m
         largest = max(found.parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         height = max(largest.eave_z_m - ground, config.min_eave_height_m)
         mesh = union(found.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
@@ -232,7 +232,7 @@ def _of_one_part(ones: Sequence[_One], founds: Sequence[_Found]) -> list[Reconst
     if not chosen:
         return result
     config, parts = ones[0].config, [founds[i].parts[0] for i in chosen]
-    ground = [ground_z_m(ones[i].building) for i in chosen]
+    ground = [ones[i].building.ground_z_m for i in chosen]
     height = np.array([part.eave_z_m for part in parts]) - ground
     told = [ones[i].confidence(founds[i]) for i in chosen]
     made = build(

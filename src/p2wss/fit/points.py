@@ -5,33 +5,16 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.points import points_on_building
 
-# noise and water, withheld or not
-_NO_ROOF_CLASSES = (GROUND_CLASS, 7, 9, 18)
-# with fewer points of class 6 a classifier has missed the building
-_ENOUGH = 10
-_ABOVE_GROUND_M = 2.0
 _CELL_M = 0.5
 
 
 def roof_points(
     polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
 ) -> np.ndarray:
-    """The points (k, 3) inside the polygon that show its roof: those of class 6, or, if there are fewer than
-    ten, all that are neither ground, noise nor water and at least 2 m above the ground.
-
-    Never those of the ring around the footprint: in a row of houses they belong to the neighbours.
-    """
-    if not len(point_m):
-        return point_m
-    inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
-    chosen = inside & (classification == BUILDING_CLASS)
-    if np.count_nonzero(chosen) < _ENOUGH:
-        above = point_m[:, 2] - ground_z_m >= _ABOVE_GROUND_M
-        others = inside & ~np.isin(classification, _NO_ROOF_CLASSES) & above
-        chosen = others if others.any() else chosen
-    return point_m[chosen]
+    """The points (k, 3) that are on the building over the polygon, which show its roof."""
+    return point_m[points_on_building(polygon, point_m, classification, ground_z_m)]
 
 
 def even_order(point_m: np.ndarray) -> np.ndarray:

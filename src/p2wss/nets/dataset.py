@@ -56,8 +56,8 @@ class TrainingLimits:
 class BuildingDataset:
     """Many buildings, ragged, in the memory of the host.
 
-    points_cm: int16 (num_points, 3), local. point_offset: int64 (n + 1,). ground_z_m: float32 (n,), local;
-    where the crop has none, :func:`ground_from_points`. xy_m: float32 (num_vertices, 2), local exterior
+    points_cm: int16 (num_points, 3), local. point_offset: int64 (n + 1,). ground_z_m: float32 (n,), local.
+    xy_m: float32 (num_vertices, 2), local exterior
     rings, counter-clockwise. vertex_offset: int64 (n + 1,). angle_deg: float32 (num_vertices,), edge i
     leaves vertex i. height_m: float32 (n,), eave above ``ground_z_m``. num_excluded: buildings per reason.
     folder: the cache that the arrays are mapped from, if any. patch_index: int16 (n, g, k), see

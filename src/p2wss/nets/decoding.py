@@ -15,6 +15,7 @@ from scipy.special import expit, logit
 from torch import Tensor
 from torch.nn import functional as F
 
+from p2wss.data.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.nets.tokenizer import Tokenizer
 
 Mode = Literal["argmax", "median"]
@@ -48,7 +49,7 @@ def angle_support(support: Support) -> Tensor:
     if support == "all":
         allowed[:91] = True
     else:
-        allowed[[0, 90, *range(20, 46)]] = True
+        allowed[[FLAT_DEG, VERTICAL_DEG, *range(MIN_SLOPE_DEG, MAX_SLOPE_DEG + 1)]] = True
     return allowed
 
 

@@ -25,8 +25,6 @@ _CLOUD_COLUMNS = ["split", "num_points", "origin_z_m", "x_cm", "y_cm", "z_cm", "
 _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_terrain_z_m", "angle_deg"]
 _FLAT_ARRAYS = ("ground_z_m", "xy_m", "angle_deg", "height_m")
 _OFFSETS = ("point_offset", "vertex_offset")
-# share of a cloud's points that lie below its ground, where the crop has no ground
-_GROUND_QUANTILE = 0.02
 # version of the layout of the cache: another number decodes the shards anew
 _CACHE_VERSION = 2
 
@@ -86,11 +84,6 @@ def describe(dataset: BuildingDataset) -> str:
     """One line for the log."""
     text = f"{len(dataset)} buildings, {len(dataset.points_cm)} points"
     return text + (f"; excluded: {_counts(dataset.num_excluded)}" if dataset.num_excluded else "")
-
-
-def ground_from_points(z: np.ndarray) -> float:
-    """Ground under a cloud without ground of its own: a low quantile of its heights (n,)."""
-    return float(np.quantile(z, _GROUND_QUANTILE))
 
 
 def _concatenate(parts: Sequence[BuildingDataset]) -> BuildingDataset:
@@ -169,8 +162,7 @@ def _read_shard(
 
     require(count >= limits.min_points, f"with fewer than {limits.min_points} points")
     ground = table["ground_z_m"].to_numpy() - table["origin_z_m"].to_numpy()
-    for i in np.flatnonzero(np.isnan(ground) & usable):
-        ground[i] = ground_from_points(axes[2][offset[i] : offset[i + 1]]) * 0.01
+    require(np.isfinite(ground), "without ground")
     height = np.full(len(table), np.nan)
     xy = angle = np.zeros(0)
     num_vertices = np.zeros(len(table), np.int64)

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import shapely
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import NO_POINT, Building, Reconstruction, ground_z_m
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.building import NO_POINT, Building, Reconstruction
 from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint
 
 
@@ -47,7 +45,7 @@ def constant(
     """Buildings with given heights (b,), NaN for none, and the same angle at every edge."""
     rings = [mesh_footprint(building, config) for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
-    ground = [ground_z_m(building) for building in buildings]
+    ground = [building.ground_z_m for building in buildings]
     unknown = np.full(len(buildings), np.nan)
     why = [refused if len(building.point_m) else NO_POINT for building in buildings]
     height = np.asarray(eave_height_m, float)
@@ -55,14 +53,6 @@ def constant(
 
 
 def flat_height_m(building: Building) -> float:
-    """Median height above ground of the points inside the footprint: of class 6 if there is any, else of
-    those that are not ground and at least 1 m above it. NaN if none is left."""
-    if not len(building.point_m):
-        return float("nan")
-    x, y, z = building.point_m.T
-    above = z - ground_z_m(building)
-    inside = shapely.contains_xy(building.polygon, x, y)
-    chosen = inside & (building.classification == BUILDING_CLASS)
-    if not chosen.any():
-        chosen = inside & (building.classification != GROUND_CLASS) & (above >= 1.0)
-    return float(np.median(above[chosen])) if chosen.any() else float("nan")
+    """Median height above ground of the points on the building; NaN without any."""
+    z_m = building.point_m[building.is_on_building, 2]
+    return float(np.median(z_m)) - building.ground_z_m if len(z_m) else float("nan")

@@ -10,12 +10,11 @@ import numpy as np
 import pyproj
 
 from p2wss.config import Reconstruct
+from p2wss.data.cloud_crops import GROUND_RINGS_M
 from p2wss.data.clouds import horizontal, same_crs
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.errors import InputError
 
-# ground is looked for this far away where there is none nearer
-MARGIN_M = 64.0
 # the name of a file of weights that stands for no network
 NO_NETWORK = "none"
 
@@ -83,7 +82,8 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
     if not len(frame):
         return 0.0, 0.0, 0.0, 0.0
     x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
-    return x_min - MARGIN_M, y_min - MARGIN_M, x_max + MARGIN_M, y_max + MARGIN_M
+    margin_m = GROUND_RINGS_M[-1]
+    return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
 
 def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:

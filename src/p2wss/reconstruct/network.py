@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import NO_POINT, Building, Reconstruction, ground_z_m
+from p2wss.data.building import NO_POINT, Building, Reconstruction
 from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint, simplify_exterior, transfer_angles
 
 
@@ -61,7 +61,7 @@ def reconstruct_with_network(
     """
     meshed = [mesh_footprint(building, config) for building in buildings]
     seen = [simplify_exterior(rings, predictor.max_num_vertices) for rings in meshed]
-    ground = [ground_z_m(building) for building in buildings]
+    ground = [building.ground_z_m for building in buildings]
     height = np.full(len(buildings), np.nan)
     confidence = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in meshed]

@@ -17,10 +17,10 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.cloud_crops import crop_cloud
 from p2wss.data.clouds import Cloud, horizontal
 from p2wss.data.cropping import seen_share
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.data.points import crop_cloud, on_centimetres
+from p2wss.data.points import on_centimetres
 from p2wss.errors import InputError
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Solid
@@ -40,9 +40,9 @@ class Result:
     """A building of the output: its reconstruction, what was read for it and how well the mesh fits.
 
     status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
-    residual_m: mean distance of the points on the building (class 6 inside the footprint, else all inside) to
-    the mesh; NaN without any. visible_share: of the footprint's 1 m cells, those with a point on the roof.
-    not_representable: fitted, and yet the residual is more than ``not_representable_m``.
+    residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: of the
+    footprint's 1 m cells, those with a point on the building. not_representable: fitted, and yet the residual is
+    more than ``not_representable_m``.
     """
 
     reconstruction: Reconstruction
@@ -126,19 +126,12 @@ def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) 
 def _result(building: Building, made: Reconstruction, config: Reconstruct) -> Result:
     status = "none" if not made.has_mesh else "ok" if made.status == "ok" else "flat"
     reason = None if made.status == "ok" else made.status
-    on_building = _on_building(building)
+    on_building = building.is_on_building
     residual_m = _residual_m(building.point_m[on_building], made)
     fitted = config.fit or made.method == FIT
     flagged = fitted and status == "ok" and residual_m > config.not_representable_m
     share = _visible_share(building, on_building)
     return Result(made, status, reason, len(building.point_m), residual_m, share, flagged)
-
-
-def _on_building(building: Building) -> np.ndarray:
-    """Mask of the points of class 6 inside the footprint, or, without any, of all inside."""
-    inside = shapely.contains_xy(building.polygon, building.point_m[:, 0], building.point_m[:, 1])
-    on_building = inside & (building.classification == BUILDING_CLASS)
-    return on_building if on_building.any() else inside
 
 
 def _residual_m(point_m: np.ndarray, made: Reconstruction) -> float:
@@ -151,8 +144,7 @@ def _residual_m(point_m: np.ndarray, made: Reconstruction) -> float:
 
 def _visible_share(building: Building, on_building: np.ndarray) -> float:
     """As the crops' ``visible_roof_share``."""
-    seen = on_building & (building.classification != GROUND_CLASS)
-    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[seen, :2].T * 100))
+    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[on_building, :2].T * 100))
     rings = [np.asarray(ring, float) for ring in building.rings]
     ends = np.cumsum([0, *map(len, rings)])
     offset = np.array([0, len(x_cm)])

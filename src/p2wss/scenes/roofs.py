@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.config import Scenes
+from p2wss.data.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.data.seeds import generator
 
-SLOPES_DEG = np.arange(20, 46)
-ANGLES_DEG = np.array([0, 90, *SLOPES_DEG])
+SLOPES_DEG = np.arange(MIN_SLOPE_DEG, MAX_SLOPE_DEG + 1)
+ANGLES_DEG = np.array([FLAT_DEG, VERTICAL_DEG, *SLOPES_DEG])
 # edges whose directions differ by less belong to the same wing and share an angle
 _PARALLEL_DEG = 12.0
 # a gable stands on an edge between two corners of roughly a right angle

@@ -19,8 +19,8 @@ from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
 from p2wss.data import files, polygon_arrays
+from p2wss.data.cloud_crops import ground_height
 from p2wss.data.clouds import Cloud, read_clouds, same_crs
-from p2wss.data.points import ground_height
 from p2wss.data.schemas.crops import CROPS
 from p2wss.data.tiling import tile_name
 from p2wss.errors import InputError

@@ -66,7 +66,7 @@ def test_measures_of_roofer_on_delft_agree_with_the_judge(delft: list[cases.Case
     sampled = []
     for case, row in zip(delft, rows, strict=True):
         solid = recorded[case.key]
-        point = measure.local_points(case, solid)[measure.points_on_building(case)]
+        point = measure.local_points(case, solid)[case.building.is_on_building]
         sample = sample_surface(solid.vertex_m, solid.triangle, 40_000, np.random.default_rng(0))
         sampled.append(cKDTree(sample).query(point)[0].mean())
         assert row["points_to_mesh_m"] < sampled[-1] < row["points_to_mesh_m"] + 0.08
@@ -156,9 +156,9 @@ def test_height_rmse_and_far_share_of_flat_roofs_on_delft(delft: list[cases.Case
     for case, flat in zip(few, lod1([c.building for c in few], Reconstruct(simplify_m=0)), strict=True):
         row = measure.measure_building(case, flat, Eval(num_samples=64))
         assert flat.eave_height_m is not None
-        z = case.building.point_m[measure.points_on_building(case)][:, 2]
+        z = case.building.point_m[case.building.is_on_building][:, 2]
         above = z - flat.ground_z_m - flat.eave_height_m
-        xy = case.building.point_m[measure.points_on_building(case)][:, :2]
+        xy = case.building.point_m[case.building.is_on_building][:, :2]
         inner = shapely.distance(case.building.polygon.boundary, shapely.points(xy)) >= 0.5
         assert row["height_rmse_m"] == pytest.approx(np.sqrt((above[inner] ** 2).mean()), abs=1e-5)
         assert row["height_bias_m"] == pytest.approx(np.median(above[inner]), abs=1e-5)

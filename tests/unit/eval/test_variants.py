@@ -150,7 +150,7 @@ def num_points_over_faces(case: cases.Case, angle_deg: np.ndarray) -> np.ndarray
         [case.building], [case.building.rings], [0.0], np.array([case.eave_height_m]), [angle_deg],
         np.array([np.nan]), "label", RECONSTRUCT, [""],
     )  # fmt: skip
-    point = case.building.point_m[measure.points_on_building(case)]
+    point = case.building.point_m[case.building.is_on_building]
     count = np.zeros(len(angle_deg), int)
     for e in np.flatnonzero((angle_deg > 0) & (angle_deg < 90)):
         faces = mesh.triangle[(mesh.edge == e) & (mesh.kind >= 2)]

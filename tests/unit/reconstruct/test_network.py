@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from oracle_network import Oracle
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import Building, ground_z_m
+from p2wss.data.building import Building
 from p2wss.fit.mesh import kernel_angles, simplify_exterior, transfer_angles
 from p2wss.reconstruct.flat import flat_height_m, lod1, with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
@@ -99,11 +99,6 @@ def test_flat_height_prefers_class_6_and_ignores_what_is_outside() -> None:
     assert flat_height_m(replace(flat, point_m=point, classification=classes)) == pytest.approx(6)
     unclassified = np.r_[np.full(len(flat.point_m), 1), np.full(600, 2)].astype(np.uint8)
     assert flat_height_m(replace(flat, point_m=point, classification=unclassified)) == pytest.approx(6)
-
-
-def test_ground_from_the_points_where_the_crop_has_none() -> None:
-    point = np.column_stack([np.zeros((101, 2)), np.arange(101)])
-    assert ground_z_m(replace(building(), point_m=point, ground_z_m=float("nan"))) == pytest.approx(2)
 
 
 @settings(max_examples=60, deadline=None)

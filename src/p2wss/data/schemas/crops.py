@@ -29,9 +29,7 @@ CROPS = pa.schema(
         field("z_cm", pa.list_(pa.int16()), "point z - origin_z_m, centimetres"),
         field("classification", pa.list_(pa.uint8()), "LAS class per point: 2 ground, 6 building, .."),
         *FOOTPRINT,
-        field(
-            "ground_z_m", pa.float64(), "ground at the building estimated from the cloud, NaN if it has none"
-        ),
+        field("ground_z_m", pa.float64(), "z of the ground at the building as the cloud shows it"),
         field(
             "eave_height_m", pa.float32(), "label: eave above label_terrain_z_m; null for real LiDAR", True
         ),
@@ -46,7 +44,7 @@ CROPS = pa.schema(
         field(
             "num_roof_points",
             pa.int32(),
-            "points on this building's roof (real LiDAR: class 6 inside, else all inside but ground)",
+            "points on this building's roof; of real LiDAR on the building (p2wss.data.points)",
         ),
         field("num_wall_points", pa.int32(), "points on this building's walls; null for real LiDAR", True),
         field(

@@ -21,7 +21,7 @@ RECONSTRUCTIONS = pa.schema(
         field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
         *STATUS,
         *FRAME,
-        field("ground_z_m", pa.float64(), "z of height 0"),
+        field("ground_z_m", pa.float64(), "z of height 0: the ground at the building as the cloud shows it"),
         *FOOTPRINT,
         field("eave_height_m", pa.float32(), "eave above ground_z_m; null for a method without one", True),
         field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without", True),
