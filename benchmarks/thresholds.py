@@ -1,6 +1,6 @@
-"""What the thresholds of the fit change: simulated buildings with labels, and halves A and B of Delft.
+"""The effect of each threshold of the fit: on simulated buildings with labels, and on halves A and B of Delft.
 
-The defaults are chosen by the simulated ones and half A; half B only tells how well that carries over.
+The defaults were chosen on the simulated buildings and half A; half B only shows how well they generalise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from p2wss.fit.fitting import Thresholds
 from p2wss.fit.points import roof_points
 from p2wss.metrics.surface import distance_to_mesh
 
-VARIED: dict[str, dict[str, tuple[float, ...]]] = {
+VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
     "cutting": {
         "gain_m": (0.006, 0.009, 0.012, 0.018, 0.025),
         "gain_share": (0.05, 0.1, 0.15, 0.25),
@@ -34,44 +34,48 @@ VARIED: dict[str, dict[str, tuple[float, ...]]] = {
 }
 
 
-def _points_to_mesh_m(building: Building, made: Reconstruction) -> float:
-    own = roof_points(building.polygon, building.point_m, building.classification, made.ground_z_m)
-    return float(distance_to_mesh(own - [0, 0, made.ground_z_m], made.vertex_m, made.triangle).mean())
+def _points_to_mesh_m(building: Building, fit: Reconstruction) -> float:
+    point_m = roof_points(building.polygon, building.point_m, building.classification, fit.ground_z_m)
+    return float(distance_to_mesh(point_m - [0, 0, fit.ground_z_m], fit.vertex_m, fit.triangle).mean())
 
 
-def _measured(cases: list[Any], buildings: list[Building], thresholds: Thresholds) -> dict[str, float]:
+def _measures(cases: list[Any], buildings: list[Building], thresholds: Thresholds) -> dict[str, float]:
+    """Errors of simulated ``cases``, the share of them that is cut into parts although all have one height, and the
+    distance from points to mesh and the number of triangles on both halves of real ``buildings``."""
     config = Config().reconstruct
     simulated = [case.building for case in cases]
-    one = fitting.fit(simulated, labelled.config(), thresholds=thresholds)
-    errors = labelled.summary(labelled.errors(cases, one))
-    parts_allowed = labelled.config().model_copy(update={"max_parts": config.max_parts})
-    cut = [made.num_parts > 1 for made in fitting.fit(simulated, parts_allowed, thresholds=thresholds)]
-    made = fitting.fit(buildings, config, thresholds=thresholds)
-    told = {"height_mae_m": errors["height_mae_m"], "angle_mae_deg": errors["angle_mae_deg"]}
-    told["cut_in_vain"] = float(np.mean(cut))
+    one_part = fitting.fit(simulated, labelled.config(), thresholds=thresholds)
+    errors = labelled.summary(labelled.errors(cases, one_part))
+    several_parts = labelled.config().model_copy(update={"max_parts": config.max_parts})
+    is_cut = [fit.num_parts > 1 for fit in fitting.fit(simulated, several_parts, thresholds=thresholds)]
+    fits = fitting.fit(buildings, config, thresholds=thresholds)
+    measures = {"height_mae_m": errors["height_mae_m"], "angle_mae_deg": errors["angle_mae_deg"]}
+    measures["wrongly_cut"] = float(np.mean(is_cut))
     order = np.argsort([building.building_id for building in buildings])
     for half, index in (("A", order[::2]), ("B", order[1::2])):
-        own = [i for i in index.tolist() if made[i].has_mesh]
-        told[f"p2m_{half}_m"] = float(np.mean([_points_to_mesh_m(buildings[i], made[i]) for i in own]))
-        told[f"tri_{half}"] = float(np.mean([len(made[i].triangle) for i in own]))
-    return told
+        meshed = [i for i in index.tolist() if fits[i].has_mesh]
+        distances_m = [_points_to_mesh_m(buildings[i], fits[i]) for i in meshed]
+        measures[f"p2m_{half}_m"] = float(np.mean(distances_m))
+        measures[f"triangles_{half}"] = float(np.mean([len(fits[i].triangle) for i in meshed]))
+    return measures
 
 
 def table(manifest: Path, buildings: list[Building]) -> dict[str, Any]:
     """One row per value of each threshold, the others at their defaults; printed as it comes."""
     cases = labelled.read(manifest)
     default = Thresholds()
-    rows: dict[str, Any] = {"default": _measured(cases, buildings, default)}
+    rows: dict[str, Any] = {"default": _measures(cases, buildings, default)}
     print("threshold".ljust(28) + "".join(name.rjust(15) for name in rows["default"]))
     _print("default", rows["default"])
-    for group, fields in VARIED.items():
+    for group, fields in VARIATIONS.items():
         for field, values in fields.items():
             for value in values:
-                own = getattr(default, group)
-                if value != getattr(own, field):
-                    changed = replace(default, **{group: replace(own, **{field: value})})
-                    rows[f"{field} = {value:g}"] = _measured(cases, buildings, changed)
-                    _print(f"{field} = {value:g}", rows[f"{field} = {value:g}"])
+                defaults = getattr(default, group)
+                if value != getattr(defaults, field):
+                    title = f"{field} = {value:g}"
+                    changed = replace(default, **{group: replace(defaults, **{field: value})})
+                    rows[title] = _measures(cases, buildings, changed)
+                    _print(title, rows[title])
     return rows
 
 
