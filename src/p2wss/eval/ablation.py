@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from p2wss.eval import cases
 from p2wss.nets.compute import DeviceName
 from p2wss.nets.predictor import load_predictor
 from p2wss.nets.shards import load_dataset
-
-HEADER = (
-    "variant",
-    "num_buildings",
-    "height_mae_m",
-    "height_std_m",
-    "height_mae_constant_m",
-    "angle_mae_deg",
-    "angle_std_deg",
-    "angle_mae_constant_deg",
-)
 
 
 @dataclass(frozen=True)
@@ -37,6 +27,9 @@ class Row:
     angle_mae_deg: float
     angle_std_deg: float
     angle_mae_constant_deg: float
+
+
+HEADER = [field.name for field in fields(Row)]
 
 
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> list[Row]:
@@ -68,12 +61,13 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
 
 def csv(rows: Sequence[Row]) -> str:
     """The table as CSV."""
-    return "\n".join([",".join(HEADER), *(",".join(_cells(row, 4)) for row in rows)]) + "\n"
+    table = pd.DataFrame(rows, columns=HEADER)
+    return table.to_csv(index=False, float_format="%.4f", na_rep="nan", lineterminator="\n")
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """The table as Markdown, followed by the :func:`spreads`."""
-    lines = [HEADER, ["---"] * len(HEADER), *(_cells(row, 2) for row in rows)]
+    lines = [HEADER, ["---"] * len(HEADER), *map(_cells, rows)]
     table = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([*table, *(["", *spreads(rows)] if spreads(rows) else [])]) + "\n"
 
@@ -96,6 +90,6 @@ def _spread(values: Sequence[float]) -> str:
     return f"{np.mean(values):.3f} ± {np.std(values, ddof=1):.3f}"
 
 
-def _cells(row: Row, digits: int) -> list[str]:
+def _cells(row: Row) -> list[str]:
     values = [getattr(row, name) for name in HEADER]
-    return [f"{value:.{digits}f}" if isinstance(value, float) else str(value) for value in values]
+    return [f"{value:.2f}" if isinstance(value, float) else str(value) for value in values]
