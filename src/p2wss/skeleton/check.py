@@ -1,7 +1,7 @@
-"""The self-check of every solid: closed, manifold, right genus, planar, oriented outwards, footprint tiled.
+"""The self-check of every solid: closed, manifold, of the right genus, with planar faces oriented outwards.
 
-A mesh that passes does not cross itself: its top is made of triangles that all face upwards or are vertical,
-their areas in plan add up to the area of the footprint, whose boundary is theirs, so they tile it once.
+A mesh that passes does not intersect itself: the triangles of its top all face upwards or are vertical, their
+areas in plan add up to the area of the footprint, and they have the same boundary, so they cover it once.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import inner
-from p2wss.skeleton.faces import flat_label, ground_label
+from p2wss.skeleton.labels import flat_label, ground_label
 from p2wss.skeleton.records import NUM_CAPS
 from p2wss.skeleton.status import Status
 
@@ -26,12 +26,13 @@ _INSIDE_OUT = int(Status.INSIDE_OUT)
 
 _PLANE_M = 1e-3
 _AREA_SHARE = 1e-4
-_SMALLEST_AREA_M2 = 1e-12
+_MIN_AREA_M2 = 1e-12
 
 
 @inner
 def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
-    """The opposite half-edge of every half-edge 3 * triangle + corner. False: an edge without just one."""
+    """Find the opposite half-edge of every half-edge, numbered ``3 * triangle + corner``. False if an edge has
+    none or several."""
     num_half = 3 * num_triangles
     size = 64
     while size < 2 * num_half:
@@ -67,7 +68,8 @@ def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, tw
 
 @inner
 def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, num_fans):
-    """Give every fan of triangles its own vertex where several fans meet in one point. -1: no room."""
+    """Give every fan of triangles a vertex of its own where several fans meet in one point. Returns the new
+    number of vertices, or -1 if there is no room."""
     num_half = 3 * num_triangles
     for k in range(num_points):
         num_fans[k] = 0
@@ -105,7 +107,7 @@ def check_solid(
     edge, num_edges, num_rings, plan_area, cap_height, counts, eave, base,
     point, num_points, triangle, triangle_label, num_triangles, hash_key, hash_half, twin,
 ):  # fmt: skip
-    """A ``Status`` for the finished solid; points 0..num_points-1 are all used."""
+    """The ``Status`` of a finished solid, all of whose points 0..num_points-1 are in use."""
     for k in range(num_points):
         if not (np.isfinite(point[k, 0]) and np.isfinite(point[k, 1]) and np.isfinite(point[k, 2])):
             return _NON_FINITE
@@ -123,7 +125,7 @@ def check_solid(
         abx, aby, abz = point[b, 0] - point[a, 0], point[b, 1] - point[a, 1], point[b, 2] - point[a, 2]
         acx, acy, acz = point[c, 0] - point[a, 0], point[c, 1] - point[a, 1], point[c, 2] - point[a, 2]
         nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
-        if nx * nx + ny * ny + nz * nz < _SMALLEST_AREA_M2 * _SMALLEST_AREA_M2:
+        if nx * nx + ny * ny + nz * nz < _MIN_AREA_M2 * _MIN_AREA_M2:
             return _ZERO_AREA_TRIANGLE
         volume += nx * point[a, 0] + ny * point[a, 1] + nz * (point[a, 2] - base)
         label = triangle_label[t]

@@ -1,4 +1,4 @@
-"""Footprints as they come to footprints that the skeleton can take: the clean-up of a batch of polygons."""
+"""The clean-up of a batch of footprints: from polygons in any state to polygons that the skeleton can take."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ _EMPTY = int(Status.EMPTY)
 _NON_FINITE = int(Status.NON_FINITE)
 _TOO_SMALL = int(Status.TOO_SMALL)
 _TOO_MANY_EDGES = int(Status.TOO_MANY_EDGES)
-_FARTHEST_M = 1e9  # beyond this a coordinate has no micrometres left
+_FARTHEST_M = 1e9  # beyond this, float64 cannot resolve micrometres
 
 _MAX_RAW_VERTICES = 65536
 
 
 @dataclass(frozen=True)
 class Cleaned:
-    """Clean polygons, and where their edges come from.
+    """Clean polygons, and the edges of the input from which their edges come.
 
-    polygons: as many as went in; a rejected one has no rings. edge_source: int64 (num_vertices,), for every
-    edge the index into the ``xy_m`` that went in of the edge whose angle it inherits, the longest of those
+    polygons: as many as in the input; a rejected one has no rings. edge_source: int64 (num_vertices,), for
+    every edge the index into the input's ``xy_m`` of the edge whose angle it inherits, the longest of those
     that were merged into it. status: int32 (num_polygons,), a ``Status``.
     """
 
@@ -38,15 +38,16 @@ class Cleaned:
 
 
 @inner
-def _offence(x, y, before, here, after, min_edge, max_cos, min_offset):
-    """How far the vertex is from the line between its neighbours if it has to go, or -1 if it may stay."""
+def _removable_offset(x, y, before, here, after, min_edge, max_cos, min_offset):
+    """Distance of a vertex from the line between its neighbours if it has to be removed, or -1 if it may
+    stay."""
     a, b, c = before[here], here, after[here]
     u_x, u_y = x[b] - x[a], y[b] - y[a]
     v_x, v_y = x[c] - x[b], y[c] - y[b]
     u, v = np.hypot(u_x, u_y), np.hypot(v_x, v_y)
     cross = abs(u_x * v_y - u_y * v_x)
     along = u_x * v_x + u_y * v_y
-    if along <= -max_cos * u * v:  # a spike, or no length at all
+    if along <= -max_cos * u * v:  # a spike, or an edge of no length
         return cross / max(u, v, 1e-12)
     chord = np.hypot(x[c] - x[a], y[c] - y[a])
     offset = cross / max(chord, 1e-12)
@@ -56,23 +57,23 @@ def _offence(x, y, before, here, after, min_edge, max_cos, min_offset):
 
 
 @inner
-def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge, max_cos, min_offset):
-    """Take out vertices, least offset first, until all that are left may stay. Returns (how many, one of
-    them)."""
+def _thin_out_ring(x, y, source, source_length, before, after, offset_of, n, min_edge, max_cos, min_offset):
+    """Remove vertices, the one with the least offset first, until the others may stay. Returns (their number,
+    one of them)."""
     for k in range(n):
-        offence[k] = _offence(x, y, before, k, after, min_edge, max_cos, min_offset)
+        offset_of[k] = _removable_offset(x, y, before, k, after, min_edge, max_cos, min_offset)
     head = 0
     left = n
     while left >= 3:
         worst, least = -1, np.inf
         k = head
         for _ in range(left):
-            # of equals the last goes, so that of a closed ring's two ends the first vertex stays
-            if offence[k] >= 0.0 and (offence[k] < least or (offence[k] == least and k > worst)):
-                worst, least = k, offence[k]
+            # of equal offsets the last vertex is removed, so that of the two ends of a closed ring the first stays
+            if offset_of[k] >= 0.0 and (offset_of[k] < least or (offset_of[k] == least and k > worst)):
+                worst, least = k, offset_of[k]
             k = after[k]
         if worst < 0 or left == 3:
-            # a triangle that still offends has collapsed
+            # a triangle with a vertex to remove has collapsed
             return (left if worst < 0 else 0), head
         a, c = before[worst], after[worst]
         if source_length[worst] > source_length[a]:
@@ -81,8 +82,8 @@ def _thin_ring(x, y, source, source_length, before, after, offence, n, min_edge,
         before[c] = a
         head = a
         left -= 1
-        offence[a] = _offence(x, y, before, a, after, min_edge, max_cos, min_offset)
-        offence[c] = _offence(x, y, before, c, after, min_edge, max_cos, min_offset)
+        offset_of[a] = _removable_offset(x, y, before, a, after, min_edge, max_cos, min_offset)
+        offset_of[c] = _removable_offset(x, y, before, c, after, min_edge, max_cos, min_offset)
     return 0, head
 
 
@@ -102,7 +103,7 @@ def _clean_all(
     corner = np.empty((len(edge), 2))
     source, length = np.empty(longest_ring, np.int64), np.empty(longest_ring)
     before, after = np.empty(longest_ring, np.int64), np.empty(longest_ring, np.int64)
-    offence = np.empty(longest_ring)
+    offset_of = np.empty(longest_ring)
     num_vertices, num_rings = ZERO, ZERO
     for p in range(num_polygons):
         first_vertex, first_ring = num_vertices, num_rings
@@ -129,7 +130,7 @@ def _clean_all(
             for k in range(n):
                 m = k + 1 if k + 1 < n else 0
                 area += 0.5 * (x[k] * y[m] - x[m] * y[k])
-            # turn the ring round if it runs the wrong way; its edges then start at what was their end
+            # reverse a ring of the wrong orientation; its edges then start where they ended
             forward = (area > 0.0) == exterior
             for k in range(n):
                 m = k if forward else n - 1 - k
@@ -139,8 +140,8 @@ def _clean_all(
                 after[k] = k + 1 if k + 1 < n else 0
             for k in range(n):
                 length[k] = np.hypot(x[after[k]] - x[k], y[after[k]] - y[k])
-            left, head = _thin_ring(
-                x, y, source, length, before, after, offence, n, min_edge, max_cos, min_offset
+            left, head = _thin_out_ring(
+                x, y, source, length, before, after, offset_of, n, min_edge, max_cos, min_offset
             )
             area = 0.0
             lowest = head
@@ -154,8 +155,8 @@ def _clean_all(
                 if exterior:
                     code = _TOO_SMALL
                     break
-                continue  # a courtyard this small is none
-            k = lowest  # the first vertex that stays remains first
+                continue  # a courtyard this small is dropped
+            k = lowest  # the first of the vertices that stay remains the first
             for _ in range(left):
                 out_xy[num_vertices, 0] = x[k] + xy_m[start, 0]
                 out_xy[num_vertices, 1] = y[k] + xy_m[start, 1]
@@ -180,7 +181,7 @@ def _clean_all(
                 code, _ = load_footprint(out_xy, out_ring_offset, first_ring, num_rings, edge)
                 if code == _OK:
                     code = check_rings(edge, out_ring_offset, first_ring, num_rings)
-                if code != _OK:  # it was simple only as it came
+                if code != _OK:  # straightening would make it invalid
                     for k in range(n):
                         out_xy[first_vertex + k, 0], out_xy[first_vertex + k, 1] = x[k], y[k]
                     code, _ = load_footprint(out_xy, out_ring_offset, first_ring, num_rings, edge)
@@ -211,17 +212,17 @@ def clean(
 ) -> Cleaned:
     """Clean polygons in any state; see :class:`Cleaned`.
 
-    A vertex goes if one of its edges is shorter than ``min_edge_m`` (a repeated vertex is such a case), if
-    it turns by less than ``min_turn_deg`` or back by as much (a spike), or if it is within ``min_offset_m``
-    of the line between its neighbours; the one nearest to that line goes first. Exteriors become
-    counter-clockwise, courtyards clockwise. A courtyard smaller than ``min_area_m2`` is dropped. A polygon
-    that is then not simple, smaller than ``min_area_m2``, or has a courtyard out of place is rejected: it
-    keeps its place with no rings.
+    A vertex is removed if one of its edges is shorter than ``min_edge_m`` (a repeated vertex is such a case),
+    if the ring turns there by less than ``min_turn_deg``, or by less than that from a full reversal (a
+    spike), or if the vertex is within ``min_offset_m`` of the line between its neighbours; the one nearest to
+    that line is removed first. Exteriors become counter-clockwise, courtyards clockwise. A courtyard smaller
+    than ``min_area_m2`` is dropped. A polygon that is then not simple, smaller than ``min_area_m2``, or has a
+    courtyard outside its exterior is rejected: it stays in its row, without rings.
 
-    Last, edges that are parallel to within ``parallel_deg`` become exactly parallel (the mean direction,
-    weighted by squared length), and those of one direction within ``min_offset_m`` of one line collinear, as
-    far as no corner moves by more than ``max_shift_m``; 0 degrees: never. A millimetre would otherwise decide
-    which of two wavefront edges goes on where they meet.
+    Finally, edges that are parallel to within ``parallel_deg`` (0: none) become exactly parallel, in their
+    mean direction weighted by squared length, and edges of one direction within ``min_offset_m`` of one line
+    become collinear, as far as no corner moves by more than ``max_shift_m``. Otherwise a millimetre would
+    decide which of two wavefront edges continues where they meet.
 
     Never raises for any coordinates.
     """

@@ -1,4 +1,4 @@
-"""One polygon into edge records, and whether its rings are simple and nested as they should be."""
+"""One polygon as edge records, and the check that its rings are simple and correctly nested."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MIN_SLOPE_DEG, MAX_SLOPE_DEG = 5.0, 85.0
 def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
     """Fill ``edge`` from rings ``first_ring:last_ring``; coordinates become relative to the first vertex.
 
-    Returns (status, number of edges). All but the angle and the speeds is set.
+    Returns (status, number of edges). Everything but the angle and the speeds is set.
     """
     if last_ring <= first_ring:
         return _EMPTY, 0
@@ -63,8 +63,8 @@ def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
 
 @inner
 def set_angles(edge, num_edges, angle_deg):
-    """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, num_edges or more
-    long."""
+    """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, at least num_edges values.
+    Returns a ``Status``."""
     for i in range(num_edges):
         angle = angle_deg[i]
         edge[i].angle_deg = angle
@@ -137,8 +137,8 @@ def ring_area(edge, first, last):
 
 @inner
 def check_rings(edge, ring_offset, first_ring, last_ring):
-    """A ``Status``: exterior counter-clockwise, courtyards clockwise and inside it, nothing crosses or
-    touches."""
+    """The ``Status`` of the rings: OK if the exterior is counter-clockwise, courtyards are clockwise and inside
+    it, and no edges cross or touch."""
     base = ring_offset[first_ring]
     n = ring_offset[last_ring] - base
     for ring in range(first_ring, last_ring):
@@ -150,7 +150,7 @@ def check_rings(edge, ring_offset, first_ring, last_ring):
         along = edge[i].dir_x * edge[j].dir_x + edge[i].dir_y * edge[j].dir_y
         across = edge[i].dir_x * edge[j].dir_y - edge[i].dir_y * edge[j].dir_x
         if along < 0.0 and abs(across) < 1e-6:
-            return _NOT_SIMPLE  # turns back on itself
+            return _NOT_SIMPLE  # the ring reverses its direction
         for j in range(i + 1, n):
             if edge[i].next != j and edge[j].next != i and _edges_touch(edge, i, j, _CLEARANCE_M):
                 return _NOT_SIMPLE

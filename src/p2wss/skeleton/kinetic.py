@@ -1,20 +1,21 @@
-"""The weighted straight skeleton by kinetic simulation: every edge moves inwards, the wavefront's events are
-played in order of height, and the paths of the wavefront's vertices are the arcs of the skeleton.
+"""The weighted straight skeleton by kinetic simulation: every edge moves inwards, the events of the wavefront
+are processed in order of height, and the paths of its vertices are the arcs of the skeleton.
 
-Height plays the part of time. The edge with angle ``a`` moves at ``cot(a)`` metres of plan per metre of
-height, so 90 degrees stands still, exactly. An edge of 0 degrees is infinitely fast: before anything else,
-in phase 0, such edges sweep alone at height 0, all others standing still, until nothing they can reach is
-left; phase 1 then runs with the real speeds on what remains.
+Height takes the place of time. The edge with angle ``a`` moves by ``cot(a)`` metres in plan per metre of
+height, so an edge of 90 degrees stands exactly still. An edge of 0 degrees is infinitely fast: first, in phase
+0, such edges sweep alone at height 0, while all others stand still, until they can reach nothing more; phase 1
+then runs with the real speeds on what remains. A piece is the part of an edge on the wavefront, between two of
+its vertices.
 
 Rules for the cases that the definition leaves open:
 
-* A wavefront on which every edge stands still is capped flat at once; one that reaches the maximum height
-  too.
-* Two pieces that become collinear neighbours at different speeds: the faster swallows the slower.
+* A wavefront on which every edge stands still is capped flat at once, and so is one that reaches the maximum
+  height.
+* Where two pieces become collinear neighbours at different speeds, the faster swallows the slower.
 * Neighbours that face each other (antiparallel) close up towards the nearer end at once.
 
 Courtyards are further wavefronts. A reflex vertex that runs into its own wavefront splits it in two; one that
-runs into another wavefront joins the two into one. Both are the same change of links.
+runs into another wavefront joins the two into one. Both change the links in the same way.
 
 Weighted skeletons and their ambiguities: Held and Palfrader, *Straight skeletons with additive and
 multiplicative weights and their application to the algorithmic generation of roofs and terrains*, 2017.
@@ -55,8 +56,8 @@ _OVERFLOW = int(Status.OVERFLOW)
 _PARALLEL = 1e-7  # sine below which two edges are parallel
 _REFLEX = -1e-9
 _LENGTH_M = 1e-7  # a piece shorter than this has vanished
-_STILL = 1e-12  # a rate of change below this is none
-_TIE = 1e-10  # events closer than this in height: collapses go before splits
+_STILL = 1e-12  # a rate of change below this counts as zero
+_TIE = 1e-10  # of events closer than this in height, collapses come before splits
 _NEVER = np.inf
 
 _ORDINARY, _COLLINEAR, _FACING = 0, 1, 2  # kinds of wavefront vertex
@@ -91,7 +92,7 @@ def _position(node, vertex, v, t):
 
 @inner
 def _start_moving(edge, vertex, v, t):
-    """Set velocity and kind of a vertex from its two edges, and forget its events."""
+    """Set velocity and kind of a vertex from its two edges, and clear its events."""
     left, right = vertex[v].left, vertex[v].right
     vel_x, vel_y, kind = _vertex_velocity(edge, left, right)
     turn = edge[left].dir_x * edge[right].dir_y - edge[left].dir_y * edge[right].dir_x
@@ -152,7 +153,7 @@ def _add_arc(arc, counts, start, end, left, right):
 
 @inner
 def _collapse_time(edge, node, vertex, v, t):
-    """When the piece from v to its successor has no length left; never if it does not shrink."""
+    """Height at which the piece from v to its successor vanishes; _NEVER if it does not shrink."""
     w = vertex[v].next
     if vertex[v].kind != _ORDINARY or vertex[w].kind != _ORDINARY:
         return _NEVER
@@ -165,7 +166,7 @@ def _collapse_time(edge, node, vertex, v, t):
     ].dir_y
     if growth < -_STILL:
         return t + max(length, 0.0) / -growth
-    # without this, pieces of no length between equal speeds would stay for ever
+    # without this, a piece of no length between equal speeds would never vanish
     if length < _LENGTH_M and growth < _LENGTH_M:
         return t
     return _NEVER
@@ -173,7 +174,7 @@ def _collapse_time(edge, node, vertex, v, t):
 
 @inner
 def _split_time(edge, node, vertex, v, a, t):
-    """When the reflex vertex v runs into the piece that starts at vertex a."""
+    """Height at which the reflex vertex v runs into the piece that starts at vertex a."""
     b = vertex[a].next
     e = vertex[a].right
     if a == v or b == v or e == vertex[v].left or e == vertex[v].right:
@@ -212,8 +213,7 @@ def _try_split(edge, node, vertex, v, a, t):
 
 @inner
 def _find_split(edge, node, vertex, counts, v, t):
-    """The first split of v, from nothing. Without courtyards left, only its own wavefront can be in its
-    way."""
+    """Find the first split of v among all pieces; once no courtyard is left, among those of its own wavefront."""
     vertex[v].split_time = _NEVER
     vertex[v].split_from = _NOTHING
     if counts[NUM_HOLES] == 0:
@@ -231,7 +231,7 @@ def _find_split(edge, node, vertex, counts, v, t):
 
 @inner
 def _refresh_pieces(edge, node, vertex, counts, first, second, t):
-    """Bring the stored events up to date after the pieces that end or start at two vertices have changed."""
+    """Update the stored events after the pieces that end or start at two vertices have changed."""
     for u in (first, second):
         if u >= 0 and vertex[u].alive == 1:
             p = vertex[u].prev
@@ -258,7 +258,7 @@ def _refresh_pieces(edge, node, vertex, counts, first, second, t):
 
 @inner
 def _loop_moves(edge, vertex, v, limit):
-    """(number of vertices of the loop of v, or limit + 1 when it does not close; whether any edge moves)."""
+    """(Number of vertices of the loop of v, or limit + 1 if it does not close; whether any edge moves.)"""
     moves = False
     w = v
     for k in range(limit):
@@ -307,7 +307,7 @@ def _inside_loop(node, vertex, v, x, y, t, limit):
 
 @inner
 def _region_outline(node, vertex, counts, v, t):
-    """A vertex of the outer wavefront of the region that the loop of v bounds (v itself if that is outer)."""
+    """A vertex of the outer wavefront of the region that the loop of v bounds (v itself if it is on that)."""
     limit = counts[NUM_VERTICES]
     if _loop_area(node, vertex, v, t, limit) > 0.0:
         return v
@@ -388,7 +388,7 @@ def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v,
     num_holes = 0
     if counts[NUM_HOLES] > 0:
         region = vertex[_region_outline(node, vertex, counts, v, t)].loop
-        for pass_number in range(2):  # look at the whole region before changing anything
+        for pass_number in range(2):  # examine the whole region before changing anything
             for w in range(limit):
                 if vertex[w].alive == 0 or not _is_first_of_loop(vertex, w, limit):
                     continue
@@ -415,7 +415,7 @@ def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v,
 
 @inner
 def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
-    """End the loop of v if two vertices are left or nothing in its region moves. False: the links are
+    """End the loop of v if it has two vertices or nothing in its region moves. False if the links are
     broken."""
     if vertex[v].alive == 0:
         return True
@@ -445,7 +445,7 @@ def _cap_everything(num_edges, node, vertex, arc, cap_height, counts, t):
 
 @inner
 def _merge(edge, node, vertex, arc, counts, v, w, x, y, t):
-    """The piece from v to its successor w vanishes at (x, y): one vertex takes the place of both."""
+    """The piece from v to its successor w vanishes at (x, y): one vertex replaces both."""
     here = _add_node(node, counts, x, y, t)
     _add_arc(arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
     _add_arc(arc, counts, vertex[w].node, here, vertex[w].left, vertex[w].right)
@@ -463,7 +463,7 @@ def _collapse(edge, node, vertex, arc, counts, v, t):
     v_x, v_y = _position(node, vertex, v, t)
     w_x, w_y = _position(node, vertex, w, t)
     x, y = 0.5 * (v_x + w_x), 0.5 * (v_y + w_y)
-    # a much slower vertex knows better where they meet
+    # the position of a much slower vertex is the more precise one
     v_speed2 = vertex[v].vel_x ** 2 + vertex[v].vel_y ** 2
     w_speed2 = vertex[w].vel_x ** 2 + vertex[w].vel_y ** 2
     if v_speed2 < 1e-2 * w_speed2:
@@ -475,7 +475,7 @@ def _collapse(edge, node, vertex, arc, counts, v, t):
 
 @inner
 def _close_degenerate(edge, node, vertex, arc, counts, v, t):
-    """A vertex between parallel edges of different speeds takes one neighbour with it, where that one is."""
+    """A vertex between parallel edges of different speeds merges with a neighbour, at the neighbour's place."""
     a, b = vertex[v].prev, vertex[v].next
     a_x, a_y = _position(node, vertex, a, t)
     b_x, b_y = _position(node, vertex, b, t)
@@ -492,7 +492,7 @@ def _close_degenerate(edge, node, vertex, arc, counts, v, t):
 
 @inner
 def _split(edge, node, vertex, arc, counts, v, t):
-    """v runs into a piece: its own wavefront comes apart, or two wavefronts become one."""
+    """v runs into a piece: its wavefront splits in two, or joins the other wavefront."""
     a = vertex[v].split_from
     b = vertex[a].next
     e = vertex[a].right
@@ -517,7 +517,7 @@ def _split(edge, node, vertex, arc, counts, v, t):
 
 @inner
 def _next_event(vertex, counts):
-    """(height, vertex, whether it is a split); vertex -1 when there is none."""
+    """(Height, vertex, whether it is a split); vertex -1 if no event remains."""
     height, v_best = _NEVER, ZERO - 1
     for v in range(counts[NUM_VERTICES]):
         if vertex[v].alive == 1 and vertex[v].collapse_time < height:
@@ -570,7 +570,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
     for _ in range(max_events):
         if counts[NUM_ALIVE] == 0:
             return _OK
-        # one event adds two vertices, four arcs and a node at most, a cap a node and two arcs per vertex
+        # one event adds at most two vertices, four arcs and a node; a cap adds a node and two arcs per vertex
         room = counts[NUM_ALIVE] + 4
         if counts[NUM_VERTICES] + 4 > len(vertex) or counts[NUM_NODES] + room > len(node):
             return _OVERFLOW
@@ -624,13 +624,13 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
 
 @inner
 def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap_height, counts):
-    """Play all events of one polygon. Returns a ``Status``; never raises and always ends.
+    """Process all events of one polygon. Returns a ``Status``; never raises and always ends.
 
     edge: EDGE records, filled up to ``num_edges`` by :func:`p2wss.skeleton.footprint.load_footprint` and
     :func:`p2wss.skeleton.footprint.set_angles`. max_roof_height: metres above the eave, infinity for none.
-    node, vertex, arc, cap_height, counts: as made by :func:`skeleton_work`; their old
-    content does not matter. On return ``counts`` says how many nodes, arcs and caps there are. Face c +
-    num_edges of an arc is the horizontal cap at ``cap_height[c]`` above the eave.
+    node, vertex, arc, cap_height, counts: arrays of :func:`skeleton_work`, overwritten. On return, ``counts``
+    has the numbers of nodes, arcs and caps. Face num_edges + c of an arc is the horizontal cap at
+    ``cap_height[c]`` above the eave.
     """
     for k in range(len(counts)):
         counts[k] = 0

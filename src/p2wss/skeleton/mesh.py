@@ -1,4 +1,4 @@
-"""One polygon with angles and heights to one closed triangle mesh, checked."""
+"""From one polygon with angles and heights to one closed and checked triangle mesh."""
 
 from __future__ import annotations
 
@@ -8,16 +8,11 @@ import numpy as np
 
 from p2wss.skeleton.check import check_solid, pair_half_edges, separate_pinches
 from p2wss.skeleton.compiled import ZERO, address_of, by_address, inner
-from p2wss.skeleton.faces import (
-    collect_half_edges,
-    drop_straight_points,
-    flat_label,
-    ground_label,
-    plane_point,
-    trace_faces,
-)
+from p2wss.skeleton.face_rings import trace_faces
 from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
+from p2wss.skeleton.half_edges import collect_half_edges, drop_straight_points
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
+from p2wss.skeleton.labels import flat_label, ground_label, plane_point
 from p2wss.skeleton.records import FACE, HALF, NUM_CAPS, NUM_NODES, MeshCode, MeshWork
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.triangulate import clip_ears, join_holes
@@ -52,7 +47,7 @@ def label_kind_and_edge(num_edges, counts, label):
 def solid_skeleton(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, work
 ):  # fmt: skip
-    """The skeleton of one polygon whose arguments have been checked. Returns (status, number of edges)."""
+    """Check the arguments of one polygon and compute its skeleton. Returns (status, number of edges)."""
     edge = work.edge
     status, num_edges = load_footprint(xy_m, ring_offset, first_ring, last_ring, edge)
     if status != _OK:
@@ -75,7 +70,7 @@ def solid_skeleton(
 
 @inner
 def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
-    """Number of triangles, or -1."""
+    """Cut all faces into triangles. Returns the number of triangles, or -1 if a face cannot be cut."""
     uv, flat_point, first = mesh_work.flat_uv, mesh_work.flat_point, mesh_work.flat_first
     num_triangles = ZERO
     for f in range(num_faces):
@@ -114,7 +109,8 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
 
 @inner
 def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
-    """Faces, triangles and checks. Returns (status, number of faces, vertices, triangles)."""
+    """From the skeleton to faces, triangles and checks. Returns (status, number of faces, vertices,
+    triangles)."""
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
     status, num_half = collect_half_edges(
         edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work, thorough
@@ -178,7 +174,8 @@ finish_solid_at = by_address(finish_solid)
 def solid_mesh(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
 ):  # fmt: skip
-    """One checked mesh, in ``mesh_work``. Returns (status, number of edges, faces, vertices, triangles)."""
+    """Build one mesh in ``mesh_work`` and check it. Returns (status, number of edges, faces, vertices,
+    triangles)."""
     status, num_edges = solid_skeleton(
         xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work
     )
@@ -212,7 +209,7 @@ def mesh_work(max_edges: int) -> MeshWork:
 
 
 def _mesh_work(max_edges: int, code: MeshCode) -> MeshWork:
-    num_points = 9 * max_edges + 64  # nodes of the skeleton and feet on the ground
+    num_points = 9 * max_edges + 64  # nodes of the skeleton, and the corners on the ground
     num_halves = 32 * max_edges + 512
     num_triangles = 16 * max_edges + 256
     hash_size = 1

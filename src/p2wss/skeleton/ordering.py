@@ -1,4 +1,4 @@
-"""Sorting for compiled code: numba's own sorts take seconds to compile, again in every function that calls them."""
+"""Sorting for compiled code: numba's own sorts take seconds to compile in every function that calls them."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from p2wss.skeleton.compiled import allocating, inner
 
 @allocating
 def stable_order(key):
-    """Indices, int64 (n,), that sort a float64 (n,) without NaN in ascending order; of equals the first stays
-    first."""
+    """Indices, int64 (n,), that sort float64 values (n,) without NaN in ascending order; equal values keep
+    their order."""
     n = len(key)
     order, merged = np.empty(n, np.int64), np.empty(n, np.int64)
     for i in range(n):
@@ -49,7 +49,7 @@ def sort_first(values, count):
 
 @inner
 def median(values, count):
-    """Of the first ``count`` values, at least one; they are reordered."""
+    """Median of the first ``count`` values, at least one; reorders them."""
     half = count // 2
     upper = select(values, count, half)
     if count % 2 == 1:
@@ -62,8 +62,10 @@ def median(values, count):
 
 @inner
 def select(values, count, place):
-    """What would stand at ``place`` if the first ``count`` values were sorted; they are reordered, so that none
-    before it is greater and none after it less."""
+    """The value that would be at ``place`` if the first ``count`` values were sorted.
+
+    Reorders them, so that no value before ``place`` is greater and none after it is less.
+    """
     low, high = 0, count - 1
     while low < high:
         pivot = values[(low + high) // 2]

@@ -1,4 +1,4 @@
-"""Which face of the roof lies over a point, and how high: the queries behind fitting and labelling.
+"""Which face of the roof lies over a point, and at what height: the queries behind the fit.
 
 With the face of every point held fixed, the height is linear in the eave height and in the tangents of the
 angles: z = eave + tan(angle of the edge) * distance to the edge's line. That is what :func:`assign` returns.
@@ -24,12 +24,13 @@ _ROOF, _FLAT_KIND, _GROUND = int(FaceKind.ROOF), int(FaceKind.FLAT), int(FaceKin
 
 # Values of `face` below 0
 OUTSIDE = -1  # no roof over the point
-FLAT = -2  # what 0 degree edges have swept: at the eave
+FLAT = -2  # swept by 0 degree edges, at the height of the eave
 CAP = -3  # a cap where the last slope ended: `distance` is its height above the eave
 CUT = -4  # the cut at the maximum roof height: `distance` is that height
 
 # A piece of a face boundary in plan, from left to right, with the faces above and below it (number of faces
-# for the outside). Vertical pieces are left out: no vertical line through a point is aware of them.
+# for the outside). Pieces parallel to the y axis are omitted: the line through a point along y cannot cross
+# them.
 SEGMENT = np.dtype(
     [
         ("left_x", "f8"),
@@ -58,7 +59,7 @@ def query_work(max_edges: int) -> QueryWork:
 
 @inner
 def _put_segment(segment, k, a_x, a_y, b_x, b_y, left_face, right_face):
-    """The piece from a to b with the faces on its left and right. Returns the number of segments."""
+    """Store the piece from a to b with the faces on its left and right. Returns the number of segments."""
     if a_x == b_x:
         return k
     if a_x < b_x:
@@ -86,7 +87,8 @@ def _fill_segments(edge, num_edges, node, arc, counts, segment):
 
 @inner
 def _face_at(edge, num_edges, num_faces, segment, num_segments, winding, x, y):
-    """The face whose boundary winds round the point: no tie, however many boundaries coincide."""
+    """The face whose boundary winds round the point, which is unique however many boundaries coincide; -1 for
+    none."""
     for f in range(num_faces + 1):
         winding[f] = 0
     for k in range(num_segments):
@@ -109,11 +111,11 @@ def _face_at(edge, num_edges, num_faces, segment, num_segments, winding, x, y):
 
 @inner
 def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face, distance):
-    """The face over every point for the angles set last, for use from compiled code. Returns a ``Status``.
+    """Find the face over every point for the angles set last, from compiled code. Returns a ``Status``.
 
-    Before, once per polygon: ``load_footprint(xy_m, ring_offset, first_ring, last_ring, skeleton.edge)``;
-    then, for every set of angles: ``set_angles(skeleton.edge, num_edges, angle_deg)``; both in
-    :mod:`p2wss.skeleton.footprint`, both return a status.
+    To be called before: once per polygon, ``load_footprint(xy_m, ring_offset, first_ring, last_ring,
+    skeleton.edge)``, and for every set of angles, ``set_angles(skeleton.edge, num_edges, angle_deg)``. Both are
+    in :mod:`p2wss.skeleton.footprint` and return a status.
 
     num_edges, num_rings: int64. max_roof_height_m: float64 above the eave, infinity for none. skeleton: a
     ``SkeletonWork``. query: a :class:`QueryWork`. x, y: float64 (num_points,), relative to the first vertex
@@ -135,7 +137,7 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face,
     for k in range(len(x)):
         f = _face_at(edge, num_edges, num_faces, query.segment, num_segments, query.winding, x[k], y[k])
         if 0 <= f < num_edges and edge[f].angle_deg == 90.0:
-            # a point within rounding of a vertical face: look beside it
+            # the point is on a vertical face, up to rounding: take the face beside it
             f = _face_at(
                 edge, num_edges, num_faces, query.segment, num_segments, query.winding,
                 x[k] - 1e-7 * edge[f].dir_y, y[k] + 1e-7 * edge[f].dir_x,
@@ -163,7 +165,7 @@ def _assign_all(
     xy_m, ring_offset, polygon_offset, angle_deg, eave, base, max_roof_height_m, skeleton, query,
     x, y, point_offset, face, distance, status,
 ):  # fmt: skip
-    """Points grouped by polygon: those of polygon p are ``point_offset[p]:point_offset[p + 1]``."""
+    """Assign the points of all polygons: those of polygon p are ``point_offset[p]:point_offset[p + 1]``."""
     for p in range(len(polygon_offset) - 1):
         first, last = point_offset[p], point_offset[p + 1]
         code, num_edges = solid_skeleton(
@@ -223,10 +225,10 @@ def roof_points(
 ) -> RoofPoints:
     """Heights, faces and derivatives at points. polygons, angle_deg, eave_height_m: as for ``build``.
 
-    xy: (num_points, 2), the frame of the polygons. polygon_index: int (num_points,), the polygon whose roof
-    is asked for. The result is exact: it comes from the skeleton, not from triangles.
+    xy: (num_points, 2), the frame of the polygons. polygon_index: int (num_points,), the polygon of
+    the point. The result is exact: it comes from the skeleton, not from triangles.
 
-    Raises ValueError when lengths do not fit or an index is out of range.
+    Raises ValueError if lengths do not match or an index is out of range.
     """
     num_polygons = len(polygons)
     index = np.ascontiguousarray(polygon_index, np.int64)
@@ -238,7 +240,7 @@ def roof_points(
             f"polygon_index runs from {index.min()} to {index.max()} for {num_polygons} polygons"
         )
     eave = np.broadcast_to(np.asarray(eave_height_m, np.float64), num_polygons)
-    # the wall's height plays no part here, so a base just below any eave will do
+    # the height of the wall has no influence here, so any base below the eave will do
     arguments = kernel_arguments(polygons, angle_deg, eave, eave - 1.0, max_roof_height_m)
     size = work_size(polygons)
     order = np.argsort(index, kind="stable")

@@ -30,8 +30,8 @@ EDGE = np.dtype(
 NODE = np.dtype([("x", "f8"), ("y", "f8"), ("z", "f8")], align=True)
 
 # A vertex of the moving wavefront: it leaves `node` at height `birth` between the edges `left` (arriving) and
-# `right` (departing). `collapse_time`: when the piece of wavefront up to `next` has shrunk to a point.
-# `split_time`: when this reflex vertex runs into the piece `split_from` -> `split_to`.
+# `right` (departing). `collapse_time`: the height at which the piece of wavefront up to `next` vanishes.
+# `split_time`: the height at which this reflex vertex runs into the piece `split_from` -> `split_to`.
 VERTEX = np.dtype(
     [
         ("vel_x", "f8"),
@@ -65,7 +65,7 @@ NUM_NODES, NUM_ARCS, NUM_CAPS, NUM_VERTICES, NUM_LOOPS, NUM_HOLES, NUM_ALIVE, NU
 
 
 class SkeletonCode(NamedTuple):
-    """Where functions begin that compiled code calls by address; see :mod:`p2wss.skeleton.compiled`."""
+    """Addresses of functions that compiled code calls by address; see :mod:`p2wss.skeleton.compiled`."""
 
     simulate: int
 
@@ -83,7 +83,7 @@ class SkeletonWork(NamedTuple):
     code: SkeletonCode
 
 
-# A directed edge of a face of the solid. alive: 0 cancelled, 1 free, 2 walked.
+# A directed edge of a face of the solid. alive: 0 cancelled, 1 free, 2 part of a ring.
 HALF = np.dtype(
     [
         ("start", "i8"),
@@ -101,7 +101,7 @@ FACE = np.dtype([("label", "i8"), ("first_ring", "i8"), ("last_ring", "i8")], al
 
 
 class MeshCode(NamedTuple):
-    """As :class:`SkeletonCode`."""
+    """The same as :class:`SkeletonCode`, for :class:`MeshWork`."""
 
     finish_solid: int
 

@@ -1,4 +1,4 @@
-"""The closed list of reasons for which the kernel refuses a polygon."""
+"""All reasons for which the kernel rejects a polygon."""
 
 from __future__ import annotations
 
@@ -6,26 +6,26 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """``OK`` or why a polygon has no mesh. Every polygon gets exactly one."""
+    """``OK``, or the reason why a polygon has no mesh. Every polygon has exactly one."""
 
     OK = 0
-    # the footprint, found by clean() and again by build()
-    EMPTY = 1  # no ring, or fewer than three vertices left
+    # of the footprint, from clean() and from build()
+    EMPTY = 1  # no ring, or fewer than three vertices
     NON_FINITE = 2  # NaN or infinity among the coordinates
-    TOO_SMALL = 3  # the exterior encloses less than the smallest area
+    TOO_SMALL = 3  # the exterior encloses less than the minimum area
     TOO_MANY_EDGES = 4
     NOT_SIMPLE = 5  # a ring crosses or touches itself or another ring
     COURTYARD_OUTSIDE = 6  # a courtyard outside the exterior, or inside another courtyard
-    # the arguments of build()
+    # of the arguments of build()
     NOT_CLEAN = 7  # wrong orientation, or an edge shorter than a millimetre: run clean() first
     BAD_ANGLE = 8  # an angle that is not 0, 90 or within 5..85 degrees
     BAD_HEIGHT = 9  # heights not finite, no wall height, or a negative maximum
-    # the wavefront
+    # of the wavefront
     TOO_MANY_EVENTS = 10
     BROKEN_WAVEFRONT = 11
     NO_EVENT = 12  # a wavefront that still moves meets nothing
     OVERFLOW = 13  # a work array is full
-    # the faces and the mesh
+    # of the faces and the mesh
     OPEN_FACE = 14
     NOT_TRIANGULATED = 15
     NOT_CLOSED = 16
@@ -38,5 +38,5 @@ class Status(IntEnum):
 
     @property
     def reason(self) -> str:
-        """A short text in kebab case, for example ``not-simple``."""
+        """The name in kebab-case, for example ``not-simple``."""
         return self.name.lower().replace("_", "-")

@@ -1,8 +1,8 @@
-"""Makes nearly parallel edges of a footprint exactly parallel, and nearly collinear ones exactly collinear.
+"""Make nearly parallel edges of a footprint exactly parallel, and nearly collinear ones exactly collinear.
 
-Where two parallel edges of different speeds become neighbours on the wavefront, which of them goes on is a
-rule; where they are parallel but for a millimetre, the millimetre would decide instead, and with it a large
-part of the roof. See :func:`p2wss.skeleton.clean`.
+Where two parallel edges of different speeds become neighbours on the wavefront, a rule says which of them
+continues. Where they are parallel but for a millimetre, the millimetre would decide instead, and with it the
+shape of a large part of the roof. See :func:`p2wss.skeleton.clean`.
 """
 
 from __future__ import annotations
@@ -11,24 +11,25 @@ import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, inner
 
-# A line: a point of it, its direction, and whether it is the edge's own.
+# The line of an edge: a point on it, its direction, and whether it is still the original one (`is_original`).
 LINE = np.dtype(
-    [("x", "f8"), ("y", "f8"), ("dir_x", "f8"), ("dir_y", "f8"), ("group", "i8"), ("own", "i8")], align=True
+    [("x", "f8"), ("y", "f8"), ("dir_x", "f8"), ("dir_y", "f8"), ("group", "i8"), ("is_original", "i8")],
+    align=True,
 )
 _UNMOVED_M = 1e-9
 
 
 @inner
-def _own_line(edge, i, line):
+def _set_original_line(edge, i, line):
     line[i].x = edge[i].x + 0.5 * edge[i].length * edge[i].dir_x
     line[i].y = edge[i].y + 0.5 * edge[i].length * edge[i].dir_y
     line[i].dir_x, line[i].dir_y = edge[i].dir_x, edge[i].dir_y
-    line[i].own = 1
+    line[i].is_original = 1
 
 
 @inner
 def _longest(edge, num_edges, line, group):
-    """The longest edge of a group, or -1 if none is left."""
+    """The longest edge of a group, or -1 if the group is empty."""
     best, length = ZERO - 1, 0.0
     for i in range(num_edges):
         if line[i].group == group and edge[i].length > length:
@@ -38,9 +39,9 @@ def _longest(edge, num_edges, line, group):
 
 @inner
 def _turn_to_common_directions(edge, num_edges, line, max_sine, max_shift):
-    """Groups of nearly parallel edges, each turned about its middle to the group's mean direction."""
+    """Turn the edges of each group of nearly parallel ones about their middles to the group's mean direction."""
     for i in range(num_edges):
-        _own_line(edge, i, line)
+        _set_original_line(edge, i, line)
         line[i].group = -1
     for group in range(num_edges):
         seed = _longest(edge, num_edges, line, ZERO - 1)
@@ -52,7 +53,7 @@ def _turn_to_common_directions(edge, num_edges, line, max_sine, max_shift):
             if line[i].group >= 0 or sine > max_sine or 0.5 * sine * edge[i].length > max_shift:
                 continue
             along = edge[seed].dir_x * edge[i].dir_x + edge[seed].dir_y * edge[i].dir_y
-            # a given shift of its ends turns an edge the less the longer it is
+            # the longer an edge, the less a given shift of its ends turns it
             weight = edge[i].length ** 2 * (1.0 if along > 0.0 else -1.0)
             sum_x += weight * edge[i].dir_x
             sum_y += weight * edge[i].dir_y
@@ -66,14 +67,14 @@ def _turn_to_common_directions(edge, num_edges, line, max_sine, max_shift):
                 along = sum_x * edge[i].dir_x + sum_y * edge[i].dir_y
                 line[i].dir_x = sum_x / norm if along > 0.0 else -sum_x / norm
                 line[i].dir_y = sum_y / norm if along > 0.0 else -sum_y / norm
-                line[i].own = 0
+                line[i].is_original = 0
 
 
 @inner
 def _move_to_common_lines(edge, num_edges, line, max_offset):
-    """Lines of one direction at most ``max_offset`` apart become their mean."""
+    """Move lines of one direction that are at most ``max_offset`` apart to their mean."""
     for i in range(num_edges):
-        line[i].group = -2 if line[i].own == 1 else -1
+        line[i].group = -2 if line[i].is_original == 1 else -1
     for group in range(num_edges):
         seed = _longest(edge, num_edges, line, ZERO - 1)
         if seed < 0:
@@ -97,13 +98,13 @@ def _move_to_common_lines(edge, num_edges, line, max_offset):
 
 @inner
 def _corners(edge, num_edges, line, max_shift, corner):
-    """Where the lines meet. A line that moves a corner too far goes back to its edge. False: to be done
-    again."""
+    """Compute the corners, where the lines meet. A line that moves a corner too far becomes the original one
+    again; the result is then False, and the corners must be computed again."""
     settled = True
     for i in range(num_edges):
         h = edge[i].prev
         corner[i, 0], corner[i, 1] = edge[i].x, edge[i].y
-        if line[h].own == 1 and line[i].own == 1:
+        if line[h].is_original == 1 and line[i].is_original == 1:
             continue
         cross = line[h].dir_x * line[i].dir_y - line[h].dir_y * line[i].dir_x
         gap_x, gap_y = line[i].x - line[h].x, line[i].y - line[h].y
@@ -111,8 +112,8 @@ def _corners(edge, num_edges, line, max_shift, corner):
         x, y = line[h].x + along * line[h].dir_x, line[h].y + along * line[h].dir_y
         shift = np.hypot(x - edge[i].x, y - edge[i].y)
         if not shift <= max_shift:
-            _own_line(edge, h, line)
-            _own_line(edge, i, line)
+            _set_original_line(edge, h, line)
+            _set_original_line(edge, i, line)
             settled = False
         elif shift > _UNMOVED_M:
             corner[i, 0], corner[i, 1] = x, y

@@ -1,5 +1,5 @@
-"""Ear clipping of a face with holes that keeps every vertex, collinear ones too, so that neighbours still
-fit."""
+"""Ear clipping of faces with holes. It keeps every vertex, also collinear ones, so that neighbouring faces
+still match."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _ring_blocks(u, v, first, last, p_u, p_v, q_u, q_v):
 
 @inner
 def _in_cone(u, v, before, here, after, to_u, to_v):
-    """Whether the way from corner ``here`` to a place starts inside the ring."""
+    """Whether the segment from corner ``here`` to a point starts inside the ring."""
     left_of_first = _turn(u[here], v[here], to_u, to_v, u[before], v[before])
     left_of_second = _turn(to_u, to_v, u[here], v[here], u[after], v[after])
     if _cross(u, v, before, here, after) > 0.0:
@@ -53,7 +53,7 @@ def _in_cone(u, v, before, here, after, to_u, to_v):
 def join_holes(
     u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, spare_u, spare_v, spare_point, joined
 ):  # fmt: skip
-    """One ring from an outer ring and its holes by bridges between nearest visible corners.
+    """Join an outer ring and its holes into one ring, by bridges between the nearest visible corners.
 
     u, v, point: corners ring after ring, ring r at ``ring_first[r]:ring_first[r + 1]``, the outer ring first.
     Writes the joined ring into ``loop_*``. Returns its length, or -1.
@@ -96,7 +96,7 @@ def join_holes(
                         best, best_p, best_q, best_ring = distance, p, q, ring
         if best_ring < 0:
             return -1
-        # ... p, then the hole from q all the way round to q again, then p again ...
+        # ... p, then the hole from q all the way round to q, then p again ...
         first, last = ring_first[best_ring], ring_first[best_ring + 1]
         tail = size - best_p
         for k in range(tail):
@@ -119,7 +119,7 @@ def join_holes(
 
 @inner
 def _ear_quality(u, v, point, before, after, i):
-    """Area over squared longest side of the ear at i, or 0 when it is none."""
+    """Area of the ear at i over its longest side squared, or 0 if there is no ear."""
     a, c = before[i], after[i]
     area = _cross(u, v, a, i, c)
     ab_u, ab_v = u[i] - u[a], v[i] - v[a]
@@ -148,10 +148,10 @@ def _ear_quality(u, v, point, before, after, i):
 
 @inner
 def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles):
-    """Triangulate a counter-clockwise ring of ``size`` corners; the best shaped ear goes first.
+    """Triangulate a counter-clockwise ring of ``size`` corners; the best-shaped ear is clipped first.
 
     Appends rows of ``point`` numbers to ``triangle`` from row ``num_triangles`` on. Returns the new number of
-    rows, or -1 when the ring cannot be cut into triangles of positive area.
+    rows, or -1 if the ring cannot be cut into triangles of positive area.
     """
     if size < 3 or num_triangles + size - 2 > len(triangle):
         return -1
@@ -166,12 +166,12 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
         best = 0.0
         ear = -1
         if size == 4:
-            for _ in range(4):  # both halves of the last quadrilateral have to be good
+            for _ in range(4):  # both halves of the last quadrilateral must be good
                 i = here
-                one = _ear_quality(u, v, point, before, after, i)
-                two = _ear_quality(u, v, point, before, after, after[after[i]])
-                if min(one, two) > best:
-                    best, ear = min(one, two), i
+                quality_1 = _ear_quality(u, v, point, before, after, i)
+                quality_2 = _ear_quality(u, v, point, before, after, after[after[i]])
+                if min(quality_1, quality_2) > best:
+                    best, ear = min(quality_1, quality_2), i
                 here = after[here]
         else:
             i = here
@@ -179,7 +179,7 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
                 if quality[i] > best:
                     best, ear = quality[i], i
                 i = after[i]
-            if ear < 0:  # a clipped ear may have freed others
+            if ear < 0:  # clipping may have opened other ears
                 for _ in range(size):
                     quality[i] = _ear_quality(u, v, point, before, after, i)
                     if quality[i] > best:

@@ -43,7 +43,7 @@ if __name__ == "__main__":
     first = int(sys.argv[1])
     start = time.process_time()
     for number in range(first, len(cases)):
-        print(json.dumps([number, None, 0.0]), flush=True)  # announced, in case it is the last one
+        print(json.dumps([number, None, 0.0]), flush=True)  # in advance, in case SFCGAL crashes
         before = time.process_time()
         try:
             volume = roof_volume(*cases[number])

@@ -1,4 +1,4 @@
-"""Asks the SFCGAL oracle about many buildings, restarting it after each crash or hang."""
+"""Roof volumes of many buildings by SFCGAL, whose process is restarted after each crash or hang."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from p2wss.skeleton import Polygons
 
 
 def sfcgal_volumes(polygons: Polygons, angle_deg: np.ndarray, seconds: float = 120.0):
-    """(roof volume or NaN, CPU seconds) per polygon. A crash or a hang costs the building that caused it."""
+    """(roof volume or NaN, CPU seconds) per polygon. NaN for a building at which SFCGAL crashes or hangs."""
     cases = []
     for p in range(len(polygons)):
         offset = polygons.ring_offset[polygons.polygon_offset[p] : polygons.polygon_offset[p + 1] + 1]
@@ -25,10 +25,10 @@ def sfcgal_volumes(polygons: Polygons, angle_deg: np.ndarray, seconds: float = 1
     while first < len(cases):
         program = [sys.executable, str(Path(__file__).with_name("oracle.py")), str(first)]
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 program, input=pickle.dumps(cases), capture_output=True, timeout=seconds, check=False
             )
-            output = done.stdout
+            output = process.stdout
         except subprocess.TimeoutExpired as late:
             output = late.stdout or b""
         last = first

@@ -79,7 +79,7 @@ def _court(rng: np.random.Generator) -> list[np.ndarray]:
 def sample_footprints(
     num: int, seed: int, court_share: float = 0.0, jitters: tuple[float, ...] = (0, 0.01, 0.1)
 ) -> Polygons:
-    """Footprints with a mean of about 7 edges, most turned at random, moved by one of the jitters (metres)."""
+    """Footprints of about 7 edges on average, most at a random orientation, with one of the jitters (metres)."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(num):
@@ -104,9 +104,9 @@ def sample_angles(polygons: Polygons, regime: str, seed: int) -> np.ndarray:
     """Angles of every edge. ``realistic``: flat, hip and gable roofs and a few irregular ones."""
     rng = np.random.default_rng(seed)
     n, num = len(polygons.xy_m), len(polygons)
-    owner = np.repeat(np.arange(num), np.diff(polygons.vertex_offset))
+    polygon = np.repeat(np.arange(num), np.diff(polygons.vertex_offset))
     slope = rng.integers(20, 46, n).astype(float)
-    base = rng.integers(20, 46, num).astype(float)[owner]
+    base = rng.integers(20, 46, num).astype(float)[polygon]
     if regime == "one":
         return base
     if regime == "iid":
@@ -116,12 +116,12 @@ def sample_angles(polygons: Polygons, regime: str, seed: int) -> np.ndarray:
     if regime == "many-0":
         kind = rng.integers(0, 3, n)
         return np.where(kind == 0, 0, np.where(kind == 1, 90, slope))
-    kind = rng.random(num)[owner]
+    kind = rng.random(num)[polygon]
     length = edge_lengths(polygons)
     middle = np.array(
         [np.median(part) if len(part) else 0 for part in np.split(length, polygons.vertex_offset[1:-1])]
     )
-    gable = np.where((length <= 1.001 * middle[owner]) & (rng.random(n) < 0.7), 90, base)
+    gable = np.where((length <= 1.001 * middle[polygon]) & (rng.random(n) < 0.7), 90, base)
     irregular = np.where(rng.random(n) < 0.25, 90, slope)
     irregular = np.where((kind >= 0.9) & (rng.random(n) < 0.1), 0, irregular)
     return np.select([kind < 0.15, kind < 0.45, kind < 0.8], [np.zeros(n), base, gable], irregular).astype(

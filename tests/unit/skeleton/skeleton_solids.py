@@ -1,4 +1,4 @@
-"""Volumes of meshes, and two independent judges of them."""
+"""Volumes of meshes, and independent checks of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def volumes(meshes: Meshes) -> np.ndarray:
 
 
 def judged_sound(vertex: np.ndarray, triangle: np.ndarray, num_courtyards: int) -> str:
-    """Empty if trimesh and manifold3d both accept the solid, else what is wrong."""
+    """Empty if trimesh and manifold3d both accept the solid, otherwise the reason why not."""
     import manifold3d
     import trimesh
 

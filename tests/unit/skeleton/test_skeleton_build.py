@@ -1,4 +1,4 @@
-"""Clean-up and meshes on shapes whose answer is known."""
+"""Clean-up and meshes of shapes with known results."""
 
 import numpy as np
 import pytest
@@ -96,7 +96,7 @@ def test_clean_orients_and_maps_edges():
         return 0.5 * float(x @ np.roll(y, -1) - y @ np.roll(x, -1))
 
     assert area(exterior) == 100 and area(courtyard) == -16
-    # an edge and its source are the same piece of line
+    # an edge and its source are the same line segment
     raw_rings = polygons.rings(0)
     middles_raw = np.concatenate([(r + np.roll(r, -1, 0)) / 2 for r in raw_rings])
     middles = np.concatenate([(r + np.roll(r, -1, 0)) / 2 for r in (exterior, courtyard)])
@@ -125,12 +125,12 @@ def test_clean_rejects(rings, status):
     assert np.diff(cleaned.polygons.polygon_offset).tolist() == [1, 0, 1]
 
 
-def test_spike_goes():
+def test_spikes_are_removed():
     ring = np.array([[0, 0], [10, 0], [10, 5], [30, 5], [10, 5.01], [10, 10], [0, 10]], float)
     cleaned = clean(Polygons.from_rings([[ring]]))
     np.testing.assert_allclose(cleaned.polygons.xy_m, SQUARE)
 
 
-def test_reasons_are_short_texts():
+def test_reasons_are_in_kebab_case():
     assert Status.NOT_SIMPLE.reason == "not-simple"
     assert Status.OK == 0

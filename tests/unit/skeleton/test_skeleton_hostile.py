@@ -1,4 +1,4 @@
-"""Any input ends in a checked mesh or a status, in bounded time; real footprints are hardly ever refused."""
+"""Any input gives a checked mesh or a status, in bounded time; real footprints are rarely rejected."""
 
 import multiprocessing
 import os
@@ -58,7 +58,7 @@ def hostile_polygons(seed, num):
     return Polygons.from_rings(polygons)
 
 
-def assert_meshes_or_reasons(polygons, rng, sample=10):
+def assert_mesh_or_reason(polygons, rng, sample=10):
     angle = rng.choice(
         [0, 90, 5, 20, 45, 85, rng.uniform(5, 85), 89, np.nan], len(polygons.xy_m), p=[0.12] * 8 + [0.04]
     )
@@ -88,9 +88,9 @@ def test_hostile_polygons(seed):
     raw = hostile_polygons(seed, 12)
     start = time.process_time()
     cleaned = clean(raw)
-    meshes = assert_meshes_or_reasons(cleaned.polygons, rng)
+    meshes = assert_mesh_or_reason(cleaned.polygons, rng)
     assert (meshes.status[cleaned.status != 0] == Status.EMPTY).all()
-    assert_meshes_or_reasons(raw, rng, sample=3)  # not cleaned at all
+    assert_mesh_or_reason(raw, rng, sample=3)  # without any clean-up
     assert time.process_time() - start < 30
 
 
@@ -127,19 +127,19 @@ def test_parallel_first_use_of_the_cache(tmp_path):
     assert time.perf_counter() - start < 15  # from the cache: nothing is compiled again
 
 
-def _in_a_thread_of_a_process(seed):
+def _sum_of_vertices(seed):
     polygons = clean(sample_footprints(50, seed)).polygons
     return build(polygons, sample_angles(polygons, "iid", seed), np.full(50, 5.0)).vertex_m.sum()
 
 
-def test_same_answer_in_other_processes():
+def test_same_result_in_other_processes():
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        there = pool.map(_in_a_thread_of_a_process, [1, 2])
-    assert there == [_in_a_thread_of_a_process(1), _in_a_thread_of_a_process(2)]
+        in_processes = pool.map(_sum_of_vertices, [1, 2])
+    assert in_processes == [_sum_of_vertices(1), _sum_of_vertices(2)]
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not DATA.is_dir(), reason="the real footprints are not here")
+@pytest.mark.skipif(not DATA.is_dir(), reason="no real footprints beside the checkout")
 @pytest.mark.parametrize(
     "name", ["olemps_bdtopo/BATIMENT.shp", "delft_ahn3/footprints.gpkg", "bresse_ign/footprints.gpkg"]
 )

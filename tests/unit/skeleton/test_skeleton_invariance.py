@@ -1,4 +1,4 @@
-"""What must not change the roof, and what must change it one way only."""
+"""Changes of the input that must not change the roof, and changes that must change it in one direction."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What every mesh must be, judged by other programs; queries and faces against the meshes."""
+"""Every mesh is sound, as judged by independent programs; queries and faces agree with the meshes."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_independent_judges_on_many(regime):
     judge(4000, regime, 0.25, 12)
 
 
-def test_the_judge_sees_a_crossing():
+def test_the_judge_notices_a_crossing():
     apart = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, -1], [1, 1, 1], [5, 5, 1]], float)
     assert crosses_itself(apart, np.array([[0, 1, 2], [3, 4, 5]]))
     assert not crosses_itself(
@@ -80,51 +80,53 @@ def test_derivatives_match_finite_differences():
     index = rng.integers(0, 150, 600)
     centre = np.array([polygons.rings(k)[0].mean(0) for k in range(150)])
     xy = centre[index] + rng.uniform(-4, 4, (600, 2))
-    here = roof_points(polygons, angle, 5.0, xy, index)
+    roof = roof_points(polygons, angle, 5.0, xy, index)
     step = 1e-5
-    owner = polygons.vertex_offset[index] + here.edge
+    edge = polygons.vertex_offset[index] + roof.edge
     checked = 0
-    for k in np.flatnonzero(here.edge >= 0)[:100]:
-        more = angle.copy()
-        more[owner[k]] += step
-        there = roof_points(polygons, more, 5.0, xy[k : k + 1], index[k : k + 1])
-        if there.edge[0] == here.edge[k]:
-            assert (there.z_m[0] - here.z_m[k]) / step == pytest.approx(here.dz_dangle_m_per_deg[k], abs=1e-4)
+    for k in np.flatnonzero(roof.edge >= 0)[:100]:
+        steeper = angle.copy()
+        steeper[edge[k]] += step
+        steeper_roof = roof_points(polygons, steeper, 5.0, xy[k : k + 1], index[k : k + 1])
+        if steeper_roof.edge[0] == roof.edge[k]:
+            assert (steeper_roof.z_m[0] - roof.z_m[k]) / step == pytest.approx(
+                roof.dz_dangle_m_per_deg[k], abs=1e-4
+            )
             checked += 1
     assert checked > 80
     raised = roof_points(polygons, angle, 5.5, xy, index)
-    np.testing.assert_allclose(raised.z_m, here.z_m + 0.5)
-    assert np.isnan(here.z_m[here.face == -1]).all() and (here.face == -1).any()
+    np.testing.assert_allclose(raised.z_m, roof.z_m + 0.5)
+    assert np.isnan(roof.z_m[roof.face == -1]).all() and (roof.face == -1).any()
 
 
 def test_faces_enclose_the_mesh_volume():
     polygons = clean(sample_footprints(100, 3, 0.4)).polygons
     angle, eave = sample_angles(polygons, "iid", 3), np.full(100, 5.0)
     meshes = build(polygons, angle, eave)
-    found = faces(polygons, angle, eave)
+    solids = faces(polygons, angle, eave)
     expected = volumes(meshes)
     for k in range(100):
-        vertex, parts = found.solid(k)
+        vertex, solid_faces = solids.solid(k)
         np.testing.assert_array_equal(vertex, meshes.mesh(k)[0])
-        local, volume, seen = vertex - vertex[0], 0.0, set()
-        for _, _, rings in parts:
+        local, volume, edges = vertex - vertex[0], 0.0, set()
+        for _, _, rings in solid_faces:
             for ring in rings:
                 a, b, c = local[ring[0]], local[ring[1:-1]], local[ring[2:]]
                 volume += float(np.sum(np.cross(b, c) @ a) / 6)
                 for edge in zip(ring.tolist(), np.roll(ring, -1).tolist(), strict=True):
-                    assert edge not in seen
-                    seen.add(edge)
+                    assert edge not in edges
+                    edges.add(edge)
         assert volume == pytest.approx(expected[k], rel=1e-9)
-        assert {(b, a) for a, b in seen} == seen
+        assert {(b, a) for a, b in edges} == edges
 
 
 def test_lines_of_a_gable_roof():
     from p2wss.skeleton import Polygons
 
     rectangle = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
-    found = lines(Polygons.from_rings([[rectangle]]), np.array([45, 90, 45, 90.0]), np.array([5.0]))
-    assert np.bincount(found.kind, minlength=6).tolist() == [2, 4, 1, 0, 0, 0]
-    ridge = found.kind == LineKind.RIDGE
-    ends = np.sort([found.start_m[ridge][0, 0], found.end_m[ridge][0, 0]])
+    roof_lines = lines(Polygons.from_rings([[rectangle]]), np.array([45, 90, 45, 90.0]), np.array([5.0]))
+    assert np.bincount(roof_lines.kind, minlength=6).tolist() == [2, 4, 1, 0, 0, 0]
+    ridge = roof_lines.kind == LineKind.RIDGE
+    ends = np.sort([roof_lines.start_m[ridge][0, 0], roof_lines.end_m[ridge][0, 0]])
     np.testing.assert_allclose(ends, [0, 10])
-    np.testing.assert_allclose(found.start_m[ridge][0, 1:], [3, 8])
+    np.testing.assert_allclose(roof_lines.start_m[ridge][0, 1:], [3, 8])

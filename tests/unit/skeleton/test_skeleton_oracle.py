@@ -11,14 +11,17 @@ from p2wss.skeleton import Polygons, build, clean, diagnose
 pytest.importorskip("pysfcgal")
 
 
-def mean_height_differs(mine, theirs, box):
-    """Mean roof heights more than a millimetre apart, or volumes more than 0.1 %; walls are 5 m high."""
-    agree = np.abs(mine - theirs) / (box / 5) < 1e-3
-    return ~(agree & (np.abs(mine - theirs) < 1e-3 * (box + theirs)))
+def mean_height_differs(kernel_m3, sfcgal_m3, box):
+    """Whether mean roof heights differ by more than a millimetre or volumes by more than 0.1 %.
+
+    kernel_m3, sfcgal_m3: roof volumes. box: of the walls, which are 5 m high.
+    """
+    agree = np.abs(kernel_m3 - sfcgal_m3) / (box / 5) < 1e-3
+    return ~(agree & (np.abs(kernel_m3 - sfcgal_m3) < 1e-3 * (box + sfcgal_m3)))
 
 
-def on_a_tie(rings, angle, theirs):
-    """Whether moving the corners by a micrometre at most gives the other's volume: rounding decides here."""
+def on_a_tie(rings, angle, sfcgal_m3):
+    """Whether moving the corners by at most a micrometre gives the volume of SFCGAL: rounding decides here."""
     rng = np.random.default_rng(0)
     moved = [
         [r + size * rng.normal(size=r.shape) for r in rings] for size in (1e-9, 1e-7, 1e-6) for _ in range(20)
@@ -26,28 +29,28 @@ def on_a_tie(rings, angle, theirs):
     polygons = Polygons.from_rings(moved)
     eave = np.full(len(moved), 5.0)
     box = volumes(build(polygons, np.full(len(moved) * len(angle), 90.0), eave))
-    mine = volumes(build(polygons, np.tile(angle, len(moved)), eave)) - box
-    return not mean_height_differs(mine, theirs, box).all()
+    kernel_m3 = volumes(build(polygons, np.tile(angle, len(moved)), eave)) - box
+    return not mean_height_differs(kernel_m3, sfcgal_m3, box).all()
 
 
 def compare(num, regime, court_share):
-    """Numbers of buildings: agreeing, differing, capped, ambiguous or on a tie, without an answer of SFCGAL."""
+    """Numbers of buildings that agree, that differ, that are capped, ambiguous or on a tie, without an answer."""
     polygons = clean(sample_footprints(num, 3, court_share)).polygons
     angle = sample_angles(polygons, regime, 4)
     eave = np.full(num, 5.0)
-    found = diagnose(polygons, angle, eave)
-    assert (found.status == 0).all()
+    diagnosis = diagnose(polygons, angle, eave)
+    assert (diagnosis.status == 0).all()
     box = volumes(build(polygons, np.full(len(angle), 90.0), eave))
-    mine = volumes(build(polygons, angle, eave)) - box
-    # SFCGAL reads 0 as 90; 1e-4 degrees is its way to say 0. It lets roofs of 90 degrees only rise for ever.
-    theirs, _ = sfcgal_volumes(polygons, np.where(angle == 0, 1e-4, angle))
-    differ = mean_height_differs(mine, theirs, box)
-    silent = np.isnan(theirs)
-    capped = differ & (found.num_caps > 0)
-    ambiguous = differ & ~capped & (found.num_ambiguous > 0)
+    kernel_m3 = volumes(build(polygons, angle, eave)) - box
+    # SFCGAL takes 0 for 90 degrees, but 1e-4 for 0. Roofs with 90 degrees only rise without end there.
+    sfcgal_m3, _ = sfcgal_volumes(polygons, np.where(angle == 0, 1e-4, angle))
+    differ = mean_height_differs(kernel_m3, sfcgal_m3, box)
+    silent = np.isnan(sfcgal_m3)
+    capped = differ & (diagnosis.num_caps > 0)
+    ambiguous = differ & ~capped & (diagnosis.num_ambiguous > 0)
     for k in np.flatnonzero(differ & ~capped & ~ambiguous & ~silent):
         edges = slice(polygons.vertex_offset[k], polygons.vertex_offset[k + 1])
-        ambiguous[k] = on_a_tie(polygons.rings(k), angle[edges], theirs[k])
+        ambiguous[k] = on_a_tie(polygons.rings(k), angle[edges], sfcgal_m3[k])
     silent &= ~capped & ~ambiguous
     return tuple(
         int(x.sum()) for x in (~differ, differ & ~capped & ~ambiguous & ~silent, capped, ambiguous, silent)
@@ -56,7 +59,7 @@ def compare(num, regime, court_share):
 
 def test_two_courtyards_on_a_tie():
     # the one kind of difference that no count of the kernel explains: with all walls exactly parallel, SFCGAL
-    # finds 1349.9 m3 and the kernel 1167.9; with the corners moved by a micrometre both find the one or the other
+    # finds 1349.9 m3 and the kernel 1167.9; with the corners moved by a micrometre both find either volume
     rings = [
         [[0, 0], [32.12618813, -14.0597404], [41.6062369, 7.60195616], [9.48004878, 21.66169657]],
         [
@@ -94,5 +97,5 @@ def test_agrees_with_sfcgal_on_many(regime, court_share):
     print(f"{regime} court_share={court_share}: {agree=} {differ=} {capped=} {ambiguous=} {silent=}")
     assert silent <= 0.001 * 2000
     assert agree >= 0.999 * (agree + differ)
-    # parallel edges are exactly so after the clean-up: the open case is common among many 90 degree edges
+    # the clean-up makes edges exactly parallel, so the open case is common among many 90 degree edges
     assert capped + ambiguous <= 0.12 * 2000

@@ -1,4 +1,4 @@
-"""The clean-up makes nearly parallel edges parallel, so that a millimetre does not decide over a roof."""
+"""The clean-up makes nearly parallel edges parallel, so that a millimetre does not decide the shape of a roof."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ def directions(ring):
     return along / np.hypot(*along.T)[:, None]
 
 
-def test_nearly_parallel_becomes_parallel_and_hardly_moves():
+def test_nearly_parallel_edges_become_parallel_and_hardly_move():
     rng = np.random.default_rng(0)
     for _ in range(50):
         raw = STEP + rng.uniform(-0.01, 0.01, STEP.shape)
@@ -34,11 +34,11 @@ def test_collinear_edges_share_a_line():
     shape = [[0, 0], [20, 0], [20, 8], [14, 8], [14, 5], [6, 5], [6, 8.01], [0, 8.01]]
     xy = clean(Polygons.from_rings([[np.array(shape, float)]])).polygons.xy_m
     assert np.ptp(xy[[2, 3, 6, 7], 1]) < 1e-12 and 8 < xy[2, 1] < 8.01
-    as_it_was = clean(Polygons.from_rings([[np.array(shape, float)]]), parallel_deg=0.0)
-    np.testing.assert_array_equal(as_it_was.polygons.xy_m, shape)
+    unchanged = clean(Polygons.from_rings([[np.array(shape, float)]]), parallel_deg=0.0)
+    np.testing.assert_array_equal(unchanged.polygons.xy_m, shape)
 
 
-def test_clean_twice_is_mostly_clean_once():
+def test_cleaning_twice_changes_little():
     once = clean(sample_footprints(500, 4, 0.2))
     twice = clean(once.polygons)
     assert (twice.status == once.status).all()
@@ -61,7 +61,7 @@ def test_a_millimetre_does_not_decide(shift):
                 Polygons(xy + shift, raw.ring_offset, raw.polygon_offset), parallel_deg=parallel_deg
             )
             meshes = build(cleaned.polygons, angle[cleaned.edge_source], np.full(len(raw), 5.0))
-            # the rounding of 7e6 m, a nanometre, breaks a tie now and then
+            # coordinates of 7e6 m are rounded to a nanometre, which breaks a tie now and then
             assert (meshes.status != Status.OK).mean() <= (0.005 if shift else 0.0)
             volume.append(volumes(meshes))
         share[parallel_deg] = np.mean(np.abs(volume[1] / volume[0] - 1) > 0.02)

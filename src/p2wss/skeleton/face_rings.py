@@ -1,0 +1,167 @@
+"""From the directed edges of a solid to its faces: polygons with holes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.skeleton.compiled import inner
+from p2wss.skeleton.labels import num_labels, plane_point
+from p2wss.skeleton.records import NUM_NODES
+from p2wss.skeleton.status import Status
+
+_OK = int(Status.OK)
+_OVERFLOW = int(Status.OVERFLOW)
+_OPEN_FACE = int(Status.OPEN_FACE)
+
+
+@inner
+def _next_half(half, out_head, edge, num_edges, counts, point, label, start, here):
+    """The unused half-edge that continues from ``here``; at a pinch, the one that keeps the face on the
+    left. -1 if there is none."""
+    best, best_turn = -1, 0.0
+    several = False
+    h = out_head[here]
+    while h >= 0:
+        if half[h].alive == 1:
+            if best >= 0:
+                several = True
+            best = h
+        h = half[h].next_out
+    if not several:
+        return best
+    u0, v0 = plane_point(edge, num_edges, counts, point, label, here)
+    u1, v1 = plane_point(edge, num_edges, counts, point, label, start)
+    back = np.arctan2(v1 - v0, u1 - u0)
+    best = -1
+    h = out_head[here]
+    while h >= 0:
+        if half[h].alive == 1:
+            u2, v2 = plane_point(edge, num_edges, counts, point, label, half[h].end)
+            turn = back - np.arctan2(v2 - v0, u2 - u0)  # clockwise from the way back
+            if turn <= 1e-12:
+                turn += 2.0 * np.pi
+            if best < 0 or turn < best_turn:
+                best, best_turn = h, turn
+        h = half[h].next_out
+    return best
+
+
+@inner
+def _ring_area(edge, num_edges, counts, point, label, ring_point, first, last):
+    area = 0.0
+    u0, v0 = plane_point(edge, num_edges, counts, point, label, ring_point[first])
+    a_u, a_v = 0.0, 0.0
+    for k in range(first + 1, last):
+        b_u, b_v = plane_point(edge, num_edges, counts, point, label, ring_point[k])
+        b_u -= u0
+        b_v -= v0
+        area += a_u * b_v - a_v * b_u
+        a_u, a_v = b_u, b_v
+    return 0.5 * area
+
+
+@inner
+def _inside(edge, num_edges, counts, point, label, ring_point, first, last, u, v):
+    inside = False
+    a_u, a_v = plane_point(edge, num_edges, counts, point, label, ring_point[last - 1])
+    for k in range(first, last):
+        b_u, b_v = plane_point(edge, num_edges, counts, point, label, ring_point[k])
+        if (a_v > v) != (b_v > v) and u < a_u + (v - a_v) / (b_v - a_v) * (b_u - a_u):
+            inside = not inside
+        a_u, a_v = b_u, b_v
+    return inside
+
+
+@inner
+def trace_faces(edge, num_edges, counts, num_half, point, mesh_work):
+    """Trace the half-edges into faces, each an outer ring and its holes. Returns (status, number of faces).
+
+    Fills ``ring_point`` (points of all rings), ``ring_start`` (where ring r starts), ``ring_order`` and
+    ``face``: face f has the label ``face[f].label`` and the rings ``ring_order[first_ring:last_ring]``.
+    """
+    half, out_head, label_head = mesh_work.half, mesh_work.out_head, mesh_work.label_head
+    ring_point, ring_start = mesh_work.ring_point, mesh_work.ring_start
+    ring_order, ring_area, face = mesh_work.ring_order, mesh_work.ring_area, mesh_work.face
+    num_points = counts[NUM_NODES] + num_edges
+    for k in range(num_points):
+        out_head[k] = -1
+    num_ring_points, num_rings, num_faces, num_ordered = 0, 0, 0, 0
+    ring_start[0] = 0
+    for label in range(num_labels(num_edges, counts)):
+        h = label_head[label]
+        while h >= 0:
+            if half[h].alive == 1:
+                half[h].next_out = out_head[half[h].start]
+                out_head[half[h].start] = h
+            h = half[h].next_in_label
+        first_ring = num_rings
+        first = label_head[label]
+        while first >= 0:
+            if half[first].alive != 1:
+                first = half[first].next_in_label
+                continue
+            h = first
+            origin = half[first].start
+            while True:
+                half[h].alive = 2  # part of a ring
+                if num_ring_points + 1 > len(ring_point):
+                    return _OVERFLOW, 0
+                ring_point[num_ring_points] = half[h].start
+                num_ring_points += 1
+                here = half[h].end
+                following = _next_half(
+                    half, out_head, edge, num_edges, counts, point, label, half[h].start, here
+                )
+                if here == origin:
+                    # at a pinch the ring may have to pass through its start once more
+                    if following < 0:
+                        break
+                    half[first].alive = 1
+                    again = _next_half(
+                        half, out_head, edge, num_edges, counts, point, label, half[h].start, here
+                    )
+                    half[first].alive = 2
+                    if again == first:
+                        break
+                if following < 0:
+                    return _OPEN_FACE, 0
+                h = following
+            num_rings += 1
+            if num_rings + 1 > len(ring_start):
+                return _OVERFLOW, 0
+            ring_start[num_rings] = num_ring_points
+            if ring_start[num_rings] - ring_start[num_rings - 1] < 3:
+                return _OPEN_FACE, 0
+            ring_area[num_rings - 1] = _ring_area(
+                edge, num_edges, counts, point, label, ring_point, ring_start[num_rings - 1], num_ring_points
+            )
+        h = label_head[label]
+        while h >= 0:
+            out_head[half[h].start] = -1
+            h = half[h].next_in_label
+        for ring in range(first_ring, num_rings):
+            if ring_area[ring] <= 0.0:
+                continue
+            face[num_faces].label = label
+            face[num_faces].first_ring = num_ordered
+            ring_order[num_ordered] = ring
+            num_ordered += 1
+            for hole in range(first_ring, num_rings):
+                if ring_area[hole] > 0.0:
+                    continue
+                u, v = plane_point(edge, num_edges, counts, point, label, ring_point[ring_start[hole]])
+                outer, outer_area = -1, np.inf
+                for other in range(first_ring, num_rings):
+                    if 0.0 < ring_area[other] < outer_area and _inside(
+                        edge, num_edges, counts, point, label, ring_point,
+                        ring_start[other], ring_start[other + 1], u, v,
+                    ):  # fmt: skip
+                        outer, outer_area = other, ring_area[other]
+                if outer == ring:
+                    ring_order[num_ordered] = hole
+                    num_ordered += 1
+            face[num_faces].last_ring = num_ordered
+            num_faces += 1
+    if num_ordered != num_rings:
+        return _OPEN_FACE, 0  # a hole lies in no face
+    return _OK, num_faces
