@@ -10,6 +10,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 
 .PHONY: install eval_report test test-slow lint format config mini lock clean
 install: $(BIN)/.installed
+	$(BIN)/p2wss warm-up --all
 
 $(BIN)/.installed: envs/lock.txt pyproject.toml
 	$(PYTHON) -m venv .venv

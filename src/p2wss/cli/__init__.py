@@ -11,12 +11,37 @@ import logging
 import sys
 
 from p2wss import __version__
-from p2wss.cli import buildings, crops, dvae, fetch, inspect, model, reconstruct, scans, scenes, towns
+from p2wss.cli import (
+    buildings,
+    crops,
+    dvae,
+    fetch,
+    inspect,
+    model,
+    reconstruct,
+    scans,
+    scenes,
+    towns,
+    warm_up,
+)
 from p2wss.cli import eval as evaluation
 from p2wss.errors import InputError
 
 # in the order of the pipeline
-COMMANDS = (towns, fetch, scenes, buildings, scans, crops, dvae, model, evaluation, reconstruct, inspect)
+COMMANDS = (
+    towns,
+    fetch,
+    scenes,
+    buildings,
+    scans,
+    crops,
+    dvae,
+    model,
+    evaluation,
+    reconstruct,
+    inspect,
+    warm_up,
+)
 
 
 def main(arguments: list[str] | None = None) -> int:

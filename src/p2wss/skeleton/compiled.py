@@ -80,6 +80,12 @@ class CacheLocator:
                 path.unlink(missing_ok=True)
 
 
+def cache_folder() -> Path | None:
+    """Where the machine code of this package is kept; None: there is no folder to write to."""
+    locator = CacheLocator.from_function(cache_folder, __file__)
+    return None if locator is None else Path(locator.get_cache_path())
+
+
 @contextmanager
 def _our_locator() -> Iterator[None]:
     before = config.CACHE_LOCATOR_CLASSES

@@ -1,0 +1,110 @@
+"""What a first use costs: compilation, and the start of p2wss reconstruct after it; the last line is JSON.
+
+    python benchmarks/first_use.py
+
+Compilation: CPU seconds of one process that compiles all that ``p2wss reconstruct`` needs, more than of the same
+process when all is compiled. In a cache folder of its own, so nothing that is compiled already counts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import laspy
+import numpy as np
+from figures import Figures
+
+from p2wss.reconstruct.warm_up import sample
+
+BARS = {
+    "compilation, CPU s": 75,
+    "functions compiled twice": 0,
+    "start after warm-up, s": 10,
+    "warm-up again, s": 5,
+}
+# compiles everything in this process, and tells what of p2wss it compiled
+COMPILE = """
+import collections, json, time
+from numba.core import event
+from p2wss.reconstruct import warm_up
+from p2wss.skeleton import compiled
+compiled.expect_compilation()
+class Names(event.Listener):
+    names = collections.Counter()
+    def on_start(self, begun):
+        function = begun.data["dispatcher"].py_func
+        self.names[f"{function.__module__}.{function.__qualname__}"] += function.__module__.startswith("p2wss.")
+    def on_end(self, ended): pass
+event.register("numba:compile", Names())
+for task in (*warm_up.TASKS, warm_up.warm_product):
+    task()
+print(json.dumps({"cpu_s": time.process_time(), "compiled": +Names.names}))
+"""
+
+
+def compilation(cache: Path) -> tuple[float, dict[str, int]]:
+    """(CPU seconds that compilation takes, how often each function is compiled)."""
+    cold, warm = (json.loads(run([sys.executable, "-c", COMPILE], cache)) for _ in range(2))
+    if warm["compiled"]:
+        print("compiled though it had been before: " + ", ".join(warm["compiled"]))
+    return cold["cpu_s"] - warm["cpu_s"], cold["compiled"]
+
+
+def run(command: list[str], cache: Path) -> str:
+    """What a command writes to its standard output, with this cache folder."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    return subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout
+
+
+def p2wss(cache: Path, *arguments: object) -> float:
+    """Wall seconds of a command, from the start of its process."""
+    start = time.perf_counter()
+    run([sys.executable, "-m", "p2wss.cli", *map(str, arguments)], cache)
+    return time.perf_counter() - start
+
+
+def write_sample(folder: Path) -> tuple[Path, Path]:
+    """(cloud, footprints) of three buildings."""
+    frame, cloud = sample()
+    las = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    las.x, las.y, las.z, las.classification = cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification
+    las.write(folder / "cloud.laz")
+    frame[["building_id", "geometry"]].to_file(folder / "footprints.gpkg")
+    return folder / "cloud.laz", folder / "footprints.gpkg"
+
+
+def main() -> int:
+    figures = Figures()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        cpu_s, compiled = compilation(folder / "one")
+        twice = sorted(function for function, count in compiled.items() if count > 1)
+        print(f"{len(compiled)} functions in {cpu_s:.1f} CPU s; compiled twice: {', '.join(twice) or 'none'}")
+        first_s = p2wss(folder / "two", "warm-up")
+        again_s = p2wss(folder / "two", "warm-up")
+        print(f"p2wss warm-up: {first_s:.1f} s, again {again_s:.1f} s")
+        files = write_sample(folder)
+        took_s = [
+            p2wss(folder / "two", "reconstruct", *files, folder / "out", "--crs", "EPSG:2154")
+            for _ in range(2)
+        ]
+        print(f"p2wss reconstruct of three buildings: {took_s[0]:.1f} s, again {took_s[1]:.1f} s")
+    measured = {
+        "compilation, CPU s": cpu_s,
+        "functions compiled twice": len(twice),
+        "start after warm-up, s": float(np.max(took_s)),
+        "warm-up again, s": again_s,
+    }
+    for figure, value in measured.items():
+        figures.at_most(figure, value, BARS[figure])
+    return figures.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+"""``p2wss warm-up``: compile ahead of the first use."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import platform
+import time
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from multiprocessing import get_context
+from pathlib import Path
+
+import p2wss
+from p2wss.cli.common import Parsers, log
+
+Task = Callable[[], None]
+
+
+def add_parser(stages: Parsers) -> None:
+    """Add ``p2wss warm-up`` to the parser."""
+    about = "compile all that p2wss reconstruct needs, once for this computer"
+    command = stages.add_parser("warm-up", help=about, description=about)
+    command.add_argument("--all", action="store_true", help="also what p2wss scans needs")
+    command.add_argument("--jobs", type=int, default=_num_cores(), help="processes (default: one per core)")
+    command.set_defaults(run=warm_up)
+
+
+def warm_up(arguments: argparse.Namespace) -> None:
+    marker = _marker(arguments.all)
+    if marker is not None and marker.exists():
+        log.info("everything is compiled")
+        return
+    from p2wss.data.progress import Progress
+    from p2wss.reconstruct import warm_up as of_reconstruct
+    from p2wss.scans.warm_up import warm_survey
+
+    first: tuple[Task, ...] = of_reconstruct.TASKS
+    others: tuple[Task, ...] = (warm_survey,) if arguments.all else ()
+    total = len(first) + len(others) + 1
+    log.info("compiling for this computer, with %d processes: up to a minute", arguments.jobs)
+    start = time.monotonic()
+    with Progress("compiling", total, "parts") as progress:
+        run_tasks(first, of_reconstruct.warm_product, others, arguments.jobs, progress.update)
+    log.info("compiled in %.0f s", time.monotonic() - start)
+    if marker is not None:
+        marker.touch()
+
+
+def run_tasks(
+    first: tuple[Task, ...],
+    last: Task,
+    others: tuple[Task, ...],
+    jobs: int,
+    progress: Callable[[int], object],
+) -> None:
+    """Run all tasks in processes, ``last`` once all of ``first`` are done. progress: called with how many are."""
+    num_done = 0
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin) as pool:
+        needed = {pool.submit(task) for task in first}
+        pending: set[Future[None]] = needed | {pool.submit(task) for task in others}
+        waits = True
+        while pending or waits:
+            if waits and not needed & pending:
+                pending.add(pool.submit(last))
+                waits = False
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done:
+                future.result()
+            num_done += len(done)
+            progress(num_done)
+
+
+def _begin() -> None:
+    from p2wss.skeleton.compiled import expect_compilation
+
+    expect_compilation()
+
+
+def _marker(with_scans: bool) -> Path | None:
+    """A file beside the cached code that tells that all of these sources is there; None without a cache."""
+    import numba
+    from llvmlite.binding import get_host_cpu_name
+
+    from p2wss.skeleton.compiled import cache_folder
+
+    folder = cache_folder()
+    if folder is None:
+        return None
+    sources = Path(p2wss.__file__).parent
+    digest = hashlib.blake2b(digest_size=6)
+    for path in sorted(sources.rglob("*.py")):
+        digest.update(path.read_bytes())
+    computer = platform.python_version(), numba.__version__, get_host_cpu_name()
+    digest.update(repr((computer, with_scans)).encode())
+    return folder / f"warm-up.{digest.hexdigest()}"
+
+
+def _num_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

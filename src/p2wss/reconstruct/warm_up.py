@@ -1,0 +1,130 @@
+"""Compiles all that ``p2wss reconstruct`` calls, by reconstructing three small made-up buildings.
+
+The tasks are independent, for processes of their own; two that compile the same function at once do no harm, as
+each function is compiled for one set of types. Imports are inside, so that each loads only what it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+    from p2wss.data.clouds import Cloud
+
+_POINTS_PER_M2 = 6.0
+_CRS = "EPSG:2154"
+
+
+def warm_fit() -> None:
+    """The functions of the fit that others call by address: the larger half."""
+    from p2wss.fit.linkage import linked_work
+
+    linked_work(1, 1)
+
+
+def warm_footprints_and_meshes() -> None:
+    """Cleaning footprints, finding their points, meshes."""
+    from p2wss import skeleton
+    from p2wss.data.points import crop_cloud
+
+    square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
+    crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), skeleton.clean(square).polygons)
+    skeleton.build(square, np.full(4, 40.0), np.full(1, 5.0))
+
+
+def warm_network_input() -> None:
+    """The choice of the points that the network sees."""
+    from p2wss.nets.dataset import thin
+
+    thin(3, 2)
+
+
+def warm_product() -> None:
+    """Everything, the rest included: parts, boxes, the way by a network, terrain."""
+    import pyproj
+
+    from p2wss.config import Reconstruct
+    from p2wss.data.terrain import Terrain
+    from p2wss.reconstruct import exports
+    from p2wss.reconstruct.pipeline import run
+
+    frame, cloud = sample()
+    config = Reconstruct(dormers=True)
+    results = run(frame, cloud, None, "sample", config)
+    run(frame, cloud, _Network(), "sample", config)
+    terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
+    exports.block([exports.mesh(result) for result in results], terrain, config)
+    assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
+
+
+TASKS = (warm_fit, warm_footprints_and_meshes, warm_network_input)
+
+
+def sample() -> tuple[gpd.GeoDataFrame, Cloud]:
+    """(clean footprints, their points and ground at 0 m) of a house with a lower annex, a house with a dormer and a
+    flat block around a courtyard."""
+    import geopandas as gpd
+    import shapely
+
+    from p2wss.config import Scenes
+    from p2wss.data.footprints import clean_footprints
+
+    draw = np.random.default_rng(0)
+    house, dormer = shapely.box(0, 0, 13, 8), shapely.box(30, 0, 42, 9)
+    block = shapely.box(60, 0, 84, 20) - shapely.box(68, 7, 76, 13)
+    points, classes = [], []
+    for polygon in (house, dormer, block):
+        x_min, y_min, x_max, y_max = polygon.buffer(1.0).bounds
+        count = int(_POINTS_PER_M2 * (x_max - x_min) * (y_max - y_min))
+        x, y = draw.uniform(x_min, x_max, count), draw.uniform(y_min, y_max, count)
+        inside = shapely.contains_xy(polygon, x, y)
+        if polygon is house:
+            z = np.where(x < 9, 6.0 + 0.84 * np.minimum(y, 8 - y), 3.0)
+        elif polygon is dormer:
+            z = 6.0 + 0.7 * np.minimum(y, 9 - y)
+            z[(x > 34) & (x < 37) & (y > 0.5) & (y < 3.5)] = 9.0
+        else:
+            z = np.full(count, 7.0)
+        z += 0.02 * draw.standard_normal(count)
+        points.append(np.column_stack([x, y, np.where(inside, z, 0.0)]))
+        classes.append(np.where(inside, 6, 2).astype(np.uint8))
+    frame = gpd.GeoDataFrame({"building_id": ["a", "b", "c"]}, geometry=[house, dormer, block], crs=_CRS)
+    return clean_footprints(frame, Scenes()), _cloud(np.concatenate(points), np.concatenate(classes))
+
+
+def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
+    import pyproj
+
+    from p2wss.data.clouds import Cloud
+
+    x, y, z = np.ascontiguousarray(point_m.T)
+    return Cloud(x, y, z, classification, pyproj.CRS(_CRS))
+
+
+@dataclass(frozen=True)
+class _Values:
+    eave_height_m: np.ndarray
+    angle_deg: Sequence[np.ndarray]
+    class_probability: Sequence[np.ndarray]
+    confidence: np.ndarray
+
+
+class _Network:
+    """Hip roofs everywhere, in place of a network, which has nothing to compile."""
+
+    max_num_vertices = 64
+
+    def with_num_views(self, num_views: int) -> _Network:
+        return self
+
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Any:
+        num_edges = [sum(map(len, each)) for each in rings]
+        probability = [np.tile([0.1, 0.2, 0.7], (n, 1)) for n in num_edges]
+        known = np.full(len(rings), 6.0), [np.full(n, 40.0) for n in num_edges]
+        return _Values(*known, probability, np.full(len(rings), 0.5))

@@ -1,0 +1,51 @@
+"""What ``p2wss warm-up`` compiles is what ``p2wss reconstruct`` calls."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterator
+
+import numpy as np
+from numba.core.registry import CPUDispatcher
+
+import p2wss.fit
+from p2wss import reconstruct
+from p2wss.config import Reconstruct
+from p2wss.data import cropping
+from p2wss.reconstruct import warm_up
+
+# called from Python by tests only
+NOT_CALLED = {"inherited_angles"}
+
+
+def entries() -> Iterator[CPUDispatcher]:
+    """The compiled functions of the fit and of the cropping that Python calls."""
+    names = [f"p2wss.fit.{module.name}" for module in pkgutil.iter_modules(p2wss.fit.__path__)]
+    for module in (*map(importlib.import_module, names), cropping):
+        for function in vars(module).values():
+            if isinstance(function, CPUDispatcher) and function.py_func.__module__ == module.__name__:
+                options = function.targetoptions
+                if not options.get("no_cpython_wrapper") and options.get("inline") != "always":
+                    yield function
+
+
+def test_everything_that_is_called_from_python_gets_compiled() -> None:
+    for task in (*warm_up.TASKS, warm_up.warm_product):
+        task()
+    missing = {each.py_func.__name__ for each in entries() if not each.signatures}
+    assert missing <= NOT_CALLED
+
+
+def test_the_sample_has_parts_a_dormer_and_a_courtyard() -> None:
+    frame, cloud = warm_up.sample()
+    with_boxes, without = (
+        [
+            result.reconstruction
+            for result in reconstruct.run(frame, cloud, None, "sample", Reconstruct(dormers=dormers))
+        ]
+        for dormers in (True, False)
+    )
+    assert [one.num_parts for one in without] == [2, 1, 1]
+    assert len(with_boxes[1].triangle) > len(without[1].triangle)
+    assert len(without[2].rings) == 2 and np.isfinite(without[2].vertex_m).all()
