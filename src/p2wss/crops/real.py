@@ -39,8 +39,8 @@ def crop_real(
 
     Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
-    frame = frame[np.isfinite(frame["middle_x_m"])]
-    frame = frame[tiling.tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile]
+    frame = frame[np.isfinite(frame["centre_x_m"])]
+    frame = frame[tiling.tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile]
     is_usable = frame["status"].to_numpy() == "ok"
     num_excluded = Counter(frame["status"].to_numpy()[~is_usable])
     frame = frame[is_usable]

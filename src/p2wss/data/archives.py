@@ -1,4 +1,4 @@
-"""RGE ALTI as IGN delivers it: grids inside 7z archives, which may be split into parts of 4 GB."""
+"""Unpack RGE ALTI as IGN delivers it: grids in 7z archives, which may be split into parts of 4 GB."""
 
 from __future__ import annotations
 
@@ -21,41 +21,42 @@ _CORNER = re.compile(r"_(\d{4})_(\d{4})_.*\.asc$", re.IGNORECASE)
 
 
 def is_archive(path: Path) -> bool:
-    """Whether ``path`` is an archive, or the first part of a split one."""
+    """Whether ``path`` is a 7z archive, or the first part of a split one."""
     return path.name.lower().endswith((".7z", ".7z.001"))
 
 
 def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
-    """The grids of an archive that may meet ``bounds``, unpacked into ``folder`` where they are not yet.
+    """Unpack the grids of an archive that may intersect ``bounds`` into ``folder``, unless they are there already.
 
-    Which grids meet is told by their names: the kilometres of the north-west corner. Raises
-    :class:`InputError` for an archive that is broken, incomplete or needs a password.
+    The names of the grids give their location: the kilometres of the north-west corner. Returns their paths.
+
+    Raises :class:`InputError` if the archive is broken, incomplete or needs a password.
     """
     try:
         with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
-            wanted = {
+            grids = {
                 member.filename: folder / Path(member.filename).name
                 for member in content.list()
-                if _meets(member.filename, f"{archive.name}/{member.filename}", bounds)
+                if _intersects(member.filename, f"{archive.name}/{member.filename}", bounds)
             }
-            missing = [name for name, path in wanted.items() if not path.is_file()]
+            missing = [name for name, path in grids.items() if not path.is_file()]
             if missing:
                 folder.mkdir(parents=True, exist_ok=True)
                 with tempfile.TemporaryDirectory(prefix=".unpacking-", dir=folder) as work:
                     content.extract(work, targets=missing)
                     for name in missing:
-                        with files.atomic(wanted[name]) as temporary:
+                        with files.atomic(grids[name]) as temporary:
                             os.replace(Path(work, name), temporary)
     except InputError:
         raise
     except _BROKEN as error:
-        parts = "; are all of its parts there?" if archive.suffix == ".001" else ""
+        parts = "; are all of its parts in the folder?" if archive.suffix == ".001" else ""
         raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}{parts}") from error
-    return sorted(wanted.values())
+    return sorted(grids.values())
 
 
 def members(archive: Path) -> list[str]:
-    """The names of the files in an archive. Raises :class:`InputError` if it is broken or incomplete."""
+    """The names of the files in an archive. Raises :class:`InputError` if the archive is broken or incomplete."""
     try:
         with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
             return content.getnames()
@@ -69,14 +70,14 @@ def _open(archive: Path) -> IO[bytes]:
     return archive.open("rb")
 
 
-def _meets(name: str, product: str, bounds: Bounds) -> bool:
+def _intersects(name: str, product: str, bounds: Bounds) -> bool:
     corner = _CORNER.search(name)
     if corner is None:
         return False
-    # a grid has 1000 x 1000 cells, so 1 km of the product of 1 m and 5 km of that of 5 m
+    # a grid has 1000 x 1000 cells of 1 m or 5 m, depending on the product
     edge = 5000.0 if re.search(r"_5M_", product, re.IGNORECASE) else 1000.0
     x_min, y_max = (1000.0 * int(part) for part in corner.groups())
-    # cells are centred on the kilometre, hence half a cell more to the west and the north
+    # cells are centred on whole kilometres, so a grid extends by half a cell to the west and the north
     return bool(
         x_min - 2.5 < bounds[2]
         and x_min + edge > bounds[0]

@@ -1,8 +1,8 @@
-"""Point clouds from LAS, LAZ and COPC files: only the window that is asked for, without noise."""
+"""Read point clouds from LAS, LAZ and COPC files, by window and without noise; compare CRSs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +21,11 @@ _BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points in a projected CRS: x_m, y_m, z_m float64 (n,), classification uint8 (n,); crs None if no file
-    tells. strip: uint16 (n,), the flight line (point source ID), None if unknown."""
+    """Points in a projected CRS.
+
+    x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. strip: the
+    flight line (point source ID), uint16 (n,), None if unknown.
+    """
 
     x_m: np.ndarray
     y_m: np.ndarray
@@ -38,35 +41,33 @@ class Cloud:
 def read_clouds(
     paths: Sequence[str | Path],
     bounds: Bounds | None = None,
-    wanted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
 ) -> Cloud:
-    """Points of all files, in their order.
+    """The points of all files, in order, without noise (classes 7 and 18) and withheld points.
 
-    bounds: (x_min, y_min, x_max, y_max); a COPC file is read by window, of others all points are decoded.
-    wanted: maps x, y to a mask of points to keep, for each piece as it is read. Noise (classes 7 and 18) and
-    withheld points are dropped.
+    bounds: (x_min, y_min, x_max, y_max) of the points to keep, edges included. COPC files are read by window, all
+    points of other files are decoded.
 
-    Raises :class:`InputError` for a file that is missing, truncated or no LAS, and for files in different
-    CRSs.
+    Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
     parts: list[tuple[np.ndarray, ...]] = [
         (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
     ]
     crs: pyproj.CRS | None = None
-    named: str | Path = ""
+    crs_path: str | Path = ""
     for path in paths:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file")
         try:
-            for header, points in _pieces(path, bounds):
-                found = header.parse_crs()
-                if found is not None:
-                    if crs is not None and not same_crs(crs, found):
+            for header, points in _chunks(path, bounds):
+                file_crs = header.parse_crs()
+                if file_crs is not None:
+                    if crs is not None and not same_crs(crs, file_crs):
                         raise InputError(
-                            f"{path} is in {found.name}, but {named} in {crs.name}; reproject one of them"
+                            f"{path}: is in {file_crs.name}, but {crs_path} is in {crs.name}; "
+                            "reproject one of them"
                         )
-                    crs, named = crs or found, named or path
-                parts.append(_kept(points, bounds, wanted))
+                    crs, crs_path = crs or file_crs, crs_path or path
+                parts.append(_filter(points, bounds))
         except _BROKEN as error:
             raise InputError(
                 f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
@@ -75,7 +76,7 @@ def read_clouds(
     return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4])
 
 
-def _pieces(
+def _chunks(
     path: str | Path, bounds: Bounds | None
 ) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
     with laspy.open(path) as reader:
@@ -95,7 +96,7 @@ def _pieces(
         x_min, y_min, x_max, y_max = bounds
         window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))
         points = reader.query(bounds=window)
-        # laspy takes what lies beyond the end of a truncated file for nothing, without a word
+        # laspy silently returns no points for chunks beyond the end of a truncated file
         info, size = reader.copc_info, Path(path).stat().st_size
         ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
         end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
@@ -104,10 +105,9 @@ def _pieces(
         yield reader.header, points
 
 
-def _kept(
+def _filter(
     points: laspy.ScaleAwarePointRecord,
     bounds: Bounds | None,
-    wanted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None,
 ) -> tuple[np.ndarray, ...]:
     x, y = np.asarray(points.x), np.asarray(points.y)
     classification = np.asarray(points.classification).astype(np.uint8)
@@ -115,19 +115,17 @@ def _kept(
     if bounds is not None:
         x_min, y_min, x_max, y_max = bounds
         keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
-    if wanted is not None:
-        keep &= wanted(x, y)
     strip = np.asarray(points.point_source_id)[keep]
     return x[keep], y[keep], np.asarray(points.z)[keep], classification[keep], strip
 
 
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
-    """The horizontal part of a CRS."""
+    """The horizontal part of a compound or 3D CRS."""
     return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
 
 def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
-    """Whether two CRSs are the same on the ground; heights, the order of axes and names are ignored."""
+    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored."""
     a, b = horizontal(first), horizontal(second)
     if a.equals(b, ignore_axis_order=True):
         return True

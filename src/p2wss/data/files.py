@@ -1,12 +1,7 @@
-"""The files that stages hand to each other: their columns, and how they are written whole or not at all.
+"""Read and write files. Writing is atomic: a file is complete or absent.
 
-Every Parquet file carries, under the metadata key ``p2wss``, a JSON object with what made it (config section,
-code fingerprint, version, CRS, counts). A column's meaning and unit are in its field's metadata, so
-``pyarrow.parquet.read_schema(path)`` is the documentation.
-
-Frames. ``*_xy_m`` and ``vertex_xyz_m`` are flattened (x0, y0, x1, y1, ...) and relative to
-(origin_x_m, origin_y_m) in the projected CRS of the file. Mesh heights are above ``terrain_z_m`` (buildings)
-or ``ground_z_m`` (reconstructions).
+Every Parquet file has a JSON object under the metadata key ``p2wss`` with its provenance (version, config
+sections, code fingerprint, CRS, counts).
 """
 
 from __future__ import annotations
@@ -31,16 +26,16 @@ METADATA_KEY = b"p2wss"
 
 
 def provenance(**facts: Any) -> dict[str, Any]:
-    """Metadata for a result: the package's version and ``facts`` (config, code, crs, ..)."""
+    """Metadata for a file: the version of the package and ``facts`` (config, code, crs, ..)."""
     return {"version": __version__, **facts}
 
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """A temporary name beside ``path`` that becomes ``path`` when the block ends well and vanishes otherwise.
+    """A temporary path beside ``path``. It is renamed to ``path`` if the block succeeds, and deleted otherwise.
 
-    The suffix is kept, because GDAL and laspy choose the format by it. A full disk or any other ``OSError``
-    inside the block becomes an :class:`InputError` that names ``path``.
+    It has the suffix of ``path``, from which GDAL and laspy infer the format. A full disk or any other
+    ``OSError`` inside the block is raised as an :class:`InputError` that names ``path``.
     """
     path = Path(path)
     suffix = "".join(path.suffixes)
@@ -68,7 +63,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 def write_table(
     path: str | Path, columns: dict[str, Any], schema: pa.Schema, metadata: dict[str, Any]
 ) -> None:
-    """Write columns as Parquet (zstd) with ``metadata`` under the key ``p2wss``."""
+    """Write ``columns`` as Parquet (zstd) with the types of ``schema``; ``metadata`` is stored as JSON."""
     table = pa.table(
         {field.name: pa.array(columns[field.name], type=field.type) for field in schema},
         schema=schema.with_metadata({METADATA_KEY: json.dumps(metadata).encode()}),
@@ -78,14 +73,14 @@ def write_table(
 
 
 def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = None) -> pa.Table:
-    """Read a Parquet file that has the columns of ``schema`` (all, or those named).
+    """Read the columns of ``schema`` from a Parquet file. columns: read only these.
 
-    Raises :class:`InputError` if it is missing, broken or of another kind.
+    Raises :class:`InputError` if the file is missing or broken, or lacks one of the columns.
     """
-    wanted = columns or schema.names
+    names = columns or schema.names
     try:
-        missing = [name for name in wanted if name not in pq.read_schema(path).names]
-        table = pq.read_table(path, columns=[name for name in wanted if name not in missing])
+        missing = [name for name in names if name not in pq.read_schema(path).names]
+        table = pq.read_table(path, columns=[name for name in names if name not in missing])
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except (pa.ArrowException, OSError) as error:
@@ -93,46 +88,48 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
         raise InputError(f"{path}: not a readable Parquet file: {reason}") from error
     if missing:
         raise InputError(
-            f"{path}: columns {', '.join(missing)} are missing; was it written by another version?"
+            f"{path}: has no columns {', '.join(missing)}; was it written by another version of p2wss?"
         )
     return table
 
 
 def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> None:
-    """Write a GeoDataFrame as GeoParquet (zstd) with ``metadata`` under the key ``p2wss``."""
+    """Write a GeoDataFrame as GeoParquet (zstd); ``metadata`` is stored as JSON."""
     with atomic(path) as temporary:
         frame.to_parquet(temporary, compression="zstd")
         table = pq.read_table(temporary)
-        own = {METADATA_KEY: json.dumps(metadata).encode()}
-        pq.write_table(
-            table.replace_schema_metadata(table.schema.metadata | own), temporary, compression="zstd"
-        )
+        stored = table.schema.metadata | {METADATA_KEY: json.dumps(metadata).encode()}
+        pq.write_table(table.replace_schema_metadata(stored), temporary, compression="zstd")
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
-    """The JSON object that :func:`write_table` stored."""
-    found = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
-    if found is None:
-        raise InputError(f"{path}: not a file of p2wss: it has no metadata named p2wss")
-    return json.loads(found)
+    """The metadata of a Parquet file that p2wss wrote. Raises :class:`InputError` if it has none."""
+    stored = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+    if stored is None:
+        raise InputError(f"{path}: not written by p2wss: it has no metadata with the key p2wss")
+    return json.loads(stored)
 
 
 def write_json(path: str | Path, value: Any) -> None:
+    """Write ``value`` as indented JSON."""
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
 def write_text(path: str | Path, text: str) -> None:
+    """Write a text file."""
     with atomic(path) as temporary:
         temporary.write_text(text)
 
 
 def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
+    """Write a binary file."""
     with atomic(path) as temporary:
         temporary.write_bytes(content)
 
 
 def read_json(path: str | Path) -> Any:
+    """The value in a JSON file. Raises :class:`InputError` if it is missing or not JSON."""
     try:
         return json.loads(Path(path).read_text())
     except FileNotFoundError as error:
@@ -142,17 +139,18 @@ def read_json(path: str | Path) -> Any:
 
 
 def sha256(path: str | Path) -> str:
+    """The SHA-256 checksum of a file, hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """A list column as (values, offsets): row i owns ``values[offsets[i]:offsets[i + 1]]``; a null row is empty."""
+    """A list column as (values, offsets): row i is ``values[offsets[i]:offsets[i + 1]]``; a null row is empty."""
     column = table.column(name).combine_chunks()
     lengths = np.nan_to_num(column.value_lengths().to_numpy(zero_copy_only=False)).astype(np.int64)
     return column.flatten().to_numpy(zero_copy_only=False), np.concatenate([[0], np.cumsum(lengths)])
 
 
 def ragged(values: np.ndarray, offsets: np.ndarray) -> pa.ListArray:
-    """The inverse of :func:`list_column`: a list array that owns ``values`` cut at ``offsets``."""
+    """The inverse of :func:`list_column`: a list array with the slices of ``values`` between ``offsets``."""
     return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(values))

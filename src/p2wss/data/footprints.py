@@ -1,4 +1,4 @@
-"""Footprints as they come to polygons for the kernel; each keeps its row, with a reason if it fails."""
+"""Read footprints and clean them into polygons for the kernel. Each keeps a row, with a reason if it is excluded."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
 ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
-_HOLD_POLYGONS = [
+_TYPES_WITH_POLYGONS = [
     shapely.GeometryType.POLYGON,
     shapely.GeometryType.MULTIPOLYGON,
     shapely.GeometryType.GEOMETRYCOLLECTION,
 ]
-# an outline that touches itself is opened by this much: less would be closed again by the clean-up
+# footprints that touch themselves are cut apart with a gap of this width; cleaning would close a smaller one
 _OPENING_M = 0.15
 
 
@@ -33,12 +33,14 @@ def read_footprints(
     bounds: Bounds | None = None,
     needs_crs: bool = True,
 ) -> gpd.GeoDataFrame:
-    """Any vector file with polygons: its columns, and ``building_id`` as text, in the order of the file.
+    """Read a vector file with polygons, in the order of the file, and add the column ``building_id`` (text).
 
-    id_field: column of the ids; without it the first of :data:`ID_COLUMNS` (in any case of letters) whose
-    values are all there and all different, else numbers from 1. bounds: only features that meet this window.
+    id_field: column of the ids. If it is None, the first of :data:`ID_COLUMNS` (in upper or lower case) without
+    missing or repeated values is used, else the numbers from 1. bounds: read only features that intersect this
+    window. needs_crs: whether a missing CRS is an error.
 
-    Raises :class:`InputError` if the file is missing, broken or without CRS, or ``id_field`` is no id.
+    Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS or one in degrees, or
+    if ``id_field`` is missing or has missing or repeated values.
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
@@ -52,8 +54,8 @@ def read_footprints(
     if not isinstance(frame, gpd.GeoDataFrame):
         raise InputError(f"{path}: has no geometry")
     shapes = shapely.get_type_id(frame.geometry.to_numpy())
-    if len(frame) and not np.isin(shapes, _HOLD_POLYGONS).any():
-        raise InputError(f"{path}: no polygons; footprints must be polygons")
+    if len(frame) and not np.isin(shapes, _TYPES_WITH_POLYGONS).any():
+        raise InputError(f"{path}: has no polygons; footprints must be polygons")
     if frame.crs is None and needs_crs:
         raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")
     if frame.crs is not None and frame.crs.is_geographic:
@@ -68,109 +70,116 @@ def _ids(frame: gpd.GeoDataFrame, id_field: str | None, path: str | Path) -> pd.
     if id_field is not None:
         if id_field not in frame.columns:
             columns = ", ".join(map(str, frame.columns.drop(frame.geometry.name)))
-            raise InputError(f"{path}: no column {id_field}; it has {columns or 'none'}")
+            raise InputError(f"{path}: has no column {id_field}; its columns are {columns or 'none'}")
         values = frame[id_field]
-        if values.isna().any() or values.duplicated().any():
-            twice = values[values.isna() | values.duplicated()].iloc[0]
-            raise InputError(
-                f"{path}: column {id_field} is no id: {twice} occurs more than once or is missing"
-            )
+        if values.isna().any():
+            raise InputError(f"{path}: column {id_field} cannot be the id: values are missing")
+        if values.duplicated().any():
+            value = values[values.duplicated()].iloc[0]
+            raise InputError(f"{path}: column {id_field} cannot be the id: {value} occurs more than once")
         return values.astype(str)
-    lower = {str(column).lower(): column for column in frame.columns}
+    columns_by_name = {str(column).lower(): column for column in frame.columns}
     for name in ID_COLUMNS:
-        values = frame[lower[name]] if name in lower else None
+        values = frame[columns_by_name[name]] if name in columns_by_name else None
         if values is not None and not values.isna().any() and not values.duplicated().any():
             return values.astype(str)
     return pd.Series([str(number + 1) for number in range(len(frame))], index=frame.index, dtype=str)
 
 
 def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame:
-    """One row per polygon, 2D and valid; same columns, ``status``, and ``middle_x_m``, ``middle_y_m``.
+    """Split multipolygons into rows with one valid 2D polygon each, and add ``status`` and the centre of each.
 
-    The middle is that of the bounding box, of the geometry as it came where it gives no polygon.
+    ``centre_x_m`` and ``centre_y_m`` are of the bounding box of the polygon (if there is none, of the geometry).
 
-    Invalid outlines are repaired by shapely's ``make_valid`` (method "structure"). Where a multipolygon or a
-    repair gives several polygons, the largest stays, and the others if they have ``min_area_m2``; their ids
-    end in -1, -2, .. as they come. What gives no polygon keeps its row with an empty one and its ``status``.
+    Invalid geometries are repaired by shapely's ``make_valid`` (method "structure"). If a multipolygon or a repair
+    has several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
+    suffixes -1, -2, .. in order. A geometry without polygons keeps its row, with an empty polygon and the reason
+    as ``status``.
     """
     shapes = shapely.force_2d(frame.geometry.to_numpy())
     status = np.full(len(frame), "ok", dtype=object)
-    missing = shapely.is_missing(shapes) | shapely.is_empty(shapes)
-    status[missing] = "empty"
-    areal = np.isin(
+    is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
+    status[is_empty] = "empty"
+    is_polygon = np.isin(
         shapely.get_type_id(shapes), [shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON]
     )
-    status[~missing & ~areal] = "not-a-polygon"
-    middle = _middles(shapes)
-    xy, owner = shapely.get_coordinates(shapes, return_index=True)
-    status[np.unique(owner[~np.isfinite(xy).all(axis=1)])] = "non-finite"
+    status[~is_empty & ~is_polygon] = "not-a-polygon"
+    centre = _box_centres(shapes)
+    xy, row = shapely.get_coordinates(shapes, return_index=True)
+    status[np.unique(row[~np.isfinite(xy).all(axis=1)])] = "non-finite"
     shapes[status != "ok"] = shapely.Polygon()
     invalid = ~shapely.is_valid(shapes)
     shapes[invalid] = shapely.make_valid(shapes[invalid], method="structure", keep_collapsed=False)
 
-    parts, owner = shapely.get_parts(shapes, return_index=True)
-    areal = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
-    parts, owner = parts[areal], owner[areal]
+    parts, row = shapely.get_parts(shapes, return_index=True)
+    is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
+    parts, row = parts[is_polygon], row[is_polygon]
     area = shapely.area(parts)
     largest = np.zeros(len(frame))
-    np.maximum.at(largest, owner, area)
-    keep = (area >= min_area_m2) | (area >= largest[owner])
-    parts, owner = parts[keep], owner[keep]
-    # rows without any polygon take their place among the others
-    bare = np.setdiff1d(np.arange(len(frame)), owner)
-    status[bare[status[bare] == "ok"]] = "empty"
-    owner = np.concatenate([owner, bare])
-    order = np.argsort(owner, kind="stable")
-    owner = owner[order]
-    result = frame.iloc[owner].reset_index(drop=True)
-    result = result.set_geometry(
-        gpd.GeoSeries(np.concatenate([parts, np.full(len(bare), shapely.Polygon())])[order], crs=frame.crs)
-    )
-    number = np.arange(len(owner)) - np.searchsorted(owner, owner)
-    several = np.bincount(owner, minlength=len(frame))[owner] > 1
+    np.maximum.at(largest, row, area)
+    keep = (area >= min_area_m2) | (area >= largest[row])
+    parts, row = parts[keep], row[keep]
+    # insert the rows without a polygon in their order
+    empty_rows = np.setdiff1d(np.arange(len(frame)), row)
+    status[empty_rows[status[empty_rows] == "ok"]] = "empty"
+    row = np.concatenate([row, empty_rows])
+    order = np.argsort(row, kind="stable")
+    row = row[order]
+    parts = np.concatenate([parts, np.full(len(empty_rows), shapely.Polygon())])[order]
+    result = frame.iloc[row].reset_index(drop=True)
+    result = result.set_geometry(gpd.GeoSeries(parts, crs=frame.crs))
+    number = np.arange(len(row)) - np.searchsorted(row, row)
+    is_split = np.bincount(row, minlength=len(frame))[row] > 1
     ids = result["building_id"].to_numpy(dtype=object)
-    ids[several] = [f"{name}-{k + 1}" for name, k in zip(ids[several], number[several], strict=True)]
+    ids[is_split] = [f"{name}-{k + 1}" for name, k in zip(ids[is_split], number[is_split], strict=True)]
     result["building_id"] = ids
-    result["status"] = status[owner]
-    polygon = _middles(result.geometry.to_numpy())
-    result["middle_x_m"], result["middle_y_m"] = np.where(np.isfinite(polygon), polygon, middle[owner]).T
+    result["status"] = status[row]
+    part_centre = _box_centres(result.geometry.to_numpy())
+    result["centre_x_m"], result["centre_y_m"] = np.where(
+        np.isfinite(part_centre), part_centre, centre[row]
+    ).T
     return result
 
 
-def _middles(shapes: np.ndarray) -> np.ndarray:
-    """Middle of each bounding box, (n, 2); NaN for an empty geometry."""
+def _box_centres(shapes: np.ndarray) -> np.ndarray:
+    """Centre of each bounding box, (n, 2); NaN for an empty geometry."""
     bounds = shapely.bounds(shapes)
     return (bounds[:, :2] + bounds[:, 2:]) / 2
 
 
 def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFrame:
-    """Polygons ready for the kernel: exterior counter-clockwise, courtyards clockwise, no needless vertex.
+    """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
 
-    First :func:`split_parts`, then Douglas-Peucker (``simplify_tolerance_m``), then
-    :func:`p2wss.skeleton.clean`. An outline that still touches itself is opened once. Every footprint
-    keeps a row; ``status`` is "ok" or the reason, and a rejected one has an empty polygon.
+    The steps are :func:`split_parts`, Douglas-Peucker (``simplify_tolerance_m``) and
+    :func:`p2wss.skeleton.clean`. A footprint that then touches itself is cut apart where it does, and cleaned
+    again. Every footprint keeps a row: ``status`` is "ok" or the reason for exclusion, and an excluded footprint
+    has an empty polygon.
     """
     result = split_parts(frame, config.min_area_m2)
     shapes = result.geometry.to_numpy().copy()
     status = result["status"].to_numpy(dtype=object).copy()
-    todo = np.flatnonzero(status == "ok")
+    pending = np.flatnonzero(status == "ok")
     codes = np.full(len(shapes), int(skeleton.Status.EMPTY))
     for attempt in range(2):
-        outline = shapes[todo] if attempt == 0 else _opened(shapes[todo])
-        simple = (
-            shapely.simplify(outline, config.simplify_tolerance_m) if config.simplify_tolerance_m else outline
-        )
+        footprints = shapes[pending] if attempt == 0 else _cut_apart(shapes[pending])
+        if config.simplify_tolerance_m:
+            footprints = shapely.simplify(footprints, config.simplify_tolerance_m)
         cleaned = skeleton.clean(
-            polygon_arrays.to_polygons(simple), min_edge_m=config.min_edge_m, min_area_m2=config.min_area_m2
+            polygon_arrays.to_polygons(footprints),
+            min_edge_m=config.min_edge_m,
+            min_area_m2=config.min_area_m2,
         )
-        codes[todo] = cleaned.status
-        fine = cleaned.status == skeleton.Status.OK
-        shapes[todo[fine]] = polygon_arrays.to_geometries(polygon_arrays.take(cleaned.polygons, fine))
-        todo = todo[np.isin(cleaned.status, [skeleton.Status.NOT_SIMPLE, skeleton.Status.COURTYARD_OUTSIDE])]
-        if not len(todo):
+        codes[pending] = cleaned.status
+        is_clean = cleaned.status == skeleton.Status.OK
+        shapes[pending[is_clean]] = polygon_arrays.to_geometries(
+            polygon_arrays.take(cleaned.polygons, is_clean)
+        )
+        touches = [skeleton.Status.NOT_SIMPLE, skeleton.Status.COURTYARD_OUTSIDE]
+        pending = pending[np.isin(cleaned.status, touches)]
+        if not len(pending):
             break
-    tried = status == "ok"
-    status[tried] = [skeleton.Status(code).reason if code else "ok" for code in codes[tried]]
+    has_code = status == "ok"
+    status[has_code] = [skeleton.Status(code).reason if code else "ok" for code in codes[has_code]]
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
     status[(status == "ok") & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
     shapes[status != "ok"] = shapely.Polygon()
@@ -178,15 +187,15 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
 
 
-def _opened(shapes: np.ndarray) -> np.ndarray:
-    """The largest piece of each polygon, its rings cut apart where they touch, and thin necks cut."""
+def _cut_apart(shapes: np.ndarray) -> np.ndarray:
+    """The largest piece of each polygon after cutting it where rings touch and where it is narrow."""
     largest = np.full(len(shapes), shapely.Polygon(), dtype=object)
     for index, shape in enumerate(shapes):
         rings = shapely.get_rings(shape)
-        touching = [first.intersection(second) for first, second in combinations(rings, 2)]
-        apart = shape.difference(shapely.union_all(touching).buffer(2 * _OPENING_M, cap_style="square"))
-        thin = apart.buffer(-_OPENING_M, join_style="mitre")
-        pieces = shapely.get_parts(thin.buffer(_OPENING_M, join_style="mitre"))
+        contacts = [first.intersection(second) for first, second in combinations(rings, 2)]
+        cut = shape.difference(shapely.union_all(contacts).buffer(2 * _OPENING_M, cap_style="square"))
+        eroded = cut.buffer(-_OPENING_M, join_style="mitre")
+        pieces = shapely.get_parts(eroded.buffer(_OPENING_M, join_style="mitre"))
         if len(pieces):
             largest[index] = pieces[np.argmax(shapely.area(pieces))]
     return largest

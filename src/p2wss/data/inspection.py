@@ -1,4 +1,4 @@
-"""What a file holds: any that this package writes, and those of IGN that it reads."""
+"""Describe the contents of files: those that p2wss writes, and those of IGN that it reads."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ _CHUNK_POINTS = 2_000_000
 
 
 def describe(path: Path) -> Facts:
-    """Facts about a file by name, in the order of their interest; ``made by`` is what p2wss stored in it.
+    """Facts about a file by name, the most important first. ``provenance`` is the metadata that p2wss stored.
 
-    Raises :class:`InputError` if the file is missing, broken or of a kind unknown here.
+    Raises :class:`InputError` if the file is missing, broken or of an unknown type.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
@@ -28,18 +28,18 @@ def describe(path: Path) -> Facts:
     reader = next((read for suffixes, read in _READERS if name.endswith(suffixes)), None)
     if reader is None:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
-        raise InputError(f"{path}: not a kind of file that is known here: {known}")
+        raise InputError(f"{path}: unknown type of file; the known types are {known}")
     try:
         return {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
     except InputError:
         raise
-    except Exception as error:  # each of a dozen libraries has errors of its own for a broken file
+    except Exception as error:  # a dozen libraries raise different errors for broken files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not readable as {Path(name).suffix}, or truncated: {reason}") from error
 
 
 def text(facts: Facts, indent: str = "") -> str:
-    """Facts as lines for people."""
+    """Facts as indented lines of text."""
     lines = []
     for name, value in facts.items():
         if isinstance(value, dict) and value:
@@ -59,14 +59,14 @@ def _plain(value: Any) -> str:
     return "-" if value is None or value == {} else str(value)
 
 
-def _made_by(stored: str | bytes | None) -> Facts:
-    """The provenance that p2wss stores, with the config as sections and not as one line of JSON."""
+def _provenance(stored: str | bytes | None) -> Facts:
+    """The metadata that p2wss stored, with the config as nested sections instead of one line of JSON."""
     if not stored:
         return {}
     facts = json.loads(stored)
     if isinstance(facts.get("config"), str):
         facts["config"] = json.loads(facts["config"])
-    return {"made by": facts}
+    return {"provenance": facts}
 
 
 def _crs(crs: Any) -> str | None:
@@ -74,9 +74,9 @@ def _crs(crs: Any) -> str | None:
         return None
     import pyproj
 
-    found = pyproj.CRS.from_user_input(crs)
-    code = found.to_authority(min_confidence=70)
-    return f"{found.name} ({':'.join(code)})" if code else found.name
+    parsed = pyproj.CRS.from_user_input(crs)
+    code = parsed.to_authority(min_confidence=70)
+    return f"{parsed.name} ({':'.join(code)})" if code else parsed.name
 
 
 def _parquet(path: Path) -> Facts:
@@ -104,7 +104,7 @@ def _parquet(path: Path) -> Facts:
         + (f"  {field.metadata[b'about'].decode()}" if field.metadata and b"about" in field.metadata else "")
         for field in schema
     }
-    return facts | _made_by(metadata.get(b"p2wss"))
+    return facts | _provenance(metadata.get(b"p2wss"))
 
 
 def _vector(path: Path) -> Facts:
@@ -125,10 +125,10 @@ def _vector(path: Path) -> Facts:
                 "bounds": [float(value) for value in bounds] if bounds is not None else None,
                 "geometry type": info["geometry_type"],
                 "columns": dict(zip(info["fields"].tolist(), info["dtypes"].tolist(), strict=True)),
-                **_made_by(metadata.get("p2wss")),
+                **_provenance(metadata.get("p2wss")),
             }
         )
-    return {"kind": f"vector, {pyogrio.read_info(path)['driver']}", "layers": layers} | _made_by(
+    return {"kind": f"vector, {pyogrio.read_info(path)['driver']}", "layers": layers} | _provenance(
         dataset.get("p2wss")
     )
 
@@ -138,8 +138,8 @@ def _raster(path: Path) -> Facts:
 
     with rasterio.open(path) as raster:
         heights = raster.read(1, masked=True)
-        known = heights.compressed()
-        known = known[np.isfinite(known)]
+        values = heights.compressed()
+        values = values[np.isfinite(values)]
         facts: Facts = {
             "kind": f"raster, {raster.driver}",
             "crs": _crs(raster.crs),
@@ -149,15 +149,15 @@ def _raster(path: Path) -> Facts:
             "cell_m": [raster.transform.a, -raster.transform.e],
             "type": raster.dtypes[0],
             "nodata": raster.nodata,
-            "share of known cells": round(len(known) / heights.size, 6),
+            "share of cells with data": round(len(values) / heights.size, 6),
         }
-        if len(known):
+        if len(values):
             facts["heights"] = {
-                "lowest": float(known.min()),
-                "median": float(np.median(known)),
-                "highest": float(known.max()),
+                "lowest": float(values.min()),
+                "median": float(np.median(values)),
+                "highest": float(values.max()),
             }
-        return facts | _made_by(raster.tags().get("p2wss"))
+        return facts | _provenance(raster.tags().get("p2wss"))
 
 
 def _cloud(path: Path) -> Facts:
@@ -184,12 +184,12 @@ def _cloud(path: Path) -> Facts:
         "bounds": [*header.mins[:2].tolist(), *header.maxs[:2].tolist()],
         "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
         "num_points": header.point_count,
-        "points per m2 where there are any": round(header.point_count / len(cells), 2) if cells else None,
+        "points per m2 in cells with points": round(header.point_count / len(cells), 2) if cells else None,
         "num_points by class": dict(sorted(classes.items())),
         "num_withheld": withheld,
         "scale": header.scales.tolist(),
         "extra dimensions": list(header.point_format.extra_dimension_names),
-        "made with": f"{header.system_identifier} / {header.generating_software}".strip(" /\0"),
+        "software": f"{header.system_identifier} / {header.generating_software}".strip(" /\0"),
     }
 
 
@@ -208,7 +208,7 @@ def _weights(path: Path) -> Facts:
         "num_tensors": len(header),
         "num_parameters": parameters,
         "types": dict(types),
-        **_made_by(metadata.get("p2wss")),
+        **_provenance(metadata.get("p2wss")),
     }
 
 
@@ -226,7 +226,7 @@ def _json(path: Path) -> Facts:
     facts: Facts = {"kind": "JSON"}
     for name, value in document.items():
         facts[name] = f"{len(value)} entries" if isinstance(value, list) and len(value) > 8 else value
-    return facts | _made_by(json.dumps(stored) if stored else None)
+    return facts | _provenance(json.dumps(stored) if stored else None)
 
 
 def _json_lines(path: Path) -> Facts:
@@ -238,8 +238,8 @@ def _json_lines(path: Path) -> Facts:
 
 def _city(parts: list[Facts]) -> Facts:
     metadata = parts[0].get("metadata", {})
-    objects = [thing for part in parts for thing in part.get("CityObjects", {}).values()]
-    geometry = [shape for thing in objects for shape in thing.get("geometry", [])]
+    city_objects = [item for part in parts for item in part.get("CityObjects", {}).values()]
+    geometry = [shape for item in city_objects for shape in item.get("geometry", [])]
     stored = parts[0].get("+p2wss") or metadata.get("p2wss")
     return {
         "version": parts[0].get("version"),
@@ -250,11 +250,11 @@ def _city(parts: list[Facts]) -> Facts:
         else None,
         "bounds": metadata.get("geographicalExtent"),
         "num_features": len(parts) - 1 or None,
-        "objects by type": dict(Counter(thing["type"] for thing in objects)),
+        "objects by type": dict(Counter(item["type"] for item in city_objects)),
         "geometries by level of detail": dict(
             Counter(f"{shape['type']} LoD{shape.get('lod')}" for shape in geometry)
         ),
-        **_made_by(json.dumps(stored) if stored else None),
+        **_provenance(json.dumps(stored) if stored else None),
     }
 
 
@@ -270,15 +270,15 @@ def _glb(path: Path) -> Facts:
         "kind": f"glTF {version}, binary",
         "num_nodes": len(document.get("nodes", [])),
         "num_meshes": len(document.get("meshes", [])),
-        **_made_by(json.dumps(stored) if stored else None),
+        **_provenance(json.dumps(stored) if stored else None),
     }
 
 
 def _archive(path: Path) -> Facts:
     from p2wss.data.archives import members
 
-    found = members(path)
-    return {"kind": "7z archive", "num_files": len(found), "files": found[:20]}
+    names = members(path)
+    return {"kind": "7z archive", "num_files": len(names), "files": names[:20]}
 
 
 def _table(path: Path) -> Facts:

@@ -1,4 +1,4 @@
-"""Footprints between three forms: shapely geometries, the kernel's ragged arrays, and columns of our tables."""
+"""Convert footprints between shapely geometries, the kernel's ragged arrays and columns of tables."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from p2wss.skeleton.types import Polygons
 
 
 def to_polygons(geometries: Sequence[shapely.Polygon] | np.ndarray) -> Polygons:
-    """The kernel's arrays of shapely polygons (no multipolygons), order and rings kept, closing vertices dropped.
+    """The kernel's arrays from shapely polygons, in the same order, without the closing vertices of rings.
 
-    An empty or missing geometry becomes a polygon without rings. Raises ``ValueError`` for other geometries.
+    An empty or missing geometry becomes a polygon without rings. Raises ``ValueError`` for other geometries,
+    multipolygons included.
     """
     shapes = np.array(geometries, dtype=object)
     shapes[shapely.is_missing(shapes) | shapely.is_empty(shapes)] = shapely.Polygon()
     if not len(shapes):
         return Polygons.from_rings([])
     if np.any(shapely.get_type_id(shapes) != shapely.GeometryType.POLYGON):
-        raise ValueError("only polygons; split multipolygons first")
+        raise ValueError("all geometries must be polygons; split multipolygons first")
     _, xy, (ring_offset, polygon_offset) = shapely.to_ragged_array(shapes, include_z=False)
     num_rings = len(ring_offset) - 1
     return Polygons(
@@ -34,9 +35,9 @@ def to_polygons(geometries: Sequence[shapely.Polygon] | np.ndarray) -> Polygons:
 
 
 def to_geometries(polygons: Polygons) -> np.ndarray:
-    """Shapely polygons, an object array (num_polygons,); a polygon without rings becomes an empty one."""
+    """Shapely polygons, object array (num_polygons,); a polygon without rings becomes an empty geometry."""
     start, end = polygons.ring_offset[:-1], polygons.ring_offset[1:]
-    # every ring once more ends with its first vertex
+    # each ring ends with its first vertex again
     closed = np.insert(np.arange(len(polygons.xy_m)), end, start)
     ring_offset = polygons.ring_offset + np.arange(len(polygons.ring_offset))
     return np.asarray(
@@ -48,8 +49,8 @@ def to_geometries(polygons: Polygons) -> np.ndarray:
 
 def take(polygons: Polygons, indices: np.ndarray) -> Polygons:
     """The polygons at ``indices`` (int array or boolean mask), in that order."""
-    chosen = np.arange(len(polygons))[indices]
-    ring_index = [np.arange(polygons.polygon_offset[p], polygons.polygon_offset[p + 1]) for p in chosen]
+    selection = np.arange(len(polygons))[indices]
+    ring_index = [np.arange(polygons.polygon_offset[p], polygons.polygon_offset[p + 1]) for p in selection]
     rings = np.concatenate(ring_index) if ring_index else np.zeros(0, np.int64)
     lengths = np.diff(polygons.ring_offset)[rings]
     starts = polygons.ring_offset[rings]
@@ -63,25 +64,31 @@ def take(polygons: Polygons, indices: np.ndarray) -> Polygons:
 
 
 def origins(polygons: Polygons) -> np.ndarray:
-    """A local origin per polygon: the middle of its bounding box, rounded to 1 m. float64 (num_polygons, 2)."""
+    """A local origin per polygon: the centre of its bounding box, rounded to 1 m. float64 (num_polygons, 2).
+
+    (0, 0) for a polygon without rings.
+    """
     result = np.zeros((len(polygons), 2))
     offset = polygons.vertex_offset
-    filled = np.flatnonzero(np.diff(offset) > 0)
-    if len(filled):
-        # reduceat needs non-empty slices; those in between are empty, so the starts are enough
-        low = np.minimum.reduceat(polygons.xy_m, offset[filled])
-        high = np.maximum.reduceat(polygons.xy_m, offset[filled])
-        result[filled] = np.round((low + high) / 2)
+    non_empty = np.flatnonzero(np.diff(offset) > 0)
+    if len(non_empty):
+        # reduceat needs non-empty slices; slices between them are empty, so the starts alone suffice
+        low = np.minimum.reduceat(polygons.xy_m, offset[non_empty])
+        high = np.maximum.reduceat(polygons.xy_m, offset[non_empty])
+        result[non_empty] = np.round((low + high) / 2)
     return result
 
 
 def to_columns(polygons: Polygons, origin_xy_m: np.ndarray) -> dict[str, pa.Array]:
-    """The table columns ``footprint_xy_m`` and ``ring_offset``, relative to an origin per polygon (num_polygons, 2)."""
+    """The columns ``footprint_xy_m`` and ``ring_offset`` of a table (:mod:`p2wss.data.schemas.columns`).
+
+    origin_xy_m: float64 (num_polygons, 2), the origin of the local coordinates of each row.
+    """
     vertex_offset = polygons.vertex_offset
     polygon = np.repeat(np.arange(len(polygons)), np.diff(vertex_offset))
     local = polygons.xy_m - origin_xy_m[polygon]
     num_rings = np.diff(polygons.polygon_offset)
-    # each row lists its own offsets from 0: one more value than it has rings
+    # the offsets of each row start from 0, and are one more than its rings
     first = np.repeat(polygons.ring_offset[polygons.polygon_offset[:-1]], num_rings + 1)
     row_offset = np.concatenate([[0], np.cumsum(num_rings + 1)])
     position = np.arange(row_offset[-1]) - np.repeat(np.arange(len(polygons)), num_rings + 1)
@@ -92,7 +99,7 @@ def to_columns(polygons: Polygons, origin_xy_m: np.ndarray) -> dict[str, pa.Arra
 
 
 def from_columns(table: pa.Table) -> Polygons:
-    """The inverse of :func:`to_columns`, in the local frame of each row."""
+    """The polygons of a table, in the local coordinates of each row: the inverse of :func:`to_columns`."""
     xy, vertex_offset = files.list_column(table, "footprint_xy_m")
     ring, row_offset = files.list_column(table, "ring_offset")
     num_rings = np.maximum(np.diff(row_offset) - 1, 0)

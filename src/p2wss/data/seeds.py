@@ -1,4 +1,4 @@
-"""Seeds by name: every random draw depends on (seed, stage, tile, building) and on nothing else."""
+"""Seeds from names: each random draw depends only on a seed and names such as the stage, tile and building."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def derive_seed(seed: int, *names: object) -> int:
-    """A 63-bit seed from a base seed and any names; equal on every machine and in any order of calls.
+    """A 63-bit seed from a base seed and names; the same on every machine and in any order of calls.
 
     >>> derive_seed(0, "scans", "0652_6862") == derive_seed(0, "scans", "0652_6862")
     True
@@ -18,5 +18,5 @@ def derive_seed(seed: int, *names: object) -> int:
 
 
 def generator(seed: int, *names: object) -> np.random.Generator:
-    """A Philox generator seeded by :func:`derive_seed`."""
+    """A Philox generator with the seed of :func:`derive_seed`."""
     return np.random.Generator(np.random.Philox(key=derive_seed(seed, *names)))

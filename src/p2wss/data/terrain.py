@@ -1,4 +1,4 @@
-"""A window of terrain: heights on a north-up raster, and its file."""
+"""Terrain: a north-up raster of heights, and its GeoTIFF."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from p2wss.errors import InputError
 class Terrain:
     """A north-up raster of heights.
 
-    height_m: float32 (rows, columns), NaN where there is no data; row 0 is the north. x_min_m, y_max_m: outer
-    corner of the north-west cell. cell_m: edge of the square cells; a height is that of its cell's middle.
+    height_m: float32 (rows, columns), NaN where there are no data; row 0 is the northernmost. x_min_m, y_max_m:
+    outer corner of the north-west cell. cell_m: edge length of the square cells. A height is that of the centre
+    of its cell.
     """
 
     height_m: np.ndarray
@@ -33,7 +34,7 @@ class Terrain:
     cell_m: float
 
     def cut(self, bounds: Bounds) -> Terrain:
-        """The cells whose middles are in ``bounds`` and one more all around: triangles reach its edge."""
+        """The cells with centres in ``bounds`` and one more on each side, so that interpolation covers ``bounds``."""
         rows, columns = self.height_m.shape
         x_min, y_min, x_max, y_max = bounds
         left = max(0, int(np.floor((x_min - self.x_min_m) / self.cell_m - 0.5)))
@@ -48,7 +49,7 @@ class Terrain:
         )
 
     def interpolated(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
-        """Bilinear height at each point; NaN where one of the four cells around has no data or is outside."""
+        """Bilinear height at each point, float64 (n,); NaN if one of the four nearest cells is missing or NaN."""
         column = (np.asarray(x_m) - self.x_min_m) / self.cell_m - 0.5
         row = (self.y_max_m - np.asarray(y_m)) / self.cell_m - 0.5
         heights = self.height_m.astype(np.float64)
@@ -56,9 +57,9 @@ class Terrain:
 
 
 def read_terrain(path: str | Path) -> tuple[Terrain, pyproj.CRS]:
-    """A single-band raster of heights; its nodata value becomes NaN.
+    """Read a raster of heights (first band) and its CRS; the nodata value becomes NaN.
 
-    Raises :class:`InputError` if it is unreadable, rotated, without CRS or its cells are not square.
+    Raises :class:`InputError` if the file is unreadable, rotated or without CRS, or has cells that are not square.
     """
     try:
         with rasterio.open(path) as raster:
@@ -67,14 +68,14 @@ def read_terrain(path: str | Path) -> tuple[Terrain, pyproj.CRS]:
     except rasterio.errors.RasterioIOError as error:
         raise InputError(f"{path}: not a readable raster: {error}") from error
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
-        raise InputError(f"{path}: expected a north-up raster with square cells")
+        raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
     if crs is None:
         raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
     return Terrain(heights, transform.c, transform.f, transform.a), pyproj.CRS.from_user_input(crs)
 
 
 def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[str, Any]) -> None:
-    """Write a GeoTIFF: float32, deflated, NaN as nodata, ``metadata`` as JSON under the tag ``p2wss``."""
+    """Write a GeoTIFF: float32, deflate, NaN as nodata; ``metadata`` is stored as JSON in the tag ``p2wss``."""
     rows, columns = terrain.height_m.shape
     profile = {
         "driver": "GTiff",
@@ -88,7 +89,7 @@ def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[s
         "compress": "deflate",
         "predictor": 3,
     }
-    # GDAL does not notice a full disk; writing the bytes ourselves does
+    # GDAL does not report a full disk, but writing its bytes does
     with MemoryFile() as file:
         with file.open(**profile) as raster:
             raster.write(terrain.height_m.astype(np.float32), 1)

@@ -1,7 +1,7 @@
-"""The tile grid: square tiles named after their north-west corner, as IGN names its deliveries.
+"""The tile grid: square tiles, named after their north-west corner as in IGN's deliveries.
 
-A tile of whole kilometres is named in kilometres (``0652_6862``: x from 652 km, y up to 6862 km), any other
-size in metres (``0652500_6862000``). The number of digits tells which.
+Names are in kilometres if the tile size is a whole number of kilometres (``0652_6862``: x from 652 km, y up to
+6862 km), and else in metres (``0652500_6862000``). The number of digits distinguishes them.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def grown(bounds: Bounds, margin_m: float) -> Bounds:
 
 
 def tiles_of_points(x_m: np.ndarray, y_m: np.ndarray, tile_size_m: float) -> np.ndarray:
-    """Tile name of each point; a tile owns its west and its north edge.
+    """Tile name of each point, an object array (n,); the west and the north edge belong to a tile.
 
-    Arguments are float arrays of shape (n,), the result is an array of n strings.
+    x_m, y_m: float64 (n,).
     """
     import numpy as np  # not at the top: the Snakefile imports this module at each start, and numpy is slow to load
 
@@ -77,7 +77,7 @@ def tiles_of_points(x_m: np.ndarray, y_m: np.ndarray, tile_size_m: float) -> np.
 
 
 def tiles_of_bounds(bounds: Bounds, tile_size_m: float) -> Iterator[str]:
-    """Every tile that shares an area with ``bounds``, row by row from the north-west."""
+    """Names of all tiles that overlap ``bounds``, row by row from the north-west."""
     x_min, y_min, x_max, y_max = bounds
     for row in range(math.ceil(y_max / tile_size_m), math.floor(y_min / tile_size_m), -1):
         for column in range(math.floor(x_min / tile_size_m), math.ceil(x_max / tile_size_m)):
@@ -85,7 +85,7 @@ def tiles_of_bounds(bounds: Bounds, tile_size_m: float) -> Iterator[str]:
 
 
 def neighbours(name: str, tile_size_m: float) -> list[str]:
-    """The eight tiles around one.
+    """Names of the eight tiles around a tile.
 
     >>> neighbours("0652_6862", 1000)[0]
     '0651_6863'

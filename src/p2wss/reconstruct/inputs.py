@@ -88,8 +88,8 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
 
 def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
     """The footprints whose middle is in the tile."""
-    frame = frame[np.isfinite(frame["middle_x_m"])]
-    chosen = tiles_of_points(frame["middle_x_m"], frame["middle_y_m"], tile_size_m) == tile
+    frame = frame[np.isfinite(frame["centre_x_m"])]
+    chosen = tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile
     return frame[chosen].reset_index(drop=True)
 
 

@@ -54,7 +54,7 @@ def cut_scene(
     is_party = party_walls(polygons)
 
     x_min, y_min, x_max, y_max = tile_bounds(tile, tile_size_m, config.margin_m)
-    x, y = result["middle_x_m"].to_numpy(), result["middle_y_m"].to_numpy()
+    x, y = result["centre_x_m"].to_numpy(), result["centre_y_m"].to_numpy()
     selection = np.flatnonzero((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
     result, polygons, status = result.iloc[selection], polygons[selection], status[selection]
 
@@ -134,7 +134,7 @@ def _next_vertex(ring_offset: np.ndarray) -> np.ndarray:
 
 def _tile_names(parts: gpd.GeoDataFrame, tile_size_m: float) -> np.ndarray:
     """Tile of each part by its centre; "" for a part without coordinates."""
-    x, y = parts["middle_x_m"].to_numpy(), parts["middle_y_m"].to_numpy()
+    x, y = parts["centre_x_m"].to_numpy(), parts["centre_y_m"].to_numpy()
     is_finite = np.isfinite(x) & np.isfinite(y)
     names = np.full(len(parts), "", dtype=object)
     names[is_finite] = tiles_of_points(x[is_finite], y[is_finite], tile_size_m)

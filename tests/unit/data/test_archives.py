@@ -1,4 +1,4 @@
-"""RGE ALTI in 7z archives, whole and split, as IGN delivers it."""
+"""RGE ALTI in 7z archives, complete and split, as IGN delivers it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WINDOW = (652100.0, 6860100.0, 652900.0, 6860900.0)  # within 0652_6861
 
 
 def pack(path: Path, product: int = 1, part_bytes: int | None = None) -> Path:
-    """The miniature's grids in an archive; part_bytes: split, as ``split -b`` would."""
+    """The miniature's grids in an archive; part_bytes: size of its parts, as with ``split -b``."""
     whole = path.with_name("whole.7z")
     with py7zr.SevenZipFile(whole, "w") as archive:
         for grid in sorted(GRIDS.glob("*.asc")):
@@ -39,7 +39,7 @@ def pack(path: Path, product: int = 1, part_bytes: int | None = None) -> Path:
 
 
 @pytest.mark.parametrize("part_bytes", [None, 40_000])
-def test_only_the_grids_of_the_window_are_unpacked_and_only_once(tmp_path, part_bytes, monkeypatch):
+def test_only_grids_in_the_window_are_unpacked_and_only_once(tmp_path, part_bytes, monkeypatch):
     archive = pack(tmp_path / "RGEALTI_D078.7z", part_bytes=part_bytes)
     assert len(list(tmp_path.iterdir())) == (1 if part_bytes is None else 3)
     found = unpack(archive, WINDOW, tmp_path / "grids")
@@ -50,13 +50,13 @@ def test_only_the_grids_of_the_window_are_unpacked_and_only_once(tmp_path, part_
     assert unpack(archive, WINDOW, tmp_path / "grids") == found
 
 
-def test_a_window_on_the_corner_needs_four(tmp_path):
+def test_a_window_at_a_corner_needs_four_grids(tmp_path):
     archive = pack(tmp_path / "a.7z")
     found = unpack(archive, (652990.0, 6860990.0, 653010.0, 6861010.0), tmp_path / "grids")
     assert len(found) == 4
 
 
-def test_grids_of_the_five_metre_product_are_five_kilometres(tmp_path):
+def test_grids_of_the_five_metre_product_are_five_kilometres_wide(tmp_path):
     archive = pack(tmp_path / "RGEALTI_2-0_5M_ASC.7z", product=5)
     found = unpack(archive, (656000.0, 6857000.0, 656500.0, 6857500.0), tmp_path / "grids")
     assert {path.name[12:21] for path in found} == {"0652_6861", "0652_6862", "0653_6861", "0653_6862"}
@@ -64,7 +64,7 @@ def test_grids_of_the_five_metre_product_are_five_kilometres(tmp_path):
 
 
 @pytest.mark.parametrize("part_bytes", [None, 40_000])
-def test_terrain_out_of_an_archive_is_that_of_its_grids(tmp_path, part_bytes):
+def test_terrain_from_an_archive_equals_its_grids(tmp_path, part_bytes):
     (tmp_path / "in").mkdir()
     pack(tmp_path / "in" / "RGEALTI.7z", part_bytes=part_bytes)
     bounds = (652900.0, 6860900.0, 653100.0, 6861100.0)
@@ -75,7 +75,7 @@ def test_terrain_out_of_an_archive_is_that_of_its_grids(tmp_path, part_bytes):
 
 
 @pytest.mark.parametrize("damage", ["truncated", "part missing", "no archive"])
-def test_a_broken_archive_leaves_nothing(tmp_path, damage):
+def test_a_broken_archive_leaves_no_files(tmp_path, damage):
     archive = pack(tmp_path / "a.7z", part_bytes=40_000)
     if damage == "truncated":
         archive.write_bytes(archive.read_bytes()[:20_000])

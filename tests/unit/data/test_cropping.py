@@ -1,4 +1,4 @@
-"""The cropping kernel gives what shapely gives."""
+"""The cropping kernel agrees with shapely."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def town(rng, count, extent_m, origin):
 
 
 @pytest.mark.parametrize("count", [50_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
-def test_pairs_are_those_of_dwithin(count):
+def test_pairs_agree_with_dwithin(count):
     rng = np.random.default_rng(count)
     extent_m = np.sqrt(count / 10)
     origin = np.array([652_000.0, 6_861_000.0])
@@ -86,7 +86,7 @@ def test_points_and_corners_on_a_grid(seed, buffer_m):
     check(x, y, shapes, buffer_m)
 
 
-def test_the_order_of_the_points_changes_nothing_but_their_numbers():
+def test_the_order_of_the_points_changes_only_their_indices():
     rng = np.random.default_rng(3)
     x, y = rng.uniform(0, 60, (2, 3000))
     polygons = to_polygons(town(rng, 12, 60, np.zeros(2)))
@@ -114,7 +114,7 @@ def test_gathering():
     np.testing.assert_array_equal(medians(value, point, offset), [np.nan, 2.006, 3.0])
 
 
-def test_seen_share_counts_cells_of_a_metre():
+def test_seen_share_counts_cells_of_one_metre():
     polygons = to_polygons([shapely.box(0, 0, 4, 3), shapely.box(0.1, 0.1, 0.3, 0.3)])
     x_cm = np.array([50, 60, 150, 350, 450, 20], np.int16)
     y_cm = np.array([50, 60, 50, 250, 50, 20], np.int16)

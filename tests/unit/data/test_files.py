@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and say what they are."""
+"""Files are complete or absent, and hold their provenance."""
 
 import errno
 import os
@@ -19,7 +19,7 @@ SCHEMA = pa.schema([field("a", pa.int32(), "a number"), field("b", pa.list_(pa.f
 COLUMNS = {"a": [1, 2, 3], "b": [[1.0, 2.0], [], None]}
 
 
-def test_table_with_metadata_comes_back(tmp_path):
+def test_table_and_metadata_survive_a_round_trip(tmp_path):
     path = tmp_path / "folder" / "t.parquet"
     files.write_table(path, COLUMNS, SCHEMA, {"crs": "EPSG:2154"})
     assert files.read_table(path, SCHEMA).to_pydict() == COLUMNS
@@ -27,7 +27,7 @@ def test_table_with_metadata_comes_back(tmp_path):
     assert pq.read_schema(path).field("a").metadata == {b"about": b"a number"}
 
 
-def test_list_column_and_back():
+def test_list_columns_survive_a_round_trip():
     values, offsets = files.list_column(pa.table({"b": COLUMNS["b"]}), "b")
     assert values.tolist() == [1, 2] and offsets.tolist() == [0, 2, 2, 2]
     assert files.ragged(values, offsets).to_pylist() == [[1, 2], [], []]
@@ -38,10 +38,10 @@ def test_list_column_and_back():
     [
         (lambda path: None, "no such file"),
         (lambda path: path.write_bytes(b"PAR1 and nothing more"), "not a readable Parquet file"),
-        (lambda path: pq.write_table(pa.table({"a": [1]}), path), "columns b are missing"),
+        (lambda path: pq.write_table(pa.table({"a": [1]}), path), "has no columns b;"),
     ],
 )
-def test_what_cannot_be_read_is_one_line_with_the_path(tmp_path, make, message):
+def test_an_unreadable_file_is_an_error_of_one_line_with_the_path(tmp_path, make, message):
     path = tmp_path / "t.parquet"
     make(path)
     with pytest.raises(InputError) as error:
@@ -49,7 +49,7 @@ def test_what_cannot_be_read_is_one_line_with_the_path(tmp_path, make, message):
     assert str(path) in str(error.value) and message in str(error.value) and "\n" not in str(error.value)
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_a_failed_write_leaves_only_the_old_file(tmp_path):
     path = tmp_path / "t.txt"
     path.write_text("old")
     with pytest.raises(ZeroDivisionError), files.atomic(path) as temporary:
@@ -58,7 +58,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["t.txt"]
 
 
-def test_a_full_disk_is_one_line_with_the_path(tmp_path):
+def test_a_full_disk_is_an_error_of_one_line_with_the_path(tmp_path):
     path = tmp_path / "t.city.jsonl"
     with pytest.raises(InputError, match="not written: No space left"), files.atomic(path) as temporary:
         assert temporary.suffixes == [".city", ".jsonl"] and temporary.parent == path.parent
@@ -67,8 +67,8 @@ def test_a_full_disk_is_one_line_with_the_path(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_full_disk_for_real(tmp_path):
-    """/dev/full refuses every byte, as a full disk does."""
+def test_a_really_full_disk(tmp_path):
+    """/dev/full refuses every byte, like a full disk."""
     if not os.path.exists("/dev/full"):
         pytest.skip("no /dev/full on this system")
     path = tmp_path / "t.parquet"
@@ -79,7 +79,7 @@ def test_full_disk_for_real(tmp_path):
     assert os.listdir(tmp_path) == []
 
 
-def test_scene_keeps_its_metadata_beside_geoparquet(tmp_path):
+def test_a_scene_has_the_metadata_of_p2wss_and_of_geoparquet(tmp_path):
     scene = gpd.GeoDataFrame(
         {
             "building_id": ["A"],

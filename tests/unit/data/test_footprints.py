@@ -1,4 +1,4 @@
-"""Clean-up of footprints: every row stays, with a polygon that the kernel takes or with a reason."""
+"""Cleaning of footprints: every row is kept, with a polygon that the kernel accepts or with a reason."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def cleaned(*shapes: object) -> gpd.GeoDataFrame:
     return clean_footprints(frame(*shapes), CONFIG)
 
 
-def test_dirt_goes_and_the_shape_stays() -> None:
-    """Z, a repeated vertex, a near-collinear one and a 2 cm edge, all clockwise: a rectangle is left."""
+def test_defects_are_removed_and_the_shape_is_kept() -> None:
+    """Z, a repeated and a near-collinear vertex and a 2 cm edge, clockwise: the result is a rectangle."""
     ring = [
         (0, 0, 5),
         (0, 8, 5),
@@ -67,7 +67,7 @@ def test_bow_tie_is_repaired() -> None:
     assert result.area.sum() == pytest.approx(40)
 
 
-def test_courtyards_are_carried_clockwise() -> None:
+def test_courtyards_become_clockwise() -> None:
     result = cleaned(shapely.box(0, 0, 30, 30).difference(shapely.box(10, 10, 20, 20)))
     polygon = result.geometry.iloc[0]
     assert result["status"].iloc[0] == "ok"
@@ -75,7 +75,7 @@ def test_courtyards_are_carried_clockwise() -> None:
     assert polygon.area == pytest.approx(800)
 
 
-def test_courtyard_that_touches_the_outside_is_opened() -> None:
+def test_a_courtyard_that_touches_the_exterior_is_cut_apart() -> None:
     outside = shapely.box(0, 0, 30, 30)
     touching = shapely.Polygon(outside.exterior.coords, [[(0, 15), (10, 20), (10, 10)]])
     row = cleaned(touching).iloc[0]
@@ -96,7 +96,7 @@ def test_courtyard_that_touches_the_outside_is_opened() -> None:
         (shapely.Point(0, 0).buffer(400, quad_segs=64), "too-many-edges"),
     ],
 )
-def test_what_makes_no_building_keeps_its_row(shape: object, reason: str) -> None:
+def test_an_excluded_footprint_keeps_its_row(shape: object, reason: str) -> None:
     result = clean_footprints(
         frame(shapely.box(0, 0, 9, 9), shape), Scenes(simplify_tolerance_m=0, max_edges=40)
     )
@@ -105,15 +105,15 @@ def test_what_makes_no_building_keeps_its_row(shape: object, reason: str) -> Non
     assert result.geometry.iloc[1].is_empty
 
 
-def test_without_a_polygon_the_middle_is_that_of_the_geometry() -> None:
+def test_without_a_polygon_the_centre_is_that_of_the_geometry() -> None:
     result = split_parts(frame(shapely.LineString([(0, 0), (4, 8)]), shapely.Polygon()), 1)
-    assert (result["middle_x_m"].iloc[0], result["middle_y_m"].iloc[0]) == (2, 4)
-    assert np.isnan(result["middle_x_m"].iloc[1])
+    assert (result["centre_x_m"].iloc[0], result["centre_y_m"].iloc[0]) == (2, 4)
+    assert np.isnan(result["centre_x_m"].iloc[1])
 
 
 @st.composite
 def dirty_polygons(draw: st.DrawFn) -> shapely.Polygon:
-    """Rings of a few points on a coarse grid: crossing, touching, collapsing, in any order."""
+    """Rings of a few points on a coarse grid, which may cross, touch and collapse."""
     points = draw(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), min_size=3, max_size=9))
     hole = draw(st.lists(st.tuples(st.integers(1, 7), st.integers(1, 7)), min_size=3, max_size=5))
     holes = [hole] if draw(st.booleans()) else []
@@ -124,7 +124,7 @@ def dirty_polygons(draw: st.DrawFn) -> shapely.Polygon:
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(dirty_polygons(), min_size=1, max_size=4))
-def test_whatever_is_ok_goes_through_the_kernel(shapes: list[shapely.Polygon]) -> None:
+def test_all_accepted_footprints_pass_the_kernel(shapes: list[shapely.Polygon]) -> None:
     result = cleaned(*shapes)
     assert set(result["building_id"].str.split("-").str[0]) == {f"B{i}" for i in range(len(shapes))}
     assert result["building_id"].is_unique
@@ -140,7 +140,7 @@ def test_whatever_is_ok_goes_through_the_kernel(shapes: list[shapely.Polygon]) -
         assert row.geometry.difference(valid.buffer(0.5)).area < 1e-6
 
 
-def test_ids_by_their_usual_names_else_numbers(tmp_path: Path) -> None:
+def test_ids_from_common_columns_else_numbers(tmp_path: Path) -> None:
     boxes = [shapely.box(20 * i, 0, 20 * i + 9, 9) for i in range(3)]
     path = tmp_path / "f.gpkg"
     for columns, expected in [
@@ -153,19 +153,19 @@ def test_ids_by_their_usual_names_else_numbers(tmp_path: Path) -> None:
         assert list(read_footprints(path)["building_id"]) == expected
     assert list(read_footprints(path, id_field="name")["building_id"]) == ["x", "y", "z"]
     assert list(read_footprints(path, bounds=(15, 0, 25, 5))["building_id"]) == ["1"]
-    with pytest.raises(InputError, match=r"f\.gpkg: no column pand; it has name"):
+    with pytest.raises(InputError, match=r"f\.gpkg: has no column pand; its columns are name"):
         read_footprints(path, id_field="pand")
 
 
-def test_a_named_id_field_must_be_one(tmp_path: Path) -> None:
+def test_a_named_id_field_must_have_unique_values(tmp_path: Path) -> None:
     path = tmp_path / "f.gpkg"
     boxes = [shapely.box(20 * i, 0, 20 * i + 9, 9) for i in range(2)]
     gpd.GeoDataFrame({"name": ["x", "x"]}, geometry=boxes, crs="EPSG:2154").to_file(path)
-    with pytest.raises(InputError, match="column name is no id: x occurs more than once"):
+    with pytest.raises(InputError, match="column name cannot be the id: x occurs more than once"):
         read_footprints(path, id_field="name")
 
 
-def test_bad_files_get_one_clear_line(tmp_path: Path) -> None:
+def test_a_bad_file_is_an_error_of_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"gone\.gpkg: no such file"):
         read_footprints(tmp_path / "gone.gpkg")
     (tmp_path / "f.gpkg").write_text("<html>")
@@ -176,12 +176,12 @@ def test_bad_files_get_one_clear_line(tmp_path: Path) -> None:
         read_footprints(tmp_path / "d.gpkg")
     line = shapely.LineString([(0, 0), (1, 1)])
     gpd.GeoDataFrame(geometry=[line], crs="EPSG:2154").to_file(tmp_path / "l.gpkg")
-    with pytest.raises(InputError, match=r"l\.gpkg: no polygons"):
+    with pytest.raises(InputError, match=r"l\.gpkg: has no polygons"):
         read_footprints(tmp_path / "l.gpkg")
 
 
 @pytest.mark.skipif(not DELFT.exists(), reason="no shared/data/delft_ahn3")
-def test_all_of_delft_is_kept() -> None:
+def test_all_footprints_of_delft_are_accepted() -> None:
     result = clean_footprints(read_footprints(DELFT), CONFIG)
     assert list(result["status"]) == ["ok"] * 74
     assert result["building_id"].str.startswith("b").all()

@@ -1,4 +1,4 @@
-"""Facts about files, against what they were made of."""
+"""Facts about files, compared with their contents."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_cloud() -> None:
         [cloud.x.min(), cloud.y.min(), cloud.x.max(), cloud.y.max()], abs=0.011
     )
     cells = len(set(zip(np.floor(cloud.x).tolist(), np.floor(cloud.y).tolist(), strict=True)))
-    assert facts["points per m2 where there are any"] == pytest.approx(len(cloud) / cells, abs=0.006)
+    assert facts["points per m2 in cells with points"] == pytest.approx(len(cloud) / cells, abs=0.006)
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="no shared/data")
@@ -72,9 +72,9 @@ def test_vector() -> None:
     assert set(layer["columns"]) == set(frame.columns) - {"geometry"}
 
 
-def test_own_gpkg_tells_what_made_it(tmp_path: Path) -> None:
+def test_a_gpkg_of_p2wss_has_its_provenance(tmp_path: Path) -> None:
     gpkg.write(tmp_path / "a.gpkg", gpd.read_file(GPKG).iloc[:3], FACTS)
-    assert describe(tmp_path / "a.gpkg")["made by"] == SHOWN
+    assert describe(tmp_path / "a.gpkg")["provenance"] == SHOWN
 
 
 def test_rasters(tmp_path: Path) -> None:
@@ -85,16 +85,16 @@ def test_rasters(tmp_path: Path) -> None:
     heights[0] = np.nan
     write_terrain(tmp_path / "a.tif", Terrain(heights, 652000, 6862000, 5.0), "EPSG:2154", FACTS)
     facts = describe(tmp_path / "a.tif")
-    assert facts["share of known cells"] == pytest.approx(199 / 200)
-    assert facts["bounds"] == [652000, 6861000, 653000, 6862000] and facts["made by"] == SHOWN
+    assert facts["share of cells with data"] == pytest.approx(199 / 200)
+    assert facts["bounds"] == [652000, 6861000, 653000, 6862000] and facts["provenance"] == SHOWN
 
 
 def test_tables(tmp_path: Path) -> None:
     columns = {name: [] for name in MEASURES.names}
     files.write_table(tmp_path / "a.parquet", columns, MEASURES, FACTS)
     facts = describe(tmp_path / "a.parquet")
-    assert facts["num_rows"] == 0 and facts["made by"] == SHOWN
-    assert facts["columns"]["num_points"] == "int32 not null  points of the building's cloud"
+    assert facts["num_rows"] == 0 and facts["provenance"] == SHOWN
+    assert facts["columns"]["num_points"] == "int32 not null  points of the crop of the building"
     frame = gpd.read_file(GPKG).assign(status=lambda f: np.where(f.hauteur > 5, "ok", "low"))
     frame.to_parquet(tmp_path / "b.parquet")
     facts = describe(tmp_path / "b.parquet")
@@ -109,7 +109,7 @@ def test_weights(tmp_path: Path) -> None:
     tensors = {"a": torch.zeros(3, 4), "b": torch.zeros(5, dtype=torch.int64)}
     save_file(tensors, path, {"p2wss": json.dumps(FACTS)})
     facts = describe(path)
-    assert (facts["num_tensors"], facts["num_parameters"], facts["made by"]) == (2, 17, SHOWN)
+    assert (facts["num_tensors"], facts["num_parameters"], facts["provenance"]) == (2, 17, SHOWN)
     path.write_bytes(path.read_bytes()[:-1])
     with pytest.raises(InputError, match=r"model\.safetensors: truncated"):
         describe(path)
@@ -118,12 +118,12 @@ def test_weights(tmp_path: Path) -> None:
 def test_json(tmp_path: Path) -> None:
     files.write_json(tmp_path / "manifest.json", {"num_rows": 2, "shards": [{"tile": "a"}]} | FACTS)
     facts = describe(tmp_path / "manifest.json")
-    assert facts["num_rows"] == 2 and facts["made by"] == SHOWN
+    assert facts["num_rows"] == 2 and facts["provenance"] == SHOWN
     (tmp_path / "m.jsonl").write_text('{"step": 1}\n{"step": 2}\n')
     assert describe(tmp_path / "m.jsonl")["last"] == [{"step": 2}]
 
 
-def test_text_has_one_fact_a_line() -> None:
+def test_text_has_one_fact_per_line() -> None:
     shown = text({"a": 1.5, "b": {"c": [1, 2], "d": None}, "e": [{"f": "g"}]})
     assert shown.splitlines() == ["a: 1.5", "b:", "  c: 1, 2", "  d: -", "e:", "  -:", "    f: g"]
 
@@ -131,7 +131,7 @@ def test_text_has_one_fact_a_line() -> None:
 @pytest.mark.parametrize(
     "suffix", ["laz", "gpkg", "tif", "asc", "parquet", "json", "jsonl", "glb", "7z", "safetensors"]
 )
-def test_a_broken_file_is_one_clear_line(tmp_path: Path, suffix: str, capsys: Any) -> None:
+def test_a_broken_file_is_an_error_of_one_line(tmp_path: Path, suffix: str, capsys: Any) -> None:
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(b"<html>nothing of the kind</html>")
     assert main(["inspect", str(path)]) == 2
@@ -147,4 +147,4 @@ def test_command(tmp_path: Path, capsys: Any) -> None:
     assert "none.laz: no such file" in capsys.readouterr().err
     (tmp_path / "a.xyz").write_text("1 2 3")
     assert main(["inspect", str(tmp_path / "a.xyz")]) == 2
-    assert "not a kind of file that is known here" in capsys.readouterr().err
+    assert "unknown type of file" in capsys.readouterr().err

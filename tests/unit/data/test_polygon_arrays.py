@@ -1,4 +1,4 @@
-"""Footprints survive the way through every form."""
+"""Footprints survive the conversion between all forms."""
 
 import numpy as np
 import pyarrow as pa
@@ -23,7 +23,7 @@ def test_ragged_arrays_keep_rings_and_empty_polygons():
     )
 
 
-def test_columns_are_local_and_come_back():
+def test_columns_are_local_and_survive_a_round_trip():
     polygons = polygon_arrays.to_polygons(SHAPES)
     origin = polygon_arrays.origins(polygons)
     table = pa.table(polygon_arrays.to_columns(polygons, origin))
@@ -36,7 +36,7 @@ def test_columns_are_local_and_come_back():
     np.testing.assert_array_equal(back.polygon_offset, polygons.polygon_offset)
 
 
-def test_take_chooses_and_reorders():
+def test_take_selects_and_reorders():
     polygons = polygon_arrays.to_polygons(SHAPES)
     chosen = polygon_arrays.to_geometries(polygon_arrays.take(polygons, np.array([5, 2, 0])))
     assert chosen[0].equals(TRIANGLE) and chosen[1].is_empty and chosen[2].equals(SQUARE)

@@ -17,7 +17,7 @@ def hilly(rows: int = 30, columns: int = 40, cell: float = 2.0) -> Terrain:
     return Terrain(heights, 100.0, 500.0, cell)
 
 
-def test_interpolated_against_scipy() -> None:
+def test_interpolation_agrees_with_scipy() -> None:
     terrain = hilly()
     x = 100 + 2 * (np.arange(40) + 0.5)
     y = 500 - 2 * (np.arange(30) + 0.5)
@@ -31,7 +31,7 @@ def test_interpolated_against_scipy() -> None:
     np.testing.assert_allclose(terrain.interpolated(at_x, at_y), expected, rtol=1e-9)
 
 
-def test_no_data_spreads_to_its_squares_only() -> None:
+def test_no_data_affects_only_adjacent_squares() -> None:
     terrain = hilly()
     terrain.height_m[10, 10] = np.nan
     x, y = 100 + 2 * 10.5, 500 - 2 * 10.5
@@ -39,7 +39,7 @@ def test_no_data_spreads_to_its_squares_only() -> None:
     assert np.isfinite(terrain.interpolated(np.array([x + 2.1, x]), np.array([y, y + 2.1]))).all()
 
 
-def test_cut_keeps_heights_in_place_and_one_cell_around() -> None:
+def test_cut_keeps_positions_and_one_more_cell() -> None:
     terrain = hilly()
     part = terrain.cut((120.3, 460.2, 140.9, 480.7))
     rng = np.random.default_rng(2)
@@ -52,7 +52,7 @@ def test_cut_keeps_heights_in_place_and_one_cell_around() -> None:
     assert terrain.cut((900, 900, 950, 950)).height_m.size == 0
 
 
-def test_file_and_back(tmp_path: Path) -> None:
+def test_a_file_survives_a_round_trip(tmp_path: Path) -> None:
     terrain = hilly()
     terrain.height_m[0, 0] = np.nan
     write_terrain(tmp_path / "t.tif", terrain, "EPSG:2154", {"code": "abc"})
@@ -73,7 +73,7 @@ def test_file_and_back(tmp_path: Path) -> None:
         ("EPSG:2154", Affine(1, 0.1, 0, 0.1, -1, 10), "north-up"),
     ],
 )
-def test_rasters_of_another_kind(tmp_path: Path, crs: str | None, transform: Affine, message: str) -> None:
+def test_unsupported_rasters(tmp_path: Path, crs: str | None, transform: Affine, message: str) -> None:
     profile = {"driver": "GTiff", "width": 5, "height": 5, "count": 1, "dtype": "float32"}
     with rasterio.open(tmp_path / "t.tif", "w", crs=crs, transform=transform, **profile) as raster:
         raster.write(np.ones((1, 5, 5), np.float32))
@@ -81,7 +81,7 @@ def test_rasters_of_another_kind(tmp_path: Path, crs: str | None, transform: Aff
         read_terrain(tmp_path / "t.tif")
 
 
-def test_no_raster(tmp_path: Path) -> None:
+def test_not_a_raster(tmp_path: Path) -> None:
     (tmp_path / "t.tif").write_text("<html>")
     with pytest.raises(InputError, match=r"t\.tif: not a readable raster"):
         read_terrain(tmp_path / "t.tif")

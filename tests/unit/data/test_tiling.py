@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from p2wss.data import seeds, tiling
 
 
-def test_examples_in_the_docstrings():
+def test_examples_in_docstrings():
     for module in (tiling, seeds):
         result = doctest.testmod(module)
         assert result.attempted > 0 and result.failed == 0
@@ -19,7 +19,7 @@ def test_examples_in_the_docstrings():
     st.floats(6_000_000, 7_100_000),
     st.sampled_from([250.0, 500.0, 1000.0, 2000.0]),
 )
-def test_every_point_lies_in_its_tile_and_in_one_only(x, y, size):
+def test_every_point_is_in_exactly_one_tile(x, y, size):
     (name,) = tiling.tiles_of_points(np.array([x]), np.array([y]), size)
     x_min, y_min, x_max, y_max = tiling.tile_bounds(name, size)
     assert x_min <= x < x_max and y_min < y <= y_max
@@ -27,7 +27,7 @@ def test_every_point_lies_in_its_tile_and_in_one_only(x, y, size):
     assert name not in tiling.neighbours(name, size)
 
 
-def test_tiles_of_bounds_that_meet_the_grid_exactly():
+def test_tiles_of_bounds_on_the_grid_lines():
     assert list(tiling.tiles_of_bounds((652000, 6860000, 654000, 6862000), 1000)) == [
         "0652_6862",
         "0653_6862",

@@ -6,6 +6,7 @@ import pyarrow as pa
 
 
 def field(name: str, kind: pa.DataType, about: str, nullable: bool = False) -> pa.Field:
+    """A column with its description, which is stored in the file."""
     return pa.field(name, kind, nullable=nullable, metadata={"about": about})
 
 
@@ -13,9 +14,9 @@ IDENTITY = [
     field(
         "building_id",
         pa.string(),
-        "cleabs of BD TOPO or the user's own id; parts of a multipolygon end in -1, -2, ..",
+        "cleabs of BD TOPO or the user's id; parts of a multipolygon have suffixes -1, -2, ..",
     ),
-    field("tile", pa.string(), "name of the tile, its north-west corner"),
+    field("tile", pa.string(), "name of the tile, from its north-west corner"),
 ]
 FRAME = [
     field("origin_x_m", pa.float64(), "x of the local origin in the CRS of the file"),
@@ -25,12 +26,14 @@ FOOTPRINT = [
     field(
         "footprint_xy_m",
         pa.list_(pa.float64()),
-        "vertices of all rings, exterior (CCW) first, x and y in turn, local",
+        "vertices of all rings, exterior (CCW) first, alternating x and y, relative to the origin",
     ),
-    field("ring_offset", pa.list_(pa.int32()), "ring r owns vertices ring_offset[r] to ring_offset[r + 1]"),
+    field(
+        "ring_offset", pa.list_(pa.int32()), "ring r has vertices ring_offset[r] to ring_offset[r + 1] - 1"
+    ),
 ]
 STATUS = [
-    field("status", pa.string(), "'ok', or why the building was left out"),
+    field("status", pa.string(), "'ok', or the reason why the building was excluded"),
 ]
 MESH = [
     field(
@@ -45,6 +48,6 @@ MESH = [
     field(
         "triangle_edge",
         pa.list_(pa.int32()),
-        "per triangle: the footprint edge it grows from, or -1; of several parts and of Roofer: its polygon",
+        "per triangle: the footprint edge of its face, or -1; with several parts and for Roofer: its polygon",
     ),
 ]

@@ -1,4 +1,7 @@
-"""Crops: Parquet shards of the points of each building."""
+"""Crops: Parquet shards of the points of each building.
+
+Written by the stage crops; read by dvae, model and eval.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +18,14 @@ CROPS = pa.schema(
         field(
             "split",
             pa.string(),
-            "train, val, test, guard (too near another split: unused) or none (real LiDAR)",
+            "train, val, test, guard (too close to another split, not used) or none (real LiDAR)",
         ),
-        field("num_points", pa.int32(), "points within the buffer"),
+        field("num_points", pa.int32(), "points inside the footprint or within the buffer"),
         *FRAME,
         field(
             "origin_z_m",
             pa.float64(),
-            "z of z_cm = 0; chosen from the points alone, so it tells nothing of the labels",
+            "z of z_cm = 0; derived from the points only, so that it reveals nothing about the labels",
         ),
         field("x_cm", pa.list_(pa.int16()), "point x - origin_x_m, centimetres"),
         field("y_cm", pa.list_(pa.int16()), "point y - origin_y_m, centimetres"),
@@ -44,17 +47,17 @@ CROPS = pa.schema(
         field(
             "num_roof_points",
             pa.int32(),
-            "points on this building's roof; of real LiDAR on the building (p2wss.data.points)",
+            "points on the roof; of real LiDAR: points on the building (p2wss.data.points)",
         ),
-        field("num_wall_points", pa.int32(), "points on this building's walls; null for real LiDAR", True),
+        field("num_wall_points", pa.int32(), "points on the walls; null for real LiDAR", True),
         field(
             "num_walls_seen",
             pa.int32(),
-            "footprint edges whose walls have 10 points or more; null for real LiDAR",
+            "footprint edges whose walls have at least 10 points; null for real LiDAR",
             True,
         ),
-        field("num_strips", pa.int32(), "flight lines that the points come from"),
-        field("visible_roof_share", pa.float32(), "share of the roof's 1 m cells that have a point"),
-        field("is_truncated", pa.bool_(), "more points than crops.max_points: networks see a part of them"),
+        field("num_strips", pa.int32(), "number of flight lines among the points"),
+        field("visible_roof_share", pa.float32(), "share of the 1 m cells of the roof that have a point"),
+        field("is_truncated", pa.bool_(), "more points than crops.max_points, of which networks use a part"),
     ]
 )

@@ -1,4 +1,7 @@
-"""Reconstructions: Parquet of what a method makes of each building."""
+"""Reconstructions: Parquet of the result of one method for each building.
+
+Written and read by the stage eval.
+"""
 
 from __future__ import annotations
 
@@ -24,20 +27,20 @@ RECONSTRUCTIONS = pa.schema(
         field("ground_z_m", pa.float64(), "z of height 0: the ground at the building as the cloud shows it"),
         *FOOTPRINT,
         field("eave_height_m", pa.float32(), "eave above ground_z_m; null for a method without one", True),
-        field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without", True),
+        field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without angles", True),
         field(
             "class_probability",
             pa.list_(pa.float32()),
-            "of a network, per edge three: of 0 degrees, of 90 degrees, of a slope; else null",
+            "per edge the network's probabilities of 0 degrees, 90 degrees and a slope; null without a network",
             True,
         ),
         field(
             "confidence",
             pa.float32(),
-            "probability of the decoded values, mean over height and angles; null where unknown",
+            "probability of the decoded values, mean over height and angles; null if unknown",
             True,
         ),
-        field("num_parts", pa.int32(), "parts with a height each; 1 for the paper's model"),
+        field("num_parts", pa.int32(), "parts with their own eave height; 1 for the paper's model"),
         *MESH,
     ]
 )
@@ -46,7 +49,7 @@ RECONSTRUCTIONS = pa.schema(
 def reconstruction_columns(
     reconstructions: Sequence[Reconstruction], dataset: str | Sequence[str]
 ) -> dict[str, Any]:
-    """The columns of ``io.RECONSTRUCTIONS``."""
+    """The columns of :data:`RECONSTRUCTIONS`. dataset: of all rows, or one per row."""
     rows = reconstructions
     names = [dataset] * len(rows) if isinstance(dataset, str) else list(dataset)
     return {
@@ -76,7 +79,10 @@ def reconstruction_columns(
 
 
 def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstruction]:
-    """Rows of ``io.RECONSTRUCTIONS`` by (dataset, tile, building id)."""
+    """The reconstructions in a file by (dataset, tile, building id).
+
+    Raises :class:`InputError` if the file is missing, broken or not a table of reconstructions.
+    """
     table = files.read_table(path, RECONSTRUCTIONS)
     polygons = polygon_arrays.from_columns(table)
     lists = {
@@ -91,7 +97,7 @@ def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstructio
         )
     }
 
-    def own(name: str, i: int) -> np.ndarray:
+    def values_of(name: str, i: int) -> np.ndarray:
         values, offset = lists[name]
         return values[offset[i] : offset[i + 1]]
 
@@ -120,14 +126,16 @@ def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstructio
             row["ground_z_m"],
             polygons.rings(i),
             row["eave_height_m"],
-            own("angle_deg", i).astype(float) if len(own("angle_deg", i)) else None,
+            values_of("angle_deg", i).astype(float) if len(values_of("angle_deg", i)) else None,
             row["confidence"],
-            own("vertex_xyz_m", i).reshape(-1, 3),
-            own("triangle", i).reshape(-1, 3),
-            own("triangle_kind", i),
-            own("triangle_edge", i),
+            values_of("vertex_xyz_m", i).reshape(-1, 3),
+            values_of("triangle", i).reshape(-1, 3),
+            values_of("triangle_kind", i),
+            values_of("triangle_edge", i),
             row["num_parts"],
-            odds.reshape(-1, 3).astype(float) if len(odds := own("class_probability", i)) else None,
+            probability.reshape(-1, 3).astype(float)
+            if len(probability := values_of("class_probability", i))
+            else None,
         )
         for i, row in enumerate(plain)
     }

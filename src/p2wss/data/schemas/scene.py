@@ -1,4 +1,7 @@
-"""Scenes: GeoParquet of the buildings of a tile and its margin, with heights and roof angles."""
+"""Scenes: GeoParquet of the buildings of a tile and its margin, with heights and roof angles.
+
+Written by the stage scenes; read by buildings and scans.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,22 @@ import pyarrow as pa
 from p2wss.data.files import read_metadata, read_table, write_geoparquet
 from p2wss.data.schemas.columns import IDENTITY, STATUS, field
 
-# Scenes are GeoParquet: these columns and a `geometry` of cleaned polygons (exterior CCW, courtyards CW, 2D).
+# besides these columns, the file has a `geometry` of clean 2D polygons (exterior CCW, courtyards CW)
 SCENE = pa.schema(
     [
         *IDENTITY,
-        field("in_tile", pa.bool_(), "false for a building of the margin, which only casts shadows"),
+        field("in_tile", pa.bool_(), "false for a building in the margin, which is only an occluder"),
         *STATUS,
         field("eave_height_m", pa.float32(), "eave above terrain_z_m"),
-        field("eave_height_source", pa.string(), "'hauteur', or the fallback that gave the height"),
+        field("eave_height_source", pa.string(), "source of the height: hauteur, altitudes, floors or drawn"),
         field("terrain_z_m", pa.float64(), "median height of the DTM along the footprint"),
-        field("base_z_m", pa.float64(), "lowest height of the DTM along the footprint, where the walls end"),
+        field(
+            "base_z_m", pa.float64(), "lowest height of the DTM along the footprint, the foot of the walls"
+        ),
         field(
             "roof_type",
             pa.string(),
-            "what the sampler drew: gable, hip, half-hip, shed, flat, mixed, uniform",
+            "type drawn by the sampler: gable, hip, half-hip, shed, flat, mixed, uniform; none if excluded",
         ),
         field("angle_deg", pa.list_(pa.float32()), "one per edge over all rings; edge i starts at vertex i"),
     ]
@@ -31,10 +36,13 @@ SCENE = pa.schema(
 
 
 def read_scene(path: str | Path) -> tuple[Any, dict[str, Any]]:
-    """A scene as (GeoDataFrame with the columns of ``SCENE`` and a geometry, metadata)."""
+    """A scene as (GeoDataFrame with the columns of ``SCENE`` and a geometry, metadata).
+
+    Raises :class:`InputError` if the file is missing, broken or not a scene.
+    """
     import geopandas as gpd
 
-    read_table(path, SCENE, columns=["building_id"])  # a clear error for what is no scene
+    read_table(path, SCENE, columns=["building_id"])  # for its error messages
     return gpd.read_parquet(path), read_metadata(path)
 
 
