@@ -31,7 +31,7 @@ def warm_fit() -> None:
 def warm_footprints_and_meshes() -> None:
     """Cleaning footprints, finding their points, meshes."""
     from p2wss import skeleton
-    from p2wss.data.points import crop_cloud
+    from p2wss.data.cloud_crops import crop_cloud
 
     square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
     crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), skeleton.clean(square).polygons)
