@@ -16,8 +16,7 @@ import shapely
 from p2wss import crops, scans
 from p2wss.buildings import build_scene
 from p2wss.config import Buildings, Clutter, Crops, Scans
-from p2wss.data import files, polygon_arrays
-from p2wss.data import points as points_module
+from p2wss.data import cloud_crops, files, polygon_arrays
 from p2wss.data.clouds import Cloud
 from p2wss.data.schemas.buildings import BUILDINGS
 from p2wss.data.schemas.crops import CROPS
@@ -180,7 +179,7 @@ def run_scene(
     meter.watch(caster, "generate", "pulses generated and culled")
     meter.watch(caster.Caster, "first_hits", "cast")
     meter.watch(caster, "record", "noise, drop-out, tags")
-    meter.watch(points_module, "crop_points", "crop")
+    meter.watch(cloud_crops, "crop_points", "crop")
     begin = time.process_time()
     scan = scans.simulate(buildings, terrain, TILE, size_m, settings())
     simulate_s = time.process_time() - begin
