@@ -11,7 +11,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from p2wss.skeleton import FaceKind, Polygons, faces
+from p2wss.formats.polygons import planar_surfaces
+from p2wss.skeleton import FaceKind, Polygons, build
 
 RECTANGLE = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
 L_SHAPE = np.array([[0, 0], [10, 0], [10, 4], [4, 4], [4, 10], [0, 10]], float)
@@ -69,27 +70,27 @@ def draw(
     axes, rings: list[np.ndarray], angle_deg: list[float], max_roof_height_m: float, azimuth: float
 ) -> None:
     """Draw one solid from above, with the angle beside every edge that faces the viewer."""
-    vertex, solid_faces = faces(
+    vertex, *labelled_triangles = build(
         Polygons.from_rings([rings]),
         np.array(angle_deg, float),
         np.array([2.5]),
         max_roof_height_m=max_roof_height_m,
-    ).solid(0)
+    ).mesh(0)
     elevation, turn = np.radians([_ELEVATION_DEG, azimuth])
     towards = np.array(
         [np.cos(elevation) * np.cos(turn), np.cos(elevation) * np.sin(turn), np.sin(elevation)]
     )
     light = np.array([-0.5, -0.7, 1.1]) / np.linalg.norm([-0.5, -0.7, 1.1])
-    for kind, _, loops in solid_faces:
-        outer = vertex[loops[0]]
+    for face in planar_surfaces(vertex, *labelled_triangles):
+        outer = vertex[face.rings[0]]
         normal = np.cross(outer, np.roll(outer, -1, 0)).sum(0)
         if normal @ towards <= 0:
             continue
         shade = 0.62 + 0.38 * max(0.0, float(normal @ light / np.linalg.norm(normal)))
-        colour = np.array(matplotlib.colors.to_rgb(COLOUR[kind])) * shade
-        for piece in triangles(outer, [vertex[loop] for loop in loops[1:]]):
+        colour = np.array(matplotlib.colors.to_rgb(COLOUR[face.kind])) * shade
+        for piece in triangles(outer, [vertex[ring] for ring in face.rings[1:]]):
             axes.add_collection3d(Poly3DCollection([piece], facecolor=colour, edgecolor=colour, lw=0.2))
-        lines = [np.vstack([vertex[loop], vertex[loop[:1]]]) for loop in loops]
+        lines = [np.vstack([vertex[ring], vertex[ring[:1]]]) for ring in face.rings]
         axes.add_collection3d(Line3DCollection(lines, colors="#303030", lw=0.7))
     for ring, angles in zip(rings, np.split(np.array(angle_deg), [len(rings[0])]), strict=False):
         along = np.roll(ring, -1, 0) - ring

@@ -1,6 +1,6 @@
 """The geometry kernel: footprints, angles and heights to closed LoD2 meshes, by weighted straight skeletons.
 
-What the angles mean (a picture of each rule: ``docs/skeleton.md``, ``docs/img/skeleton_*.svg``):
+What the angles mean (a picture of each rule: ``docs/methods/skeleton.md``, ``docs/img/skeleton_*.svg``):
 
 * An edge of angle a moves inwards by cot(a) metres for every metre of height (``skeleton_speed``).
 * 90 degrees stands still, exactly: a gable (``skeleton_gable``).
@@ -15,29 +15,20 @@ What the angles mean (a picture of each rule: ``docs/skeleton.md``, ``docs/img/s
 * Courtyards are further rings whose edges have angles too (``skeleton_courtyard``).
 """
 
-from p2wss.skeleton.batch import Diagnosis, build, diagnose, faces, lines
+from p2wss.skeleton.batch import build
 from p2wss.skeleton.clean import Cleaned, clean
-from p2wss.skeleton.line_kinds import LineKind
-from p2wss.skeleton.queries import RoofPoints, roof_height, roof_points
+from p2wss.skeleton.queries import RoofPoints, roof_points
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import FaceKind, Faces, Lines, Meshes, Polygons
+from p2wss.skeleton.types import FaceKind, Meshes, Polygons
 
 __all__ = [
     "Cleaned",
-    "Diagnosis",
     "FaceKind",
-    "Faces",
-    "LineKind",
-    "Lines",
     "Meshes",
     "Polygons",
     "RoofPoints",
     "Status",
     "build",
     "clean",
-    "diagnose",
-    "faces",
-    "lines",
-    "roof_height",
     "roof_points",
 ]

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.kinetic import skeleton_work
-from p2wss.skeleton.line_kinds import find_lines
 from p2wss.skeleton.mesh import label_kind_and_edge, mesh_work, solid_mesh
 from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import Faces, FloatArray, IntArray, Lines, Meshes, Polygons, writable
+from p2wss.skeleton.types import FloatArray, Meshes, Polygons, writable
 
 _OK = int(Status.OK)
 
@@ -28,64 +26,29 @@ class _Output(NamedTuple):
     triangle_kind: np.ndarray
     triangle_edge: np.ndarray
     triangle_offset: np.ndarray
-    face_kind: np.ndarray
-    face_edge: np.ndarray
-    face_offset: np.ndarray
-    ring_offset: np.ndarray
-    point_offset: np.ndarray
-    point: np.ndarray
     num_caps: np.ndarray
     num_ambiguous: np.ndarray
-
-
-@inner
-def _append_faces(num_edges, counts, num_faces, mesh, output, first_face):
-    """Append the faces of one solid. False: no room."""
-    num_rings = output.ring_offset[first_face]
-    num_points = output.point_offset[num_rings]
-    if first_face + num_faces > len(output.face_kind):
-        return False
-    for f in range(num_faces):
-        of_kind, of_edge = label_kind_and_edge(num_edges, counts, mesh.face[f].label)
-        output.face_kind[first_face + f] = of_kind
-        output.face_edge[first_face + f] = of_edge
-        for r in range(mesh.face[f].first_ring, mesh.face[f].last_ring):
-            ring = mesh.ring_order[r]
-            first, last = mesh.ring_start[ring], mesh.ring_start[ring + 1]
-            if num_rings + 1 >= len(output.point_offset) or num_points + last - first > len(output.point):
-                return False
-            for k in range(first, last):
-                output.point[num_points] = mesh.new_index[mesh.ring_point[k]]
-                num_points += 1
-            num_rings += 1
-            output.point_offset[num_rings] = num_points
-        output.ring_offset[first_face + f + 1] = num_rings
-    return True
 
 
 @entry
 def _solids(
     xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m,
-    skeleton, mesh, start, want_faces, output,
+    skeleton, mesh, start, output,
 ):  # fmt: skip
     """Solids of the polygons from ``start`` on. Returns the first one for which there was no room."""
     counts = skeleton.counts
     for p in range(start, len(output.status)):
-        code, num_edges, num_faces, more_vertices, more_triangles = solid_mesh(
+        code, num_edges, more_vertices, more_triangles = solid_mesh(
             xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave_height_m[p],
             base_height_m[p], max_roof_height_m[p], skeleton, mesh,
         )  # fmt: skip
         num_vertices, num_triangles = output.vertex_offset[p], output.triangle_offset[p]
         if code != _OK:
-            more_vertices, more_triangles, num_faces = 0, 0, 0
+            more_vertices, more_triangles = 0, 0
         if num_vertices + more_vertices > len(output.vertex):
             return p
         if num_triangles + more_triangles > len(output.triangle):
             return p
-        if want_faces:
-            if not _append_faces(num_edges, counts, num_faces, mesh, output, output.face_offset[p]):
-                return p
-            output.face_offset[p + 1] = output.face_offset[p] + num_faces
         output.status[p] = code
         output.num_caps[p] = counts[NUM_CAPS] if code == _OK else 0
         output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == _OK else 0
@@ -107,18 +70,10 @@ def _solids(
     return len(output.status)
 
 
-_PER_POLYGON = {
-    "status",
-    "vertex_offset",
-    "triangle_offset",
-    "face_offset",
-    "num_caps",
-    "num_ambiguous",
-}
+_PER_POLYGON = {"status", "vertex_offset", "triangle_offset", "num_caps", "num_ambiguous"}
 
 
-def _output(num_polygons: int, num_rows: int, want_faces: bool) -> _Output:
-    face_rows = num_rows if want_faces else 0
+def _output(num_polygons: int, num_rows: int) -> _Output:
     return _Output(
         status=np.zeros(num_polygons, np.int32),
         vertex=np.empty((num_rows, 3)),
@@ -127,12 +82,6 @@ def _output(num_polygons: int, num_rows: int, want_faces: bool) -> _Output:
         triangle_kind=np.empty(2 * num_rows, np.uint8),
         triangle_edge=np.empty(2 * num_rows, np.int32),
         triangle_offset=np.zeros(num_polygons + 1, np.int64),
-        face_kind=np.empty(face_rows, np.uint8),
-        face_edge=np.empty(face_rows, np.int32),
-        face_offset=np.zeros(num_polygons + 1, np.int64),
-        ring_offset=np.zeros(face_rows + 1, np.int64),
-        point_offset=np.zeros(face_rows + 1, np.int64),
-        point=np.empty(4 * face_rows, np.int32),
         num_caps=np.zeros(num_polygons, np.int32),
         num_ambiguous=np.zeros(num_polygons, np.int32),
     )
@@ -152,15 +101,14 @@ def _run(
     eave_height_m: float | FloatArray,
     base_height_m: float | FloatArray,
     max_roof_height_m: float | FloatArray,
-    want_faces: bool = False,
 ) -> _Output:
     arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
     size = work_size(polygons)
     work = skeleton_work(size), mesh_work(size)
-    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64, want_faces)
+    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64)
     done = 0
     while True:
-        done = _solids(*arguments, *work, done, want_faces, output)
+        done = _solids(*arguments, *work, done, output)
         if done == len(polygons):
             return output
         output = _grow(output)
@@ -236,82 +184,6 @@ def build(
         output.vertex_offset,
         output.triangle_offset,
         output.status,
+        output.num_caps,
+        output.num_ambiguous,
     )
-
-
-def faces(
-    polygons: Polygons,
-    angle_deg: FloatArray,
-    eave_height_m: FloatArray,
-    *,
-    base_height_m: float | FloatArray = 0.0,
-    max_roof_height_m: float | FloatArray = np.inf,
-) -> Faces:
-    """Roof, wall, cap and ground faces as polygons with holes; arguments as for :func:`build`.
-
-    The faces of a solid are those that :func:`build` cuts into triangles, with the same vertices. A gable is
-    part of its wall's face, and coplanar neighbours are one face.
-    """
-    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m, want_faces=True)
-    num_faces = output.face_offset[-1]
-    num_rings = output.ring_offset[num_faces]
-    return Faces(
-        output.vertex[: output.vertex_offset[-1]].copy(),
-        output.vertex_offset,
-        output.face_offset,
-        output.face_kind[:num_faces].copy(),
-        output.face_edge[:num_faces].copy(),
-        output.ring_offset[: num_faces + 1].copy(),
-        output.point_offset[: num_rings + 1].copy(),
-        output.point[: output.point_offset[num_rings]].copy(),
-        output.status,
-    )
-
-
-def lines(
-    polygons: Polygons,
-    angle_deg: FloatArray,
-    eave_height_m: FloatArray,
-    *,
-    base_height_m: float | FloatArray = 0.0,
-    max_roof_height_m: float | FloatArray = np.inf,
-) -> Lines:
-    """Eaves, verges, ridges, hips, valleys and abutments of the roofs; arguments as for :func:`build`."""
-    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
-    num_half_edges = 3 * int(output.triangle_offset[-1])
-    work = mesh_work(work_size(polygons))
-    ends = np.empty((num_half_edges // 2, 2), np.int64)
-    kind = np.empty(len(ends), np.uint8)
-    offset = np.zeros(len(polygons) + 1, np.int64)
-    find_lines(
-        output.vertex, output.triangle, output.triangle_kind, output.triangle_edge, output.vertex_offset,
-        output.triangle_offset, work.hash_key, work.hash_half, work.twin, ends, kind, offset,
-    )  # fmt: skip
-    ends = ends[: offset[-1]]
-    return Lines(
-        output.vertex[ends[:, 0]], output.vertex[ends[:, 1]], kind[: len(ends)], offset, output.status
-    )
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """Per polygon, int32: a ``Status``, the number of horizontal caps, and how often the wavefront ran into
-    the case that the definition leaves open, two collinear neighbours of different speeds, where a
-    millimetre in the footprint may change the roof."""
-
-    status: IntArray
-    num_caps: IntArray
-    num_ambiguous: IntArray
-
-
-def diagnose(
-    polygons: Polygons,
-    angle_deg: FloatArray,
-    eave_height_m: FloatArray,
-    *,
-    base_height_m: float | FloatArray = 0.0,
-    max_roof_height_m: float | FloatArray = np.inf,
-) -> Diagnosis:
-    """What the wavefront met; arguments as for :func:`build`."""
-    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
-    return Diagnosis(output.status, output.num_caps, output.num_ambiguous)

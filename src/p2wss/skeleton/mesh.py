@@ -109,14 +109,13 @@ def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
 
 @inner
 def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
-    """From the skeleton to faces, triangles and checks. Returns (status, number of faces, vertices,
-    triangles)."""
+    """From the skeleton to faces, triangles and checks. Returns (status, number of vertices, triangles)."""
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
     status, num_half = collect_half_edges(
         edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work, thorough
     )
     if status != _OK:
-        return status, 0, 0, 0
+        return status, 0, 0
     point = mesh_work.point
     num_nodes = counts[NUM_NODES]
     for k in range(num_nodes):
@@ -127,10 +126,10 @@ def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mes
     drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
     status, num_faces = trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
     if status != _OK:
-        return status, 0, 0, 0
+        return status, 0, 0
     num_triangles = _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work)
     if num_triangles < 0:
-        return _NOT_TRIANGULATED, 0, 0, 0
+        return _NOT_TRIANGULATED, 0, 0
     vertex = mesh_work.vertex
     triangle, new_index = mesh_work.triangle, mesh_work.new_index
     # keep the points in use, in their order
@@ -153,18 +152,18 @@ def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mes
     if not pair_half_edges(
         triangle, num_triangles, num_vertices, mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
     ):
-        return _NOT_CLOSED, 0, 0, 0
+        return _NOT_CLOSED, 0, 0
     num_vertices = separate_pinches(
         triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, mesh_work.out_head
     )
     if num_vertices < 0:
-        return _OVERFLOW, 0, 0, 0
+        return _OVERFLOW, 0, 0
     status = check_solid(
         edge, num_edges, num_rings, plan_area, skeleton_work.cap_height, counts, eave, base, vertex,
         num_vertices, triangle, mesh_work.triangle_label, num_triangles,
         mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin,
     )  # fmt: skip
-    return status, num_faces, num_vertices, num_triangles
+    return status, num_vertices, num_triangles
 
 
 finish_solid_at = by_address(finish_solid)
@@ -174,27 +173,26 @@ finish_solid_at = by_address(finish_solid)
 def solid_mesh(
     xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
 ):  # fmt: skip
-    """Build one mesh in ``mesh_work`` and check it. Returns (status, number of edges, faces, vertices,
-    triangles)."""
+    """Build one mesh in ``mesh_work`` and check it. Returns (status, number of edges, vertices, triangles)."""
     status, num_edges = solid_skeleton(
         xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work
     )
     if status != _OK:
-        return status, 0, 0, 0, 0
+        return status, 0, 0, 0
     first_vertex = ring_offset[first_ring]
     plan_area = 0.0
     for ring in range(first_ring, last_ring):
         first, last = ring_offset[ring] - first_vertex, ring_offset[ring + 1] - first_vertex
         plan_area += ring_area(skeleton_work.edge, first, last)
     num_rings = last_ring - first_ring
-    num_faces, num_vertices, num_triangles = 0, 0, 0
+    num_vertices, num_triangles = 0, 0
     for thorough in (False, True):
-        status, num_faces, num_vertices, num_triangles = finish_solid_at(
+        status, num_vertices, num_triangles = finish_solid_at(
             mesh_work.code, num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough
         )
         if status == _OK:
             break
-    return status, num_edges, num_faces, num_vertices, num_triangles
+    return status, num_edges, num_vertices, num_triangles
 
 
 @cache

@@ -270,19 +270,3 @@ def roof_points(
     kind = np.where(owned, _ROOF, np.where(face == OUTSIDE, _GROUND, _FLAT_KIND)).astype(np.uint8)
     slope = np.where(owned, distance * (1.0 + tangent**2) * np.pi / 180.0, 0.0)
     return RoofPoints(z, kind, edge, face, distance, slope, status)
-
-
-def roof_height(
-    polygons: Polygons,
-    angle_deg: FloatArray,
-    eave_height_m: float | FloatArray,
-    xy: FloatArray,
-    polygon_index: IntArray,
-    *,
-    max_roof_height_m: float | FloatArray = np.inf,
-) -> tuple[FloatArray, IntArray, IntArray]:
-    """(z_m, kind, edge) of the roof at points: the first three columns of :func:`roof_points`."""
-    found = roof_points(
-        polygons, angle_deg, eave_height_m, xy, polygon_index, max_roof_height_m=max_roof_height_m
-    )
-    return found.z_m, found.kind, found.edge

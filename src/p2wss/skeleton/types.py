@@ -71,10 +71,16 @@ class Polygons:
 class Meshes:
     """One closed triangle mesh per polygon; a rejected polygon has no triangles and a status other than 0.
 
+    The labels ``kind`` and ``edge`` say which face a triangle was cut from: triangles of equal labels that share a side
+    are one planar face.
+
     vertex_m: float64 (num_vertices, 3). triangle: int32 (num_triangles, 3), indices local to the mesh,
     counter-clockwise seen from outside. kind: uint8 (num_triangles,), a :class:`FaceKind`. edge: int32
     (num_triangles,), the edge of the polygon (counted over all its rings) or -1.
     vertex_offset, triangle_offset: int64 (num_meshes + 1,). status: int32 (num_meshes,), a ``Status``.
+    num_caps: int32 (num_meshes,), horizontal pieces of the roof. num_ambiguous: int32 (num_meshes,), how often the
+    wavefront met the case that the definition leaves open, two collinear neighbours of different speeds, in which a
+    millimetre in the footprint may change the roof.
     """
 
     vertex_m: FloatArray
@@ -84,6 +90,8 @@ class Meshes:
     vertex_offset: IntArray
     triangle_offset: IntArray
     status: IntArray
+    num_caps: IntArray
+    num_ambiguous: IntArray
 
     def __len__(self) -> int:
         return len(self.status)
@@ -93,57 +101,3 @@ class Meshes:
         v = slice(self.vertex_offset[index], self.vertex_offset[index + 1])
         t = slice(self.triangle_offset[index], self.triangle_offset[index + 1])
         return self.vertex_m[v], self.triangle[t], self.kind[t], self.edge[t]
-
-
-@dataclass(frozen=True)
-class Faces:
-    """The planar faces of one solid per polygon, before triangulation.
-
-    vertex_m: float64 (num_vertices, 3), solid s owns ``vertex_offset[s]:vertex_offset[s + 1]``.
-    face_offset: int64 (num_solids + 1,): the faces of a solid. kind: uint8 (num_faces,), a :class:`FaceKind`.
-    edge: int32 (num_faces,), the edge of the polygon (counted over all its rings) or -1.
-    ring_offset: int64 (num_faces + 1,): the rings of a face, the outer one first. point_offset: int64
-    (num_rings + 1,): the points of a ring. point: int32 (num_points,), vertices, local to the solid;
-    counter-clockwise seen from outside for outer rings, the other way round for holes.
-    status: int32 (num_solids,), a ``Status``.
-    """
-
-    vertex_m: FloatArray
-    vertex_offset: IntArray
-    face_offset: IntArray
-    kind: IntArray
-    edge: IntArray
-    ring_offset: IntArray
-    point_offset: IntArray
-    point: IntArray
-    status: IntArray
-
-    def __len__(self) -> int:
-        return len(self.status)
-
-    def solid(self, index: int) -> tuple[FloatArray, list[tuple[FaceKind, int, list[IntArray]]]]:
-        """(vertices (v, 3), faces) of one solid, every face as (kind, edge, rings of vertex numbers)."""
-        vertex = self.vertex_m[self.vertex_offset[index] : self.vertex_offset[index + 1]]
-        faces = []
-        for face in range(self.face_offset[index], self.face_offset[index + 1]):
-            rings = [
-                self.point[self.point_offset[ring] : self.point_offset[ring + 1]]
-                for ring in range(self.ring_offset[face], self.ring_offset[face + 1])
-            ]
-            faces.append((FaceKind(self.kind[face]), int(self.edge[face]), rings))
-        return vertex, faces
-
-
-@dataclass(frozen=True)
-class Lines:
-    """The lines of one solid per polygon: eaves, verges, ridges, hips, valleys, abutments.
-
-    start_m, end_m: float64 (num_lines, 3). kind: uint8 (num_lines,), a ``LineKind``. offset: int64
-    (num_solids + 1,). status: int32 (num_solids,), a ``Status``.
-    """
-
-    start_m: FloatArray
-    end_m: FloatArray
-    kind: IntArray
-    offset: IntArray
-    status: IntArray

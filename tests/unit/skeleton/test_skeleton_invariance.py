@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from skeleton_solids import volumes
 
-from p2wss.skeleton import Polygons, build, clean, diagnose
+from p2wss.skeleton import Polygons, build, clean
 
 seeds = st.integers(0, 10_000)
 
@@ -20,10 +20,7 @@ def one_building(seed, regime="iid"):
         rings = [[r + rng.normal(0, 0.05, r.shape) for r in polygons.rings(0)]]
         cleaned = clean(Polygons.from_rings(rings))
         angle = sample_angles(cleaned.polygons, regime, k)
-        if (
-            cleaned.status[0] == 0
-            and diagnose(cleaned.polygons, angle, np.array([5.0])).num_ambiguous[0] == 0
-        ):
+        if cleaned.status[0] == 0 and build(cleaned.polygons, angle, np.array([5.0])).num_ambiguous[0] == 0:
             return cleaned.polygons, angle
     raise AssertionError("no unambiguous building")
 

@@ -5,7 +5,8 @@ import pytest
 from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from skeleton_solids import crosses_itself, judged_sound, volumes
 
-from p2wss.skeleton import FaceKind, LineKind, build, clean, faces, lines, roof_height, roof_points
+from p2wss.formats.polygons import planar_surfaces
+from p2wss.skeleton import FaceKind, build, clean, roof_points
 
 
 def judge(num, regime, court_share, seed):
@@ -65,12 +66,10 @@ def test_heights_on_the_roof_equal_the_mesh(regime):
         kinds.append(kind[top])
     points, index = np.concatenate(points), np.array(index)
     shuffle = rng.permutation(len(points))
-    z, kind, edge = roof_height(
-        polygons, angle, eave, points[shuffle, :2], index[shuffle], max_roof_height_m=4.0
-    )
-    np.testing.assert_allclose(z, points[shuffle, 2], atol=1e-6)
-    assert (kind == np.concatenate(kinds)[shuffle]).all()
-    assert ((edge >= 0) == (kind == FaceKind.ROOF)).all()
+    roof = roof_points(polygons, angle, eave, points[shuffle, :2], index[shuffle], max_roof_height_m=4.0)
+    np.testing.assert_allclose(roof.z_m, points[shuffle, 2], atol=1e-6)
+    assert (roof.kind == np.concatenate(kinds)[shuffle]).all()
+    assert ((roof.edge >= 0) == (roof.kind == FaceKind.ROOF)).all()
 
 
 def test_derivatives_match_finite_differences():
@@ -99,34 +98,24 @@ def test_derivatives_match_finite_differences():
     assert np.isnan(roof.z_m[roof.face == -1]).all() and (roof.face == -1).any()
 
 
-def test_faces_enclose_the_mesh_volume():
+def test_faces_by_the_labels_are_planar_and_enclose_the_mesh_volume():
+    """Triangles of equal kind and edge that share a side are one face, as the writer of CityJSON takes them."""
     polygons = clean(sample_footprints(100, 3, 0.4)).polygons
-    angle, eave = sample_angles(polygons, "iid", 3), np.full(100, 5.0)
-    meshes = build(polygons, angle, eave)
-    solids = faces(polygons, angle, eave)
+    meshes = build(polygons, sample_angles(polygons, "iid", 3), np.full(100, 5.0))
     expected = volumes(meshes)
     for k in range(100):
-        vertex, solid_faces = solids.solid(k)
-        np.testing.assert_array_equal(vertex, meshes.mesh(k)[0])
-        local, volume, edges = vertex - vertex[0], 0.0, set()
-        for _, _, rings in solid_faces:
-            for ring in rings:
+        vertex, triangle, kind, edge = meshes.mesh(k)
+        local, volume, sides = vertex - vertex[0], 0.0, set()
+        surfaces = planar_surfaces(vertex, triangle, kind, edge)
+        assert len(surfaces) < len(triangle)
+        for surface in surfaces:
+            corner = vertex[np.concatenate(surface.rings)]
+            assert np.linalg.svd(corner - corner.mean(axis=0))[1][2] < 1e-6
+            for ring in surface.rings:
                 a, b, c = local[ring[0]], local[ring[1:-1]], local[ring[2:]]
                 volume += float(np.sum(np.cross(b, c) @ a) / 6)
-                for edge in zip(ring.tolist(), np.roll(ring, -1).tolist(), strict=True):
-                    assert edge not in edges
-                    edges.add(edge)
+                for side in zip(ring.tolist(), np.roll(ring, -1).tolist(), strict=True):
+                    assert side not in sides
+                    sides.add(side)
         assert volume == pytest.approx(expected[k], rel=1e-9)
-        assert {(b, a) for a, b in edges} == edges
-
-
-def test_lines_of_a_gable_roof():
-    from p2wss.skeleton import Polygons
-
-    rectangle = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
-    roof_lines = lines(Polygons.from_rings([[rectangle]]), np.array([45, 90, 45, 90.0]), np.array([5.0]))
-    assert np.bincount(roof_lines.kind, minlength=6).tolist() == [2, 4, 1, 0, 0, 0]
-    ridge = roof_lines.kind == LineKind.RIDGE
-    ends = np.sort([roof_lines.start_m[ridge][0, 0], roof_lines.end_m[ridge][0, 0]])
-    np.testing.assert_allclose(ends, [0, 10])
-    np.testing.assert_allclose(roof_lines.start_m[ridge][0, 1:], [3, 8])
+        assert {(b, a) for a, b in sides} == sides

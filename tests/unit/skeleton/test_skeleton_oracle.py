@@ -6,7 +6,7 @@ from sfcgal import sfcgal_volumes
 from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from skeleton_solids import volumes
 
-from p2wss.skeleton import Polygons, build, clean, diagnose
+from p2wss.skeleton import Polygons, build, clean
 
 pytest.importorskip("pysfcgal")
 
@@ -38,16 +38,16 @@ def compare(num, regime, court_share):
     polygons = clean(sample_footprints(num, 3, court_share)).polygons
     angle = sample_angles(polygons, regime, 4)
     eave = np.full(num, 5.0)
-    diagnosis = diagnose(polygons, angle, eave)
-    assert (diagnosis.status == 0).all()
+    meshes = build(polygons, angle, eave)
+    assert (meshes.status == 0).all()
     box = volumes(build(polygons, np.full(len(angle), 90.0), eave))
-    kernel_m3 = volumes(build(polygons, angle, eave)) - box
+    kernel_m3 = volumes(meshes) - box
     # SFCGAL takes 0 for 90 degrees, but 1e-4 for 0. Roofs with 90 degrees only rise without end there.
     sfcgal_m3, _ = sfcgal_volumes(polygons, np.where(angle == 0, 1e-4, angle))
     differ = mean_height_differs(kernel_m3, sfcgal_m3, box)
     silent = np.isnan(sfcgal_m3)
-    capped = differ & (diagnosis.num_caps > 0)
-    ambiguous = differ & ~capped & (diagnosis.num_ambiguous > 0)
+    capped = differ & (meshes.num_caps > 0)
+    ambiguous = differ & ~capped & (meshes.num_ambiguous > 0)
     for k in np.flatnonzero(differ & ~capped & ~ambiguous & ~silent):
         edges = slice(polygons.vertex_offset[k], polygons.vertex_offset[k + 1])
         ambiguous[k] = on_a_tie(polygons.rings(k), angle[edges], sfcgal_m3[k])
