@@ -30,6 +30,7 @@ from p2wss.config import Config
 from p2wss.data import files
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import CROPS, SIMULATED
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases, measure
 from p2wss.eval.cases import Case
 from p2wss.fit import confidence, fitting
@@ -66,7 +67,7 @@ class Row:
 def read(manifest: Path, every: int) -> list[Case]:
     """Every k-th labelled building of any split, in the order of tile and id."""
     every_case: list[Case] = []
-    for path, dataset in cases.read_manifest(manifest).shards:
+    for path, dataset, _ in read_manifest(manifest).shards:
         if dataset == SIMULATED:
             every_case += cases.from_crops(files.read_table(path, CROPS), dataset)
     return sorted((case for case in every_case if case.angle_deg is not None), key=lambda case: case.key)[

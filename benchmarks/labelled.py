@@ -15,6 +15,7 @@ from p2wss import skeleton
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import SIMULATED
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases, parameters, predict
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
@@ -44,7 +45,7 @@ class Error:
 
 def read(manifest: Path) -> list[Case]:
     """The labelled test split."""
-    every = cases.test_cases(cases.read_manifest(manifest))
+    every = cases.test_cases(read_manifest(manifest))
     return [case for case in every if case.dataset == SIMULATED and case.angle_deg is not None]
 
 

@@ -84,9 +84,12 @@ def test_a_second_run_has_nothing_to_do(done):
     assert planned(done) == {}
 
 
-def test_a_docstring_reruns_nothing(again):
+def test_words_rerun_nothing(again):
+    """Docstrings, messages, descriptions of columns: above all no training runs again."""
     again.edit("src/p2wss/scans/scan.py", '"""', '"""Another text. ')
     again.edit("src/p2wss/data/polygon_arrays.py", '"""', '"""Another text. ')
+    again.edit("src/p2wss/data/schemas/crops.py", "points within the buffer", "points nearby")
+    again.edit("src/p2wss/data/schemas/manifest.py", "run the stage crops again", "run crops again")
     assert planned(again) == {}
 
 

@@ -131,6 +131,7 @@ def _add_reconstruction_outputs(command: argparse.ArgumentParser) -> None:
 def eval_predict(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of the network, and its errors with masked parameters (Table 1)."""
     set_num_threads(arguments.threads)
+    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import cases, parameters, predict
     from p2wss.eval.clock import CpuClock
     from p2wss.nets.predictor import load_predictor
@@ -138,7 +139,7 @@ def eval_predict(arguments: argparse.Namespace) -> None:
 
     config, clock = read_config(arguments), CpuClock()
     predictor = load_predictor(arguments.model, arguments.device)
-    manifest = cases.read_manifest(arguments.manifest)
+    manifest = read_manifest(arguments.manifest)
     test_cases = cases.test_cases(manifest)
     rows = predict.predict(test_cases, predictor, config.reconstruct, clock)
     errors = parameters.masked_errors(test_cases, rows, predictor, cases.train_medians(manifest))
@@ -150,13 +151,14 @@ def eval_predict(arguments: argparse.Namespace) -> None:
 def eval_fit(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of the fit, with or without the network."""
     set_num_threads(arguments.threads)
+    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import cases, predict
     from p2wss.eval.clock import CpuClock
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct.product import FIT, NETWORK_AND_FIT
 
     config, clock = read_config(arguments), CpuClock()
-    test_cases = cases.test_cases(cases.read_manifest(arguments.manifest))
+    test_cases = cases.test_cases(read_manifest(arguments.manifest))
     facts: dict[str, Any] = {"method": FIT, "status": "ok"}
     predictor = None
     if arguments.model is not None:
@@ -175,11 +177,12 @@ def _facts_of_weights(path: Path) -> dict[str, Any]:
 
 def eval_baseline(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of a baseline."""
+    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import baselines, cases
     from p2wss.eval.clock import CpuClock
 
     config, clock = read_config(arguments), CpuClock()
-    manifest = cases.read_manifest(arguments.manifest)
+    manifest = read_manifest(arguments.manifest)
     test_cases = cases.test_cases(manifest)
     reconstructions, run = baselines.baseline(
         arguments.name, test_cases, manifest, config.eval, config.reconstruct, clock
@@ -204,12 +207,13 @@ def _write_reconstructions(
 
 def eval_measure(arguments: argparse.Namespace) -> None:
     """Write the measures of all reconstructions."""
+    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.data.schemas.measures import MEASURES
     from p2wss.data.schemas.reconstructions import read_reconstructions
     from p2wss.eval import cases, measure
 
     config = read_config(arguments)
-    test_cases = cases.test_cases(cases.read_manifest(arguments.manifest))
+    test_cases = cases.test_cases(read_manifest(arguments.manifest))
     methods = [read_reconstructions(path) for path in arguments.reconstructions]
     rows = cases.columns_of(measure.measure(test_cases, methods, config.eval), MEASURES.names)
     files.write_table(arguments.out, rows, MEASURES, _eval_facts(config))

@@ -1,4 +1,4 @@
-"""The manifest: the list of all shards of crops."""
+"""The manifest: the list of all shards of crops, which :mod:`p2wss.data.schemas.manifest` reads back."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases
 from p2wss.nets.compute import DeviceName
 from p2wss.nets.predictor import load_predictor
@@ -38,7 +39,7 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
 
     Raises :class:`InputError` for an unusable manifest or model.
     """
-    constant = cases.train_medians(cases.read_manifest(manifest))
+    constant = cases.train_medians(read_manifest(manifest))
     rows = []
     for path in paths:
         predictor = load_predictor(path, device)

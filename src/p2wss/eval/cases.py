@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import pyarrow.compute as pc
 from p2wss.data import files, polygon_arrays
 from p2wss.data.building import Building
 from p2wss.data.schemas.crops import CROPS, SIMULATED
-from p2wss.errors import InputError
+from p2wss.data.schemas.manifest import Manifest
 
 
 @dataclass(frozen=True)
@@ -35,45 +34,10 @@ class Case:
         return self.dataset, self.building.tile, self.building.building_id
 
 
-@dataclass(frozen=True)
-class Manifest:
-    """The shards of the stage crops, each as (path, dataset)."""
-
-    shards: Sequence[tuple[Path, str]]
-
-    def crs(self) -> dict[str, str | None]:
-        """CRS of each data set, from its first shard; None if that does not state one."""
-        by_dataset: dict[str, str | None] = {}
-        for path, dataset in self.shards:
-            if dataset not in by_dataset:
-                by_dataset[dataset] = files.read_metadata(path).get("crs")
-        return by_dataset
-
-
-def read_manifest(path: Path) -> Manifest:
-    """The shards that a manifest lists; relative paths start at its folder, or else at the current folder.
-
-    Raises :class:`InputError` if the manifest or a shard is missing.
-    """
-    content = files.read_json(path)
-    shards = []
-    try:
-        for shard in content["shards"]:
-            name = Path(shard["path"])
-            beside = path.parent / name
-            shards.append((beside if beside.exists() else name, str(shard["dataset"])))
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a manifest of crops: missing {error}") from error
-    missing = [str(shard) for shard, _ in shards if not shard.exists()]
-    if missing:
-        raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
-    return Manifest(shards)
-
-
 def test_cases(manifest: Manifest) -> list[Case]:
     """The test split of the simulated shards and every row of the LiDAR shards, in the manifest's order."""
     cases: list[Case] = []
-    for path, dataset in manifest.shards:
+    for path, dataset, _ in manifest.shards:
         table = files.read_table(path, CROPS)
         if dataset == SIMULATED:
             table = table.filter(pc.equal(table["split"], "test"))
@@ -100,7 +64,7 @@ def train_medians(manifest: Manifest) -> Medians:
 
 def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     heights, angles = [np.zeros(0)], [np.zeros(0)]
-    for path, dataset in manifest.shards:
+    for path, dataset, _ in manifest.shards:
         if dataset == SIMULATED:
             columns = ["split", "eave_height_m", "label_terrain_z_m", "ground_z_m", "angle_deg"]
             table = files.read_table(path, CROPS, columns=columns)

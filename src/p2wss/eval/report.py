@@ -17,11 +17,12 @@ from p2wss.config import Eval
 from p2wss.data import files
 from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.data.schemas.reconstructions import read_reconstructions
 from p2wss.errors import InputError
 from p2wss.eval import figures, groups, parameters, tables, texts
-from p2wss.eval.cases import Case, read_manifest, test_cases
+from p2wss.eval.cases import Case, test_cases
 from p2wss.eval.gallery import Exhibit, Gallery, cause_counts
 from p2wss.eval.viewer import viewer
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT

@@ -17,6 +17,7 @@ import numpy as np
 
 from p2wss.data import files
 from p2wss.data.schemas.crops import CROPS, SIMULATED
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.errors import InputError
 from p2wss.nets import distributed
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
@@ -44,15 +45,11 @@ def load_dataset(
     same content and the same arguments uses that folder. Without ``cache`` the arrays are held in memory. Raises
     :class:`InputError` for a broken manifest or shard, or when no building remains.
     """
-    listing = files.read_json(manifest)
-    try:
-        shards = [
-            (Path(manifest).parent / shard["path"], shard["dataset"], shard.get("sha256"))
-            for shard in listing["shards"]
-            if shard["dataset"] == SIMULATED or (include_real and not labelled)
-        ]
-    except (TypeError, KeyError) as error:
-        raise InputError(f"{manifest}: not a manifest of crops: no {error}") from error
+    shards = [
+        shard
+        for shard in read_manifest(manifest).shards
+        if shard.dataset == SIMULATED or (include_real and not labelled)
+    ]
     excluded: Counter[str] = Counter()
 
     def parts() -> Iterator[BuildingDataset]:

@@ -22,6 +22,7 @@ from p2wss.config import Eval, Reconstruct
 from p2wss.data import files
 from p2wss.data.building import no_mesh
 from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.manifest import Manifest, Shard, read_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, read_reconstructions, reconstruction_columns
 from p2wss.errors import InputError
@@ -47,7 +48,7 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
 
 @pytest.fixture(scope="module")
 def hamlet_cases(hamlet: Path) -> list[cases.Case]:
-    return cases.test_cases(cases.read_manifest(hamlet))
+    return cases.test_cases(read_manifest(hamlet))
 
 
 def test_cases_are_the_test_split_and_all_real_lidar_in_metres(hamlet_cases: list[cases.Case]) -> None:
@@ -61,7 +62,7 @@ def test_cases_are_the_test_split_and_all_real_lidar_in_metres(hamlet_cases: lis
 
 
 def test_medians_are_of_the_train_split_above_the_clouds_ground(hamlet: Path) -> None:
-    medians = cases.train_medians(cases.read_manifest(hamlet))
+    medians = cases.train_medians(read_manifest(hamlet))
     table = files.read_table(hamlet.parent / "a.parquet", CROPS).to_pylist()
     train = [row for row in table if row["split"] == "train"]
     assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in train]))
@@ -74,14 +75,14 @@ def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path:
         row["split"] = "test"
     columns = {name: [row[name] for row in rows] for name in CROPS.names}
     files.write_table(tmp_path / "t.parquet", columns, CROPS, {})
-    manifest = cases.Manifest([(tmp_path / "t.parquet", "simulated")])
+    manifest = Manifest([Shard(tmp_path / "t.parquet", "simulated")])
     medians = cases.train_medians(manifest)
     assert medians.eave_height_m == pytest.approx(np.median([row["eave_height_m"] for row in rows]))
-    assert np.isnan(cases.train_medians(cases.Manifest([])).angle_deg)
+    assert np.isnan(cases.train_medians(Manifest([])).angle_deg)
 
 
 def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[cases.Case]) -> None:
-    medians = cases.train_medians(cases.read_manifest(hamlet))
+    medians = cases.train_medians(read_manifest(hamlet))
     # only upwards and from slopes: 0 and 90 would be clipped
     predictor = Knowing(hamlet_cases, wrong_m=0.25)
     rows = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
@@ -203,7 +204,7 @@ def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
     program = tmp_path / "roofer"
     program.write_text("#!/bin/sh\necho no memory >&2\nexit 3\n")
     program.chmod(0o755)
-    manifest = cases.read_manifest(hamlet)
+    manifest = read_manifest(hamlet)
     tool = roofer_command.Roofer([str(program)], "x")
     reconstructions = roofer.run(tool, hamlet_cases[:2], manifest.crs(), CONFIG)
     assert [row.status for row in reconstructions] == [
@@ -224,7 +225,7 @@ def test_report_from_files_is_one_self_contained_page(
     hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The commands as the rules run them, with a predictor that knows the truth."""
-    manifest = cases.read_manifest(hamlet)
+    manifest = read_manifest(hamlet)
     hamlet_cases = cases.test_cases(manifest)
     predictor = Knowing(hamlet_cases, 0.1)
     reconstructions = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
@@ -281,7 +282,7 @@ def test_manifest_that_names_a_missing_shard_is_one_clear_line(tmp_path: Path) -
     path = tmp_path / "manifest.json"
     path.write_text('{"shards": [{"path": "gone.parquet", "dataset": "simulated"}]}')
     with pytest.raises(InputError, match=r"gone\.parquet, which does not exist"):
-        cases.read_manifest(path)
+        read_manifest(path)
     path.write_text("[]")
     with pytest.raises(InputError, match="not a manifest"):
-        cases.read_manifest(path)
+        read_manifest(path)

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from p2wss import crops, scenes
 from p2wss.config import Config, Eval, Reconstruct
 from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
+from p2wss.data.schemas.manifest import Manifest
 from p2wss.errors import InputError
 from p2wss.eval import baselines, cases, measure, roofer, roofer_command, tables
 from p2wss.metrics.surface import sample_surface
@@ -100,7 +101,7 @@ def test_recorded_outputs_are_named_as_such_and_cover_only_real_buildings(delft:
     file = DATA / "delft_ahn3/roofer_lod22.city.jsonl"
     config = Eval(roofer_command=ABSENT, roofer_recorded=str(file))
     reconstructions, facts = baselines.baseline(
-        "roofer", [*simulated, *delft], cases.Manifest([]), config, Reconstruct()
+        "roofer", [*simulated, *delft], Manifest([]), config, Reconstruct()
     )
     assert set(reconstructions) == {case.key for case in delft}
     assert facts["status"] == "recorded" and file.name in facts["roofer"]
@@ -114,7 +115,7 @@ def test_recorded_outputs_are_named_as_such_and_cover_only_real_buildings(delft:
 @needs_data
 def test_recorded_outputs_of_another_place_do_not_count_as_failures(delft: list[cases.Case]) -> None:
     config = Eval(roofer_command=ABSENT, roofer_recorded=str(DATA / "bresse_ign/roofer_lod22.city.jsonl"))
-    reconstructions, facts = baselines.baseline("roofer", delft, cases.Manifest([]), config, Reconstruct())
+    reconstructions, facts = baselines.baseline("roofer", delft, Manifest([]), config, Reconstruct())
     assert reconstructions == {} and facts["status"].startswith("not run, and none of the buildings")
 
 

@@ -19,6 +19,7 @@ from knowing_network import Knowing
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL, SIMULATED
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
 from p2wss.eval.causes import cause_of_error
@@ -34,7 +35,7 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
 
 @pytest.fixture(scope="module")
 def hamlet_cases(hamlet: Path) -> list[cases.Case]:
-    return cases.test_cases(cases.read_manifest(hamlet))
+    return cases.test_cases(read_manifest(hamlet))
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,7 @@ import pytest
 from matplotlib.image import imread
 
 from p2wss.config import Eval, Reconstruct
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases, measure
 from p2wss.eval.viewer import MAX_POINTS, Viewer, choose, viewer
 from p2wss.reconstruct.flat import constant, lod1
@@ -29,7 +30,7 @@ TITLES = {"simulated": "Simulated", "real": "LiDAR"}
 @pytest.fixture(scope="module")
 def view(hamlet: Path) -> Viewer:
     """Ours: hip roofs of 35 degrees with eaves at 5 m; the last building has no mesh."""
-    found = cases.test_cases(cases.read_manifest(hamlet))
+    found = cases.test_cases(read_manifest(hamlet))
     buildings = [case.building for case in found]
     config = Reconstruct()
     ours = constant(buildings, np.full(len(found), 5.0), 35.0, config, "point2wss")
@@ -54,7 +55,7 @@ def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) ->
     data = json.loads(view.data)
     assert [method["key"] for method in data["methods"]] == ["point2wss", "lod1"]
     by_id = {building["id"]: building for building in data["buildings"]}
-    found = cases.test_cases(cases.read_manifest(hamlet))
+    found = cases.test_cases(read_manifest(hamlet))
     assert set(by_id) == {case.building.building_id for case in found} and len(by_id) == len(found)
     without_mesh = found[-1].building.building_id
     assert "point2wss" not in by_id[without_mesh]["meshes"]
