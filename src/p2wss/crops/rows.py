@@ -9,7 +9,7 @@ import numpy as np
 
 from p2wss.config import Crops
 from p2wss.crops.kernels import count_distinct, count_true, gather_cm, medians
-from p2wss.data import files, polygon_arrays
+from p2wss.data import files, polygon_arrays, reasons
 from p2wss.data.cloud_crops import Cropped
 from p2wss.data.clouds import Cloud
 from p2wss.data.cropping import seen_share
@@ -49,8 +49,8 @@ def crop_columns(
     reach_m = np.abs(local.xy_m).max(axis=1) + settings.buffer_m
     is_large = count_true(reach_m > _MAX_REACH_M, local.vertex_offset) > 0
     has_few = ~is_large & (count_true(in_range, offset) < settings.min_points)
-    num_excluded["too-large"] += int(is_large.sum())
-    num_excluded["too-few-points"] += int(has_few.sum())
+    num_excluded[reasons.TOO_LARGE] += int(is_large.sum())
+    num_excluded[reasons.TOO_FEW_POINTS] += int(has_few.sum())
     is_row = ~(is_large | has_few)
     selection = np.flatnonzero(is_row)
     strip = np.zeros(len(cloud), np.uint16) if cloud.strip is None else cloud.strip

@@ -10,8 +10,6 @@ import shapely
 
 from p2wss.data.points import points_on_building
 
-NO_POINT = "no point"
-
 
 @dataclass(frozen=True)
 class Building:

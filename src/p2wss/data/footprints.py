@@ -13,7 +13,7 @@ import shapely
 
 from p2wss import skeleton
 from p2wss.config import Scenes
-from p2wss.data import polygon_arrays
+from p2wss.data import polygon_arrays, reasons
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
@@ -97,16 +97,16 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
     as ``status``.
     """
     shapes = shapely.force_2d(frame.geometry.to_numpy())
-    status = np.full(len(frame), "ok", dtype=object)
+    status = np.full(len(frame), reasons.OK, dtype=object)
     is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
-    status[is_empty] = "empty"
+    status[is_empty] = reasons.EMPTY
     is_polygon = np.isin(
         shapely.get_type_id(shapes), [shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON]
     )
-    status[~is_empty & ~is_polygon] = "not-a-polygon"
+    status[~is_empty & ~is_polygon] = reasons.NOT_A_POLYGON
     centre = _box_centres(shapes)
     xy, row = shapely.get_coordinates(shapes, return_index=True)
-    status[np.unique(row[~np.isfinite(xy).all(axis=1)])] = "non-finite"
+    status[np.unique(row[~np.isfinite(xy).all(axis=1)])] = reasons.NON_FINITE
     shapes[status != "ok"] = shapely.Polygon()
     invalid = ~shapely.is_valid(shapes)
     shapes[invalid] = shapely.make_valid(shapes[invalid], method="structure", keep_collapsed=False)
@@ -121,7 +121,7 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
     parts, row = parts[keep], row[keep]
     # insert the rows without a polygon in their order
     empty_rows = np.setdiff1d(np.arange(len(frame)), row)
-    status[empty_rows[status[empty_rows] == "ok"]] = "empty"
+    status[empty_rows[status[empty_rows] == "ok"]] = reasons.EMPTY
     row = np.concatenate([row, empty_rows])
     order = np.argsort(row, kind="stable")
     row = row[order]

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from p2wss.data.building import Reconstruction
+from p2wss.data.reasons import MEANINGS
 from p2wss.eval.cases import Case
 from p2wss.eval.measure import FAR_M, local_points
 from p2wss.metrics.height import surface_height_m
@@ -57,7 +58,7 @@ def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 
     num_parts: number of parts of the building by the fit, 1 where the fit was not run.
     """
     if not reconstruction.has_mesh:
-        return Cause("no mesh", f"No mesh: {reconstruction.status}.")
+        return Cause("no mesh", f"No mesh: {MEANINGS.get(reconstruction.status, reconstruction.status)}.")
     on_building = case.building.is_on_building
     point_m = local_points(case, reconstruction)[on_building]
     if len(point_m) < SPARSE_POINTS or len(point_m) < SPARSE_PER_M2 * case.building.polygon.area:

@@ -19,6 +19,7 @@ import pyproj
 import shapely.affinity
 
 from p2wss.config import Eval
+from p2wss.data import reasons
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL
 from p2wss.eval.cases import Case
@@ -57,7 +58,7 @@ def run(
             by_key[case.key] = (
                 reconstruction(case, solid)
                 if solid is not None and len(solid.triangle)
-                else no_mesh(case.building, METHOD, reason or "no mesh from Roofer")
+                else no_mesh(case.building, METHOD, reason or reasons.NO_ROOFER_MESH)
             )
     return [by_key[case.key] for case in cases]
 
@@ -79,11 +80,11 @@ def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, st
     for case in real:
         recording = solids.get(case.building.building_id)
         if recording is None:
-            by_key[case.key] = no_mesh(case.building, METHOD, "not among the recorded buildings")
+            by_key[case.key] = no_mesh(case.building, METHOD, reasons.NOT_RECORDED)
         elif len(recording.triangle):
             by_key[case.key] = reconstruction(case, recording)
         else:
-            by_key[case.key] = no_mesh(case.building, METHOD, "no mesh from Roofer")
+            by_key[case.key] = no_mesh(case.building, METHOD, reasons.NO_ROOFER_MESH)
     return by_key
 
 
@@ -127,11 +128,18 @@ def _run_tile(
             command, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
         )
     except subprocess.TimeoutExpired:
-        return {}, f"Roofer took more than {config.roofer_timeout_s:g} s"
+        name, limit_s = cases[0].building.tile, config.roofer_timeout_s
+        log.warning("Roofer took more than %g s on tile %s", limit_s, name)
+        return {}, reasons.ROOFER_TIMEOUT
     if completed.returncode != 0:
         message = (completed.stderr or completed.stdout).strip().splitlines()
-        log.warning("Roofer failed on tile %s: %s", cases[0].building.tile, message[-1] if message else "")
-        return {}, f"Roofer failed with exit status {completed.returncode}"
+        log.warning(
+            "Roofer failed with exit status %d on tile %s: %s",
+            completed.returncode,
+            cases[0].building.tile,
+            message[-1] if message else "",
+        )
+        return {}, reasons.ROOFER_FAILED
     solids = {}
     for path in sorted(out.rglob("*.jsonl")):
         for solid in cityjson.read(path, LOD):

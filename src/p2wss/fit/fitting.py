@@ -9,7 +9,8 @@ import numpy as np
 import shapely
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import NO_POINT, Building, Reconstruction, no_mesh
+from p2wss.data import reasons
+from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Boxes, add_boxes, on_boxes
 from p2wss.fit.mesh import build_meshes as build
@@ -145,21 +146,21 @@ class _One:
         rings = mesh_footprint(building, config)
         rotation = main_frame(rings)
         if not len(building.point_m):
-            return _Found(rings, rotation, [], NO_POINT)
+            return _Found(rings, rotation, [], reasons.NO_POINTS)
         if len(building.point_m) < config.min_num_points:
-            return _Found(rings, rotation, [], f"fewer than {config.min_num_points} points")
+            return _Found(rings, rotation, [], reasons.TOO_FEW_POINTS)
         ground = building.ground_z_m
         polygon = shapely.Polygon(rings[0], rings[1:])
         point_m = roof_points(polygon, building.point_m, building.classification, ground)
         if len(point_m) < MIN_NUM_POINTS:
-            return _Found(rings, rotation, [], f"fewer than {MIN_NUM_POINTS} points on the roof")
+            return _Found(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
         point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
         every_point_m, point_m = point_m, point_m[~on_boxes(boxes, point_m)]
         turned = [ring @ rotation for ring in rings]
         if start is None or start.angle_deg is None or start.eave_height_m is None or not start.has_mesh:
             prior = believed(turned, len(point_m))
             parts = fit_parts(self.fitter, turned, point_m, effort, cutting, [], prior)
-            return _Found(rings, rotation, parts, "" if parts else "no roof found", every_point_m)
+            return _Found(rings, rotation, parts, "" if parts else reasons.NO_ROOF, every_point_m)
         guess, eave_z_m = start.angle_deg, start.eave_height_m + ground
         prior = believed(turned, len(point_m), guess, start.class_probability, eave_z_m)
         before = OneHeight(turned, guess, eave_z_m, np.inf, np.inf, len(point_m))
@@ -188,7 +189,7 @@ class _One:
         height = max(largest.eave_z_m - ground, config.min_eave_height_m)
         mesh = union(found.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
         if mesh is None:
-            return no_mesh(building, self.method, "no closed union of its parts")
+            return no_mesh(building, self.method, reasons.NO_CLOSED_UNION)
         part_rings = [ring @ found.rotation.T for part in found.parts for ring in part.rings]
         part_angles = np.concatenate([part.angle_deg for part in found.parts])
         return Reconstruction(

@@ -10,6 +10,7 @@ import shapely
 
 from p2wss import skeleton
 from p2wss.config import Reconstruct
+from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.skeleton.types import Meshes, Polygons
 
@@ -81,15 +82,15 @@ def build_meshes(
     confidence: np.ndarray,
     method: str,
     config: Reconstruct,
-    refused: Sequence[str],
+    status: Sequence[str],
     top_height_m: np.ndarray | float = np.inf,
 ) -> list[Reconstruction]:
-    """Meshes through the kernel, which checks each. A building without a finite height is refused.
+    """Meshes through the kernel, which checks each. A building without a finite height has none.
 
-    rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. refused: why a
-    building without a height has none. top_height_m: one for all or (b,), of a flat cut above the eave.
+    rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. status: why a
+    building without a height has no mesh. top_height_m: one for all or (b,), of a flat cut above the eave.
     """
-    result = [no_mesh(b, method, why) for b, why in zip(buildings, refused, strict=True)]
+    result = [no_mesh(b, method, reason) for b, reason in zip(buildings, status, strict=True)]
     usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground)).tolist()
     if not usable:
         return result
@@ -101,14 +102,13 @@ def build_meshes(
         max_roof_height_m=np.minimum(top_height, config.max_roof_height_m)[usable],
     )
     for k, i in enumerate(usable):
-        status = skeleton.Status(int(meshes.status[k]))
+        code = skeleton.Status(int(meshes.status[k]))
         vertex, triangle, kind, edge = meshes.mesh(k)
-        accepted = status == skeleton.Status.OK
         result[i] = Reconstruction(
             buildings[i].building_id,
             buildings[i].tile,
             method,
-            "ok" if accepted else status.reason,
+            reasons.OK if code == skeleton.Status.OK else code.reason,
             buildings[i].origin_xy_m,
             ground[i],
             rings[i],

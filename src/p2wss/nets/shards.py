@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.data import files
+from p2wss.data import files, reasons
 from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.data.schemas.manifest import read_manifest
 from p2wss.errors import InputError
@@ -157,9 +157,9 @@ def _read_shard(
             excluded[reason] += num_failed
         usable = usable & condition
 
-    require(count >= limits.min_points, f"with fewer than {limits.min_points} points")
+    require(count >= limits.min_points, reasons.TOO_FEW_POINTS)
     ground = table["ground_z_m"].to_numpy() - table["origin_z_m"].to_numpy()
-    require(np.isfinite(ground), "without ground")
+    require(np.isfinite(ground), reasons.NO_GROUND)
     height = np.full(len(table), np.nan)
     xy = angle = np.zeros(0)
     num_vertices = np.zeros(len(table), np.int64)
@@ -171,18 +171,18 @@ def _read_shard(
         angle, angle_offset = files.list_column(table, "angle_deg")
         _, ring_offset = files.list_column(table, "ring_offset")
         num_vertices = np.diff(angle_offset)
-        require(~np.isnan(height) & (2 * num_vertices == np.diff(xy_offset)), "without labels")
+        require(~np.isnan(height) & (2 * num_vertices == np.diff(xy_offset)), reasons.NO_LABELS)
         # a sequence has one ring (paper, section 4.3): courtyards cannot be represented
-        require(np.diff(ring_offset) == 2, "with courtyards")
-        require(num_vertices <= limits.max_vertices, f"with more than {limits.max_vertices} vertices")
-        require((height > 0) & (height < limits.max_length_m), "with a height that does not fit")
+        require(np.diff(ring_offset) == 2, reasons.HAS_COURTYARDS)
+        require(num_vertices <= limits.max_vertices, reasons.TOO_MANY_VERTICES)
+        require((height > 0) & (height < limits.max_length_m), reasons.HEIGHT_OUT_OF_RANGE)
         reach = np.zeros(len(table))
         for i in np.flatnonzero(usable):
             cloud = slice(offset[i], offset[i + 1])
             centroid = np.array([axes[0][cloud].mean(), axes[1][cloud].mean()]) * 0.01
             ring = xy[xy_offset[i] : xy_offset[i + 1]].reshape(-1, 2)
             reach[i] = np.hypot(*(ring - centroid).T).max()
-        require(reach < limits.max_length_m, "too large for the number format")
+        require(reach < limits.max_length_m, reasons.FOOTPRINT_TOO_LARGE)
     rows = np.flatnonzero(usable)
     points = _value_index(offset, rows)
     vertices = _value_index(angle_offset, rows)

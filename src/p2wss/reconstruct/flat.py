@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import NO_POINT, Building, Reconstruction
+from p2wss.data import reasons
+from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint
 
 
@@ -31,7 +32,7 @@ def lod1(buildings: Sequence[Building], config: Reconstruct) -> list[Reconstruct
     """Flat roofs at the median height of the points on each building (:func:`flat_height_m`)."""
     height = np.array([flat_height_m(building) for building in buildings])
     height = np.maximum(height, config.min_eave_height_m)
-    return constant(buildings, height, 0.0, config, "lod1", refused="no point on the building")
+    return constant(buildings, height, 0.0, config, "lod1", reason=reasons.NO_POINTS_ON_BUILDING)
 
 
 def constant(
@@ -40,16 +41,17 @@ def constant(
     angle_deg: float,
     config: Reconstruct,
     method: str = "constant",
-    refused: str = "no height",
+    reason: str = reasons.NO_HEIGHT,
 ) -> list[Reconstruction]:
-    """Buildings with given heights (b,), NaN for none, and the same angle at every edge."""
+    """Buildings with given heights (b,) and the same angle at every edge; NaN for a building without a height, which
+    gets no mesh, for ``reason``."""
     rings = [mesh_footprint(building, config) for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
     ground = [building.ground_z_m for building in buildings]
     unknown = np.full(len(buildings), np.nan)
-    why = [refused if len(building.point_m) else NO_POINT for building in buildings]
+    status = [reason if len(building.point_m) else reasons.NO_POINTS for building in buildings]
     height = np.asarray(eave_height_m, float)
-    return build_meshes(buildings, rings, ground, height, angle, unknown, method, config, why)
+    return build_meshes(buildings, rings, ground, height, angle, unknown, method, config, status)
 
 
 def flat_height_m(building: Building) -> float:

@@ -12,7 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from p2wss.config import Reconstruct
-from p2wss.data.building import NO_POINT, Building, Reconstruction
+from p2wss.data import reasons
+from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint, simplify_exterior, transfer_angles
 
 
@@ -66,13 +67,13 @@ def reconstruct_with_network(
     confidence = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in meshed]
     odds: list[np.ndarray | None] = [None] * len(buildings)
-    refused = ["" if len(b.point_m) else NO_POINT for b in buildings]
+    status = [reasons.OK if len(b.point_m) else reasons.NO_POINTS for b in buildings]
     enough = []
     for i, building in enumerate(buildings):
         if len(building.point_m) >= config.min_num_points:
             enough.append(i)
-        elif not refused[i]:
-            refused[i] = f"fewer than {config.min_num_points} points"
+        elif status[i] == reasons.OK:
+            status[i] = reasons.TOO_FEW_POINTS
     if enough:
         decoded = predictor.predict(
             [buildings[i].point_m - [0, 0, ground[i]] for i in enough], [seen[i] for i in enough]
@@ -84,6 +85,6 @@ def reconstruct_with_network(
                 angle[i] = kernel_angles(transfer_angles(seen[i], decoded.angle_deg[k], meshed[i]))
                 odds[i] = transfer_angles(seen[i], decoded.class_probability[k], meshed[i])
             else:
-                refused[i] = "footprint too large for the network"
-    made = build_meshes(buildings, meshed, ground, height, angle, confidence, method, config, refused)
+                status[i] = reasons.FOOTPRINT_TOO_LARGE
+    made = build_meshes(buildings, meshed, ground, height, angle, confidence, method, config, status)
     return [replace(one, class_probability=own) for one, own in zip(made, odds, strict=True)]

@@ -157,7 +157,7 @@ def _visible_share(building: Building, on_building: np.ndarray) -> float:
 def summary(results: Sequence[Result]) -> str:
     """One line: how many of each status, and why.
 
-    ``74 buildings: 72 ok, 1 flat (fewer than 10 points: 1), 1 none (no point: 1); 2 of them not representable``
+    ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``
     """
     parts = []
     for status in ("ok", "flat", "none"):

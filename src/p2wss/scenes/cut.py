@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.config import Scenes
-from p2wss.data import polygon_arrays
+from p2wss.data import polygon_arrays, reasons
 from p2wss.data.footprints import clean_footprints, split_parts
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds, tiles_of_points
@@ -17,8 +17,6 @@ from p2wss.scenes.heights import eave_heights, ground_heights
 from p2wss.scenes.roofs import FootprintEdges, draw_angles
 from p2wss.skeleton import Status
 
-NO_TERRAIN = "no-terrain"
-TOO_HIGH = "too-high"
 # footprints with a smaller gap share a party wall: data sets rarely draw the common wall twice alike
 _PARTY_GAP_M = 0.3
 _PARTY_SHARE = 0.5
@@ -60,8 +58,8 @@ def cut_scene(
 
     height, source = eave_heights(result, config)
     median, lowest, known_share = ground_heights(polygons, terrain)
-    status[(status == "ok") & (known_share < max(config.min_terrain_share, 1e-9))] = NO_TERRAIN
-    status[(status == "ok") & (height > config.max_eave_height_m)] = TOO_HIGH
+    status[(status == "ok") & (known_share < max(config.min_terrain_share, 1e-9))] = reasons.NO_TERRAIN
+    status[(status == "ok") & (height > config.max_eave_height_m)] = reasons.TOO_HIGH
     usable = status == "ok"
     roof_type = np.full(len(selection), "none", dtype=object)
     angle_deg = [np.zeros(0, np.float32) for _ in selection]

@@ -126,7 +126,7 @@ def test_measures_do_not_depend_on_order_or_on_the_rest(hamlet_cases: list[cases
 
 def test_reconstructions_survive_the_file(hamlet_cases: list[cases.Case], tmp_path: Path) -> None:
     reconstructions = predict.by_dataset(hamlet_cases, lod1, RECONSTRUCT)
-    reconstructions[3] = no_mesh(hamlet_cases[3].building, "lod1", "no height")
+    reconstructions[3] = no_mesh(hamlet_cases[3].building, "lod1", "no-height")
     probability = np.random.default_rng(0).dirichlet([1, 1, 1], sum(map(len, reconstructions[4].rings)))
     reconstructions[4] = replace(reconstructions[4], class_probability=probability)
     path = tmp_path / "r.parquet"
@@ -145,7 +145,7 @@ def test_reconstructions_survive_the_file(hamlet_cases: list[cases.Case], tmp_pa
         else:
             assert np.allclose(before.class_probability, after.class_probability, atol=1e-6)
     row = measure.measure_building(hamlet_cases[3], back[hamlet_cases[3].key], CONFIG)
-    assert row["status"] == "no height" and row["chamfer_m"] is None and row["watertight"] is None
+    assert row["status"] == "no-height" and row["chamfer_m"] is None and row["watertight"] is None
 
 
 def measures(rows: list[dict[str, object]]) -> pa.Table:
@@ -199,7 +199,7 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
 
 
 def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
-    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path
+    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     program = tmp_path / "roofer"
     program.write_text("#!/bin/sh\necho no memory >&2\nexit 3\n")
@@ -207,9 +207,9 @@ def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
     manifest = read_manifest(hamlet)
     tool = roofer_command.Roofer([str(program)], "x")
     reconstructions = roofer.run(tool, hamlet_cases[:2], manifest.crs(), CONFIG)
-    assert [row.status for row in reconstructions] == [
-        "Roofer failed with exit status 3"
-    ] * 2 and not reconstructions[0].has_mesh
+    assert [row.status for row in reconstructions] == ["roofer-failed"] * 2
+    assert not reconstructions[0].has_mesh
+    assert "failed with exit status 3 on tile" in caplog.text and "no memory" in caplog.text
     absent = Eval(roofer_command=str(tmp_path / "nothing"))
     rows, facts = baselines.baseline("roofer", hamlet_cases, manifest, absent, RECONSTRUCT)
     assert rows == {} and facts["status"].startswith("not run: program")

@@ -126,7 +126,7 @@ def test_a_building_that_roofer_skips_counts_as_without_a_mesh() -> None:
     assert len(recorded) == len(bresse) == 6
     assert sum(row.has_mesh for row in recorded.values()) == 5
     (skipped,) = [row for row in recorded.values() if not row.has_mesh]
-    assert skipped.status == "no mesh from Roofer"
+    assert skipped.status == "no-roofer-mesh"
 
 
 def test_the_state_changes_when_roofer_is_installed_or_updated(

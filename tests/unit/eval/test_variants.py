@@ -293,8 +293,8 @@ def test_each_cause_is_recognised() -> None:
     )
     assert cause_of_error(replace(case, visible_roof_share=0.3), flat).kind == "occluded"
     assert cause_of_error(case, flat).kind == "walls"
-    missing = no_mesh(case.building, "x", "no height")
-    assert cause_of_error(case, missing).sentence == "No mesh: no height."
+    missing = no_mesh(case.building, "x", "no-height")
+    assert cause_of_error(case, missing).sentence == "No mesh: the method has no height for the building."
 
 
 def test_the_gallery_shows_the_worst_buildings_and_the_counterparts(
@@ -349,7 +349,7 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     base = {field.name: None for field in MEASURES}
     rows = [
         {"dataset": "real", "method": "roofer", "num_triangles": 10, "chamfer_m": 1.0},
-        {"dataset": "real", "method": "roofer", "status": "no mesh from Roofer"},
+        {"dataset": "real", "method": "roofer", "status": "no-roofer-mesh"},
         {
             "dataset": "simulated",
             "method": "fit",
@@ -370,7 +370,7 @@ def test_the_template_names_recorded_outputs_everywhere() -> None:
     assert counts["Buildings"] == [1, 2] and counts["Without a mesh"] == [0, 1]
     without = tables.without_mesh(details, runs, names)
     assert without[1:] == [
-        ["Real", "Roofer (recorded)", "no mesh", "no mesh from Roofer", 1],
+        ["Real", "Roofer (recorded)", "no mesh", "no-roofer-mesh", 1],
         ["Simulated", "Fit alone", "flat roof", "too-few-points", 1],
     ]
 

@@ -126,8 +126,8 @@ def test_a_mesh_or_a_reason(scene: Scene, predictor: Oracle | None) -> None:
     with_mesh = {name for name, result in found.items() if result.status == "ok"}
     assert with_mesh >= {"good", "ten points", "no class 6", "no ground", "half seen", "courtyard", "comb"}
     assert with_mesh >= {"ten points and ground", "two parts-1", "two parts-2"}
-    assert found["no point"].reason == "no point"
-    assert (found["one point"].status, found["one point"].reason) == ("flat", "fewer than 10 points")
+    assert found["no point"].reason == "no-points"
+    assert (found["one point"].status, found["one point"].reason) == ("flat", "too-few-points")
     # a flat roof at no height would be a guess; the network's is one
     assert found["ground only"].status == ("none" if predictor is None else "ok")
     assert found["ground only"].visible_share == 0

@@ -102,7 +102,7 @@ def solid_area(ring: np.ndarray) -> float:
 
 def test_header_and_features_follow_the_specification() -> None:
     solid, _, _ = solid_of("gables")
-    without_mesh = Solid("none", np.zeros((0, 3)), [], {"status": "none", "reason": "no point"})
+    without_mesh = Solid("none", np.zeros((0, 3)), [], {"status": "none", "reason": "no-points"})
     header, feature, empty = (json.loads(line) for line in cityjson.lines([solid, without_mesh], 28992))
     assert (header["type"], header["version"]) == ("CityJSON", "2.0")
     assert header["metadata"]["referenceSystem"] == "https://www.opengis.net/def/crs/EPSG/0/28992"
@@ -115,7 +115,7 @@ def test_header_and_features_follow_the_specification() -> None:
     assert types == {"GroundSurface", "WallSurface", "RoofSurface"}
     assert len(geometry["semantics"]["values"][0]) == len(geometry["boundaries"][0])
     assert "geometry" not in empty["CityObjects"]["none"]
-    assert empty["CityObjects"]["none"]["attributes"]["reason"] == "no point"
+    assert empty["CityObjects"]["none"]["attributes"]["reason"] == "no-points"
 
 
 def test_both_forms_follow_the_rules(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_heights_are_above_the_ground_that_the_cloud_shows(manifest: Path, tmp_p
     assert loaded.height_m[0] + loaded.ground_z_m[0] == pytest.approx(label_z - row["origin_z_m"], abs=1e-4)
     blind = rewrite(manifest, tmp_path, {0: {"ground_z_m": float("nan")}})
     without = load_dataset(blind, ["train"], LIMITS, labelled=True, include_real=False)
-    assert len(without) == len(loaded) - 1 and without.num_excluded == {"without ground": 1}
+    assert len(without) == len(loaded) - 1 and without.num_excluded == {"no-ground": 1}
 
 
 def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
@@ -80,18 +80,20 @@ def test_what_cannot_be_used_is_counted(manifest: Path, tmp_path: Path) -> None:
     loaded = load_dataset(changed, ["train"], LIMITS, labelled=True, include_real=False)
     assert len(loaded) == 23
     assert loaded.num_excluded == {
-        "with fewer than 64 points": 1,
-        "with courtyards": 1,
-        "with more than 8 vertices": 1,
-        "with a height that does not fit": 1,
-        "too large for the number format": 1,
-        "without labels": 1,
+        "too-few-points": 1,
+        "has-courtyards": 1,
+        "too-many-vertices": 1,
+        "height-out-of-range": 1,
+        "footprint-too-large": 1,
+        "no-labels": 1,
     }
-    assert "1 with courtyards" in describe(loaded)
+    assert "1 has-courtyards" in describe(loaded)
 
 
 def test_nothing_left_and_broken_manifests_are_one_clear_line(manifest: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no building of split train can be used \(excluded: 30 with fewer"):
+    with pytest.raises(
+        InputError, match=r"no building of split train can be used \(excluded: 30 too-few-points"
+    ):
         load_dataset(manifest, ["train"], TrainingLimits(10**6, 8, 70), labelled=True, include_real=False)
     (tmp_path / "m.json").write_text('{"files": []}')
     with pytest.raises(InputError, match="not a manifest of crops"):

@@ -52,7 +52,7 @@ def test_every_format_has_the_same_content(results: list[reconstruct.Result], tm
         and summary["p2wss"] == {"code": "x"}
     )
     assert summary["buildings"]["status"] == {"ok": 2, "none": 1}
-    assert summary["buildings"]["reasons"] == {"no point": 1} and summary["buildings"]["total"] == 3
+    assert summary["buildings"]["reasons"] == {"no-points": 1} and summary["buildings"]["total"] == 3
 
     gpkg, parquet = gpd.read_file(tmp_path / "out.gpkg"), gpd.read_parquet(tmp_path / "out.parquet")
     assert gpkg.crs == parquet.crs == LAMBERT and files.read_metadata(tmp_path / "out.parquet") == {

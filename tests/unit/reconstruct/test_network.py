@@ -55,16 +55,16 @@ def test_too_few_points_get_a_flat_roof_and_no_point_only_a_reason() -> None:
     cases = [building(num_points=5), building(num_points=0), building(height_m=70)]
     made = reconstruct_with_network(cases, Oracle(), CONFIG)
     assert [m.status for m in made] == [
-        "fewer than 10 points",
-        "no point",
-        "footprint too large for the network",
+        "too-few-points",
+        "no-points",
+        "footprint-too-large",
     ]
     assert not any(m.has_mesh for m in made)
     few, none, large = with_fallback(made, cases, CONFIG)
-    assert few.has_mesh and few.method == "lod1" and few.status == "fewer than 10 points"
+    assert few.has_mesh and few.method == "lod1" and few.status == "too-few-points"
     assert few.vertex_m[:, 2].max() == pytest.approx(6.0)
-    assert not none.has_mesh and none.status == "no point"
-    assert large.method == "lod1" and large.status == "footprint too large for the network"
+    assert not none.has_mesh and none.status == "no-points"
+    assert large.method == "lod1" and large.status == "footprint-too-large"
 
 
 def test_courtyards_stay_when_the_exterior_is_simplified_for_the_network() -> None:

@@ -76,8 +76,8 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
     )
     results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", NETWORK_ALONE)
     assert [r.status for r in results] == ["ok", "none", "none", "flat"]
-    assert results[1].reason == "no point" and results[3].reason == "fewer than 10 points"
-    assert "4 buildings: 1 ok, 1 flat (fewer than 10 points: 1)" in reconstruct.summary(results)
+    assert results[1].reason == "no-points" and results[3].reason == "too-few-points"
+    assert "4 buildings: 1 ok, 1 flat (too-few-points: 1)" in reconstruct.summary(results)
     # eave at the median of the points above the ground, roof points are on the eave
     assert results[0].reconstruction.eave_height_m == pytest.approx(6.0)
 

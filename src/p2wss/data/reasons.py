@@ -1,0 +1,86 @@
+"""Every status and reason of a building: a building is "ok", or has the reason why something is missing.
+
+These are the values of the columns ``status`` and ``reason`` of all files, and the keys of counts of excluded
+buildings. Those of the kernel are in :class:`p2wss.skeleton.Status`.
+"""
+
+from __future__ import annotations
+
+OK = "ok"
+
+# footprints and scenes
+EMPTY = "empty"
+NOT_A_POLYGON = "not-a-polygon"
+NON_FINITE = "non-finite"
+NO_TERRAIN = "no-terrain"
+TOO_HIGH = "too-high"
+
+# crops and training data
+TOO_LARGE = "too-large"
+TOO_FEW_POINTS = "too-few-points"
+NO_GROUND = "no-ground"
+NO_LABELS = "no-labels"
+HAS_COURTYARDS = "has-courtyards"
+TOO_MANY_VERTICES = "too-many-vertices"
+HEIGHT_OUT_OF_RANGE = "height-out-of-range"
+FOOTPRINT_TOO_LARGE = "footprint-too-large"
+
+# reconstructions
+NO_POINTS = "no-points"
+NO_POINTS_ON_BUILDING = "no-points-on-building"
+TOO_FEW_ROOF_POINTS = "too-few-roof-points"
+NO_HEIGHT = "no-height"
+NO_ROOF = "no-roof"
+NO_CLOSED_UNION = "no-closed-union"
+ROOFER_FAILED = "roofer-failed"
+ROOFER_TIMEOUT = "roofer-timeout"
+NO_ROOFER_MESH = "no-roofer-mesh"
+NOT_RECORDED = "not-recorded"
+
+MEANINGS: dict[str, str] = {
+    OK: "nothing is missing",
+    EMPTY: "the footprint has no area: no ring, or fewer than three vertices",
+    NOT_A_POLYGON: "the geometry is a point or a line",
+    NON_FINITE: "a coordinate is NaN or infinite",
+    NO_TERRAIN: "the terrain model has too few heights along the footprint (scenes.min_terrain_share)",
+    TOO_HIGH: "the eave is higher than scenes.max_eave_height_m",
+    TOO_LARGE: "the footprint reaches further than 320 m from its centre, beyond the number format of crops",
+    TOO_FEW_POINTS: "fewer points than crops.min_points or, of a reconstruction, reconstruct.min_num_points",
+    NO_GROUND: "the ground is unknown",
+    NO_LABELS: "the labels of training are missing",
+    HAS_COURTYARDS: "the footprint has courtyards, for which a token sequence has no place",
+    TOO_MANY_VERTICES: "the footprint has more vertices than model.max_vertices",
+    HEIGHT_OUT_OF_RANGE: "the eave height is not in the range of the network's tokens",
+    FOOTPRINT_TOO_LARGE: "the footprint is larger than the range of the network's tokens",
+    NO_POINTS: "no point within reconstruct.buffer_m of the footprint",
+    NO_POINTS_ON_BUILDING: "there are points, but none is on the building",
+    TOO_FEW_ROOF_POINTS: "fewer than three points on the roof",
+    NO_HEIGHT: "the method has no height for the building",
+    NO_ROOF: "the fit has no roof for the points",
+    NO_CLOSED_UNION: "the parts of the building have no closed union",
+    ROOFER_FAILED: "Roofer ended with an error; the log has it",
+    ROOFER_TIMEOUT: "Roofer took longer than eval.roofer_timeout_s",
+    NO_ROOFER_MESH: "Roofer gave no mesh",
+    NOT_RECORDED: "the building is not among the recorded outputs of Roofer",
+    # of the kernel, in the order of its checks
+    "too-small": "the footprint has less than the smallest area (scenes.min_area_m2)",
+    "too-many-edges": "the footprint has more edges than scenes.max_edges",
+    "not-simple": "a ring of the footprint crosses or touches itself or another ring",
+    "courtyard-outside": "a courtyard is outside the exterior, or inside another courtyard",
+    "not-clean": "a ring has the wrong orientation, or an edge shorter than a millimetre",
+    "bad-angle": "an angle is not 0, 90 or within 5 to 85 degrees",
+    "bad-height": "a height is not finite, the walls have none, or a maximum is negative",
+    "too-many-events": "the wavefront of the skeleton has more events than a polygon can have",
+    "broken-wavefront": "the wavefront of the skeleton came apart",
+    "no-event": "the wavefront of the skeleton still moves but meets nothing",
+    "overflow": "a work array of the kernel is full",
+    "open-face": "a face of the solid has an open boundary",
+    "not-triangulated": "a face of the solid could not be triangulated",
+    "not-closed": "the mesh is not closed",
+    "not-manifold": "an edge or a vertex of the mesh is not manifold",
+    "wrong-genus": "the mesh does not have one hole per courtyard",
+    "not-planar": "a face of the mesh is not planar",
+    "wrong-area": "the roof or the ground does not have the area of the footprint",
+    "zero-area-triangle": "a triangle of the mesh has no area",
+    "inside-out": "the mesh encloses a negative volume",
+}
