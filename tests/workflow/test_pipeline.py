@@ -88,8 +88,12 @@ def test_words_rerun_nothing(again):
     """Docstrings, messages, descriptions of columns: above all no training runs again."""
     again.edit("src/p2wss/scans/scan.py", '"""', '"""Another text. ')
     again.edit("src/p2wss/data/polygon_arrays.py", '"""', '"""Another text. ')
-    again.edit("src/p2wss/data/schemas/crops.py", "points within the buffer", "points nearby")
-    again.edit("src/p2wss/data/schemas/manifest.py", "run the stage crops again", "run crops again")
+    again.edit(
+        "src/p2wss/data/schemas/crops.py", '"num_points", pa.int32(), "', '"num_points", pa.int32(), "all '
+    )
+    again.edit(
+        "src/p2wss/data/schemas/manifest.py", 'raise InputError(f"', 'raise InputError(f"in other words: '
+    )
     assert planned(again) == {}
 
 

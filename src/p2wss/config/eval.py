@@ -17,7 +17,9 @@ class Eval(Section):
         ["lod1", "constant", "roofer"], description="methods to compare with; roofer only if it is installed"
     )
     lidar_name: str = Field(
-        "Real LiDAR (stand-in)", min_length=1, description="name of the clouds of region.lidar_tiles in the report"
+        "Real LiDAR (stand-in)",
+        min_length=1,
+        description="name of the clouds of region.lidar_tiles in the report",
     )
     attribution: list[str] = Field(
         [], description="lines in the footer of the report, besides those of fetch.sources"
