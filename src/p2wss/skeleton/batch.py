@@ -17,7 +17,7 @@ _OK = int(Status.OK)
 
 
 class _Output(NamedTuple):
-    """Ragged results; offsets have one entry more than there are polygons."""
+    """Ragged results of a batch; offsets have one entry more than there are polygons, faces or rings."""
 
     status: np.ndarray
     vertex: np.ndarray
@@ -35,7 +35,8 @@ def _solids(
     xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m,
     skeleton, mesh, start, output,
 ):  # fmt: skip
-    """Solids of the polygons from ``start`` on. Returns the first one for which there was no room."""
+    """Build the solids of the polygons from ``start`` on. Returns the first polygon for which there is no room,
+    or the number of polygons."""
     counts = skeleton.counts
     for p in range(start, len(output.status)):
         code, num_edges, more_vertices, more_triangles = solid_mesh(
@@ -88,7 +89,7 @@ def _output(num_polygons: int, num_rows: int) -> _Output:
 
 
 def _grow(output: _Output) -> _Output:
-    """The same with room for twice as much; what has one entry per polygon stays as it is."""
+    """A copy with twice the room; arrays with one entry per polygon stay as they are."""
     larger = {}
     for name, array in output._asdict().items():
         larger[name] = array if name in _PER_POLYGON else np.concatenate((array, np.zeros_like(array)))
@@ -125,7 +126,10 @@ def kernel_arguments(
     base_height_m: float | FloatArray,
     max_roof_height_m: float | FloatArray,
 ) -> tuple[FloatArray, ...]:
-    """All arguments as contiguous arrays of the one dtype that the compiled code is made for."""
+    """All arguments as contiguous arrays of the dtypes for which the code is compiled.
+
+    Raises ValueError if the number of angles is not that of the edges.
+    """
     num_polygons = len(polygons)
     xy_m = writable(polygons.xy_m, np.float64).reshape(-1, 2)
     angle = writable(angle_deg, np.float64)
@@ -143,8 +147,8 @@ def kernel_arguments(
 
 
 def work_size(polygons: Polygons) -> int:
-    """Number of edges that the work arrays have to hold for the largest polygon that is not refused
-    anyway."""
+    """Number of edges for which the work arrays need room: those of the largest polygon, up to the limit beyond
+    which polygons are rejected."""
     num_edges = np.diff(polygons.vertex_offset)
     return int(min(max(num_edges.max(initial=3), 16), MAX_EDGES))
 
@@ -160,16 +164,16 @@ def build(
     """Closed LoD2 meshes from clean polygons.
 
     polygons: as returned by :func:`p2wss.skeleton.clean`, any planar frame in metres (coordinates of 7e6 m
-    too: the work is done relative to the first vertex). angle_deg: (num_vertices,), per edge 0, 90 or
-    5..85. eave_height_m: (num_polygons,), measured from z = 0. base_height_m: height of the ground face,
-    below the eave; negative to reach down a slope. max_roof_height_m: a roof that would rise higher above
-    its eave is cut flat there. Both per polygon or one for all.
+    are possible, because the computation is relative to the first vertex). angle_deg: (num_vertices,), per
+    edge 0, 90 or 5..85. eave_height_m: (num_polygons,), measured from z = 0. base_height_m: height of the
+    ground face, below the eave; negative to reach down a slope. max_roof_height_m: a roof that would rise
+    higher above its eave is cut flat there. Both are one value per polygon or one for all.
 
     Every mesh has T = 2 V - 4 + 4 c triangles for V vertices and c courtyards: coplanar neighbours share a
-    face. Nothing is raised for any geometry: what cannot be built has a ``Status`` other than OK and no
+    face. No geometry raises: a polygon that cannot be built has a ``Status`` other than OK and no
     triangles.
 
-    Raises ValueError when the lengths of the arrays do not fit each other.
+    Raises ValueError if the lengths of the arrays do not match.
 
     Model: the parametric building of the Point2WSS paper, section 3; weighted straight skeletons: Held and
     Palfrader 2017.

@@ -1,10 +1,9 @@
-"""How this package compiles: to cached machine code without the GIL, where a division by zero gives
-infinity.
+"""Decorators that compile functions to cached machine code, without the GIL; a division by zero gives infinity.
 
-numba's cache of a function notices changes in the file of the function only, yet its machine code contains
-that of all it calls. So here the names of the cached files carry a digest of all sources of the package, and
-of the function's own package where that is another that builds on this one: code of other sources is never
-found, not even by processes that run while a file is being edited.
+numba's cache notices changes in the file of a function only, yet the machine code of the function contains
+that of everything it calls. So the names of the cached files carry a digest of all sources of this package
+and, for a function of another package, of that package too: code from other sources is never loaded, not even
+by a process that runs while a file is being edited.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from numba.core.errors import TypingError
 from numba.core.typing import signature
 from numba.extending import intrinsic
 
-# a variable that starts as the literal 0 makes numba compile what it is passed to once more, for that
+# a variable that starts as the literal 0 makes numba compile the functions it is passed to once more, for that
 # constant
 ZERO: Any = np.int64(0)
 log = logging.getLogger("p2wss")
@@ -35,7 +34,7 @@ log = logging.getLogger("p2wss")
 
 @cache
 def _digest_of_sources(folder: Path) -> str:
-    """Of this package and of the one in ``folder``."""
+    """Digest of the sources of this package and of those in ``folder``."""
     digest = blake2b(digest_size=6)
     for path in sorted({*Path(__file__).parent.glob("*.py"), *folder.glob("*.py")}):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
@@ -43,8 +42,10 @@ def _digest_of_sources(folder: Path) -> str:
 
 
 class CacheLocator:
-    """Where numba keeps the machine code of a function and how it tells that of other sources: the interface that
-    ``NUMBA_CACHE_LOCATOR_CLASSES`` asks for. The folders are numba's usual ones."""
+    """Where numba stores the machine code of a function, and how it recognises code from other sources.
+
+    This is the interface of ``NUMBA_CACHE_LOCATOR_CLASSES``. The folders are numba's usual ones.
+    """
 
     def __init__(self, function: Callable, file: str, folder: str) -> None:
         self._py_file = file
@@ -55,11 +56,11 @@ class CacheLocator:
 
     @classmethod
     def from_function(cls, function: Callable, file: str) -> CacheLocator | None:
-        """None: there is no folder to write to."""
+        """The locator of a function, or None if there is no folder to write to."""
         for usual in (UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator):
-            found = usual.from_function(function, file)
-            if found is not None:
-                return cls(function, file, found.get_cache_path())
+            locator = usual.from_function(function, file)
+            if locator is not None:
+                return cls(function, file, locator.get_cache_path())
         return None
 
     def get_cache_path(self) -> str:
@@ -69,11 +70,11 @@ class CacheLocator:
         return self._digest
 
     def get_disambiguator(self) -> str:
-        """Part of the names of the files, between the function and the version of Python."""
+        """The part of the file names between the function and the version of Python."""
         return f"{self._line}.{self._digest}"
 
     def ensure_cache_path(self) -> None:
-        """Called before every file that is written: those of other sources go."""
+        """Called before every file that is written: removes the function's files from other sources."""
         self._folder.mkdir(parents=True, exist_ok=True)
         for path in self._folder.glob(f"{self._function}-*.nb[ic]"):
             if f".{self._digest}." not in path.name:
@@ -102,7 +103,7 @@ def _compiled(**options: Any) -> Callable[[Callable], Any]:
         with _our_locator():
             try:
                 return njit(cache=True, **common)(function)
-            except RuntimeError:  # no folder to write to: compiled anew in each process
+            except RuntimeError:  # no folder to write to: every process compiles anew
                 _notice.is_cached = False
                 return njit(**common)(function)
 
@@ -114,25 +115,28 @@ _EACH_TIME = "up to a minute, every time: set NUMBA_CACHE_DIR to a folder that c
 
 
 class _Notice(event.Listener):
-    """Tells, once in a process, that functions of p2wss are compiled: it takes up to a minute without a word.
+    """Logs, once in a process, that functions of p2wss are being compiled, which takes up to a minute.
 
-    The garbage collector rests meanwhile: looking through all that a compiler holds takes a tenth of the time.
+    The garbage collector is off meanwhile: searching the objects of the compiler takes a tenth of the time.
     """
 
     def __init__(self) -> None:
-        self.told, self.is_cached = False, True
+        self.is_logged, self.is_cached = False, True
         self._depth, self._collects = 0, False
 
-    def on_start(self, begun: Any) -> None:
-        if not self.told and begun.data["dispatcher"].py_func.__module__.partition(".")[0] == "p2wss":
-            self.told = True
+    def on_start(self, compilation: Any) -> None:
+        if (
+            not self.is_logged
+            and compilation.data["dispatcher"].py_func.__module__.partition(".")[0] == "p2wss"
+        ):
+            self.is_logged = True
             log.info("compiling for this computer (%s)", _ONCE if self.is_cached else _EACH_TIME)
         if self._depth == 0:
             self._collects = gc.isenabled()
             gc.disable()
         self._depth += 1
 
-    def on_end(self, ended: Any) -> None:
+    def on_end(self, compilation: Any) -> None:
         self._depth -= 1
         if self._depth == 0 and self._collects:
             gc.enable()
@@ -143,27 +147,27 @@ event.register("numba:compile", _notice)
 
 
 def expect_compilation() -> None:
-    """This process compiles on purpose: no word of it."""
-    _notice.told = True
+    """This process compiles on purpose, so that no message is needed."""
+    _notice.is_logged = True
 
 
 # called from Python
 entry = _compiled(no_cfunc_wrapper=True)
-# called from compiled code only: without the wrapper for Python it compiles faster
+# called from compiled code only: compiles faster, without the wrapper for Python
 allocating = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True)
-# and without counting references to arrays faster still; such a function cannot make arrays
+# the same without reference counts of arrays, faster still; such a function cannot create arrays
 inner = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
-# a few lines that numba puts in place of their call
+# a few lines that numba inserts in place of their call
 inlined = _compiled(inline="always")
 
 
-# of what is called by address: the types of its arguments
+# the types of the arguments of each function that is called by address
 _argument_types: dict[Any, tuple] = {}
 
 
 def address_of(function: Any, *examples: Any) -> int:
-    """Where the machine code of a compiled function begins, for arguments of the types of ``examples``: those
-    that :func:`by_address` calls it with. It is compiled or loaded if need be."""
+    """Address of the machine code of a compiled function for arguments of the types of ``examples``, with which
+    :func:`by_address` calls it. The function is compiled or loaded if necessary."""
     argument_types = _argument_types.setdefault(function, tuple(map(typeof, examples)))
     if argument_types not in function.overloads:
         function.compile(argument_types)
@@ -172,34 +176,39 @@ def address_of(function: Any, *examples: Any) -> int:
 
 
 def by_address(function: Any) -> Any:
-    """A function for compiled code: ``made(code, *arguments)`` calls ``function(*arguments)`` at its
-    :func:`address_of`, which is in the named tuple ``code`` under the name of the function.
+    """A function for compiled code that calls ``function`` at its :func:`address_of`.
 
-    What numba compiles contains all that it calls, however deep, optimised and translated anew. A large function
-    with several callers is therefore better called by address: then it is translated once.
+    Its first argument is a named tuple with that address under the name of the function; the others are those
+    of the function. What numba compiles contains everything that it calls, at any depth, optimised and
+    translated anew. A large function with several callers is therefore better called by address: then it is
+    translated once.
     """
     name = function.py_func.__name__
 
     def define(typing_context: Any, code: Any, *arguments: Any) -> Any:
-        called = function.overloads[_argument_types[function]].signature
-        for given, wanted in zip(arguments, called.args, strict=True):
-            if typing_context.can_convert(given, wanted) is None:
-                raise TypingError(f"{name} is called by address with {given} in place of {wanted}")
+        compiled = function.overloads[_argument_types[function]].signature
+        for argument, parameter in zip(arguments, compiled.args, strict=True):
+            if typing_context.can_convert(argument, parameter) is None:
+                raise TypingError(f"{name} is called by address with {argument} in place of {parameter}")
 
         def generate(context: Any, builder: Any, _: Any, values: Any) -> Any:
             convention = context.call_conv
-            pointer_type = convention.get_function_type(called.return_type, called.args).as_pointer()
+            pointer_type = convention.get_function_type(compiled.return_type, compiled.args).as_pointer()
             address = builder.extract_value(values[0], code.fields.index(name))
             status, result = convention.call_function(
-                builder, builder.inttoptr(address, pointer_type), called.return_type, called.args, values[1:]
+                builder,
+                builder.inttoptr(address, pointer_type),
+                compiled.return_type,
+                compiled.args,
+                values[1:],
             )
             with cgutils.if_unlikely(builder, status.is_error):
                 convention.return_status_propagate(builder, status)
             return result
 
-        return signature(called.return_type, code, *called.args), generate
+        return signature(compiled.return_type, code, *compiled.args), generate
 
-    # as many parameters as there are: numba would pack *arguments into one tuple, which takes long to compile
+    # the parameters by name: numba would pack *arguments into one tuple, which takes long to compile
     names = ["typing_context", "code", *inspect.signature(function.py_func).parameters]
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     define.__signature__ = inspect.Signature([inspect.Parameter(each, kind) for each in names])  # type: ignore
