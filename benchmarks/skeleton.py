@@ -38,16 +38,15 @@ from p2wss.skeleton.queries import assign, query_work  # noqa: E402
 FIRST_USE = """
 import time, numpy as np
 start = time.process_time()
-from p2wss.skeleton import Polygons, build, clean, faces, lines, roof_points
+from p2wss.skeleton import Polygons, build, clean, roof_points
 square = np.array([[0, 0], [10, 0], [10, 10], [0, 10]], float)
 polygons = clean(Polygons.from_rings([[square]])).polygons
 solid = polygons, np.full(4, 45.0), np.array([5.0])
 build(*solid)
 print("clean+build", time.process_time() - start)
-for call, more in ((faces, ()), (lines, ()), (roof_points, (np.ones((1, 2)), np.zeros(1, int)))):
-    start = time.process_time()
-    call(*solid, *more)
-    print(call.__name__, time.process_time() - start)
+start = time.process_time()
+roof_points(*solid, np.ones((1, 2)), np.zeros(1, int))
+print("roof_points", time.process_time() - start)
 """
 REAL = ("olemps_bdtopo/BATIMENT.shp", "delft_ahn3/footprints.gpkg", "bresse_ign/footprints.gpkg")
 
