@@ -12,8 +12,8 @@ def add_parser(stages: Parsers) -> None:
     """Add ``p2wss towns`` to the parser."""
     command = stages.add_parser(
         "towns",
-        help="draw a fictitious town in IGN's file formats",
-        description="Draw a fictitious town: footprints, terrain and stand-in LiDAR in IGN's file formats.",
+        help="draw a made-up town in IGN's file formats",
+        description="Draw a made-up town: footprints, terrain and stand-in LiDAR in IGN's file formats.",
     )
     command.add_argument(
         "--seed", type=int, required=True, help="number of the town; each gives another town"

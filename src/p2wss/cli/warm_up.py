@@ -20,10 +20,15 @@ Task = Callable[[], None]
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss warm-up`` to the parser."""
-    about = "compile all that p2wss reconstruct needs, once for this computer"
-    command = stages.add_parser("warm-up", help=about, description=about)
-    command.add_argument("--all", action="store_true", help="also what p2wss scans needs")
-    command.add_argument("--jobs", type=int, default=_num_cores(), help="processes (default: one per core)")
+    command = stages.add_parser(
+        "warm-up",
+        help="compile ahead of the first use",
+        description="Compile the code that p2wss reconstruct needs, once for this computer.",
+    )
+    command.add_argument("--all", action="store_true", help="also compile the code that p2wss scans needs")
+    command.add_argument(
+        "--jobs", type=int, default=_num_cores(), help="number of processes (default: one per core)"
+    )
     command.set_defaults(run=warm_up)
 
 

@@ -1,4 +1,4 @@
-"""A building before and after its reconstruction, as every stage sees it."""
+"""A building before and after its reconstruction, as all stages represent it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from p2wss.data.points import points_on_building
 
 @dataclass(frozen=True)
 class Building:
-    """A footprint with its points, before its reconstruction.
+    """A footprint and its points: the input of a reconstruction.
 
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
@@ -35,22 +35,23 @@ class Building:
 
     @property
     def is_on_building(self) -> np.ndarray:
-        """Which points are on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
+        """Mask of the points on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
         return points_on_building(self.polygon, self.point_m, self.classification, self.ground_z_m)
 
 
 @dataclass(frozen=True)
 class Reconstruction:
-    """What a method makes of a building: parameters and a mesh, or a status that says why there is none.
+    """The result of a method for a building: parameters and a mesh, or a status that gives the reason for none.
 
-    rings: of the mesh, relative to ``origin_xy_m`` like its x and y; z is above ``ground_z_m``. vertex_m: (v, 3).
-    triangle: int32 (t, 3), (0, 3) without a mesh. kind: uint8 (t,), :class:`p2wss.skeleton.FaceKind`. edge: int32
-    (t,), the footprint edge that the face grows from, -1 for none; of several parts the number of its plane.
-    eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: with a height each; of
-    several, ``eave_height_m`` is that of the largest and ``angle_deg`` those of the parts along the footprint.
-    confidence: the expected share of right numbers, 0 to 1. class_probability: of a network, (edges, 3): that each
-    edge has 0 degrees, 90 degrees or a slope. status: a value of :mod:`p2wss.data.reasons`; a mesh with another
-    status than "ok" is the flat roof that stands in for one.
+    rings: footprint of the mesh, relative to ``origin_xy_m`` like x and y of the mesh; z is above ``ground_z_m``.
+    vertex_m: (v, 3). triangle: int32 (t, 3), (0, 3) without a mesh. kind: uint8 (t,),
+    :class:`p2wss.skeleton.FaceKind`. edge: int32 (t,), the footprint edge of the face, or -1; with several parts,
+    the number of its plane. eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts:
+    parts with their own eave height; with several, ``eave_height_m`` is that of the largest part, and ``angle_deg``
+    are the angles of the parts along the footprint. confidence: expected share of correct values, 0 to 1.
+    class_probability: (edges, 3), the network's probabilities that an edge has 0 degrees, 90 degrees or a slope.
+    status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat roof as a
+    substitute.
     """
 
     building_id: str
@@ -76,7 +77,7 @@ class Reconstruction:
 
 
 def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
-    """The row of a building that a method could not reconstruct."""
+    """The reconstruction of a building for which a method has no mesh. status: the reason."""
     return Reconstruction(
         building.building_id,
         building.tile,

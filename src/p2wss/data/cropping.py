@@ -1,8 +1,8 @@
-"""Which points belong to which footprint: exact distance of every point to every polygon nearby.
+"""Crop points by footprints, with the exact distance of each point to each polygon nearby.
 
-A point belongs to a polygon when it is inside, or no further from it than the buffer; a courtyard is outside.
-A point may belong to several polygons. The distance is computed as GEOS does it, so that the answer is that
-of ``shapely.dwithin``, ties included.
+A point belongs to a polygon if it is inside, or at most the buffer away; a courtyard is outside. A point may belong
+to several polygons. Distances are computed as in GEOS, so that the result equals that of ``shapely.dwithin``, ties
+included.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ def crop_points(
     buffer_m: float,
     among: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of each polygon.
+    """The points inside or within ``buffer_m`` of each polygon, as pairs of a polygon and a point.
 
-    x_m, y_m: float64 (num_points,), in the frame of ``polygons``. among: bool (num_points,), which points
-    count; all without it. Returns point int32 (num_pairs,), the
-    index of a point; inside bool (num_pairs,), false for a point of the ring around the polygon; offset
-    int64 (num_polygons + 1,): polygon p has the pairs ``offset[p]:offset[p + 1]``, in an order that depends
-    on the points and the polygons only.
+    x_m, y_m: float64 (num_points,), in the coordinates of ``polygons``. among: bool (num_points,), mask of the
+    points to consider; None for all.
+
+    Returns (point, inside, offset). point: int32 (num_pairs,), index of the point. inside: bool (num_pairs,), false
+    for a point in the buffer. offset: int64 (num_polygons + 1,), polygon p has the pairs ``offset[p]:offset[p + 1]``,
+    in an order that depends only on the points and the polygons.
     """
     count = len(polygons)
     if not len(polygons.xy_m) or not len(x_m):
@@ -71,8 +72,10 @@ def _cell_boxes(
     columns: int,
     rows: int,
 ) -> np.ndarray:
-    """First and last column and row of cells around each polygon, int64 (num_polygons, 4); (0, -1, 0, -1) if
-    empty."""
+    """First and last column and row of the cells around each polygon, int64 (num_polygons, 4).
+
+    (0, -1, 0, -1) for a polygon without vertices.
+    """
     boxes = np.empty((len(vertex_offset) - 1, 4), np.int64)
     for p in range(len(vertex_offset) - 1):
         if vertex_offset[p] == vertex_offset[p + 1]:
@@ -100,13 +103,13 @@ def _sort_points(
     boxes: np.ndarray,
     among: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Counting sort of the points by cell, row by row, without those of cells that no polygon needs.
+    """Counting sort of the points by cell, row by row, without those in cells that no polygon needs.
 
-    ``among`` is bool, one per point, or empty for all.
+    among: bool (num_points,), mask of the points to consider; empty for all.
     """
-    wanted = np.zeros((rows, columns), np.bool_)
+    is_needed = np.zeros((rows, columns), np.bool_)
     for p in range(len(boxes)):
-        wanted[boxes[p, 2] : boxes[p, 3] + 1, boxes[p, 0] : boxes[p, 1] + 1] = True
+        is_needed[boxes[p, 2] : boxes[p, 3] + 1, boxes[p, 0] : boxes[p, 1] + 1] = True
     cell = np.empty(len(x), np.int32)
     start = np.zeros(rows * columns + 1, np.int64)
     for i in range(len(x)):
@@ -114,7 +117,7 @@ def _sort_points(
         if len(among) and not among[i]:
             continue
         u, v = (x[i] - low[0]) / cell_m, (y[i] - low[1]) / cell_m
-        if 0 <= u < columns and 0 <= v < rows and wanted[int(v), int(u)]:
+        if 0 <= u < columns and 0 <= v < rows and is_needed[int(v), int(u)]:
             cell[i] = int(v) * columns + int(u)
             start[cell[i] + 1] += 1
     for c in range(rows * columns):
@@ -160,7 +163,7 @@ def _crop(
             first, last = start[row * columns + boxes[p, 0]], start[row * columns + boxes[p, 1] + 1]
             if first == last:
                 continue
-            # a cell's width more than needed, against rounding at the border of the cells
+            # one cell more than needed on each side, in case of rounding at the borders of cells
             y_min = low_y + (row - 1) * cell_m - buffer_m
             y_max = low_y + (row + 2) * cell_m + buffer_m
             num_edges = 0
@@ -217,8 +220,10 @@ def _distance(px: float, py: float, ax: float, ay: float, bx: float, by: float) 
 def ring_medians(
     value: np.ndarray, among: np.ndarray, point: np.ndarray, inside: np.ndarray, offset: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of the points of each polygon's ring, those ``among`` (bool, one per point): how many, int64, and the
-    median of ``value``, NaN without any (num_polygons,)."""
+    """Number (int64) and median of ``value`` (NaN without any) of the points in the buffer of each polygon.
+
+    among: bool (num_points,), mask of the points that count. Both results are (num_polygons,).
+    """
     count, result = np.zeros(len(offset) - 1, np.int64), np.full(len(offset) - 1, np.nan)
     most = 0
     for p in range(len(offset) - 1):
@@ -246,7 +251,7 @@ def seen_share(
     ring_offset: np.ndarray,
     polygon_offset: np.ndarray,
 ) -> np.ndarray:
-    """Share of each polygon's 1 m cells that have a point on the roof, float32 (num_polygons,).
+    """Share of the 1 m cells of each polygon that have a point on the roof, float32 (num_polygons,).
 
     A cell counts when its centre is inside the polygon; cells start at whole metres of the local frame, in
     which the polygons and the points are given. Without any such cell: 1 with a point on the roof, else 0.

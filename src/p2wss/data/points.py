@@ -1,6 +1,6 @@
-"""Which points are on a building: the one definition, for crops, fit, flat roofs, residuals and measures.
+"""The points on a building: one definition for crops of real LiDAR, fit, flat roofs, residuals and measures.
 
-Labels of simulated crops are another matter: there every point carries the face that it was cast on.
+Crops of simulated scans do not need it, because there each point has the label of its face.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, WATER_CLASS
 
-# with fewer points of the class building, a classifier has missed the building
+# with fewer points of class building, the classifier has missed the building
 MIN_CLASSIFIED_POINTS = 10
-# of a building that a classifier has missed, what is lower may be a car, a hedge or rough ground
+# lower points on a building that the classifier has missed may be a car, a hedge or rough ground
 MIN_HEIGHT_M = 2.0
 _NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 
@@ -20,11 +20,11 @@ _NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 def points_on_building(
     polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
 ) -> np.ndarray:
-    """Which points (m, 3) are on the building over ``polygon``, bool (m,).
+    """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,).
 
-    Those of the class building inside the polygon; where there are fewer than ten, all inside that are neither
-    ground, noise nor water and at least 2 m above ``ground_z_m`` (if there are any). Never those of the ring around
-    the footprint: in a row of houses they belong to the neighbours.
+    These are the points of class building inside the polygon. If there are fewer than ten, they are all points
+    inside that are neither ground, noise nor water and at least 2 m above ``ground_z_m`` (if there are any). Points
+    outside the footprint never count: in a row of houses they belong to the neighbours.
     """
     if not len(point_m):
         return np.zeros(0, bool)
@@ -36,25 +36,28 @@ def points_on_building(
 def points_on_buildings(
     inside: np.ndarray, classification: np.ndarray, height_m: np.ndarray, offset: np.ndarray
 ) -> np.ndarray:
-    """As :func:`points_on_building` for many buildings at once, bool (num_points,).
+    """As :func:`points_on_building`, for many buildings at once: bool (num_points,).
 
-    inside: bool (num_points,), in the footprint. height_m: above the ground at the building. offset: building b has
-    the points ``offset[b]:offset[b + 1]``.
+    inside: bool (num_points,), whether a point is inside the footprint. height_m: float64 (num_points,), above the
+    ground at the building. offset: building b has the points ``offset[b]:offset[b + 1]``.
     """
     counts = np.diff(offset)
     building = np.repeat(np.arange(len(counts)), counts)
-    classified = inside & (classification == BUILDING_CLASS)
-    missed = np.bincount(building[classified], minlength=len(counts)) < MIN_CLASSIFIED_POINTS
-    if not missed.any():
-        return classified
-    others = inside & ~np.isin(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
-    missed &= np.bincount(building[others], minlength=len(counts)) > 0
-    return np.where(missed[building], others, classified)
+    is_classified = inside & (classification == BUILDING_CLASS)
+    is_missed = np.bincount(building[is_classified], minlength=len(counts)) < MIN_CLASSIFIED_POINTS
+    if not is_missed.any():
+        return is_classified
+    is_high = inside & ~np.isin(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
+    is_missed &= np.bincount(building[is_high], minlength=len(counts)) > 0
+    return np.where(is_missed[building], is_high, is_classified)
 
 
 def on_centimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
-    """Points (n, 3) with x and y relative to an origin of whole metres, on the grid of centimetres on which crops
-    are stored: so that a building is the same to the bit whether it was stored or not."""
+    """Points (n, 3) rounded to the centimetres in which crops are stored, x and y relative to ``origin_xy_m``.
+
+    A building then has the same points to the bit, whether it was stored in between or not. origin_xy_m: (2,), in
+    whole metres.
+    """
     if not len(xyz_m):
         return xyz_m.reshape(0, 3)
     origin_z_m = np.round(np.median(xyz_m[:, 2]))
