@@ -52,15 +52,10 @@ def points_on_buildings(
     return np.where(is_missed[building], is_high, is_classified)
 
 
-def on_centimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
-    """Points (n, 3) rounded to the centimetres in which crops are stored, x and y relative to ``origin_xy_m``.
+def on_millimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
+    """Points (n, 3) with x and y relative to an origin of whole metres, on a grid of millimetres.
 
-    A building then has the same points to the bit, whether it was stored in between or not. origin_xy_m: (2,), in
-    whole metres.
+    A point that a cloud states in whole centimetres is then the same to the bit as out of a crop, which stores it so;
+    without the grid, its coordinates would depend on the rounding of large numbers.
     """
-    if not len(xyz_m):
-        return xyz_m.reshape(0, 3)
-    origin_z_m = np.round(np.median(xyz_m[:, 2]))
-    point_cm = np.rint(100 * (xyz_m - [*origin_xy_m, origin_z_m]))
-    point_cm[:, 2] += 100 * origin_z_m
-    return point_cm / 100
+    return np.rint(1000 * (xyz_m - [*origin_xy_m, 0.0])) / 1000

@@ -20,7 +20,7 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.cloud_crops import crop_cloud
 from p2wss.data.clouds import Cloud, horizontal
 from p2wss.data.cropping import seen_share
-from p2wss.data.points import on_centimetres
+from p2wss.data.points import on_millimetres
 from p2wss.errors import InputError
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Solid
@@ -84,7 +84,7 @@ def run(
                     tile,
                     (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
                     [ring - origin_xy_m[i] for ring in polygons.rings(i)],
-                    on_centimetres(xyz_m, origin_xy_m[i]),
+                    on_millimetres(xyz_m, origin_xy_m[i]),
                     cloud.classification[point],
                     float(cropped.ground_z_m[i]),
                 )

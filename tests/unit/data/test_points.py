@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from p2wss.data import polygon_arrays
 from p2wss.data.cloud_crops import crop_cloud
 from p2wss.data.clouds import Cloud
-from p2wss.data.points import on_centimetres, points_on_building, points_on_buildings
+from p2wss.data.points import on_millimetres, points_on_building, points_on_buildings
 
 BOX = shapely.box(0, 0, 10, 8)
 GROUND_Z_M = 100.0
@@ -65,10 +65,13 @@ def test_without_ground_within_reach_it_is_a_low_quantile_of_the_points() -> Non
     assert np.isnan(cropped.ground_z_m[1]), "a building without points"
 
 
-def test_points_stand_on_the_grid_of_the_crops() -> None:
+def test_points_in_centimetres_are_the_same_to_the_bit_as_out_of_a_crop() -> None:
+    draw = np.random.default_rng(2)
     origin = np.array([652100.0, 6861200.0])
-    point_m = np.array([[652103.1234, 6861201.999, 140.0049], [652103.0, 6861201.0, 139.995]])
-    found = on_centimetres(point_m, origin)
-    assert np.allclose(found * 100, np.round(found * 100), rtol=0, atol=1e-10)
-    assert np.abs(found - (point_m - [*origin, 0])).max() < 0.00501
-    assert on_centimetres(np.zeros((0, 3)), origin).shape == (0, 3)
+    point_cm = draw.integers(-32767, 32768, (1000, 3))
+    xyz_m = point_cm * 0.01 + [*origin, 140.0]
+    expected_cm = np.column_stack([point_cm[:, :2], point_cm[:, 2] + 14000])
+    assert np.array_equal(on_millimetres(xyz_m, origin), expected_cm / 100)
+    fine = on_millimetres(xyz_m + 0.0042, origin)
+    assert np.abs(fine - 0.0042 - (xyz_m - [*origin, 0])).max() < 0.00051
+    assert on_millimetres(np.zeros((0, 3)), origin).shape == (0, 3)

@@ -38,7 +38,7 @@ HOUSES = [
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with footprints.gpkg and a cloud in millimetres: the houses, one with two points on its roof and one
+    """A folder with footprints.gpkg and a cloud in centimetres: the houses, one with two points on its roof and one
     with none."""
     folder, draw = tmp_path_factory.mktemp("place"), np.random.default_rng(5)
     points, classes, shapes = [], [], []
@@ -59,7 +59,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
             points.append(roof + draw.normal(0, 0.03, roof.shape) + [*corner, ground])
             classes.append(np.full(num_points, 6))
     header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = np.full(3, 0.001), np.array([652000, 6861000, 0])
+    header.scales, header.offsets = np.full(3, 0.01), np.array([652000, 6861000, 0])
     header.add_crs(pyproj.CRS.from_epsg(2154))
     las = laspy.LasData(header)
     las.x, las.y, las.z = np.concatenate(points).T
