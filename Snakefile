@@ -13,13 +13,13 @@ configfile: "config/default.yaml"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/places.smk"
 
 
 pathvars:
-    results=f"results/{settings.region.name}",
-    resources=f"resources/ign/{settings.region.vintage}",
-    logs=f"logs/{settings.region.name}",
-    benchmarks=f"logs/{settings.region.name}/benchmarks",
+    results=f"results/{configs.dataset_name(settings)}",
+    logs=f"logs/{configs.dataset_name(settings)}",
+    benchmarks=f"logs/{configs.dataset_name(settings)}/benchmarks",
 
 
 include: "workflow/rules/towns.smk"

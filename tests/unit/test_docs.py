@@ -28,7 +28,8 @@ RULES = {
     for path in [ROOT / "Snakefile", *ROOT.glob("workflow/rules/*.smk")]
     for name in re.findall(r"^(?:rule|checkpoint) (\w+):", path.read_text(), re.MULTILINE)
 }
-RULES_TEXT = "".join(path.read_text() for path in ROOT.glob("workflow/rules/*.smk"))
+# the pages name the files of one region, whose place is empty
+RULES_TEXT = "".join(path.read_text() for path in ROOT.glob("workflow/rules/*.smk")).replace("{place}", "")
 SOURCES = [
     path
     for folder in (

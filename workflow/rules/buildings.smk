@@ -1,19 +1,19 @@
 """Buildings: a closed mesh of each building, or the reason why there is none.
 
-In:  <results>/scenes/{tile}.parquet.
-Out: <results>/buildings/{tile}.parquet.
+In:  <results>/scenes/{place}{tile}.parquet.
+Out: <results>/buildings/{place}{tile}.parquet.
 """
 
 
 rule build_roofs:
     input:
-        scene="<results>/scenes/{tile}.parquet",
+        scene="<results>/scenes/{place}{tile}.parquet",
     output:
-        buildings="<results>/buildings/{tile}.parquet",
+        buildings="<results>/buildings/{place}{tile}.parquet",
     log:
-        "<logs>/buildings/{tile}.log",
+        "<logs>/buildings/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/buildings/{tile}.tsv"
+        "<benchmarks>/buildings/{place}{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -27,4 +27,4 @@ rule build_roofs:
 
 rule buildings:
     input:
-        every_tile("<results>/buildings/{tile}.parquet"),
+        every_tile("<results>/buildings/{place}{tile}.parquet"),

@@ -1,26 +1,26 @@
 """Crops: the points of each building, with labels where the scan is simulated.
 
-In:  <results>/buildings/{tile}.parquet and <results>/scans/{tile}.laz; or <results>/fetch/footprints.gpkg and
-     <results>/fetch/lidar/{tile}.laz.
-Out: <results>/crops/simulated/{tile}.parquet, <results>/crops/real/{tile}.parquet, and
+In:  <results>/buildings/{place}{tile}.parquet and <results>/scans/{place}{tile}.laz; or <results>/fetch/{place}footprints.gpkg and
+     <results>/fetch/lidar/{place}{tile}.laz.
+Out: <results>/crops/simulated/{place}{tile}.parquet, <results>/crops/real/{place}{tile}.parquet, and
      <results>/crops/manifest.json, which lists both with hashes and splits.
 """
 
 # what every later stage reads beside the manifest
-simulated_shards = every_tile("<results>/crops/simulated/{tile}.parquet")
-real_shards = expand("<results>/crops/real/{tile}.parquet", tile=settings.region.lidar_tiles)
+simulated_shards = every_tile("<results>/crops/simulated/{place}{tile}.parquet")
+real_shards = every_lidar_tile("<results>/crops/real/{place}{tile}.parquet")
 
 
 rule crop_simulated:
     input:
-        buildings="<results>/buildings/{tile}.parquet",
-        scan="<results>/scans/{tile}.laz",
+        buildings="<results>/buildings/{place}{tile}.parquet",
+        scan="<results>/scans/{place}{tile}.laz",
     output:
-        shard="<results>/crops/simulated/{tile}.parquet",
+        shard="<results>/crops/simulated/{place}{tile}.parquet",
     log:
-        "<logs>/crops/simulated/{tile}.log",
+        "<logs>/crops/simulated/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/crops/simulated/{tile}.tsv"
+        "<benchmarks>/crops/simulated/{place}{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -34,14 +34,14 @@ rule crop_simulated:
 
 rule crop_real:
     input:
-        footprints="<results>/fetch/footprints.gpkg",
+        footprints="<results>/fetch/{place}footprints.gpkg",
         clouds=lidar_around,
     output:
-        shard="<results>/crops/real/{tile}.parquet",
+        shard="<results>/crops/real/{place}{tile}.parquet",
     log:
-        "<logs>/crops/real/{tile}.log",
+        "<logs>/crops/real/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/crops/real/{tile}.tsv"
+        "<benchmarks>/crops/real/{place}{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -50,7 +50,7 @@ rule crop_real:
         config=section("region", "scenes", "crops"),
         code=fingerprint("crops", "data.footprints"),
     shell:
-        "p2wss crops real --tile {wildcards.tile} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
+        "p2wss crops real --tile {wildcards.tile} --place {wildcards.place:q} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -70,7 +70,7 @@ rule crops:
     resources:
         mem_mb=1000,
     params:
-        config=section("crops"),
+        config=section("dataset", "crops"),
         code=fingerprint("crops"),
     shell:
         "p2wss crops manifest --out {output.manifest} --simulated {input.simulated} --real {input.real}"

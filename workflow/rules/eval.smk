@@ -136,8 +136,8 @@ rule eval_report:
             else ["<results>/dvae/metrics.jsonl", "<results>/model/metrics.jsonl"]
         ),
         # pictures of the first few: a report of a whole city stays small
-        scans=lambda wildcards: expand("<results>/scans/{tile}.png", tile=tiles(wildcards)[:3]),
-        tables=expand("<results>/reconstruct/{tile}.json", tile=settings.region.lidar_tiles),
+        scans=lambda wildcards: every_tile("<results>/scans/{place}{tile}.png")(wildcards)[:3],
+        tables=every_lidar_tile("<results>/reconstruct/{place}{tile}.json"),
         sources=settings.fetch.sources,
     output:
         report=report("<results>/eval/report.html", caption="../report/report.rst", category="Evaluation"),

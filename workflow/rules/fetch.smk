@@ -1,16 +1,15 @@
 """Fetch: footprints, terrain and LiDAR, from a service or from folders, in one form.
 
 In:  what the section fetch of the config names; the town of rule draw_town, if it names one.
-Out: <results>/fetch/footprints.gpkg, <resources>/dtm/{tile}.tif, <resources>/lidar/{tile}.laz as delivered, and
-     <results>/fetch/lidar/{tile}.laz with a class for the ground.
+Out: <results>/fetch/{place}footprints.gpkg, resources/ign/{vintage}/dtm/{tile}.tif, .../lidar/{tile}.laz as delivered,
+     and <results>/fetch/lidar/{place}{tile}.laz with a class for the ground.
 
-What a service sends is kept in <resources>/downloads with a record of each request: these rules, run again, request
+What a service sends is kept in resources/ign/{vintage}/downloads with a record of each request: these rules, run again, request
 nothing that is there and whole.
 """
 
-lidar_around = around("<results>/fetch/lidar/{tile}.laz")
-delivered_around = around("<resources>/lidar/{tile}.laz")
-downloads = f"resources/ign/{settings.region.vintage}/downloads"  # pathvars do not reach params
+lidar_around = around("<results>/fetch/lidar/{place}{tile}.laz")
+delivered_around = around("resources/ign/{vintage}/lidar/{tile}.laz")
 
 
 # requests are sent from the machine that runs Snakemake: cluster nodes often have no network
@@ -22,13 +21,13 @@ localrules:
 
 rule fetch_footprints:
     input:
-        drawn_town(settings.fetch.folder.footprints),
+        lambda wildcards: drawn_town(wildcards.place, "footprints"),
     output:
-        footprints=ensure("<results>/fetch/footprints.gpkg", non_empty=True),
+        footprints=ensure("<results>/fetch/{place}footprints.gpkg", non_empty=True),
     log:
-        "<logs>/fetch/footprints.log",
+        "<logs>/fetch/{place}footprints.log",
     benchmark:
-        "<benchmarks>/fetch/footprints.tsv"
+        "<benchmarks>/fetch/{place}footprints.tsv"
     retries: 2
     conda:
         "../../envs/p2wss.yaml"
@@ -40,7 +39,7 @@ rule fetch_footprints:
     params:
         config=section("region", "fetch", without=("prepare", "sources", "offline")),
         code=fingerprint("fetch"),
-        downloads=downloads,
+        downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
     shell:
         "p2wss fetch footprints --out {output.footprints} --downloads {params.downloads} --offline {resources.offline}"
         " --config {params.config:q} 2> {log}"
@@ -48,13 +47,13 @@ rule fetch_footprints:
 
 rule fetch_dtm:
     input:
-        drawn_town(settings.fetch.folder.dtm),
+        lambda wildcards: drawn_town(source_of_tile(wildcards), "dtm"),
     output:
-        dtm=ensure("<resources>/dtm/{tile}.tif", non_empty=True),
+        dtm=ensure("resources/ign/{vintage}/dtm/{tile}.tif", non_empty=True),
     log:
-        "<logs>/fetch/dtm_{tile}.log",
+        "<logs>/fetch/{vintage}/dtm_{tile}.log",
     benchmark:
-        "<benchmarks>/fetch/dtm_{tile}.tsv"
+        "<benchmarks>/fetch/{vintage}/dtm_{tile}.tsv"
     retries: 2
     conda:
         "../../envs/p2wss.yaml"
@@ -63,9 +62,9 @@ rule fetch_dtm:
         offline=int(settings.fetch.offline),
         mem_mb=1000,
     params:
-        config=section("region", "fetch", without=("prepare", "sources", "offline")),
+        config=source_section,
         code=fingerprint("fetch"),
-        downloads=downloads,
+        downloads="resources/ign/{vintage}/downloads",
     shell:
         "p2wss fetch dtm --tile {wildcards.tile} --out {output.dtm} --downloads {params.downloads} --offline {resources.offline}"
         " --config {params.config:q} 2> {log}"
@@ -73,11 +72,11 @@ rule fetch_dtm:
 
 rule fetch_lidar:
     output:
-        lidar=ensure("<resources>/lidar/{tile}.laz", non_empty=True),
+        lidar=ensure("resources/ign/{vintage}/lidar/{tile}.laz", non_empty=True),
     log:
-        "<logs>/fetch/lidar_{tile}.log",
+        "<logs>/fetch/{vintage}/lidar_{tile}.log",
     benchmark:
-        "<benchmarks>/fetch/lidar_{tile}.tsv"
+        "<benchmarks>/fetch/{vintage}/lidar_{tile}.tsv"
     retries: 2
     conda:
         "../../envs/p2wss.yaml"
@@ -86,9 +85,9 @@ rule fetch_lidar:
         offline=int(settings.fetch.offline),
         mem_mb=1000,
     params:
-        config=section("region", "fetch", without=("prepare", "sources", "offline")),
+        config=source_section,
         code=fingerprint("fetch"),
-        downloads=downloads,
+        downloads="resources/ign/{vintage}/downloads",
     shell:
         "p2wss fetch lidar --tile {wildcards.tile} --out {output.lidar} --downloads {params.downloads} --offline {resources.offline}"
         " --config {params.config:q} 2> {log}"
@@ -99,11 +98,11 @@ rule prepare_lidar:
         clouds=delivered_around,
         stages=settings.fetch.prepare.pdal_stages,
     output:
-        lidar=ensure("<results>/fetch/lidar/{tile}.laz", non_empty=True),
+        lidar=ensure("<results>/fetch/lidar/{place}{tile}.laz", non_empty=True),
     log:
-        "<logs>/fetch/prepare_{tile}.log",
+        "<logs>/fetch/prepare/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/fetch/prepare_{tile}.tsv"
+        "<benchmarks>/fetch/prepare/{place}{tile}.tsv"
     conda:
         "../../envs/pdal.yaml"
     resources:
@@ -117,6 +116,6 @@ rule prepare_lidar:
 
 rule fetch:
     input:
-        rules.fetch_footprints.output,
-        every_tile("<resources>/dtm/{tile}.tif"),
-        expand("<results>/fetch/lidar/{tile}.laz", tile=settings.region.lidar_tiles),
+        expand("<results>/fetch/{place}footprints.gpkg", place=MEMBERS),
+        every_tile("resources/ign/{vintage}/dtm/{tile}.tif", draws=False),
+        every_lidar_tile("<results>/fetch/lidar/{place}{tile}.laz"),

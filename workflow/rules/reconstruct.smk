@@ -1,7 +1,7 @@
 """Reconstruct: buildings from real LiDAR, by the command that users type too.
 
-In:  <results>/fetch/footprints.gpkg, <results>/fetch/lidar/{tile}.laz with its neighbours, the weights of the model.
-Out: <results>/reconstruct/{tile} with the suffix of each of reconstruct.outputs, and {tile}.json, a summary.
+In:  <results>/fetch/{place}footprints.gpkg, <results>/fetch/lidar/{place}{tile}.laz with its neighbours, the weights of the model.
+Out: <results>/reconstruct/{place}{tile} with the suffix of each of reconstruct.outputs, and {tile}.json, a summary.
 """
 
 from p2wss.config import OUTPUT_SUFFIXES
@@ -9,16 +9,19 @@ from p2wss.config import OUTPUT_SUFFIXES
 
 rule reconstruct_tile:
     input:
-        footprints="<results>/fetch/footprints.gpkg",
+        footprints="<results>/fetch/{place}footprints.gpkg",
         clouds=lidar_around,
         model=weights,
     output:
-        [f"<results>/reconstruct/{{tile}}{OUTPUT_SUFFIXES[name]}" for name in settings.reconstruct.outputs],
-        summary="<results>/reconstruct/{tile}.json",
+        [
+            f"<results>/reconstruct/{{place}}{{tile}}{OUTPUT_SUFFIXES[name]}"
+            for name in settings.reconstruct.outputs
+        ],
+        summary="<results>/reconstruct/{place}{tile}.json",
     log:
-        "<logs>/reconstruct/{tile}.log",
+        "<logs>/reconstruct/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/reconstruct/{tile}.tsv"
+        "<benchmarks>/reconstruct/{place}{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     threads: 2
@@ -35,4 +38,4 @@ rule reconstruct_tile:
 
 rule reconstruct:
     input:
-        expand("<results>/reconstruct/{tile}.json", tile=settings.region.lidar_tiles),
+        every_lidar_tile("<results>/reconstruct/{place}{tile}.json"),

@@ -1,23 +1,23 @@
 """Scans: a simulated LiDAR survey of a tile.
 
-In:  <results>/scenes/{tile}.parquet and {tile}.tif, <results>/buildings/{tile}.parquet.
-Out: <results>/scans/{tile}.laz, {tile}.json (parameters and counts) and {tile}.png (a picture of a part).
+In:  <results>/scenes/{place}{tile}.parquet and {tile}.tif, <results>/buildings/{place}{tile}.parquet.
+Out: <results>/scans/{place}{tile}.laz, {tile}.json (parameters and counts) and {tile}.png (a picture of a part).
 """
 
 
 rule cast_scan:
     input:
-        scene="<results>/scenes/{tile}.parquet",
-        dtm="<results>/scenes/{tile}.tif",
-        buildings="<results>/buildings/{tile}.parquet",
+        scene="<results>/scenes/{place}{tile}.parquet",
+        dtm="<results>/scenes/{place}{tile}.tif",
+        buildings="<results>/buildings/{place}{tile}.parquet",
     output:
-        scan=ensure("<results>/scans/{tile}.laz", non_empty=True),
-        survey="<results>/scans/{tile}.json",
-        picture="<results>/scans/{tile}.png",
+        scan=ensure("<results>/scans/{place}{tile}.laz", non_empty=True),
+        survey="<results>/scans/{place}{tile}.json",
+        picture="<results>/scans/{place}{tile}.png",
     log:
-        "<logs>/scans/{tile}.log",
+        "<logs>/scans/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/scans/{tile}.tsv"
+        "<benchmarks>/scans/{place}{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -33,4 +33,4 @@ rule cast_scan:
 
 rule scans:
     input:
-        every_tile("<results>/scans/{tile}.laz"),
+        every_tile("<results>/scans/{place}{tile}.laz"),

@@ -1,14 +1,14 @@
 """Scenes: cleaned buildings of a tile and its margin, with heights and roof angles.
 
-In:  <results>/fetch/footprints.gpkg, <resources>/dtm/{tile}.tif.
-Out: <results>/scenes/index.tsv (buildings per tile), <results>/scenes/{tile}.parquet, <results>/scenes/{tile}.tif
+In:  <results>/fetch/{place}footprints.gpkg, resources/ign/{vintage}/dtm/{tile}.tif.
+Out: <results>/scenes/index.tsv (buildings per tile), <results>/scenes/{place}{tile}.parquet, <results>/scenes/{place}{tile}.tif
      (the terrain under the scene).
 """
 
 
 checkpoint index_scenes:
     input:
-        footprints="<results>/fetch/footprints.gpkg",
+        footprints=expand("<results>/fetch/{place}footprints.gpkg", place=MEMBERS),
     output:
         index="<results>/scenes/index.tsv",
     log:
@@ -20,7 +20,7 @@ checkpoint index_scenes:
     resources:
         mem_mb=2000,
     params:
-        config=section("region", "scenes"),
+        config=section("region", "dataset", "scenes"),
         code=fingerprint("scenes"),
     shell:
         "p2wss scenes index --footprints {input.footprints} --out {output.index} --config {params.config:q} 2> {log}"
@@ -28,15 +28,15 @@ checkpoint index_scenes:
 
 rule cut_scene:
     input:
-        footprints="<results>/fetch/footprints.gpkg",
-        dtm="<resources>/dtm/{tile}.tif",
+        footprints=of_place("<results>/fetch/{member}footprints.gpkg"),
+        dtm=of_place("resources/ign/{vintage}/dtm/{tile}.tif"),
     output:
-        scene="<results>/scenes/{tile}.parquet",
-        dtm="<results>/scenes/{tile}.tif",
+        scene="<results>/scenes/{place}{tile}.parquet",
+        dtm="<results>/scenes/{place}{tile}.tif",
     log:
-        "<logs>/scenes/{tile}.log",
+        "<logs>/scenes/{place}{tile}.log",
     benchmark:
-        "<benchmarks>/scenes/{tile}.tsv"
+        "<benchmarks>/scenes/{place}{tile}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -45,11 +45,11 @@ rule cut_scene:
         config=section("region", "scenes"),
         code=fingerprint("scenes"),
     shell:
-        "p2wss scenes cut --tile {wildcards.tile} --footprints {input.footprints} --dtm {input.dtm} --out {output.scene}"
+        "p2wss scenes cut --tile {wildcards.tile} --place {wildcards.place:q} --footprints {input.footprints} --dtm {input.dtm} --out {output.scene}"
         " --out-dtm {output.dtm}"
         " --config {params.config:q} 2> {log}"
 
 
 rule scenes:
     input:
-        every_tile("<results>/scenes/{tile}.parquet"),
+        every_tile("<results>/scenes/{place}{tile}.parquet"),

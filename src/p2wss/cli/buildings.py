@@ -43,6 +43,7 @@ def buildings(arguments: argparse.Namespace) -> None:
         )
     metadata = files.provenance(
         **{name: facts[name] for name in ("tile", "tile_size_m", "margin_m", "crs")},
+        place=facts.get("place", ""),
         config=section_json(config, "buildings"),
         code=fingerprint("buildings"),
         num_by_status=dict(

@@ -37,6 +37,13 @@ def add_command(parsers: Parsers, name: str, run: Command, description: str) -> 
     return parser
 
 
+def add_place(command: argparse.ArgumentParser) -> None:
+    """Add ``--place``, see :mod:`p2wss.config.places`."""
+    command.add_argument(
+        "--place", default="", help="place of the tile in a data set of several regions, such as paris/2/"
+    )
+
+
 def add_tile(command: argparse.ArgumentParser) -> None:
     """Add the option ``--tile``."""
     command.add_argument(

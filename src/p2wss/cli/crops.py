@@ -11,6 +11,7 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_group,
+    add_place,
     add_tile,
     bounds_of_tile,
     log,
@@ -34,6 +35,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument("--out", type=Path, required=True, help="Parquet to write: a shard of crops")
     command = add_command(parts, "real", crops_real, "crop real LiDAR, without labels")
     add_tile(command)
+    add_place(command)
     command.add_argument(
         "--footprints", type=Path, required=True, help="GeoPackage written by p2wss fetch footprints"
     )
@@ -78,7 +80,8 @@ def crops_simulated(arguments: argparse.Namespace) -> None:
     crops.check_crs(scan[0].crs, facts["crs"], str(arguments.scan))
     columns, num_excluded = crops.crop_simulated(table, scan, config.crops)
     settings = section_json(config, "crops")
-    _write_crops(arguments.out, columns, num_excluded, facts["tile"], facts["crs"], settings)
+    tile = facts.get("place", "") + facts["tile"]
+    _write_crops(arguments.out, columns, num_excluded, tile, facts["crs"], settings)
 
 
 def crops_real(arguments: argparse.Namespace) -> None:
@@ -95,8 +98,10 @@ def crops_real(arguments: argparse.Namespace) -> None:
     columns, num_excluded = crops.crop_real(
         frame, arguments.clouds, arguments.tile, tile_size_m, config.crops
     )
+    tile = arguments.place + arguments.tile
+    columns["tile"] = [tile] * len(columns["num_points"])
     settings = section_json(config, "region", "scenes", "crops")
-    _write_crops(arguments.out, columns, num_excluded, arguments.tile, config.region.crs, settings)
+    _write_crops(arguments.out, columns, num_excluded, tile, config.region.crs, settings)
 
 
 def _write_crops(
@@ -119,7 +124,14 @@ def crops_manifest(arguments: argparse.Namespace) -> None:
 
     config = read_config(arguments)
     shards = [(path, SIMULATED) for path in arguments.simulated] + [(path, REAL) for path in arguments.real]
-    manifest = list_shards(shards, arguments.out.parent)
-    provenance = files.provenance(config=section_json(config, "crops"), code=fingerprint("crops"))
+    manifest = list_shards(shards, arguments.out.parent, config.dataset)
+    for dataset, purposes in manifest.get("selection", {}).get("ranges", {}).items():
+        for purpose, chosen in purposes.items():
+            if chosen["num_buildings"] < chosen["num_wanted"]:
+                log.warning(
+                    f"{dataset}, {purpose}: only {chosen['num_buildings']} of {chosen['num_wanted']} buildings; "
+                    "add members, tiles or draws to section dataset"
+                )
+    provenance = files.provenance(config=section_json(config, "dataset", "crops"), code=fingerprint("crops"))
     files.write_json(arguments.out, manifest | provenance)
     log.info(f"{arguments.out.name}: {manifest['num_rows']} buildings, {manifest['splits']}")

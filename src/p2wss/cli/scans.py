@@ -41,7 +41,8 @@ def scans(arguments: argparse.Namespace) -> None:
     config = read_config(arguments)
     facts = files.read_metadata(arguments.scene)
     table = files.read_table(arguments.buildings, BUILDINGS)
-    if files.read_metadata(arguments.buildings)["tile"] != facts["tile"]:
+    buildings_facts = files.read_metadata(arguments.buildings)
+    if any(buildings_facts.get(name, "") != facts.get(name, "") for name in ("place", "tile")):
         raise InputError(f"{arguments.buildings}: is not of tile {facts['tile']}, unlike {arguments.scene}")
     terrain, dtm_crs = read_terrain(arguments.dtm)
     crs = pyproj.CRS.from_user_input(facts["crs"])

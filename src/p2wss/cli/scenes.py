@@ -10,13 +10,14 @@ from p2wss.cli.common import (
     Parsers,
     add_command,
     add_group,
+    add_place,
     add_tile,
     bounds_of_tile,
     log,
     log_status_counts,
     read_config,
 )
-from p2wss.config import section_json
+from p2wss.config import member_places, place_config, section_json
 from p2wss.data import files
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.errors import InputError
@@ -28,13 +29,18 @@ def add_parser(stages: Parsers) -> None:
     parts = add_group(stages, "scenes", "cut tiles, clean footprints, draw roof angles")
     command = add_command(parts, "index", scenes_index, "count the buildings of each tile")
     command.add_argument(
-        "--footprints", type=Path, required=True, help="GeoPackage written by p2wss fetch footprints"
+        "--footprints",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="GeoPackages written by p2wss fetch footprints, one per member of the data set, in their order",
     )
     command.add_argument(
-        "--out", type=Path, required=True, help="TSV to write, with columns tile and num_buildings"
+        "--out", type=Path, required=True, help="TSV to write, with columns place, tile and num_buildings"
     )
     command = add_command(parts, "cut", scenes_cut, "cut the scene of one tile and its margin")
     add_tile(command)
+    add_place(command)
     command.add_argument(
         "--footprints", type=Path, required=True, help="GeoPackage written by p2wss fetch footprints"
     )
@@ -53,14 +59,17 @@ def scenes_index(arguments: argparse.Namespace) -> None:
     from p2wss.scenes import count_buildings
 
     config = read_config(arguments)
-    counts = count_buildings(
-        read_footprints(arguments.footprints), config.region.tile_size_m, config.scenes.min_area_m2
-    )
-    region_tiles = set(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
-    rows = [f"{tile}\t{number}\n" for tile, number in counts.items() if tile in region_tiles]
+    places = member_places(config)
+    if len(places) != len(arguments.footprints):
+        raise InputError(f"--footprints: {len(arguments.footprints)} files for {len(places)} members")
+    rows = []
+    for place, path in zip(places, arguments.footprints, strict=True):
+        region, scenes = place_config(config, place).region, place_config(config, place).scenes
+        counts = count_buildings(read_footprints(path), region.tile_size_m, scenes.min_area_m2)
+        region_tiles = set(tiles_of_bounds(region.bounds_m, region.tile_size_m))
+        rows += [f"{place}\t{tile}\t{number}\n" for tile, number in counts.items() if tile in region_tiles]
     log.info(f"{arguments.out.name}: {len(rows)} tiles with buildings")
-    with files.atomic(arguments.out) as temporary:
-        temporary.write_text("tile\tnum_buildings\n" + "".join(rows))
+    files.write_text(arguments.out, "place\ttile\tnum_buildings\n" + "".join(rows))
 
 
 def scenes_cut(arguments: argparse.Namespace) -> None:
@@ -83,6 +92,7 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
             "reproject one of them"
         )
     scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
+    scene["tile"] = arguments.place + scene["tile"]
     if not scene["in_tile"].any():
         raise InputError(
             f"{arguments.footprints}: has no building in tile {tile}; remove the tile from region.tiles"
@@ -96,6 +106,7 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
         )
     metadata = files.provenance(
         tile=tile,
+        place=arguments.place,
         tile_size_m=tile_size_m,
         margin_m=margin_m,
         crs=config.region.crs,

@@ -8,11 +8,20 @@ from p2wss.config.ablation import Ablation
 from p2wss.config.base import Section
 from p2wss.config.buildings import Buildings
 from p2wss.config.crops import Crops
+from p2wss.config.dataset import Dataset, Member
 from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import Fetch, Folder, Geoplateforme, Prepare
 from p2wss.config.load import load, section_json
 from p2wss.config.model import Augmentation, Decoding, LossWeights, Masking, Model, ModelOptimiser
+from p2wss.config.places import (
+    PLACE_PATTERN,
+    dataset_name,
+    draw_places,
+    member_place,
+    member_places,
+    place_config,
+)
 from p2wss.config.reconstruct import OUTPUT_SUFFIXES, Output, Reconstruct
 from p2wss.config.region import Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
@@ -22,6 +31,7 @@ from p2wss.config.training import Compute, Optimiser
 
 __all__ = [
     "OUTPUT_SUFFIXES",
+    "PLACE_PATTERN",
     "Ablation",
     "Augmentation",
     "Buildings",
@@ -29,6 +39,7 @@ __all__ = [
     "Compute",
     "Config",
     "Crops",
+    "Dataset",
     "Decoding",
     "Dvae",
     "Eval",
@@ -37,6 +48,7 @@ __all__ = [
     "Geoplateforme",
     "LossWeights",
     "Masking",
+    "Member",
     "Model",
     "ModelOptimiser",
     "Optimiser",
@@ -50,6 +62,11 @@ __all__ = [
     "Scenes",
     "Section",
     "ablated",
+    "dataset_name",
+    "draw_places",
     "load",
+    "member_place",
+    "member_places",
+    "place_config",
     "section_json",
 ]

@@ -10,6 +10,7 @@ from p2wss.config.ablation import Ablation
 from p2wss.config.base import Section, merge
 from p2wss.config.buildings import Buildings
 from p2wss.config.crops import Crops
+from p2wss.config.dataset import Dataset
 from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import Fetch
@@ -24,6 +25,7 @@ class Config(Section):
     """All sections, in the order of the pipeline."""
 
     region: Region = Region()
+    dataset: Dataset = Dataset()
     fetch: Fetch = Fetch()
     scenes: Scenes = Scenes()
     buildings: Buildings = Buildings()
@@ -44,6 +46,26 @@ class Config(Section):
                 first = error.errors()[0]
                 key = ".".join(["ablation.variants", name, *map(str, first["loc"])])
                 raise ValueError(f"{key}: {first['msg']}") from None
+        return self
+
+    @model_validator(mode="after")
+    def _members_are_regions(self) -> Self:
+        sections: dict[str, type[Section]] = {
+            "region": Region,
+            "fetch": Fetch,
+            "scenes": Scenes,
+            "scans": Scans,
+        }
+        for number, member in enumerate(self.dataset.members):
+            for name, model in sections.items():
+                try:
+                    merged = getattr(self, name).model_dump(mode="json")
+                    merge(merged, getattr(member, name))
+                    model.model_validate(merged)
+                except ValidationError as error:
+                    first = error.errors()[0]
+                    key = ".".join(["dataset.members", str(number), name, *map(str, first["loc"])])
+                    raise ValueError(f"{key}: {first['msg']}") from None
         return self
 
     @model_validator(mode="after")

@@ -3,29 +3,40 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from p2wss.config import Dataset
+from p2wss.crops.selection import choose
 from p2wss.data import files
 from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.manifest import building_ranks
 from p2wss.errors import InputError
 
 
-def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, Any]:
+def list_shards(shards: Sequence[tuple[Path, str]], folder: Path, config: Dataset) -> dict[str, Any]:
     """The manifest of ``shards``, pairs of a file and its dataset.
 
     It lists for each shard the path relative to ``folder``, dataset, tile, rows per split, exclusions per reason
-    and SHA-256.
+    and SHA-256. config: how many buildings are used; the manifest holds the choice, the shards hold all buildings.
 
     Raises :class:`InputError` if no shard has a row, or if shards of one dataset differ in CRS.
     """
     entries: list[dict[str, Any]] = []
     total: Counter[str] = Counter()
     crs: dict[str, Any] = {}
+    ranks: defaultdict[tuple[str, str], list[np.ndarray]] = defaultdict(list)
     for path, dataset in shards:
-        split = files.read_table(path, CROPS, columns=["split"])["split"].to_pylist()
+        table = files.read_table(path, CROPS, columns=["split", "tile", "building_id"])
+        split = table["split"].to_pylist()
+        if config.num_pairs or config.num_lidar_test:
+            names, rank = np.array(split, dtype=object), building_ranks(table, config.seed)
+            for name in set(split):
+                ranks[dataset, name].append(rank[names == name])
         metadata = files.read_metadata(path)
         if crs.setdefault(dataset, metadata.get("crs")) != metadata.get("crs"):
             raise InputError(
@@ -45,7 +56,9 @@ def list_shards(shards: Sequence[tuple[Path, str]], folder: Path) -> dict[str, A
         )
     if not total:
         raise InputError("no building in any shard; the logs of the stage crops list the reasons")
+    ranges = choose({key: np.concatenate(parts) for key, parts in ranks.items()}, config)
     return {
+        **({"selection": {"seed": config.seed, "ranges": ranges}} if ranges else {}),
         "num_rows": sum(total.values()),
         "splits": dict(sorted(total.items())),
         "crs": crs,

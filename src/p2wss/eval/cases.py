@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from p2wss.data import files, polygon_arrays
 from p2wss.data.building import Building
@@ -35,13 +34,11 @@ class Case:
 
 
 def test_cases(manifest: Manifest) -> list[Case]:
-    """The test split of the simulated shards and every row of the LiDAR shards, in the manifest's order."""
+    """The test split of the simulated shards and the real clouds for the test, in the order of the manifest."""
     cases: list[Case] = []
     for path, dataset, _ in manifest.shards:
         table = files.read_table(path, CROPS)
-        if dataset == SIMULATED:
-            table = table.filter(pc.equal(table["split"], "test"))
-        cases += from_crops(table, dataset)
+        cases += from_crops(table.filter(pa.array(manifest.select(table, dataset, ["test"]))), dataset)
     return cases
 
 
@@ -66,9 +63,18 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     heights, angles = [np.zeros(0)], [np.zeros(0)]
     for path, dataset, _ in manifest.shards:
         if dataset == SIMULATED:
-            columns = ["split", "eave_height_m", "label_terrain_z_m", "ground_z_m", "angle_deg"]
+            columns = [
+                "split",
+                "tile",
+                "building_id",
+                "eave_height_m",
+                "label_terrain_z_m",
+                "ground_z_m",
+                "angle_deg",
+            ]
             table = files.read_table(path, CROPS, columns=columns)
-            table = table.filter(pc.is_in(table["split"], pa.array(splits)))
+            mask = manifest.select(table, dataset, splits)
+            table = table.filter(pa.array(mask))
             lift = table["label_terrain_z_m"].to_numpy() - table["ground_z_m"].to_numpy()
             heights.append(table["eave_height_m"].to_numpy() + lift)
             angles.append(files.list_column(table, "angle_deg")[0])

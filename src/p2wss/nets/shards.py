@@ -7,13 +7,15 @@ import os
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from p2wss.data import files, reasons
 from p2wss.data.schemas.crops import CROPS, SIMULATED
@@ -22,7 +24,17 @@ from p2wss.errors import InputError
 from p2wss.nets import distributed
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 
-_CLOUD_COLUMNS = ["split", "num_points", "origin_z_m", "x_cm", "y_cm", "z_cm", "ground_z_m"]
+_CLOUD_COLUMNS = [
+    "split",
+    "tile",
+    "building_id",
+    "num_points",
+    "origin_z_m",
+    "x_cm",
+    "y_cm",
+    "z_cm",
+    "ground_z_m",
+]
 _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_terrain_z_m", "angle_deg"]
 _FLAT_ARRAYS = ("ground_z_m", "xy_m", "angle_deg", "height_m")
 _OFFSETS = ("point_offset", "vertex_offset")
@@ -45,16 +57,16 @@ def load_dataset(
     same content and the same arguments uses that folder. Without ``cache`` the arrays are held in memory. Raises
     :class:`InputError` for a broken manifest or shard, or when no building remains.
     """
+    listed = read_manifest(manifest)
     shards = [
-        shard
-        for shard in read_manifest(manifest).shards
-        if shard.dataset == SIMULATED or (include_real and not labelled)
+        shard for shard in listed.shards if shard.dataset == SIMULATED or (include_real and not labelled)
     ]
     excluded: Counter[str] = Counter()
 
     def parts() -> Iterator[BuildingDataset]:
         for path, name, _ in shards:
-            part = _read_shard(path, splits if name == SIMULATED else ["none"], limits, labelled, excluded)
+            select = partial(listed.select, dataset=name, purposes=splits if name == SIMULATED else ["dvae"])
+            part = _read_shard(path, select, limits, labelled, excluded)
             if len(part):
                 yield part
 
@@ -62,7 +74,16 @@ def load_dataset(
         dataset = _concatenate(list(parts()))
     else:
         content = [(name, sha256 or files.sha256(path)) for path, name, sha256 in shards]
-        key = [_CACHE_VERSION, content, list(splits), vars(limits), labelled, include_real]
+        key = [
+            _CACHE_VERSION,
+            content,
+            listed.seed,
+            dict(listed.selection),
+            list(splits),
+            vars(limits),
+            labelled,
+            include_real,
+        ]
         folder = cache / blake2b(json.dumps(key).encode(), digest_size=12).hexdigest()
         if distributed.rank() == 0 and not folder.is_dir():
             _write_cache(parts(), folder, excluded)
@@ -139,7 +160,11 @@ def _open_cache(folder: Path) -> BuildingDataset:
 
 
 def _read_shard(
-    path: Path, splits: Sequence[str], limits: TrainingLimits, labelled: bool, excluded: Counter[str]
+    path: Path,
+    select: Callable[[pa.Table], np.ndarray],
+    limits: TrainingLimits,
+    labelled: bool,
+    excluded: Counter[str],
 ) -> BuildingDataset:
     """The usable buildings of one shard; the others are counted in ``excluded``."""
     table = files.read_table(path, CROPS, _CLOUD_COLUMNS + (_LABEL_COLUMNS if labelled else []))
@@ -148,7 +173,7 @@ def _read_shard(
         values, offset = files.list_column(table, name)
         axes.append(values.astype(np.int16, copy=False))
     count = np.diff(offset)
-    usable = np.isin(table["split"].to_numpy(zero_copy_only=False).astype(str), list(splits))
+    usable = select(table)
 
     def require(condition: np.ndarray, reason: str) -> None:
         nonlocal usable

@@ -160,10 +160,10 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
         main(["scenes", "index", "--footprints", str(footprints), "--out", str(tmp_path / "index.tsv")]) == 0
     )
     lines = (tmp_path / "index.tsv").read_text().splitlines()
-    assert lines[0] == "tile\tnum_buildings" and lines[1].startswith("0652_6862\t")
+    assert lines[0] == "place\ttile\tnum_buildings" and lines[1].startswith("\t0652_6862\t")
     assert cut(tmp_path, "0652_6862", footprints, dtm) == 0
     scene, facts = read_scene(tmp_path / "out.parquet")
-    assert scene["in_tile"].sum() == facts["num_by_status"]["ok"] == int(lines[1].split("\t")[1])
+    assert scene["in_tile"].sum() == facts["num_by_status"]["ok"] == int(lines[1].split("\t")[2])
     assert facts["tile_size_m"] == 1000 and facts["crs"] == "EPSG:2154"
 
 

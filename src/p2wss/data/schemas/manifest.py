@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
 
 from p2wss.data import files
+from p2wss.data.schemas.crops import SIMULATED
+from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
 
 
@@ -24,6 +29,26 @@ class Manifest:
     """The shards of the stage crops, in the order of the manifest."""
 
     shards: Sequence[Shard]
+    # see p2wss.crops.selection; a data set that is absent is used whole
+    selection: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+    def select(self, table: pa.Table, dataset: str, purposes: Sequence[str]) -> np.ndarray:
+        """Mask of the rows of a shard that are used for any of the purposes, bool (n,).
+
+        table: with the columns ``split``, ``tile`` and ``building_id``. purposes: of simulated buildings splits; of
+        real clouds "test" or "dvae".
+        """
+        split = table["split"].to_numpy(zero_copy_only=False).astype(str)
+        ranges = self.selection.get(dataset)
+        if ranges is None:
+            return np.isin(split, list(purposes)) if dataset == SIMULATED else np.ones(len(table), bool)
+        rank, mask = building_ranks(table, self.seed), np.zeros(len(table), bool)
+        for purpose in purposes:
+            first, end = np.uint64(ranges[purpose]["from"]), np.uint64(ranges[purpose]["below"])
+            in_split = (split == purpose) | (dataset != SIMULATED)
+            mask |= in_split & (rank >= first) & (rank < end)
+        return mask
 
     def crs(self) -> dict[str, str | None]:
         """CRS of each data set, from its first shard; None if that does not state one."""
@@ -32,6 +57,13 @@ class Manifest:
             if shard.dataset not in by_dataset:
                 by_dataset[shard.dataset] = files.read_metadata(shard.path).get("crs")
         return by_dataset
+
+
+def building_ranks(table: pa.Table, seed: int) -> np.ndarray:
+    """The rank of each building, uint64 (n,), evenly distributed below 2^63: from the seed, its tile and its id."""
+    tiles, names = table["tile"].to_pylist(), table["building_id"].to_pylist()
+    ranks = [derive_seed(seed, "dataset", tile, name) for tile, name in zip(tiles, names, strict=True)]
+    return np.array(ranks, np.uint64)
 
 
 def read_manifest(path: str | Path) -> Manifest:
@@ -53,4 +85,5 @@ def read_manifest(path: str | Path) -> Manifest:
     missing = [str(shard.path) for shard in shards if not shard.path.exists()]
     if missing:
         raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
-    return Manifest(shards)
+    selection = content.get("selection", {})
+    return Manifest(shards, selection.get("ranges", {}), int(selection.get("seed", 0)))

@@ -1,0 +1,74 @@
+"""Members and draws of a data set, and the config of each place."""
+
+from __future__ import annotations
+
+import pytest
+
+from p2wss.config import dataset_name, draw_places, load, member_place, member_places, place_config
+from p2wss.errors import InputError
+
+TWO_CITIES = {
+    "region": {"name": "cities", "vintage": "2024"},
+    "scenes": {"seed": 3},
+    "dataset": {
+        "members": [
+            {
+                "name": "paris",
+                "draws": 2,
+                "region": {"bounds_m": [0, 0, 2000, 1000]},
+                "scans": {"preset": "paper"},
+            },
+            {"name": "lyon", "split": "test", "region": {"vintage": "2025", "lidar_tiles": ["0001_0001"]}},
+        ]
+    },
+}
+
+
+def test_one_region_is_its_own_place() -> None:
+    config = load({"region": {"name": "here"}})
+    assert dataset_name(config) == "here" and member_places(config) == [""]
+    assert draw_places(config, "") == [""] and member_place(config, "") == ""
+    assert place_config(config, "") is config
+
+
+def test_members_and_draws_have_places() -> None:
+    config = load(TWO_CITIES)
+    assert dataset_name(config) == "cities" and member_places(config) == ["paris/", "lyon/"]
+    assert draw_places(config, "paris/") == ["paris/1/", "paris/2/"] and draw_places(config, "lyon/") == [
+        "lyon/"
+    ]
+    assert member_place(config, "paris/2/") == "paris/" and member_place(config, "lyon/") == "lyon/"
+    for place in ("paris/3/", "paris/0/", "nice/"):
+        with pytest.raises(ValueError, match=f"no place {place}"):
+            place_config(config, place)
+
+
+def test_a_place_has_the_settings_of_its_member_and_seeds_of_its_own() -> None:
+    config = load(TWO_CITIES)
+    first, second, lyon = (place_config(config, place) for place in ("paris/1/", "paris/2/", "lyon/"))
+    assert first.region.bounds_m == (0, 0, 2000, 1000) and first.region.vintage == "2024"
+    assert first.region.tiles == [] == first.region.lidar_tiles, "the miniature's tiles are not inherited"
+    assert lyon.region.vintage == "2025" and lyon.region.lidar_tiles == ["0001_0001"]
+    assert (first.scans.preset, lyon.scans.preset) == ("paper", "hd")
+    assert (first.crops.split, lyon.crops.split) == ("blocks", "test")
+    seeds = [place.scenes.seed for place in (first, second, lyon)]
+    assert len(set(seeds)) == 3 and len({place.scans.seed for place in (first, second, lyon)}) == 3
+    assert {place.crops.seed for place in (first, second, lyon)} == {config.crops.seed}, (
+        "splits agree between draws"
+    )
+    moved = load(TWO_CITIES, {"scenes": {"seed": 4}})
+    assert place_config(moved, "paris/1/").scenes.seed == seeds[0] + 1
+
+
+@pytest.mark.parametrize(
+    ("dataset", "message"),
+    [
+        ({"members": [{"name": "a"}, {"name": "a"}]}, "different names"),
+        ({"members": [{"name": "7"}]}, "dataset.members.0.name"),
+        ({"members": [{"name": "a", "scans": {"densty": 1}}]}, "dataset.members.0.scans.densty"),
+        ({"num_lidar_test": 5}, "both"),
+    ],
+)
+def test_a_wrong_member_is_named(dataset: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        load({"dataset": dataset})

@@ -1,0 +1,82 @@
+"""Places and tiles: the files of every member and draw of a data set.
+
+A place (wildcard {place}, p2wss.config.places) stands before each tile: "" without members, "paris/" for a member,
+"paris/2/" for its second draw.
+"""
+
+from p2wss.data.tiling import neighbours, tile_bounds
+
+MEMBERS = configs.member_places(settings)
+
+
+def tiles_of(member):
+    """The pinned tiles of a member, or those in which index_scenes found buildings."""
+    if at(member).region.tiles:
+        return at(member).region.tiles
+    with checkpoints.index_scenes.get().output.index.open() as index:
+        rows = [line.rstrip("\n").split("\t") for line in list(index)[1:]]
+    return [tile for place, tile, _ in rows if place == member]
+
+
+def every_tile(path, draws=True):
+    """An input function: ``path`` for every place and tile to simulate; without draws, once per member."""
+
+    def paths(wildcards):
+        for member in MEMBERS:
+            places = configs.draw_places(settings, member) if draws else [member]
+            yield from expand(path, place=places, tile=tiles_of(member), vintage=at(member).region.vintage)
+
+    return lambda wildcards: list(paths(wildcards))
+
+
+def every_lidar_tile(path):
+    """``path`` for every place and tile with real LiDAR."""
+    return [expand(path, place=member, tile=at(member).region.lidar_tiles) for member in MEMBERS]
+
+
+def of_place(path):
+    """An input function: ``path`` with the member and the vintage of the job's place."""
+    return lambda wildcards: expand(
+        path,
+        member=configs.member_place(settings, wildcards.place),
+        vintage=at(wildcards.place).region.vintage,
+        tile=wildcards.get("tile", ""),
+    )
+
+
+def around(path):
+    """An input function: ``path`` of a LiDAR tile and of those of its neighbours that the config lists."""
+
+    def paths(wildcards):
+        region = at(wildcards.place).region
+        names = [wildcards.tile, *neighbours(wildcards.tile, region.tile_size_m)]
+        tiles = [name for name in names if name in region.lidar_tiles]
+        return expand(path, place=wildcards.place, vintage=region.vintage, tile=tiles)
+
+    return paths
+
+
+def covers(region, tile):
+    """Whether a tile lies in the bounds of a region."""
+    west, south, east, north = tile_bounds(tile, region.tile_size_m)
+    x_min, y_min, x_max, y_max = region.bounds_m
+    return west < x_max and east > x_min and south < y_max and north > y_min
+
+
+def source_of_tile(wildcards):
+    """The first member whose source data have this vintage and cover the tile."""
+    members = [member for member in MEMBERS if at(member).region.vintage == wildcards.vintage]
+    covering = [member for member in members if covers(at(member).region, wildcards.tile)]
+    return (covering or members or MEMBERS)[0]
+
+
+def source_section(wildcards):
+    """Sections of the config that say where the data of a tile come from."""
+    without = ("prepare", "sources", "offline")
+    return configs.section_json(at(source_of_tile(wildcards)), "region", "fetch", without=without)
+
+
+def drawn_town(place, kind):
+    """The footprints or the terrain of a place, if they are of a town that rule draw_town draws."""
+    path = getattr(at(place).fetch.folder, kind)
+    return path if at(place).fetch.source == "folder" and path.startswith("resources/towns/") else []
