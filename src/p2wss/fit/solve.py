@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.envelope import lower_envelope
-from p2wss.skeleton.compiled import by_address, inner
+from p2wss.skeleton.compiled import ZERO, by_address, inner
 from p2wss.skeleton.footprint import set_angles
 from p2wss.skeleton.ordering import select
 from p2wss.skeleton.queries import CUT, OUTSIDE, assign
@@ -104,7 +104,7 @@ def _loss(problem, work, eave_m):
 @inner
 def _median_eave(problem, work):
     """The eave height for which half of the points lie above the roof."""
-    count = 0
+    count = ZERO
     for k in range(len(problem.z)):
         f = work.face[k]
         if f != OUTSIDE:
@@ -228,7 +228,7 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
     from_median: begin with the median height instead of ``eave_m``. give_up_at: after the first round, a loss
     above this ends the search.
     """
-    loss = evaluate_at(work.code, problem, work, angle_deg, eave_m, top_m)
+    loss = evaluate(problem, work, angle_deg, eave_m, top_m)
     if loss >= IMPOSSIBLE:
         return loss, eave_m, top_m
     if from_median:
@@ -246,7 +246,7 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
                 trial[e] = angle_deg[e] + step * (work.solved[e] - angle_deg[e])
             eave = eave_m + step * (new_eave - eave_m)
             top = top_m + step * (new_top - top_m) if top_m < problem.max_roof_height_m else top_m
-            better = evaluate_at(work.code, problem, work, trial, eave, top)
+            better = evaluate(problem, work, trial, eave, top)
             if better < loss - 1e-5:
                 accepted = True
                 break
