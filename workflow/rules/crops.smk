@@ -50,7 +50,7 @@ rule crop_real:
         config=section("region", "scenes", "crops"),
         code=fingerprint("crops", "data.footprints"),
     shell:
-        "p2wss crops real --tile {wildcards.tile} --place {wildcards.place:q} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
+        "p2wss crops real --tile {wildcards.tile} --place={wildcards.place} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
         " --config {params.config:q} 2> {log}"
 
 

@@ -45,7 +45,7 @@ rule cut_scene:
         config=section("region", "scenes"),
         code=fingerprint("scenes"),
     shell:
-        "p2wss scenes cut --tile {wildcards.tile} --place {wildcards.place:q} --footprints {input.footprints} --dtm {input.dtm} --out {output.scene}"
+        "p2wss scenes cut --tile {wildcards.tile} --place={wildcards.place} --footprints {input.footprints} --dtm {input.dtm} --out {output.scene}"
         " --out-dtm {output.dtm}"
         " --config {params.config:q} 2> {log}"
 
