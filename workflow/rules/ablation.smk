@@ -22,7 +22,7 @@ rule ablation_model:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=8000,
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
         gpu=1,
     params:
         config=variant_section,
@@ -52,7 +52,7 @@ rule ablation:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=4000,
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
         gpu=1,
     params:
         config=section("ablation"),

@@ -17,7 +17,7 @@ rule build_roofs:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         config=section("buildings"),
         code=fingerprint("buildings"),

@@ -50,11 +50,11 @@ def baseline_state(wildcards):
     return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""
 
 
-weights = settings.model.weights or "<results>/model/model.safetensors"
+weights = local(settings.model.weights) if settings.model.weights else "<results>/model/model.safetensors"
 if settings.model.weights and not os.path.isfile(settings.model.weights):
     raise WorkflowError(f"config: model.weights: {settings.model.weights}: no such file")
 # outputs of an earlier run of Roofer, used where it cannot be run
 try:
-    RECORDED = roofer_command.recorded_files(settings.eval)
+    RECORDED = local(roofer_command.recorded_files(settings.eval))
 except InputError as error:
     raise WorkflowError(f"config: {error}") from None

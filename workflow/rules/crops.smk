@@ -24,7 +24,7 @@ rule crop_simulated:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         config=section("crops"),
         code=fingerprint("crops"),
@@ -45,7 +45,7 @@ rule crop_real:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=lambda wildcards, attempt: 8000 * attempt,
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
         config=section("region", "scenes", "crops"),
         code=fingerprint("crops", "data.footprints"),
@@ -68,7 +68,7 @@ rule crops:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=1000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=section("dataset", "crops"),
         code=fingerprint("crops"),

@@ -21,7 +21,7 @@ rule dvae:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=8000,
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
         gpu=1,
     params:
         config=section("dvae"),

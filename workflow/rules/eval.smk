@@ -32,7 +32,7 @@ rule predict:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=8000,
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
         gpu=1,
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
@@ -60,7 +60,7 @@ rule fit:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=8000,
+        mem_mb=lambda wildcards, attempt: 3000 * attempt,
         gpu=lambda wildcards: int(wildcards.method == "point2wss+fit"),
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
@@ -87,7 +87,7 @@ rule baseline:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=4000,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY),
         code=fingerprint("eval.baselines"),
@@ -113,7 +113,7 @@ rule measure:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=4000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         config=section("eval", without=REPORT_ONLY),
         code=fingerprint("eval.measure"),
@@ -138,7 +138,7 @@ rule eval_report:
         # pictures of the first few: a report of a whole city stays small
         scans=lambda wildcards: every_tile("<results>/scans/{place}{tile}.png")(wildcards)[:3],
         tables=every_lidar_tile("<results>/reconstruct/{place}{tile}.json"),
-        sources=settings.fetch.sources,
+        sources=local(settings.fetch.sources),
     output:
         report=report("<results>/eval/report.html", caption="../report/report.rst", category="Evaluation"),
         table1=report("<results>/eval/table1.csv", caption="../report/table1.rst", category="Evaluation"),
@@ -162,7 +162,7 @@ rule eval_report:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         config=section("region", "fetch", "eval"),
         code=fingerprint("eval.report", "eval.templates", "eval.assets"),

@@ -21,7 +21,7 @@ localrules:
 
 rule fetch_footprints:
     input:
-        lambda wildcards: drawn_town(wildcards.place, "footprints"),
+        lambda wildcards: local(drawn_town(wildcards.place, "footprints")),
     output:
         footprints=ensure("<results>/fetch/{place}footprints.gpkg", non_empty=True),
     log:
@@ -35,7 +35,7 @@ rule fetch_footprints:
     resources:
         ign_requests=1,
         offline=int(settings.fetch.offline),
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=section("region", "fetch", without=("prepare", "sources", "offline")),
         code=fingerprint("fetch"),
@@ -47,7 +47,7 @@ rule fetch_footprints:
 
 rule fetch_dtm:
     input:
-        lambda wildcards: drawn_town(source_of_tile(wildcards), "dtm"),
+        lambda wildcards: local(drawn_town(source_of_tile(wildcards), "dtm")),
     output:
         dtm=ensure("resources/ign/{vintage}/dtm/{tile}.tif", non_empty=True),
     log:
@@ -60,7 +60,7 @@ rule fetch_dtm:
     resources:
         ign_requests=1,
         offline=int(settings.fetch.offline),
-        mem_mb=1000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=source_section,
         code=fingerprint("fetch"),
@@ -83,7 +83,7 @@ rule fetch_lidar:
     resources:
         ign_requests=1,
         offline=int(settings.fetch.offline),
-        mem_mb=1000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=source_section,
         code=fingerprint("fetch"),
@@ -96,7 +96,7 @@ rule fetch_lidar:
 rule prepare_lidar:
     input:
         clouds=delivered_around,
-        stages=settings.fetch.prepare.pdal_stages,
+        stages=local(settings.fetch.prepare.pdal_stages),
     output:
         lidar=ensure("<results>/fetch/lidar/{place}{tile}.laz", non_empty=True),
     log:

@@ -22,7 +22,7 @@ rule model:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=8000,
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
         gpu=1,
     params:
         config=section("model", without=("weights",)),

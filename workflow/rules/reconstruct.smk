@@ -26,7 +26,7 @@ rule reconstruct_tile:
         "../../envs/p2wss.yaml"
     threads: 2
     resources:
-        mem_mb=lambda wildcards, attempt: 8000 * attempt,
+        mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct"),
         code=fingerprint("reconstruct", "nets.predictor"),

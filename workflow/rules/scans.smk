@@ -21,7 +21,7 @@ rule cast_scan:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        mem_mb=lambda wildcards, attempt: 2500 * attempt,
     params:
         config=section("scans"),
         code=fingerprint("scans"),

@@ -18,7 +18,7 @@ checkpoint index_scenes:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=section("region", "dataset", "scenes"),
         code=fingerprint("scenes"),
@@ -40,7 +40,7 @@ rule cut_scene:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=2000,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         config=section("region", "scenes"),
         code=fingerprint("scenes"),

@@ -5,10 +5,15 @@ Out: resources/towns/{seed}/bdtopo/BDTOPO_mini.gpkg (footprints) and resources/t
 """
 
 
+# drawn where the rules of fetch, which read it, run
+localrules:
+    draw_town,
+
+
 rule draw_town:
     output:
-        footprints="resources/towns/{seed}/bdtopo/BDTOPO_mini.gpkg",
-        dtm=directory("resources/towns/{seed}/rgealti"),
+        footprints=local("resources/towns/{seed}/bdtopo/BDTOPO_mini.gpkg"),
+        dtm=local(directory("resources/towns/{seed}/rgealti")),
     log:
         "logs/towns/{seed}.log",
     benchmark:
@@ -18,7 +23,7 @@ rule draw_town:
     conda:
         "../../envs/p2wss.yaml"
     resources:
-        mem_mb=1000,
+        mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         code=fingerprint("towns"),
         folder=subpath(output.dtm, parent=True),
