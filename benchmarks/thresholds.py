@@ -27,7 +27,7 @@ VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
     },
     "limits": {
         "class_gain_m": (0.001, 0.002, 0.004),
-        "own_slope_gain_m": (0.003, 0.006, 0.012),
+        "separate_slope_gain_m": (0.003, 0.006, 0.012),
         "top_gain_m": (0.005, 0.01, 0.02),
     },
     "effort": {"num_followed": (3, 5, 9), "num_search_points": (48, 64, 96)},

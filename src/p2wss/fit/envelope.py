@@ -1,8 +1,8 @@
 """The roof over a convex polygon without its skeleton: over every point the lowest of the planes of its slopes.
 
-A wavefront that starts convex stays the intersection of the half-planes behind its edges: one that falls behind the
-corner of its neighbours never comes back. So the kernel's roof is the lower envelope of the planes, cut at the
-greatest height; one 0 degree edge sweeps everything, and with 90 degree edges only the roof is flat.
+A wavefront that starts convex stays the intersection of the half-planes behind its edges: an edge that falls behind
+the corner of its neighbours never reappears. So the kernel's roof is the lower envelope of the planes, cut at the
+maximum height. If any edge has 0 degrees, or all edges have 90 degrees, the roof is flat.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from p2wss.skeleton.queries import CUT, FLAT, OUTSIDE
 
 # sine of the turn below which a corner is reflex, as in the kernel
 _REFLEX = -1e-9
-# a point that is outside by no more than rounding is on the boundary
+# a point that is outside by no more than a rounding error is on the boundary
 _OUTSIDE_M = -1e-9
 
 
 @allocating
 def inward_distances(xy_m, ring_offset, x, y):
-    """Metres from the line of each edge to points, positive inwards, and in one more row the least of them;
-    (0, 0) unless the polygon is convex. x, y: relative to its first vertex."""
+    """Metres from the line of each edge to points, positive inwards, and in one more row the smallest of
+    them: float64 (n + 1, m), or (0, 0) unless the polygon is convex. x, y: relative to its first vertex."""
     n, m = len(xy_m), len(x)
     if len(ring_offset) != 2:
         return np.zeros((0, 0))
@@ -49,8 +49,9 @@ def inward_distances(xy_m, ring_offset, x, y):
 
 @inner
 def lower_envelope(inward_m, angle_deg, tangent, max_roof_height_m, face, distance, rise):
-    """As :func:`p2wss.skeleton.queries.assign`, from :func:`inward_distances`. tangent: of the angles, 0 for 0 and
-    90 degrees. rise: float64, written: height of the roof above the eave. False: an angle that the kernel refuses."""
+    """As :func:`p2wss.skeleton.queries.assign`, but from :func:`inward_distances`. tangent: of the angles, 0 for 0
+    and 90 degrees. Writes the height of the roof above the eave to ``rise``. Returns False if there is an angle that
+    the kernel refuses."""
     n, m = len(inward_m) - 1, inward_m.shape[1]
     is_flat, has_slope = False, False
     for e in range(n):

@@ -1,4 +1,4 @@
-"""Where straight cuts through a footprint may separate roofs of different heights."""
+"""Positions at which straight cuts through a footprint may separate roofs of different heights."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 from p2wss.skeleton.ordering import sort_first, stable_order
 
 _STEP_M, _BIN_M = 0.25, 1.2
-# points this far from a line tell the height on either side
+# points at these distances from a line show the height on either side
 _NEAR_M, _FAR_M = 0.1, 0.9
-# both grow where a point has more room than this to itself
+# both distances grow where the points are sparser than this spacing
 _DENSE_M = 0.4
-_MOST_M = 2.0
+_MAX_JUMP_M = 2.0
 _MARGIN_M = 0.8
-_LEAST_SCORE_M2 = 0.25
-_APART_M = 0.7
-_MOST_LINES, _MOST_CORNERS = 3, 3
-# corners this near to a jump are looked at with it
+_MIN_SCORE_M2 = 0.25
+_MIN_SPACING_M = 0.7
+_MAX_LINES, _MAX_CORNERS = 3, 3
+# corners within this distance of a jump are tried with it
 _CORNER_M, _MARGIN_AT_CORNERS_M = 0.3, 0.9
 
 
 @inner
 def quantile(ordered, count, share):
-    """Of the first ``count`` values, which are in order."""
+    """The quantile ``share`` of the first ``count`` values, which are in order."""
     place = share * (count - 1)
     low = int(place)
     high = min(low + 1, count - 1)
@@ -46,11 +46,11 @@ def jump_scores(along, across, z, lines, low_m, high_m):
     along, across, z: float64 (m,), coordinates of points. low_m, high_m: extent of the polygon in ``across``.
     """
     low_along, high_along = _extent(along)
-    room_m = np.sqrt((high_m - low_m) * (high_along - low_along) / len(z))
-    stretch = max(1.0, room_m / _DENSE_M)
+    spacing_m = np.sqrt((high_m - low_m) * (high_along - low_along) / len(z))
+    stretch = max(1.0, spacing_m / _DENSE_M)
     num_bins = max(1, int((high_m - low_m) / (_BIN_M * stretch)))
     width = (high_m - low_m) / num_bins
-    # the points strip by strip
+    # sort the points by strip
     strip, order, first = (
         np.empty(len(z), np.int64),
         np.empty(len(z), np.int64),
@@ -84,17 +84,17 @@ def jump_scores(along, across, z, lines, low_m, high_m):
             jump = abs(quantile(before, left, 0.5) - quantile(after, right, 0.5))
             spread = quantile(before, left, 0.9) - quantile(before, left, 0.1)
             spread += quantile(after, right, 0.9) - quantile(after, right, 0.1)
-            score[i] += min(max(jump - 0.5 * spread, 0.0), _MOST_M) * width
+            score[i] += min(max(jump - 0.5 * spread, 0.0), _MAX_JUMP_M) * width
     return score
 
 
 @entry
 def candidates(xy_m, x, y, z):
-    """(axis, position) of cuts worth a try: at most three of the clearest jumps per axis, at least 0.7 m
-    apart, and three corners."""
+    """(axes, positions) of cuts to try: per axis at most three of the clearest jumps, at least 0.7 m apart, and at most
+    three corners."""
     axes, positions = (
-        np.empty(2 * (_MOST_LINES + _MOST_CORNERS), np.int64),
-        np.empty(2 * (_MOST_LINES + _MOST_CORNERS)),
+        np.empty(2 * (_MAX_LINES + _MAX_CORNERS), np.int64),
+        np.empty(2 * (_MAX_LINES + _MAX_CORNERS)),
     )
     count = ZERO
     for axis in range(2):
@@ -112,18 +112,18 @@ def candidates(xy_m, x, y, z):
                 x if axis == 0 else y, y if axis == 0 else x, z, lines, low_across, high_across
             )
             for i in stable_order(-score):
-                if score[i] <= _LEAST_SCORE_M2 or count == first + _MOST_LINES:
+                if score[i] <= _MIN_SCORE_M2 or count == first + _MAX_LINES:
                     break
-                if _apart(positions, first, count, lines[i], _APART_M):
+                if _is_apart(positions, first, count, lines[i], _MIN_SPACING_M):
                     axes[count], positions[count] = axis, lines[i]
                     count += 1
         num_corners, jumps_end = 0, count
         for i in range(len(corners)):
-            if num_corners == _MOST_CORNERS or corners[i] >= high - _MARGIN_AT_CORNERS_M:
+            if num_corners == _MAX_CORNERS or corners[i] >= high - _MARGIN_AT_CORNERS_M:
                 break
             if corners[i] <= low + _MARGIN_AT_CORNERS_M or (i > 0 and corners[i] - corners[i - 1] < 1e-6):
                 continue
-            if _apart(positions, first, jumps_end, corners[i], _CORNER_M):
+            if _is_apart(positions, first, jumps_end, corners[i], _CORNER_M):
                 axes[count], positions[count] = axis, corners[i]
                 count += 1
                 num_corners += 1
@@ -131,8 +131,8 @@ def candidates(xy_m, x, y, z):
 
 
 @inner
-def _apart(positions, first, last, position, least_m):
+def _is_apart(positions, first, last, position, min_m):
     for k in range(first, last):  # noqa: SIM110 - compiled
-        if abs(positions[k] - position) < least_m:
+        if abs(positions[k] - position) < min_m:
             return False
     return True

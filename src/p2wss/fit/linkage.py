@@ -1,7 +1,7 @@
 """The compiled functions that others call by their address, each for one set of types.
 
-numba translates what a function calls once more with each of its callers; called by address, it is translated
-once. That halves the time that the whole package takes to compile.
+numba translates what a function calls once more with each of its callers; a function
+that is called by address is translated once. That halves the time that the whole package takes to compile.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 
 from p2wss.fit.cutting import is_sound, side_of_cut
-from p2wss.fit.roof import fit_roof, improved_roof
+from p2wss.fit.roof import fit_roof, improve_roof
 from p2wss.fit.screen import fit_side
 from p2wss.fit.search import search
 from p2wss.fit.solve import evaluate, improve
@@ -20,25 +20,30 @@ from p2wss.skeleton.compiled import address_of
 
 
 def linked_work(max_edges: int, max_points: int) -> FitWork:
-    """Work arrays for one thread, with the addresses."""
+    """Work arrays for one thread, with the addresses of the functions."""
     return fit_work(max_edges, max_points, _code())
 
 
 @cache
 def _code() -> Code:
-    """Callees before their callers: a caller is compiled for the one set of types of each callee."""
-    nowhere = Code(*[0] * len(Code._fields))
-    work, row, grid, offset = fit_work(1, 1, nowhere), np.zeros(1), np.zeros((1, 1)), np.zeros(1, np.int64)
+    """The addresses. Callees come before their callers, which are compiled for the types of each callee."""
+    no_addresses = Code(*[0] * len(Code._fields))
+    work, row, grid, offset = (
+        fit_work(1, 1, no_addresses),
+        np.zeros(1),
+        np.zeros((1, 1)),
+        np.zeros(1, np.int64),
+    )
     settings = Settings(1, 1, 1, 1, 1, True, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     problem = Problem(1, 1, row, row, row, offset, 1, 1.0, 1.0, NO_PRIOR, grid)
-    polygon, points, given = (grid, offset), (row, row, row), (work, settings, NO_PRIOR)
+    polygon, points, common = (grid, offset), (row, row, row), (work, settings, NO_PRIOR)
     return Code(
         evaluate=address_of(evaluate, problem, work, row, 1.0, 1.0),
         improve=address_of(improve, problem, work, row, 1.0, 1.0, 1, True, True, 1.0),
         search=address_of(search, problem, work, settings, grid, row, 1, 1.0, 1.0),
-        fit_roof=address_of(fit_roof, *polygon, *points, grid, *given),
-        improved_roof=address_of(improved_roof, *polygon, *points, row, 1.0, 1.0, 1, *given),
+        fit_roof=address_of(fit_roof, *polygon, *points, grid, *common),
+        improve_roof=address_of(improve_roof, *polygon, *points, row, 1.0, 1.0, 1, *common),
         side_of_cut=address_of(side_of_cut, *polygon, 1, 1.0, True),
         is_sound=address_of(is_sound, *polygon, 1.0, work),
-        fit_side=address_of(fit_side, *polygon, row, grid, 1, 1.0, True, 1, 1, 1.0, *given),
+        fit_side=address_of(fit_side, *polygon, row, grid, 1, 1.0, True, 1, 1, 1.0, *common),
     )

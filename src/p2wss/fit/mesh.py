@@ -1,4 +1,4 @@
-"""Meshes of parametric buildings: footprints and angles as the kernel takes them, and the call of the kernel."""
+"""Meshes of parametric buildings: prepares footprints and angles for the kernel, and calls it."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from p2wss.skeleton.types import Meshes, Polygons
 
 
 def simplify_exterior(rings: Sequence[np.ndarray], max_num_vertices: int) -> list[np.ndarray]:
-    """The rings with at most so many vertices in the exterior, by Douglas-Peucker with a growing tolerance.
+    """The rings with at most ``max_num_vertices`` vertices in the exterior, by the Douglas-Peucker algorithm with a
+    growing tolerance.
 
-    Courtyards stay as they are. An exterior that keeps more vertices whatever the tolerance becomes its
-    smallest rectangle.
+    Courtyards stay as they are. An exterior that keeps more vertices at any tolerance becomes its smallest enclosing
+    rectangle.
     """
     exterior = shapely.Polygon(rings[0])
     simple: Any = exterior
@@ -48,25 +49,25 @@ def kernel_angles(angle_deg: np.ndarray) -> np.ndarray:
 
 
 def transfer_angles(
-    known: Sequence[np.ndarray], angle_deg: np.ndarray, wanted: Sequence[np.ndarray]
+    source_rings: Sequence[np.ndarray], angle_deg: np.ndarray, target_rings: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Angles of the edges of ``known`` (rings, a value or a row per edge) for those of ``wanted``: the same
+    """Angles (a value or a row per edge) of ``source_rings`` for the edges of ``target_rings``, which describe the same
     building with more or fewer vertices.
 
-    Each edge takes the angle of the nearest edge (between their middles and the segment) that faces within 45
-    degrees of its own direction; where none does, of the nearest one.
+    Each target edge takes the angle of the source edge nearest target_end its midpoint among those that face within 45
+    degrees of its direction or, if there is none, among all.
     """
-    if len(known) == len(wanted) and all(map(np.array_equal, known, wanted)):
+    if len(source_rings) == len(target_rings) and all(map(np.array_equal, source_rings, target_rings)):
         return np.asarray(angle_deg, float)
-    start, end = _edges(known)
-    from_, to = _edges(wanted)
-    middle = (from_ + to) / 2
+    start, end = _edges(source_rings)
+    target_start, target_end = _edges(target_rings)
+    midpoint = (target_start + target_end) / 2
     along = end - start
     length = np.linalg.norm(along, axis=1)
-    share = np.einsum("wkd,kd->wk", middle[:, None] - start, along) / length**2
+    share = np.einsum("wkd,kd->wk", midpoint[:, None] - start, along) / length**2
     foot = start + np.clip(share, 0, 1)[..., None] * along
-    distance = np.linalg.norm(middle[:, None] - foot, axis=2)
-    direction = to - from_
+    distance = np.linalg.norm(midpoint[:, None] - foot, axis=2)
+    direction = target_end - target_start
     cosine = (direction @ along.T) / (np.linalg.norm(direction, axis=1)[:, None] * length)
     facing = cosine >= np.sqrt(0.5)
     cost = np.where(facing, distance, distance + distance.max(initial=0) + 1)
@@ -88,7 +89,7 @@ def build_meshes(
     """Meshes through the kernel, which checks each. A building without a finite height has none.
 
     rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. status: why a
-    building without a height has no mesh. top_height_m: one for all or (b,), of a flat cut above the eave.
+    building without a height has no mesh. top_height_m: height of a flat cut above the eave, one for all or (b,).
     """
     result = [no_mesh(b, method, reason) for b, reason in zip(buildings, status, strict=True)]
     usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground)).tolist()
@@ -124,7 +125,7 @@ def build_meshes(
 
 
 def mesh_footprint(building: Building, config: Reconstruct) -> list[np.ndarray]:
-    """The rings that the mesh gets: simplified, unless that leaves no simple polygon."""
+    """The rings of the mesh: the footprint's, simplified unless that gives no valid polygon."""
     if config.simplify_m == 0:
         return list(building.rings)
     simple = building.polygon.simplify(config.simplify_m, preserve_topology=True)

@@ -1,4 +1,4 @@
-"""One eave height, an angle per edge, at most one flat top: the paper's building, fitted to points."""
+"""Fits the paper's building to points: one eave height, an angle per edge, and at most one flat top."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from p2wss.fit.linkage import linked_work
 from p2wss.fit.points import even_order, every_kth
-from p2wss.fit.roof import fit_roof, improved_roof, tidy_roof
+from p2wss.fit.roof import fit_roof, improve_roof, tidy_roof
 from p2wss.fit.solve import IMPOSSIBLE
 from p2wss.fit.work import NO_PRIOR, FitWork, Prior, Settings
 
@@ -19,9 +19,12 @@ MIN_NUM_POINTS = 3
 
 @dataclass(frozen=True)
 class Effort:
-    """How much a fit may cost. num_search_points: of the search; num_points: of the last rounds.
-    num_followed: starts that are improved; num_descents: of these, whose classes are searched; max_rounds: over
-    the edges, each, one less with roofs cut flat."""
+    """How much a fit may cost.
+
+    num_search_points: sample of the search. num_points: of the last rounds. num_followed: starts that are improved
+    after a first round. num_descents: starts from which the classes are searched. max_rounds: of such a search over
+    all edges; one fewer with a flat top.
+    """
 
     num_search_points: int = 64
     num_points: int = 300
@@ -34,10 +37,10 @@ class Effort:
 class Limits:
     """What a roof may be, and what a change has to gain, in metres of loss.
 
-    cap_m: residuals count up to this. flat_top: try roofs that are cut flat. top_gain_m: that this must gain.
-    class_gain_m: that another class for an edge must gain, with 150 points; with fewer proportionally more.
-    own_slope_gain_m: that different slopes of edges that face the same way must gain.
-    rounding_m: that whole degrees and equal angles for edges that face the same way may cost.
+    cap_m: larger residuals count as this. flat_top: try roofs with a flat top. top_gain_m: gain that a flat top
+    needs. class_gain_m: gain that another class of an edge needs with 150 points, proportionally more with fewer.
+    separate_slope_gain_m: gain that different slopes of edges that face the same way need. rounding_m: what whole
+    degrees and equal angles of edges that face the same way may cost.
     """
 
     cap_m: float = 1.0
@@ -45,15 +48,18 @@ class Limits:
     max_roof_height_m: float = 12.0
     top_gain_m: float = 0.01
     class_gain_m: float = 0.002
-    own_slope_gain_m: float = 0.006
+    separate_slope_gain_m: float = 0.006
     rounding_m: float = 0.01
 
 
 @dataclass(frozen=True)
-class OneHeight:
-    """A fitted building. rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or
-    5 to 75. eave_z_m: in the heights of the points. top_m: height of a flat cut above the eave, infinity for
-    none. loss_m: mean over the points of min(|distance to the roof|, cap), and what a prior adds."""
+class FittedRoof:
+    """A roof of one eave height over a polygon: a building, a part of one, or a box.
+
+    rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or 5 to 75. eave_z_m: in the
+    heights of the points. top_m: height of a flat cut above the eave, infinity for none. loss_m: mean over the
+    points of min(|distance to the roof|, cap), plus the cost of a prior.
+    """
 
     rings: Sequence[np.ndarray]
     angle_deg: np.ndarray
@@ -69,19 +75,22 @@ class OneHeight:
 
 @dataclass(frozen=True)
 class Gain:
-    """What one more part or box must lower the loss by. gain_m: in the mean over all points of the building;
-    cost_m: and at least so much in sum, however few points there are."""
+    """How much one more part or box must lower the loss.
+
+    gain_m: in the mean over all points of the building. cost_m: at least this much in the sum over the points,
+    however few there are.
+    """
 
     gain_m: float = 0.012
     cost_m: float = 1.0
 
-    def least_gain_m(self, num_points: int) -> float:
-        """In sum, on a building with so many points."""
+    def min_gain_m(self, num_points: int) -> float:
+        """The minimum in the sum over the points of a building that has ``num_points``."""
         return max(self.gain_m * num_points, self.cost_m)
 
 
 class Fitter:
-    """Fits one polygon to the points inside it; keeps its work arrays from one polygon to the next."""
+    """Fits roofs to points, one polygon at a time; keeps its work arrays from one polygon to the next."""
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -89,7 +98,7 @@ class Fitter:
 
     @property
     def num_evaluations(self) -> int:
-        """Roofs looked at so far."""
+        """Number of roofs evaluated so far."""
         return int(self._work.num_evaluations[0])
 
     def fit(
@@ -99,10 +108,12 @@ class Fitter:
         effort: Effort,
         guesses: Sequence[np.ndarray] = (),
         prior: Prior = NO_PRIOR,
-    ) -> OneHeight | None:
-        """The best building over the polygon for points (m, 3) inside it, in the frame of the rings, in the
-        order of :func:`p2wss.fit.points.even_order`. ``guesses``: angles per edge to begin with, beside a
-        few simple roofs. None: fewer than three points, or a polygon that the kernel refuses. Deterministic.
+    ) -> FittedRoof | None:
+        """The best roof over a polygon for the points (m, 3) inside it, which are in the frame of the rings and in
+        the order of :func:`p2wss.fit.points.even_order`. None with fewer than three points or a polygon that the
+        kernel refuses. Deterministic.
+
+        guesses: angles per edge to start from, besides a few simple roofs.
 
         The loss is never above that of a flat roof or of a guess with its best height.
         """
@@ -119,7 +130,7 @@ class Fitter:
             self.settings(effort),
             prior,
         )
-        return None if loss >= IMPOSSIBLE else OneHeight(rings, angle, eave, top, loss, len(point_m))
+        return None if loss >= IMPOSSIBLE else FittedRoof(rings, angle, eave, top, loss, len(point_m))
 
     def fit_whole(
         self,
@@ -128,49 +139,49 @@ class Fitter:
         effort: Effort,
         guesses: Sequence[np.ndarray] = (),
         prior: Prior = NO_PRIOR,
-    ) -> OneHeight | None:
-        """As :meth:`fit` with points in any order, then whole degrees where that costs little."""
+    ) -> FittedRoof | None:
+        """As :meth:`fit` with points in any order, followed by :meth:`tidy`."""
         point_m = point_m[even_order(point_m)]
-        found = self.fit(rings, point_m, effort, guesses, prior)
-        return None if found is None else self.tidied(found, point_m, effort, prior)
+        roof = self.fit(rings, point_m, effort, guesses, prior)
+        return None if roof is None else self.tidy(roof, point_m, effort, prior)
 
-    def tidied(
-        self, found: OneHeight, point_m: np.ndarray, effort: Effort, prior: Prior = NO_PRIOR
-    ) -> OneHeight:
-        """An earlier result with whole degrees where that costs little; points in even order."""
-        xy_m, ring_offset = flat_rings(found.rings)
+    def tidy(
+        self, roof: FittedRoof, point_m: np.ndarray, effort: Effort, prior: Prior = NO_PRIOR
+    ) -> FittedRoof:
+        """A result of :meth:`fit` with whole degrees where that costs little; the points are in even order."""
+        xy_m, ring_offset = flat_rings(roof.rings)
         loss, eave, top, angle = tidy_roof(
             xy_m,
             ring_offset,
             *self._points(point_m, effort),
-            found.angle_deg,
-            found.eave_z_m,
-            found.top_m,
+            roof.angle_deg,
+            roof.eave_z_m,
+            roof.top_m,
             self.work(len(xy_m), len(point_m)),
             self.settings(effort),
             prior,
         )
-        return replace(found, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss)
+        return replace(roof, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss)
 
-    def loss(self, one: OneHeight, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
-        """Loss of a given building on points (m, 3)."""
-        xy_m, ring_offset = flat_rings(one.rings)
-        every = Effort(num_points=len(point_m))
-        return improved_roof(
+    def loss(self, roof: FittedRoof, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
+        """Loss of a roof on points (m, 3), metres."""
+        xy_m, ring_offset = flat_rings(roof.rings)
+        all_points = Effort(num_points=len(point_m))
+        return improve_roof(
             xy_m,
             ring_offset,
-            *self._points(point_m, every),
-            np.array(one.angle_deg, np.float64),
-            float(one.eave_z_m),
-            float(one.top_m),
+            *self._points(point_m, all_points),
+            np.array(roof.angle_deg, np.float64),
+            float(roof.eave_z_m),
+            float(roof.top_m),
             0,
             self.work(len(xy_m), len(point_m)),
-            self.settings(every),
+            self.settings(all_points),
             prior,
         )
 
     def settings(self, effort: Effort) -> Settings:
-        """Effort and limits as compiled code takes them."""
+        """Effort and limits in the form that compiled code takes."""
         limits = self.limits
         return Settings(
             effort.num_search_points,
@@ -183,24 +194,22 @@ class Fitter:
             float(limits.max_roof_height_m),
             float(limits.top_gain_m),
             float(limits.class_gain_m),
-            float(limits.own_slope_gain_m),
+            float(limits.separate_slope_gain_m),
             float(limits.rounding_m),
         )
 
     def work(self, num_edges: int, num_points: int) -> FitWork:
-        """Work arrays that are large enough."""
+        """Work arrays for at least this many edges and points."""
         if num_edges > len(self._work.tangent) or num_points > len(self._work.face):
-            grown = linked_work(
-                max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face))
-            )
-            grown.num_evaluations[:] = self._work.num_evaluations
-            self._work = grown
+            work = linked_work(max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face)))
+            work.num_evaluations[:] = self._work.num_evaluations
+            self._work = work
         return self._work
 
     @staticmethod
     def _points(point_m: np.ndarray, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        chosen = point_m[every_kth(len(point_m), effort.num_points)].T
-        x, y, z = np.ascontiguousarray(chosen, np.float64)
+        sample = point_m[every_kth(len(point_m), effort.num_points)].T
+        x, y, z = np.ascontiguousarray(sample, np.float64)
         return x, y, z
 
 

@@ -8,10 +8,10 @@ from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.ordering import stable_order
 from p2wss.skeleton.types import FaceKind
 
-# vertices this near to a plane lie in it
+# vertices within this distance of a plane lie in it
 _COPLANAR_M = 4e-3
 _SAME_WAY = 0.99
-# and this near to a line of the footprint on it
+# vertices within this distance of a line of the footprint lie on it
 _ON_LINE_M = 1e-6
 _UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
 _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
@@ -25,14 +25,14 @@ def neighbours(triangle: np.ndarray) -> np.ndarray:
     forward, back = start * size + end, end * size + start
     order = np.argsort(forward, kind="stable")
     place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
-    found = order[place]
-    return np.where(forward[found] == back, found // 3, -1).reshape(-1, 3)
+    candidate = order[place]
+    return np.where(forward[candidate] == back, candidate // 3, -1).reshape(-1, 3)
 
 
 @entry
 def face_planes(vertex_m, triangle, beside):
-    """(kind uint8, plane int32) of every triangle, grown from the largest ones, whose normals can be trusted.
-    beside: :func:`neighbours`."""
+    """(kind uint8, plane int32) of every triangle. Planes grow from the largest triangles, whose normals are the most
+    accurate. beside: what :func:`neighbours` returns."""
     num = len(triangle)
     normal, area, is_sliver = np.empty((num, 3)), np.empty(num), np.empty(num, np.bool_)
     for t in range(num):
@@ -65,10 +65,10 @@ def face_planes(vertex_m, triangle, beside):
         else:
             of_plane = _FLAT if z > _LEVEL_NZ else _ROOF
         plane[seed], kind[seed] = number, of_plane
-        pending[0], left = seed, 1
-        while left > 0:
-            left -= 1
-            t = pending[left]
+        pending[0], num_pending = seed, 1
+        while num_pending > 0:
+            num_pending -= 1
+            t = pending[num_pending]
             for k in range(3):
                 other = beside[t, k]
                 if other < 0 or plane[other] >= 0:
@@ -83,14 +83,15 @@ def face_planes(vertex_m, triangle, beside):
                         in_plane = False
                 if in_plane:
                     plane[other], kind[other] = number, of_plane
-                    pending[left] = other
-                    left += 1
+                    pending[num_pending] = other
+                    num_pending += 1
     return kind, plane
 
 
 @entry
-def snapped(vertex_m, corner_m):
-    """Vertices (v, 3) over the footprint's corners and lines with exactly their coordinates."""
+def snap_vertices(vertex_m, corner_m):
+    """Vertices (v, 3) of which those over corners and axis-parallel lines of the footprint have exactly their
+    coordinates."""
     result = vertex_m.copy()
     for axis in range(2):
         for v in range(len(result)):

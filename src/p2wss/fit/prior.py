@@ -1,7 +1,8 @@
-"""What is believed of a roof before its points are seen: a usual one, or what a network says.
+"""The prior of a roof: what is assumed of it before its points are seen, from a network or what is usual.
 
-It is weighed against the sum over the points, so that it decides where there are few. Of a network a little stays
-however many there are: what stands on a roof moves all points of a place alike, and no number of them tells.
+It is weighed against the sum of the residuals, so that it decides where there are few points. A little of the weight
+of a network stays however many points there are: an object on a roof shifts all points of a place alike, and more
+points of the same kind do not reveal it.
 """
 
 from __future__ import annotations
@@ -12,29 +13,32 @@ import numpy as np
 
 from p2wss.fit.work import Prior
 
-# a usual slope, and what it costs to leave it by a degree
+# a usual slope, and what each degree of difference from it costs
 _USUAL_DEG, _USUAL_DEGREE_COST_M = 38.0, 0.003
-# against a network: a class of an edge e times less probable than the likeliest, a degree, a metre of the eave;
-# metres of distance in the sum over the points, and in their mean
+# What it costs to differ from a network: by a class of an edge that is e times less probable than the likeliest, by a
+# degree, by a metre of the eave height; metres of distance in the sum over the points, and in their mean.
 _CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST = (0.0125, 0.002), (0.005, 0.0005), (0.075, 0.01)
-# how sure of a class a network is at most
-_LEAST_PROBABILITY = 1e-3
+# smaller probabilities count as this one: no network is surer than that
+_MIN_PROBABILITY = 1e-3
 
 
-def believed(
+def make_prior(
     rings: Sequence[np.ndarray],
     num_points: int,
     angle_deg: np.ndarray | None = None,
     class_probability: np.ndarray | None = None,
     eave_z_m: float | None = None,
 ) -> Prior:
-    """The prior of a roof over ``rings`` with so many points: with what a network tells or without. Of it: angles
-    per edge (n,), probabilities of 0 degrees, 90 degrees and a slope (n, 3), the eave."""
+    """The prior of a roof over ``rings`` that has ``num_points`` points.
+
+    With values of a network: angle_deg (n,), one per edge; class_probability (n, 3): of 0 degrees, 90 degrees and a
+    slope; eave_z_m. If any of them is missing, the prior is that of a usual roof.
+    """
     n = sum(map(len, rings))
     if angle_deg is None or class_probability is None or eave_z_m is None:
         cost = _USUAL_DEGREE_COST_M / num_points
         return Prior(np.zeros((n, 3)), np.full(n, _USUAL_DEG), cost, np.zeros(0), 0.0)
-    surprise = -np.log(np.maximum(class_probability, _LEAST_PROBABILITY))
+    surprise = -np.log(np.maximum(class_probability, _MIN_PROBABILITY))
     surprise -= surprise.min(axis=1, keepdims=True)
     slope_deg = np.where((angle_deg > 0) & (angle_deg < 90), angle_deg, _USUAL_DEG)
     class_cost, degree_cost, eave_cost = (

@@ -1,4 +1,4 @@
-"""One roof from its points, start to end, as compiled code: search, flat top, last rounds, whole degrees."""
+"""Fits one roof to its points, as compiled code: search, flat top, last rounds, whole degrees."""
 
 from __future__ import annotations
 
@@ -19,59 +19,63 @@ _OK = int(Status.OK)
 _LOW_QUANTILE, _FLAT_TOP_QUANTILES = 0.05, (0.6, 0.8, 0.93)
 _STEEP_DEG, _STEEP_HIP_DEG = 58.0, 55.0
 _LAST_ROUNDS, _TIDY_ROUNDS = 5, 3
-# with less loss no flat top is looked for; one that starts worse than the roof without by this is left
-_GOOD_ENOUGH_M, _TOP_WORTH_M = 0.06, 0.05
-# heights of flat tops that are worth a try
-_LOWEST_TOP_M = 1.0
-# narrower slopes are hits on the walls: not below a flat top, and gables at this cost
-_LEAST_SLOPE_WIDTH_M, _WALL_HITS_M = 0.8, 0.04
+# below this loss no flat top is searched; a roof with one that starts worse by the second figure is dropped
+_LOW_LOSS_M, _FLAT_TOP_START_M = 0.06, 0.05
+# a flat top below this height above the eave is not tried
+_MIN_TOP_M = 1.0
+# Narrower slopes are returns from the walls: there are none below a flat top, and a slope at the end of a gable roof
+# becomes a gable if that costs no more than the second figure.
+_MIN_SLOPE_WIDTH_M, _WALL_HITS_M = 0.8, 0.04
 _DEGREE = np.pi / 180.0
-# above these the search is cut short, and left to the starts
+# with more edges than these the search has one round, or only the starts
 _MANY_EDGES, _TOO_MANY_EDGES = 40, 120
 _NEARLY_GABLE_DEG, _USUAL_DEG = 60.0, 38.0
-# a flipped gable with this much more loss after a round is left
-_HOPELESS_M = 0.05
-# gains are told from noise with this many points; with fewer they have to be proportionally greater
-_SURE_POINTS = 150.0
+# a change between gable and slope that is this much worse after a round is dropped
+_GIVE_UP_M = 0.05
+# with this many points the thresholds hold as they are; with fewer, gains have to be proportionally larger
+_FULL_NUM_POINTS = 150.0
 
 
 @allocating
-def every_kth_row(values, wanted):
-    """At most ``wanted`` evenly spaced ones."""
+def every_kth_value(values, max_count):
+    """At most ``max_count`` of the values, evenly spaced."""
     n = len(values)
-    if n <= wanted:
+    if n <= max_count:
         return values
-    chosen = np.empty(wanted)
-    for i in range(wanted):
-        chosen[i] = values[int((i + 0.5) * n / wanted)]
-    return chosen
+    result = np.empty(max_count)
+    for i in range(max_count):
+        result[i] = values[int((i + 0.5) * n / max_count)]
+    return result
 
 
 @allocating
-def _problem(xy_m, ring_offset, x, y, z, wanted, direction, settings, prior):
-    own_x, own_y = every_kth_row(x, wanted) - xy_m[0, 0], every_kth_row(y, wanted) - xy_m[0, 1]
+def _problem(xy_m, ring_offset, x, y, z, max_points, direction, settings, prior):
+    local_x, local_y = (
+        every_kth_value(x, max_points) - xy_m[0, 0],
+        every_kth_value(y, max_points) - xy_m[0, 1],
+    )
     num_directions = 0
     for e in range(len(direction)):
         num_directions = max(num_directions, direction[e] + 1)
     return Problem(
         len(xy_m),
         len(ring_offset) - 1,
-        own_x,
-        own_y,
-        every_kth_row(z, wanted) - 0.0,
+        local_x,
+        local_y,
+        every_kth_value(z, max_points) - 0.0,
         direction,
         num_directions,
         settings.cap_m,
         settings.max_roof_height_m,
         prior,
-        inward_distances(xy_m, ring_offset, own_x, own_y),
+        inward_distances(xy_m, ring_offset, local_x, local_y),
     )
 
 
 @allocating
 def _flat_tops(z, angle_deg, eave):
-    """(angles, heights of the top) of the same roof, a steeper one and a hip cut flat, at a few heights that
-    the points suggest."""
+    """(angles, heights of the top) of roofs with a flat top: the same roof, a steeper one and a hip roof, each cut at a
+    few heights that the points suggest."""
     n = len(angle_deg)
     ordered = z.copy()
     sort_first(ordered, len(ordered))
@@ -79,9 +83,9 @@ def _flat_tops(z, angle_deg, eave):
     rows, tops = np.empty((9, n)), np.empty(9)
     count = 0
     for share in _FLAT_TOP_QUANTILES:
-        # a flat roof may have taken the height of the top
+        # the eave of a flat roof may lie at the height of the top
         rise = quantile(ordered, len(z), share) - min(eave, low)
-        if rise <= _LOWEST_TOP_M:
+        if rise <= _MIN_TOP_M:
             continue
         for kind in range(3):
             tops[count] = rise
@@ -95,7 +99,7 @@ def _flat_tops(z, angle_deg, eave):
 
 @inner
 def _slope_width_m(angle_deg, top_m):
-    """In plan, of the steepest slope below a flat top."""
+    """Width in plan of the steepest slope below a flat top."""
     steepest = 0.0
     for angle in angle_deg:
         if steepest < angle < 90.0:
@@ -105,56 +109,56 @@ def _slope_width_m(angle_deg, top_m):
 
 @inner
 def with_flat_top(settings, flat_top):
-    """The same settings with or without roofs that are cut flat."""
+    """The same settings, with flat tops only if ``flat_top`` allows them."""
     return Settings(
         settings.num_search_points, settings.num_points, settings.num_followed, settings.num_descents,
         settings.max_rounds, flat_top and settings.flat_top, settings.cap_m, settings.max_roof_height_m,
-        settings.top_gain_m, settings.class_gain_m, settings.own_slope_gain_m, settings.rounding_m,
+        settings.top_gain_m, settings.class_gain_m, settings.separate_slope_gain_m, settings.rounding_m,
     )  # fmt: skip
 
 
 @entry
 def fit_roof(xy_m, ring_offset, x, y, z, guesses, work, settings, prior):
-    """(loss, eave, top, angles) of the best roof over a polygon. loss ``IMPOSSIBLE``: the kernel refuses it.
+    """(loss, eave, top, angles) of the best roof over a polygon; the loss is ``IMPOSSIBLE`` if the kernel refuses it.
 
-    xy_m (n, 2), ring_offset: the polygon. x, y, z: points, evenly ordered; the search takes a few of them and
-    the last rounds all. guesses: (num_guesses, n). settings, prior: of :mod:`p2wss.fit.work`.
+    xy_m (n, 2), ring_offset: the polygon. x, y, z: points in even order; the search takes a sample of them and the
+    last rounds take all. guesses: (num_guesses, n), degrees. settings, prior: of :mod:`p2wss.fit.work`.
     """
     n = len(xy_m)
     # the search grows with the cube of the number of edges
     max_rounds = 0 if n > _TOO_MANY_EDGES else 1 if n > _MANY_EDGES else settings.max_rounds
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
-    few = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
+    sample = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
     status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     rows = start_angles(direction, axis, guesses)
     if status != _OK:
         return IMPOSSIBLE, 0.0, np.inf, rows[0]
-    tolerance = settings.class_gain_m * max(1.0, _SURE_POINTS / len(few.z))
+    tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / len(sample.z))
     tops = np.empty(len(rows))
     for i in range(len(rows)):
         tops[i] = np.inf
     loss, eave, top, row = search_at(
-        work.code, few, work, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
+        work.code, sample, work, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
     )
     angle_deg = rows[row].copy()
     if loss >= IMPOSSIBLE:
         return loss, eave, top, angle_deg
-    if settings.flat_top and loss > _GOOD_ENOUGH_M:
-        rows, tops = _flat_tops(few.z, angle_deg, eave)
+    if settings.flat_top and loss > _LOW_LOSS_M:
+        rows, tops = _flat_tops(sample.z, angle_deg, eave)
         if len(rows) > 0:
             new_loss, new_eave, new_top, row = search_at(
-                work.code, few, work, settings, rows, tops, max(max_rounds - 1, 0), tolerance,
-                loss + _TOP_WORTH_M,
+                work.code, sample, work, settings, rows, tops, max(max_rounds - 1, 0), tolerance,
+                loss + _FLAT_TOP_START_M,
             )  # fmt: skip
-            wide = _slope_width_m(rows[row], new_top) >= _LEAST_SLOPE_WIDTH_M
-            if wide and new_loss < loss - settings.top_gain_m:
+            is_wide = _slope_width_m(rows[row], new_top) >= _MIN_SLOPE_WIDTH_M
+            if is_wide and new_loss < loss - settings.top_gain_m:
                 loss, eave, top = new_loss, new_eave, new_top
                 for e in range(n):
                     angle_deg[e] = rows[row, e]
-    if len(z) > len(few.z):
-        every = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+    if len(z) > len(sample.z):
+        full = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
         loss, eave, top = improve_at(
-            work.code, every, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+            work.code, full, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
         )
     return loss, eave, top, angle_deg
 
@@ -163,8 +167,8 @@ fit_roof_at = by_address(fit_roof)
 
 
 @entry
-def improved_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, work, settings, prior):
-    """Loss of a given roof, after a few rounds if wanted; ``angle_deg`` is changed in place."""
+def improve_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, work, settings, prior):
+    """Loss of a roof after ``num_rounds`` rounds of improvement; ``angle_deg`` is changed in place."""
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
     status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
@@ -176,20 +180,20 @@ def improved_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, 
     return loss
 
 
-improved_roof_at = by_address(improved_roof)
+improve_roof_at = by_address(improve_roof)
 
 
 @inner
 def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
-    """(loss, eave, top) once single edges are gables instead of slopes, or slopes instead of gables, where all
-    points tell what the few of the search did not; ``angle_deg`` is changed in place."""
+    """Turns single slopes into gables and single gables into slopes where that lowers the loss, as all points may show
+    what the sample of the search did not. ``angle_deg`` is changed in place. Returns (loss, eave, top)."""
     n = problem.num_edges
     evaluate_at(work.code, problem, work, angle_deg, eave, top)
     total, other = set_excess(problem, work)
     for unit in range(n):
         edge = work.skeleton.edge[unit]
-        near = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
-        if total < tolerance or near < tolerance or angle_deg[unit] == 0.0:
+        nearby_excess = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
+        if total < tolerance or nearby_excess < tolerance or angle_deg[unit] == 0.0:
             continue
         slope = _USUAL_DEG
         for e in range(n):
@@ -198,7 +202,7 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
                 slope = angle_deg[e]
         trial[unit] = slope if angle_deg[unit] == 90.0 else 90.0
         new_loss, new_eave, new_top = improve_at(
-            work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _HOPELESS_M
+            work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _GIVE_UP_M
         )
         if new_loss < loss - tolerance:
             loss, eave, top = new_loss, new_eave, new_top
@@ -211,12 +215,12 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
 
 @entry
 def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, prior):
-    """(loss, eave, top, angles) of a roof with whole degrees where that costs little. A roof as good as flat
-    has only 0 degree edges."""
+    """(loss, eave, top, angles) of a roof with whole degrees where that costs little. A roof that a flat one describes
+    as well has only edges of 0 degrees."""
     n = len(xy_m)
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
-    tolerance = settings.class_gain_m * max(1.0, _SURE_POINTS / min(len(z), settings.num_search_points))
+    tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / min(len(z), settings.num_search_points))
     status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     angle, trial = angle_deg.copy(), np.zeros(n)
     if status != _OK:
@@ -228,8 +232,8 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     if new_loss <= loss + tolerance:
         return new_loss, new_eave, new_top, trial
     for d in range(problem.num_directions):
-        # the end of a gable roof: hardly a point tells a steep face from an upright one, and hits on a wall that
-        # stands back below its eave look like one
+        # At the end of a gable roof hardly any point distinguishes a steep face from a vertical one, and returns from
+        # a wall that stands back below its eave look like a steep face.
         changed, depth_m = False, 0.0
         evaluate_at(work.code, problem, work, angle, eave, top)
         for e in range(n):
@@ -244,28 +248,28 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
             new_loss, new_eave, new_top = improve_at(
                 work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
             )
-            allowed_m = _WALL_HITS_M if depth_m < _LEAST_SLOPE_WIDTH_M else settings.rounding_m
-            if new_loss <= loss + max(tolerance, allowed_m):
+            max_growth_m = _WALL_HITS_M if depth_m < _MIN_SLOPE_WIDTH_M else settings.rounding_m
+            if new_loss <= loss + max(tolerance, max_growth_m):
                 loss, eave, top = new_loss, new_eave, new_top
                 for e in range(n):
                     angle[e] = trial[e]
     loss, eave, top = _flip_gables(problem, work, angle, trial, loss, eave, top, 0.5 * tolerance)
-    if problem.num_directions < n and loss > settings.own_slope_gain_m:
-        # edges that face the same way with slopes of their own
-        least_gain_m = max(tolerance, settings.own_slope_gain_m)
-        own_direction = np.empty(n, np.int64)
+    if problem.num_directions < n and loss > settings.separate_slope_gain_m:
+        # edges that face the same way may have different slopes
+        min_gain_m = max(tolerance, settings.separate_slope_gain_m)
+        separate_direction = np.empty(n, np.int64)
         for e in range(n):
-            own_direction[e] = e
-        freed = _problem(xy_m, ring_offset, x, y, z, len(z), own_direction, settings, prior)
-        own = angle.copy()
+            separate_direction[e] = e
+        separate = _problem(xy_m, ring_offset, x, y, z, len(z), separate_direction, settings, prior)
+        separate_deg = angle.copy()
         new_loss, new_eave, new_top = improve_at(
-            work.code, freed, work, own, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+            work.code, separate, work, separate_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
         )
         new_loss, new_eave, new_top = _flip_gables(
-            freed, work, own, trial, new_loss, new_eave, new_top, least_gain_m
+            separate, work, separate_deg, trial, new_loss, new_eave, new_top, min_gain_m
         )
-        if new_loss < loss - least_gain_m:
-            loss, eave, top, angle = new_loss, new_eave, new_top, own
+        if new_loss < loss - min_gain_m:
+            loss, eave, top, angle = new_loss, new_eave, new_top, separate_deg
     changed = False
     for e in range(n):
         trial[e] = np.rint(angle[e])

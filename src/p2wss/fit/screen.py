@@ -1,5 +1,5 @@
-"""The cut through a part that promises most, found with few points and without a search of classes, and the roofs
-on either side of it."""
+"""The most promising cut through a part, chosen with few points and without a search of classes, and the roofs on
+either side of it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from p2wss.fit.cutting import (
 from p2wss.fit.jumps import candidates
 from p2wss.fit.points import every_kth
 from p2wss.fit.roof import (
-    every_kth_row,
+    every_kth_value,
     fit_roof_at,
-    improved_roof_at,
+    improve_roof_at,
     with_flat_top,
 )
 from p2wss.fit.solve import IMPOSSIBLE
@@ -27,17 +27,17 @@ from p2wss.skeleton.compiled import allocating, by_address, entry, inner
 from p2wss.skeleton.ordering import stable_order
 
 _NUM_POINTS = 160
-# so many of the cuts, at most so much worse than the best, are looked at again, now with roofs cut flat
-_MOST_FINALISTS, _FINALIST_RATIO = 3, 1.3
+# this many of the cuts, if their cost is at most this multiple of the best, are evaluated again with flat tops
+_MAX_FINALISTS, _FINALIST_RATIO = 3, 1.3
 _NEARBY_M = 0.35
 _SHIFTS_M = np.array([-0.25, -0.12, 0.12, 0.25])
 _SHIFT_ROUNDS = 2
-# a cut through a corner of the footprint is preferred at this ratio of losses
-_OFF_CORNER, _ON_CORNER_M = 1.02, 1e-6
-# a cut that a quick look gives less than this share of what it has to gain is given up
-_HOPEFUL = 0.5
-# of a side
-_FEWEST_POINTS = 3
+# a cut beside the corners of the footprint has to be better than one through a corner by this ratio
+_OFF_CORNER_RATIO, _ON_CORNER_M = 1.02, 1e-6
+# a cut is dropped if the quick fits gain less than this share of the minimum
+_MIN_GAIN_SHARE = 0.5
+# on either side of a cut that is fitted in full
+_MIN_POINTS = 3
 
 
 class Side(NamedTuple):
@@ -60,56 +60,56 @@ def split_roof(
     angle_deg: np.ndarray,
     points: np.ndarray,
     loss: float,
-    least_gain: float,
-    least_points: int,
+    min_gain: float,
+    min_points: int,
     work: FitWork,
     screen: Settings,
     settings: Settings,
     prior: Prior,
 ) -> tuple[int, float, Side, Side] | None:
-    """(axis, position, low side, high side) of the best cut through a part, if a quick look promises half of
-    ``least_gain``; None: there is none.
+    """(axis, position, low side, high side) of the best cut through a part, or None if no cut gains half of
+    ``min_gain`` in the quick fits.
 
-    xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points, evenly ordered.
-    loss: summed over all points of the part, as ``least_gain``. least_points: on either side. screen, settings:
-    of the quick fits and of those of the sides.
+    xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points in even order. loss,
+    min_gain: sums over all points of the part. min_points: on either side. screen: settings of the quick fits.
+    settings: of the fits of the two sides.
     """
-    few = np.take(points, every_kth(points.shape[1], _NUM_POINTS), axis=1)
+    sample = np.take(points, every_kth(points.shape[1], _NUM_POINTS), axis=1)
     clearance = clearance_m(xy_m, ring_offset, work)
     axes, positions = candidates(xy_m, *points)
-    cost, chosen, *sides = best_cut(
+    cost, index, *sides = best_cut(
         xy_m,
         ring_offset,
         angle_deg,
         points,
-        few,
+        sample,
         axes,
         positions,
-        least_points,
+        min_points,
         clearance,
         work,
         screen,
         prior,
     )
-    if cost >= IMPOSSIBLE or loss - cost < _HOPEFUL * least_gain:
+    if cost >= IMPOSSIBLE or loss - cost < _MIN_GAIN_SHARE * min_gain:
         return None
-    axis, position = int(axes[chosen]), float(positions[chosen])
-    places = _places_near(xy_m, axis, position)
-    costs = np.zeros(len(places))
+    axis, position = int(axes[index]), float(positions[index])
+    nearby_positions = _positions_near(xy_m, axis, position)
+    costs = np.zeros(len(nearby_positions))
     for is_high in (False, True):
         _, *roof = sides[is_high]
-        costs += _place_costs(
-            *roof, xy_m, ring_offset, few, points[axis], axis, position, is_high, places, least_points, clearance,
-            work, screen, prior,
+        costs += _costs_of_positions(
+            *roof, xy_m, ring_offset, sample, points[axis], axis, position, is_high, nearby_positions, min_points,
+            clearance, work, screen, prior,
         )  # fmt: skip
-    off_corner = (np.abs(xy_m[:, axis] - places[:, None]) >= _ON_CORNER_M).all(axis=1)
-    costs[off_corner] *= _OFF_CORNER
+    off_corner = (np.abs(xy_m[:, axis] - nearby_positions[:, None]) >= _ON_CORNER_M).all(axis=1)
+    costs[off_corner] *= _OFF_CORNER_RATIO
     if np.isfinite(costs).any():
-        position = float(places[costs.argmin()])
+        position = float(nearby_positions[costs.argmin()])
     low, high = (
         Side(
             *fit_side(
-                xy_m, ring_offset, angle_deg, points, axis, position, is_high, _FEWEST_POINTS,
+                xy_m, ring_offset, angle_deg, points, axis, position, is_high, _MIN_POINTS,
                 settings.num_points, clearance, work, settings, prior,
             )
         )
@@ -118,28 +118,30 @@ def split_roof(
     return None if max(low.loss_m, high.loss_m) >= IMPOSSIBLE else (axis, position, low, high)
 
 
-def _places_near(xy_m: np.ndarray, axis: int, position: float) -> np.ndarray:
-    """Here, a little beside, and corners."""
+def _positions_near(xy_m: np.ndarray, axis: int, position: float) -> np.ndarray:
+    """A position, others a little beside it, and the corners nearby."""
     corners = np.unique(xy_m[:, axis])
     return np.concatenate([[position], position + _SHIFTS_M, corners[np.abs(corners - position) < _NEARBY_M]])
 
 
 @entry
 def fit_side(
-    xy_m, ring_offset, angle_deg, points, axis, position, is_high, least_points, most, least_clearance_m, work,
+    xy_m, ring_offset, angle_deg, points, axis, position, is_high, min_points, max_points, min_clearance_m, work,
     settings, prior,
 ):  # fmt: skip
-    """(loss per point, eave, top, angles, vertices, offsets) of one side of a cut, fitted to at most ``most`` of
-    its points; loss ``IMPOSSIBLE``: it has fewer than ``least_points``, or is not sound."""
+    """(loss per point, eave, top, angles, vertices, offsets) of one side of a cut, fitted to at most ``max_points`` of
+    its points. The loss is ``IMPOSSIBLE`` if the side has fewer than ``min_points`` or is not sound."""
     side_xy, side_offset = side_of_cut_at(work.code, xy_m, ring_offset, axis, position, is_high)
-    own = _points_of_side(points, axis, position, is_high)
-    if own.shape[1] < least_points or not is_sound_at(
-        work.code, side_xy, side_offset, least_clearance_m, work
+    side_points = _points_of_side(points, axis, position, is_high)
+    if side_points.shape[1] < min_points or not is_sound_at(
+        work.code, side_xy, side_offset, min_clearance_m, work
     ):
         return IMPOSSIBLE, 0.0, np.inf, angle_deg, side_xy, side_offset
     guess = inherited_angles(xy_m, ring_offset, angle_deg, side_xy, side_offset, axis, position, 90.0)
-    loss, eave, top, angle = fit_roof_at(work.code, side_xy, side_offset, every_kth_row(own[0], most),
-        every_kth_row(own[1], most), every_kth_row(own[2], most), guess.reshape(1, -1), work, settings, prior,
+    loss, eave, top, angle = fit_roof_at(
+        work.code, side_xy, side_offset, every_kth_value(side_points[0], max_points),
+        every_kth_value(side_points[1], max_points), every_kth_value(side_points[2], max_points),
+        guess.reshape(1, -1), work, settings, prior,
     )  # fmt: skip
     return loss, eave, top, angle, side_xy, side_offset
 
@@ -149,34 +151,34 @@ fit_side_at = by_address(fit_side)
 
 @allocating
 def _points_of_side(points, axis, position, is_high):
-    """Of (3, m) those on one side of a cut."""
+    """The points (3, m) that are on one side of a cut."""
     count = 0
     for k in range(points.shape[1]):
         if (points[axis, k] >= position) == is_high:
             count += 1
-    own = np.empty((3, count))
+    result = np.empty((3, count))
     count = 0
     for k in range(points.shape[1]):
         if (points[axis, k] >= position) == is_high:
-            own[0, count], own[1, count], own[2, count] = points[0, k], points[1, k], points[2, k]
+            result[0, count], result[1, count], result[2, count] = points[0, k], points[1, k], points[2, k]
             count += 1
-    return own
+    return result
 
 
 @entry
 def best_cut(
-    xy_m, ring_offset, angle_deg, points, few, axes, positions, least_points, least_clearance_m, work, settings,
+    xy_m, ring_offset, angle_deg, points, sample, axes, positions, min_points, min_clearance_m, work, settings,
     prior,
 ):  # fmt: skip
-    """(cost, number, low side, high side) of the best of the cuts across x (axis 0) or y through a part: the loss
-    over all its points, somewhat more than that of a full search; of a side as :func:`fit_side`. Cost
-    ``IMPOSSIBLE``: there is none.
+    """(cost, index, low side, high side) of the best of several cuts through a part, across x (axis 0) or y (axis 1).
+    The cost is the loss summed over all points, somewhat more than after a full search, ``IMPOSSIBLE`` if no cut is
+    possible. The sides are as :func:`fit_side` returns them.
 
-    xy_m, ring_offset, angle_deg: the part and its roof. points: (3, m), its points, evenly ordered; few: those
-    that are fitted. least_points: on either side. settings: of the fits there. A cut whose one side alone costs
-    too much is left at that.
+    xy_m, ring_offset, angle_deg: the part and its roof. points: (3, m), its points in even order; sample: those that
+    are fitted. min_points: on either side. settings: of the fits there. The second side of a cut is not fitted if
+    the first alone costs too much.
     """
-    m, most = points.shape[1], settings.num_search_points
+    m, max_points = points.shape[1], settings.num_search_points
     costs, num_low = np.empty(len(axes)), np.empty(len(axes), np.int64)
     for c in range(len(axes)):
         costs[c], num_low[c] = IMPOSSIBLE, _count_below(points[axes[c]], positions[c])
@@ -184,29 +186,29 @@ def best_cut(
     best = -1
     best_low = best_high = (IMPOSSIBLE, 0.0, np.inf, angle_deg, xy_m, ring_offset)
     for flat_top in (False, True):
-        own = with_flat_top(settings, flat_top)
-        # what costs more is no finalist or, of them, not the best
-        ratio, least_cost = 1.0 if flat_top else _FINALIST_RATIO, IMPOSSIBLE
+        round_settings = with_flat_top(settings, flat_top)
+        # a cut that costs more cannot become a finalist or, in the second pass, the best
+        ratio, min_cost = 1.0 if flat_top else _FINALIST_RATIO, IMPOSSIBLE
         best = -1
         for c in order[:num_tried]:
             costs[c] = IMPOSSIBLE
-            if min(num_low[c], m - num_low[c]) < least_points:
+            if min(num_low[c], m - num_low[c]) < min_points:
                 continue
-            low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, few, axes[c], positions[c], False, 1,
-                most, least_clearance_m, work, own, prior,
+            low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], False, 1,
+                max_points, min_clearance_m, work, round_settings, prior,
             )  # fmt: skip
-            if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > ratio * least_cost:
+            if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > ratio * min_cost:
                 continue
-            high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, few, axes[c], positions[c], True, 1,
-                most, least_clearance_m, work, own, prior,
+            high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], True, 1,
+                max_points, min_clearance_m, work, round_settings, prior,
             )  # fmt: skip
             if high[0] >= IMPOSSIBLE:
                 continue
             costs[c] = low[0] * num_low[c] + high[0] * (m - num_low[c])
-            if costs[c] < least_cost:
-                best, least_cost, best_low, best_high = c, costs[c], low, high
+            if costs[c] < min_cost:
+                best, min_cost, best_low, best_high = c, costs[c], low, high
         order = stable_order(costs)
-        num_tried = min(num_tried, _MOST_FINALISTS)
+        num_tried = min(num_tried, _MAX_FINALISTS)
         while num_tried > 0:
             if costs[order[num_tried - 1]] <= min(_FINALIST_RATIO * costs[order[0]], 0.5 * IMPOSSIBLE):
                 break
@@ -234,30 +236,33 @@ def _angle_on_cut(xy_m, ring_offset, angle_deg, axis, position):
 
 
 @entry
-def _place_costs(
-    eave, top, side_deg, side_xy, side_offset, xy_m, ring_offset, few, along, axis, position, is_high, places,
-    least_points, least_clearance_m, work, settings, prior,
+def _costs_of_positions(
+    eave, top, side_deg, side_xy, side_offset, xy_m, ring_offset, sample, along, axis, position, is_high, positions,
+    min_points, min_clearance_m, work, settings, prior,
 ):  # fmt: skip
-    """What a cut near ``position`` costs on one side of it, while the roof there, found for ``position``, stays
-    much the same; infinite: nothing sound. along: coordinate ``axis`` of all points of the part."""
-    costs = np.empty(len(places))
-    most = 2 * settings.num_search_points
+    """Costs of cuts at ``positions`` near ``position`` on one side, where the roof that was fitted for ``position``
+    is only improved; infinite where the side is not sound. along: coordinate ``axis`` of all points of the part."""
+    costs = np.empty(len(positions))
+    max_points = 2 * settings.num_search_points
     on_cut = _angle_on_cut(side_xy, side_offset, side_deg, axis, position)
-    for k in range(len(places)):
-        place = places[k]
-        new_xy, new_offset = side_of_cut_at(work.code, xy_m, ring_offset, axis, place, is_high)
-        count = _count_below(along, place)
+    for k in range(len(positions)):
+        new_position = positions[k]
+        new_xy, new_offset = side_of_cut_at(work.code, xy_m, ring_offset, axis, new_position, is_high)
+        count = _count_below(along, new_position)
         count = len(along) - count if is_high else count
-        own = _points_of_side(few, axis, place, is_high)
+        side_points = _points_of_side(sample, axis, new_position, is_high)
         costs[k] = np.inf
-        if count < least_points or own.shape[1] == 0:
+        if count < min_points or side_points.shape[1] == 0:
             continue
-        if not is_sound_at(work.code, new_xy, new_offset, least_clearance_m, work):
+        if not is_sound_at(work.code, new_xy, new_offset, min_clearance_m, work):
             continue
-        guess = inherited_angles(side_xy, side_offset, side_deg, new_xy, new_offset, axis, place, on_cut)
-        loss = improved_roof_at(work.code, new_xy, new_offset, every_kth_row(own[0], most),
-            every_kth_row(own[1], most), every_kth_row(own[2], most), guess, eave, top, _SHIFT_ROUNDS, work,
-            settings, prior,
+        guess = inherited_angles(
+            side_xy, side_offset, side_deg, new_xy, new_offset, axis, new_position, on_cut
+        )
+        loss = improve_roof_at(
+            work.code, new_xy, new_offset, every_kth_value(side_points[0], max_points),
+            every_kth_value(side_points[1], max_points), every_kth_value(side_points[2], max_points), guess, eave,
+            top, _SHIFT_ROUNDS, work, settings, prior,
         )  # fmt: skip
         costs[k] = loss * count
     return costs

@@ -9,13 +9,14 @@ from p2wss.skeleton.compiled import allocating, by_address, inner
 from p2wss.skeleton.ordering import stable_order
 
 _ALTERNATIVES_DEG = (0.0, 90.0, 18.0, 38.0, 57.0)
-_NUM_CLASSES = 2  # of the alternatives, those that are no slope
+_NUM_CLASSES = 2  # the first alternatives, which are not slopes
 _ROUNDS_FIRST, _ROUNDS_NEXT, _ROUNDS_CANDIDATE, _ROUNDS_LAST = 1, 3, 3, 8
-# starts that a first round leaves this much worse than the best are left
+# starts that are this much worse than the best after the first round are dropped
 _FOLLOW_M = 0.2
-# a candidate within this of the present loss gets a second look with its height freed
+# a candidate within this of the present loss is tried again, beginning with the median height
 _SECOND_LOOK_M = 0.05
-_HOPELESS_M = 0.12
+# a candidate that is this much worse than the present roof after a round is dropped
+_GIVE_UP_M = 0.12
 # residuals that no better roof would lower
 _NOISE_M = 0.04
 
@@ -27,7 +28,8 @@ def _is_slope(angle):
 
 @inner
 def _propose(problem, angle_deg, unit, alternative, proposed):
-    """The angles with one edge, or all edges of one direction, changed. False: nothing new."""
+    """Writes to ``proposed`` the angles with an alternative for one edge (unit below num_edges) or for all edges
+    of one direction. Returns False if that changes nothing."""
     n = problem.num_edges
     angle = _ALTERNATIVES_DEG[alternative]
     for e in range(n):
@@ -52,8 +54,9 @@ def _propose(problem, angle_deg, unit, alternative, proposed):
 
 @inner
 def set_excess(problem, work):
-    """What of the loss a better roof might lower at most: written to ``work.excess`` for the face of each
-    edge; returns (of all faces, of what is no edge's). Faces and residuals: of the last evaluation."""
+    """The most that a better roof might take off the loss. Writes it to ``work.excess`` for the face of each edge;
+    returns (the sum over all points, the sum over the points on faces of no edge). Faces and residuals are those of
+    the last evaluation."""
     for e in range(problem.num_edges):
         work.excess[e] = 0.0
     total, other = 0.0, 0.0
@@ -72,7 +75,7 @@ def set_excess(problem, work):
 
 @inner
 def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
-    """Change edges and directions while that lowers the loss by more than ``tolerance``; ``angle_deg`` is
+    """Changes edges and directions while that lowers the loss by more than ``tolerance``; ``angle_deg`` is
     changed in place. Returns (loss, eave, top)."""
     n = problem.num_edges
     proposed, best = work.trial[1], work.trial[2]
@@ -85,17 +88,17 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                 break
             if unit < n:
                 edge = work.skeleton.edge[unit]
-                near = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
-                if near < tolerance:
+                nearby_excess = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
+                if nearby_excess < tolerance:
                     continue
             best_loss, best_eave, best_top = loss - tolerance, eave, top
-            found = False
+            is_better = False
             for alternative in range(len(_ALTERNATIVES_DEG)):
                 if not _propose(problem, angle_deg, unit, alternative, proposed):
                     continue
                 new_loss, new_eave, new_top = improve_at(
                     work.code, problem, work, proposed, eave, top, _ROUNDS_CANDIDATE, False, True,
-                    loss + _HOPELESS_M,
+                    loss + _GIVE_UP_M,
                 )  # fmt: skip
                 if best_loss <= new_loss < loss + _SECOND_LOOK_M:
                     new_loss, new_eave, new_top = improve_at(
@@ -103,10 +106,10 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                         IMPOSSIBLE,
                     )  # fmt: skip
                 if new_loss < best_loss:
-                    best_loss, best_eave, best_top, found = new_loss, new_eave, new_top, True
+                    best_loss, best_eave, best_top, is_better = new_loss, new_eave, new_top, True
                     for e in range(n):
                         best[e] = proposed[e]
-            if found:
+            if is_better:
                 loss, eave, top, changed = best_loss, best_eave, best_top, True
                 for e in range(n):
                     angle_deg[e] = best[e]
@@ -119,13 +122,14 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
 
 @allocating
 def search(problem, work, settings, start_deg, start_top_m, max_rounds, tolerance, descend_below):
-    """The best roof from the starts: (loss, eave, top, row), its angles in that row of ``start_deg``.
+    """The best roof from several starts: (loss, eave, top, row), with its angles in that row of ``start_deg``.
 
-    All starts are tried, the best ``settings.num_followed`` improved, and the best ``settings.num_descents``
-    of those that differ descend. The footprint has been loaded into ``work.skeleton.edge``.
+    All starts get a first round, the best ``settings.num_followed`` of them are improved, and the classes are
+    searched from the best ``settings.num_descents`` that differ. The footprint must have been loaded into
+    ``work.skeleton.edge``.
 
     start_deg: (num_starts, num_edges), overwritten. start_top_m: (num_starts,). tolerance: metres of loss that
-    a change of class has to gain. descend_below: only starts with less loss than this descend.
+    a change of class has to gain. descend_below: only from starts with less loss than this are classes searched.
     """
     k = len(start_deg)
     losses, eaves, tops = np.empty(k), np.empty(k), start_top_m.copy()
@@ -144,20 +148,20 @@ def search(problem, work, settings, start_deg, start_top_m, max_rounds, toleranc
     order = stable_order(losses)
     best = order[0]
     best_loss, best_eave, best_top = losses[best], eaves[best], tops[best]
-    used, last = 0, -1.0
+    num_searched, last_loss = 0, -1.0
     for i in order:
-        if used >= settings.num_descents or losses[i] >= descend_below:
+        if num_searched >= settings.num_descents or losses[i] >= descend_below:
             break
-        if abs(losses[i] - last) < 1e-3:
+        if abs(losses[i] - last_loss) < 1e-3:
             continue
-        last = losses[i]
-        used += 1
+        last_loss = losses[i]
+        num_searched += 1
         loss, eave, top = _descend(
             problem, work, start_deg[i], eaves[i], tops[i], losses[i], max_rounds, tolerance
         )
-        if used == 1 or loss < best_loss - tolerance:
+        if num_searched == 1 or loss < best_loss - tolerance:
             best, best_loss, best_eave, best_top = i, loss, eave, top
-    if used > 0:
+    if num_searched > 0:
         best_loss, best_eave, best_top = improve_at(
             work.code, problem, work, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True,
             IMPOSSIBLE,

@@ -1,4 +1,4 @@
-"""One closed solid from the parts of a building: their union, with coplanar faces as one."""
+"""One closed solid from the parts of a building: their union, with coplanar faces merged."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import manifold3d
 import numpy as np
 
 from p2wss import skeleton
-from p2wss.fit.one_height import OneHeight
-from p2wss.fit.planes import face_planes, neighbours, planes_at, snapped
+from p2wss.fit.one_height import FittedRoof
+from p2wss.fit.planes import face_planes, neighbours, planes_at, snap_vertices
 from p2wss.skeleton import Polygons, Status
 
 _WELD_M = 1e-4
 _SHORT_EDGE_M = 1e-2
-# how much higher each further part is, and what a surface may move by when slivers are taken out
+# how much higher each further part is raised, and how far a surface may move when slivers are removed
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
 
 
@@ -33,17 +33,18 @@ class Mesh:
 
 
 def union(
-    parts: Sequence[OneHeight], ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
+    parts: Sequence[FittedRoof], ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
 ) -> Mesh | None:
-    """The union of the parts' solids over one ground, z above it. None: a part has no solid, or the union is
-    not one closed manifold.
+    """The union of the parts' solids on one ground, z above it. None if a part has no solid, or if the union is not
+    one closed manifold.
 
-    parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly
-    coplanar. Parts that meet in a single edge only are no manifold: then some are raised by a few centimetres.
-    An edge of millimetres is where readers that merge near vertices tear a solid open: the first attempt without
-    one is taken, or with its ends as one vertex; if there is none, the first.
+    parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
+    The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
+    edge of a few millimetres, programs that merge nearby vertices tear a solid open. So the result is the first
+    attempt without such an edge, or the first without one once its ends are merged; if there is none, the first that
+    is closed.
     """
-    found = None
+    first_closed = None
     for step_m, simplify_m in _ATTEMPTS_M:
         raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
         mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m)
@@ -51,11 +52,11 @@ def union(
             continue
         if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
             return mesh
-        merged = _collapsed(mesh, _SHORT_EDGE_M)
+        merged = _collapse_vertices(mesh, _SHORT_EDGE_M)
         if _shortest_edge_m(merged) >= _SHORT_EDGE_M and is_closed(merged.vertex_m, merged.triangle):
             return merged
-        found = found or mesh
-    return found
+        first_closed = first_closed or mesh
+    return first_closed
 
 
 def _shortest_edge_m(mesh: Mesh) -> float:
@@ -64,16 +65,16 @@ def _shortest_edge_m(mesh: Mesh) -> float:
 
 
 def is_sound(mesh: Mesh) -> bool:
-    """Whether readers that round and triangulate faces anew will find it closed: no edge of millimetres, no
-    vertex within a straight edge."""
+    """Whether a mesh stays closed in programs that round coordinates and triangulate faces again: it has no edge of a
+    few millimetres, and no vertex within a straight edge."""
     num_planes = planes_at(mesh.triangle, mesh.plane, len(mesh.vertex_m))
     return _shortest_edge_m(mesh) >= _SHORT_EDGE_M and bool((num_planes >= 3).all())
 
 
 def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
-    """Whether every edge has exactly two triangles, in opposite directions, once vertices that files cannot
-    tell apart are one."""
-    corner = _welded(vertex_m)[triangle]
+    """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
+    distinguish."""
+    corner = _weld(vertex_m)[triangle]
     corner = corner[(corner != np.roll(corner, 1, axis=1)).all(axis=1)]
     size = len(vertex_m)
     start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
@@ -81,8 +82,8 @@ def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     return bool(len(forward) and (np.diff(forward) > 0).all() and np.array_equal(forward, back))
 
 
-def _welded(vertex_m: np.ndarray) -> np.ndarray:
-    """Per vertex the number of the place, to a tenth of a millimetre, that it shares with others."""
+def _weld(vertex_m: np.ndarray) -> np.ndarray:
+    """A number per vertex, the same for vertices at the same place to a tenth of a millimetre."""
     place = np.round(vertex_m / _WELD_M).astype(np.int64)
     order = np.lexsort(place.T)
     ordered = place[order]
@@ -92,24 +93,24 @@ def _welded(vertex_m: np.ndarray) -> np.ndarray:
 
 
 def _union(
-    parts: Sequence[OneHeight],
+    parts: Sequence[FittedRoof],
     ground_z_m: float,
     min_eave_height_m: float,
     max_roof_height_m: float,
     simplify_m: float,
 ) -> Mesh | None:
-    made = skeleton.build(
+    meshes = skeleton.build(
         Polygons.from_rings([list(part.rings) for part in parts]),
         np.concatenate([part.angle_deg for part in parts]),
         np.array([max(part.eave_z_m - ground_z_m, min_eave_height_m) for part in parts]),
         max_roof_height_m=np.array([min(part.top_m, max_roof_height_m) for part in parts]),
     )
-    if (made.status != Status.OK).any():
+    if (meshes.status != Status.OK).any():
         return None
     solids = []
     for i, part in enumerate(parts):
-        vertex_m, triangle, _, _ = made.mesh(i)
-        vertex_m = snapped(vertex_m, np.concatenate(list(part.rings)))
+        vertex_m, triangle, _, _ = meshes.mesh(i)
+        vertex_m = snap_vertices(vertex_m, np.concatenate(list(part.rings)))
         mesh = manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64))
         solids.append(manifold3d.Manifold(mesh))
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
@@ -120,12 +121,12 @@ def _union(
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
     triangle = np.array(out.tri_verts, np.int32)
     mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
-    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else _collapsed(mesh)
+    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else _collapse_vertices(mesh)
 
 
-def _collapsed(mesh: Mesh, short_m: float = 0.0) -> Mesh:
-    """The mesh once vertices that only two planes share, and so lie within a straight edge, have moved to an end
-    of that edge; and others along edges below ``short_m``."""
+def _collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
+    """The mesh after vertices have moved along an edge to its other end: those in only two planes, which lie within a
+    straight edge, and those at edges shorter than ``short_m``."""
     vertex_m, triangle, plane = mesh.vertex_m, mesh.triangle, mesh.plane
     rows, place = dict(enumerate(triangle.tolist())), vertex_m.tolist()
     normal_of = _plane_normals(vertex_m, triangle, plane)
@@ -154,17 +155,17 @@ def _collapsed(mesh: Mesh, short_m: float = 0.0) -> Mesh:
                         rows[t] = [end if w == v else w for w in rows[t]]
                         around[end].add(t)
                 break
-    kept = np.array(list(rows), int)
+    remaining = np.array(list(rows), int)
     used, index = np.unique(np.array(list(rows.values()), int), return_inverse=True)
-    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), mesh.kind[kept], plane[kept])
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), mesh.kind[remaining], plane[remaining])
 
 
 def _plane_normals(vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray) -> list[list[float]]:
-    """Of the plane of each triangle, by area: that of a sliver tells nothing."""
+    """The normal of each triangle's plane, weighted by area, as the normal of a sliver alone is unreliable."""
     corner = vertex_m[triangle]
-    own = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     total = np.zeros((plane.max() + 1, 3))
-    np.add.at(total, plane, own)
+    np.add.at(total, plane, normal)
     return total[plane].tolist()
 
 
@@ -189,6 +190,6 @@ def _can_move(
 
 
 def _normal(a: list[float], b: list[float], c: list[float]) -> tuple[float, float, float]:
-    """Of a triangle; of three vertices numpy would take ten times as long."""
+    """The normal of a triangle; for three vertices numpy would take ten times as long."""
     (ux, uy, uz), (vx, vy, vz) = map(sub, b, a), map(sub, c, a)
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -1,7 +1,7 @@
 """Height and slopes of one roof from points, by iteratively reweighted least squares.
 
 While the face over every point stays the same, z = eave + tan(angle) * distance is linear in the unknowns. So
-each round asks the kernel for the faces, solves, and keeps the step only if the true loss fell.
+each round asks the kernel for the faces, solves for the unknowns, and keeps the step only if the true loss falls.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ IMPOSSIBLE = 1e9  # loss of a roof that the kernel refuses
 _NOISE_M = 0.05
 _MIN_ANGLE_DEG, _MAX_ANGLE_DEG = 5.0, 75.0
 _MIN_TOP_M = 0.8
-# how far a step may leave the present roof without a reason
-_PRIOR_EAVE, _PRIOR_SLOPE = 1e-3, 0.5
-# of a prior
-_MOST_OFF_DEG, _MOST_OFF_M = 20.0, 3.0
-_LEAST_OFF_DEG, _LEAST_OFF_M = 1.0, 0.1
+# weights of the present eave height and slopes, which keep a step small where the points do not determine them
+_KEEP_EAVE, _KEEP_SLOPE = 1e-3, 0.5
+# larger differences from the prior cost no more than these; smaller ones are weighted as if they were these
+_MAX_DIFFERENCE_DEG, _MAX_DIFFERENCE_M = 20.0, 3.0
+_MIN_DIFFERENCE_DEG, _MIN_DIFFERENCE_M = 1.0, 0.1
 _DEGREE = np.pi / 180.0
 
 
 @inner
 def evaluate(problem, work, angle_deg, eave_m, top_m):
     """Loss of a roof: mean over the points of min(|distance to the roof|, cap), metres, distances measured at
-    right angles to the face. ``top_m``: height above the eave of a flat cut, infinity for none.
+    right angles to the face, plus the cost of the prior. ``top_m``: height above the eave of a flat cut, infinity
+    for none.
 
     Leaves face, distance and residual of every point in ``work``; the residual outside the roof is NaN.
     """
@@ -66,7 +67,7 @@ evaluate_at = by_address(evaluate)
 
 @inner
 def prior_cost_m(problem, angle_deg, eave_m):
-    """What the prior holds against a roof, in metres of loss."""
+    """Cost of a roof by the prior, in metres of loss."""
     prior = problem.prior
     cost = 0.0
     if len(prior.slope_deg) > 0:
@@ -77,10 +78,10 @@ def prior_cost_m(problem, angle_deg, eave_m):
             elif angle == 90.0:
                 cost += prior.class_cost_m[e, 1]
             else:
-                off = min(abs(angle - prior.slope_deg[e]), _MOST_OFF_DEG)
-                cost += prior.class_cost_m[e, 2] + prior.degree_cost_m * off
+                difference_deg = min(abs(angle - prior.slope_deg[e]), _MAX_DIFFERENCE_DEG)
+                cost += prior.class_cost_m[e, 2] + prior.degree_cost_m * difference_deg
     if len(prior.eave_z_m) > 0:
-        cost += prior.eave_cost * min(abs(eave_m - prior.eave_z_m[0]), _MOST_OFF_M)
+        cost += prior.eave_cost * min(abs(eave_m - prior.eave_z_m[0]), _MAX_DIFFERENCE_M)
     return cost
 
 
@@ -108,14 +109,14 @@ def _median_eave(problem, work):
     for k in range(len(problem.z)):
         f = work.face[k]
         if f != OUTSIDE:
-            work.sorted[count] = problem.z[k] - work.rise[k]
+            work.sort_buffer[count] = problem.z[k] - work.rise[k]
             count += 1
-    return select(work.sorted, count, count // 2) if count > 0 else 0.0
+    return select(work.sort_buffer, count, count // 2) if count > 0 else 0.0
 
 
 @inner
 def _solve_positive(matrix, right_side, size):
-    """Cholesky in place; the solution replaces ``right_side``."""
+    """Solves a positive definite system by Cholesky factors in place; the solution replaces ``right_side``."""
     for i in range(size):
         for j in range(i + 1):
             s = matrix[i, j]
@@ -139,20 +140,20 @@ def _solve_positive(matrix, right_side, size):
 
 @inner
 def _add_prior(problem, work, angle_deg, eave_m, num_groups):
-    """The costs of the prior, reweighted as the residuals are."""
+    """Adds the costs of the prior to the equations, reweighted as the residuals are."""
     prior, a, b = problem.prior, work.matrix, work.right_side
     # the loss is a mean, the equations are a sum
     m = len(problem.z)
     if len(prior.eave_z_m) > 0:
-        w = m * prior.eave_cost / max(abs(eave_m - prior.eave_z_m[0]), _LEAST_OFF_M)
+        w = m * prior.eave_cost / max(abs(eave_m - prior.eave_z_m[0]), _MIN_DIFFERENCE_M)
         a[0, 0] += w
         b[0] += w * prior.eave_z_m[0]
     if num_groups > 0 and len(prior.slope_deg) > 0:
         for e in range(problem.num_edges):
             if work.tangent[e] > 0.0:
                 per_tangent = 1.0 / (_DEGREE * (1.0 + work.tangent[e] ** 2))
-                off = max(abs(angle_deg[e] - prior.slope_deg[e]), _LEAST_OFF_DEG)
-                w = m * prior.degree_cost_m * per_tangent * per_tangent / off
+                difference_deg = max(abs(angle_deg[e] - prior.slope_deg[e]), _MIN_DIFFERENCE_DEG)
+                w = m * prior.degree_cost_m * per_tangent * per_tangent / difference_deg
                 g = 2 + problem.direction[e]
                 a[g, g] += w
                 b[g] += w * np.tan(prior.slope_deg[e] * _DEGREE)
@@ -160,7 +161,7 @@ def _add_prior(problem, work, angle_deg, eave_m, num_groups):
 
 @inner
 def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles):
-    """One weighted step from the faces and residuals in ``work``: new angles in ``work.solved``; returns
+    """One weighted step from the faces and residuals in ``work``: new angles in ``work.solution_deg``; returns
     (eave, top)."""
     n = problem.num_edges
     groups = problem.num_directions if free_angles else 0
@@ -188,7 +189,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
             a[1, 1] += w
             b[1] += w * z
         elif f < 0:
-            # the height of a cap depends on the slopes, but seldom much
+            # the height of a level cap depends on the slopes, but seldom much
             a[0, 0] += w
             b[0] += w * (z - work.distance[k])
         else:
@@ -203,30 +204,30 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
                 b[g] += w * d * z
             else:
                 b[0] += w * (z - t * d)
-    a[0, 0] += _PRIOR_EAVE
-    b[0] += _PRIOR_EAVE * eave_m
-    a[1, 1] += _PRIOR_EAVE
-    b[1] += _PRIOR_EAVE * (eave_m + top_m) if has_top else 0.0
+    a[0, 0] += _KEEP_EAVE
+    b[0] += _KEEP_EAVE * eave_m
+    a[1, 1] += _KEEP_EAVE
+    b[1] += _KEEP_EAVE * (eave_m + top_m) if has_top else 0.0
     _add_prior(problem, work, angle_deg, eave_m, groups)
     for g in range(groups):
-        a[2 + g, 2 + g] += _PRIOR_SLOPE
+        a[2 + g, 2 + g] += _KEEP_SLOPE
         if work.group_count[g] > 0:
-            b[2 + g] += _PRIOR_SLOPE * work.group_tangent[g] / work.group_count[g]
+            b[2 + g] += _KEEP_SLOPE * work.group_tangent[g] / work.group_count[g]
     _solve_positive(a, b, size)
     for e in range(n):
-        work.solved[e] = angle_deg[e]
+        work.solution_deg[e] = angle_deg[e]
         if groups > 0 and work.tangent[e] > 0.0:
             angle = np.arctan(b[2 + problem.direction[e]]) / _DEGREE
-            work.solved[e] = min(max(angle, _MIN_ANGLE_DEG), _MAX_ANGLE_DEG)
+            work.solution_deg[e] = min(max(angle, _MIN_ANGLE_DEG), _MAX_ANGLE_DEG)
     return b[0], max(b[1] - b[0], _MIN_TOP_M) if has_top else top_m
 
 
 @inner
 def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, free_angles, give_up_at):
-    """Rounds of assign and solve; ``angle_deg`` is changed in place. Returns (loss, eave, top).
+    """Rounds of assigning points to faces and solving; ``angle_deg`` is changed in place. Returns (loss, eave, top).
 
-    from_median: begin with the median height instead of ``eave_m``. give_up_at: after the first round, a loss
-    above this ends the search.
+    from_median: begin with the eave at the median height of the points instead of ``eave_m``. free_angles: solve for
+    the slopes too. give_up_at: a loss above this ends the search after a round.
     """
     loss = evaluate(problem, work, angle_deg, eave_m, top_m)
     if loss >= IMPOSSIBLE:
@@ -240,21 +241,21 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
         # at first the height may be far off
         reach = problem.cap_m * (3.0 if from_median and number < 2 else 1.0)
         new_eave, new_top = _least_squares(problem, work, angle_deg, eave_m, top_m, reach, free_angles)
-        step, accepted, better, eave, top = 1.0, False, loss, eave_m, top_m
+        step, is_accepted, trial_loss, eave, top = 1.0, False, loss, eave_m, top_m
         for _ in range(3):
             for e in range(n):
-                trial[e] = angle_deg[e] + step * (work.solved[e] - angle_deg[e])
+                trial[e] = angle_deg[e] + step * (work.solution_deg[e] - angle_deg[e])
             eave = eave_m + step * (new_eave - eave_m)
             top = top_m + step * (new_top - top_m) if top_m < problem.max_roof_height_m else top_m
-            better = evaluate(problem, work, trial, eave, top)
-            if better < loss - 1e-5:
-                accepted = True
+            trial_loss = evaluate(problem, work, trial, eave, top)
+            if trial_loss < loss - 1e-5:
+                is_accepted = True
                 break
             step *= 0.4
-        if not accepted:
+        if not is_accepted:
             break
-        gain = loss - better
-        loss, eave_m, top_m = better, eave, top
+        gain = loss - trial_loss
+        loss, eave_m, top_m = trial_loss, eave, top
         for e in range(n):
             angle_deg[e] = trial[e]
         if gain < 5e-4 or loss > give_up_at:

@@ -1,4 +1,4 @@
-"""Where the search begins: which edges belong together, and simple roofs over them."""
+"""The roofs that a search starts from, and which edges face the same way or are parallel."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import numpy as np
 from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.ordering import stable_order
 
-# edges that differ by less face the same way
+# edges whose directions differ by less face the same way
 _SAME_DIRECTION_DEG = 12.0
 HIP_DEG, _LOW_DEG = 42.0, 18.0
 
 
 @entry
 def edge_groups(xy_m, ring_offset):
-    """(direction, axis, bearing, length) of the edges of rings. direction: int64, equal where edges face the
-    same way; axis: int64, equal where they are parallel; both counted from the one with the greatest total
+    """(direction, axis, bearing, length) of the edges of rings. direction: int64, the same number where edges
+    face the same way; axis: int64, the same number where they are parallel; number 0 has the greatest total
     length. bearing: radians. length: metres."""
     n = len(xy_m)
     bearing, length = np.empty(n), np.empty(n)
@@ -25,7 +25,7 @@ def edge_groups(xy_m, ring_offset):
             j = i + 1 if i + 1 < ring_offset[ring + 1] else ring_offset[ring]
             x, y = xy_m[j, 0] - xy_m[i, 0], xy_m[j, 1] - xy_m[i, 1]
             bearing[i], length[i] = np.arctan2(y, x), np.hypot(x, y)
-            # a length decides by its millimetres only, so that rounding does not
+            # lengths are compared in whole millimetres, so that rounding errors decide nothing
             shorter[i] = -np.rint(length[i] * 1000.0)
     order = stable_order(shorter)
     bearing_deg = bearing * (180.0 / np.pi)
@@ -65,11 +65,11 @@ def _groups(bearing_deg, length, order, period_deg):
 
 @allocating
 def start_angles(direction, axis, guesses):
-    """Angles to begin with, (num_starts, num_edges): the ``guesses`` (num_guesses, num_edges), a hip roof, a
+    """Angles of the starts, (num_starts, num_edges): the ``guesses`` (num_guesses, num_edges), a hip roof, a
     gable roof along either main axis, and flat.
 
-    A guess with 0 degree edges comes a second time with slopes for them, because a search does not find its
-    way out of what they flatten.
+    A guess with edges of 0 degrees is added a second time with slopes in their place, because those edges flatten the
+    roof around them and the search would not recover from that.
     """
     n = len(direction)
     num_axes = 1
@@ -93,5 +93,5 @@ def start_angles(direction, axis, guesses):
     for a in range(num_axes):
         for e in range(n):
             rows[count + 1 + a, e] = HIP_DEG if axis[e] == a else 90.0
-    # the flat one is what is left: zeros
+    # the last row keeps its zeros: a flat roof
     return rows[: count + 2 + num_axes]

@@ -1,4 +1,4 @@
-"""What a fit works on and with: the problem, and work arrays that no evaluation of a roof allocates anew."""
+"""The problem that a fit solves, and work arrays, so that evaluating a roof allocates nothing."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.queries import QueryWork, query_work
 from p2wss.skeleton.records import SkeletonWork
 
-_NUM_ROWS = 4
+_NUM_TRIALS = 4
 
 
 class Settings(NamedTuple):
-    """How a roof is sought, as compiled code takes it; :class:`p2wss.fit.one_height.Limits` and ``Effort``
-    say what each means."""
+    """Settings of the search for a roof, as compiled code takes them; :class:`p2wss.fit.one_height.Limits` and
+    ``Effort`` explain each of them."""
 
     num_search_points: int
     num_points: int
@@ -27,17 +27,17 @@ class Settings(NamedTuple):
     max_roof_height_m: float
     top_gain_m: float
     class_gain_m: float
-    own_slope_gain_m: float
+    separate_slope_gain_m: float
     rounding_m: float
 
 
 class Prior(NamedTuple):
-    """What is believed of a roof before its points: the cost, in metres of loss, of what it may be. Empty
-    arrays: nothing.
+    """What is assumed of a roof before its points are seen: what each possible roof costs, in metres of loss. An
+    empty array assumes nothing.
 
-    class_cost_m: float64 (n, 3), of each edge: 0 degrees, 90 degrees and a slope. slope_deg: float64 (n,), the
-    usual one. degree_cost_m: of each degree that a slope is off, up to 20. eave_z_m: float64 (1,). eave_cost: of each
-    metre that the eave is off, up to 3.
+    class_cost_m: float64 (n, 3), for each edge the cost of 0 degrees, of 90 degrees and of a slope. slope_deg:
+    float64 (n,), the expected slope. degree_cost_m: for each degree of difference from it, up to 20. eave_z_m:
+    float64 (1,), the expected height. eave_cost: for each metre of difference from it, up to 3.
     """
 
     class_cost_m: np.ndarray
@@ -54,9 +54,9 @@ class Problem(NamedTuple):
     """One polygon with its points, as compiled code takes it.
 
     num_edges, num_rings: of the polygon. x, y, z: float64 (m,), x and y relative to its first vertex.
-    direction: int64 (num_edges,), which edges face the same way and so share their slope: 0 to
-    num_directions - 1. cap_m: residuals count up to this. max_roof_height_m: above the eave. inward_m: float64
-    (num_edges + 1, m) of a convex polygon, :func:`p2wss.fit.envelope.inward_distances`; else (0, 0).
+    direction: int64 (num_edges,), 0 to num_directions - 1; edges that face the same way have the same number and
+    share their slope. cap_m: larger residuals count as this. max_roof_height_m: above the eave. inward_m: float64
+    (num_edges + 1, m) of a convex polygon, :func:`p2wss.fit.envelope.inward_distances`; otherwise (0, 0).
     """
 
     num_edges: int
@@ -73,14 +73,14 @@ class Problem(NamedTuple):
 
 
 class Code(NamedTuple):
-    """Where functions begin that compiled code calls by :func:`p2wss.skeleton.compiled.call_at`; of
-    :mod:`p2wss.fit.linkage`."""
+    """Addresses of the functions that compiled code calls by address
+    (:func:`p2wss.skeleton.compiled.by_address`); :mod:`p2wss.fit.linkage` fills them in."""
 
     evaluate: int
     improve: int
     search: int
     fit_roof: int
-    improved_roof: int
+    improve_roof: int
     side_of_cut: int
     is_sound: int
     fit_side: int
@@ -89,8 +89,9 @@ class Code(NamedTuple):
 class FitWork(NamedTuple):
     """Arrays for polygons of up to ``max_edges`` edges with up to ``max_points`` points.
 
-    rise: of the roof above the eave, over each point. cosine: of each edge's slope. trial: rows of angles of nested
-    searches. num_evaluations: int64 (1,), counts roofs looked at.
+    rise: height of the roof above the eave over each point. tangent, cosine: of each edge's slope. sort_buffer: room
+    for sorting. solution_deg: angles that the least squares give. excess: what a better roof might gain, per edge.
+    trial: rows of angles, one for each level of nested searches. num_evaluations: int64 (1,), roofs evaluated so far.
     """
 
     skeleton: SkeletonWork
@@ -99,14 +100,14 @@ class FitWork(NamedTuple):
     distance: np.ndarray
     rise: np.ndarray
     residual: np.ndarray
-    sorted: np.ndarray
+    sort_buffer: np.ndarray
     tangent: np.ndarray
     cosine: np.ndarray
     group_tangent: np.ndarray
     group_count: np.ndarray
     matrix: np.ndarray
     right_side: np.ndarray
-    solved: np.ndarray
+    solution_deg: np.ndarray
     excess: np.ndarray
     trial: np.ndarray
     num_evaluations: np.ndarray
@@ -114,7 +115,7 @@ class FitWork(NamedTuple):
 
 
 def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
-    """Work arrays for one thread; :func:`p2wss.fit.linkage.linked_work` knows the addresses."""
+    """Work arrays for one thread; :func:`p2wss.fit.linkage.linked_work` has the addresses."""
     size = max_edges + 2
     return FitWork(
         skeleton=skeleton_work(max_edges),
@@ -123,16 +124,16 @@ def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
         distance=np.zeros(max_points),
         rise=np.zeros(max_points),
         residual=np.zeros(max_points),
-        sorted=np.zeros(max_points),
+        sort_buffer=np.zeros(max_points),
         tangent=np.zeros(max_edges),
         cosine=np.zeros(max_edges),
         group_tangent=np.zeros(max_edges),
         group_count=np.zeros(max_edges),
         matrix=np.zeros((size, size)),
         right_side=np.zeros(size),
-        solved=np.zeros(max_edges),
+        solution_deg=np.zeros(max_edges),
         excess=np.zeros(max_edges),
-        trial=np.zeros((_NUM_ROWS, max_edges)),
+        trial=np.zeros((_NUM_TRIALS, max_edges)),
         num_evaluations=np.zeros(1, np.int64),
         code=code,
     )

@@ -59,7 +59,7 @@ def test_sides_are_those_of_shapely(seed: int) -> None:
                     ) or (polygon(side_xy, side_offset).symmetric_difference(expected).area < 1e-9)
 
 
-def test_a_side_in_two_pieces_is_none() -> None:
+def test_a_side_in_two_pieces_is_not_sound() -> None:
     xy_m, offset = flat_rings([CUP])
     work = linked_work(32, 8)
     for position in (2.0, 2.5):
@@ -93,8 +93,8 @@ def test_edges_inherit_angles_from_those_they_lie_on() -> None:
     xy_m, offset = flat_rings([ELL])
     angle_deg = np.array([10, 20, 30, 40, 50, 60.0])
     side_xy, side_offset = side_of_cut(xy_m, offset, 0, 3.0, True)
-    found = inherited_angles(xy_m, offset, angle_deg, side_xy, side_offset, 0, 3.0, 90.0)
+    inherited_deg = inherited_angles(xy_m, offset, angle_deg, side_xy, side_offset, 0, 3.0, 90.0)
     start = [(x, y) for x, y in side_xy.tolist()]
-    assert dict(zip(start, found.tolist(), strict=True)) == {
+    assert dict(zip(start, inherited_deg.tolist(), strict=True)) == {
         (3, 0): 10, (4, 0): 20, (4, 2): 30, (3, 2): 90
     }  # fmt: skip

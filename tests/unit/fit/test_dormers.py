@@ -1,4 +1,4 @@
-"""Boxes on a roof: found where they are, one closed solid with it, none where there are none, off by default."""
+"""Boxes on a roof: detected where they are and only there, one closed solid with the roof, off by default."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ WIDE_M, DEEP_M, EAVE_M = 14.0, 9.0, 5.0
 HOUSE = np.array([[0, 0], [WIDE_M, 0], [WIDE_M, DEEP_M], [0, DEEP_M]])
 TAN = np.tan(np.radians(40.0))
 RIDGE_M = EAVE_M + TAN * DEEP_M / 2
-# x from, x to, y from, y to, top: one at the wall, one within the slope; both end in the roof
+# x from, x to, y from, y to, top: a box at the wall and one within the slope; both end in the roof
 AT_WALL, WITHIN = (2.0, 5.0, 0.0, 3.0, 7.4), (8.0, 11.0, 1.2, 3.6, 7.9)
 
 
@@ -33,13 +33,13 @@ def house(*boxes: tuple[float, ...], num_points: int = 900) -> Building:
     return Building("a", "t", (0.0, 0.0), [HOUSE], point_m, np.full(len(point_m), 6), 0.0)
 
 
-def fitted(building: Building, dormers: bool) -> Reconstruction:
-    (made,) = fit([building], Reconstruct(dormers=dormers, max_parts=1))
-    return made
+def fit_one(building: Building, dormers: bool) -> Reconstruction:
+    (reconstruction,) = fit([building], Reconstruct(dormers=dormers, max_parts=1))
+    return reconstruction
 
 
-def volume(made: Reconstruction) -> float:
-    return float(trimesh.Trimesh(made.vertex_m, made.triangle, process=False).volume)
+def volume(reconstruction: Reconstruction) -> float:
+    return float(trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle, process=False).volume)
 
 
 def true_volume(*boxes: tuple[float, ...]) -> float:
@@ -53,24 +53,24 @@ def true_volume(*boxes: tuple[float, ...]) -> float:
     return float(z.sum() * cell**2)
 
 
-def test_two_box_dormers_are_found_and_the_mesh_is_closed() -> None:
+def test_two_box_dormers_are_detected_and_the_mesh_is_closed() -> None:
     building = house(AT_WALL, WITHIN)
-    made = fitted(building, dormers=True)
-    assert made.num_parts == 1 and is_closed(made.vertex_m, made.triangle)
-    assert volume(made) == pytest.approx(true_volume(AT_WALL, WITHIN), rel=0.01)
-    assert volume(made) - volume(fitted(house(), dormers=True)) == pytest.approx(
+    reconstruction = fit_one(building, dormers=True)
+    assert reconstruction.num_parts == 1 and is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    assert volume(reconstruction) == pytest.approx(true_volume(AT_WALL, WITHIN), rel=0.01)
+    assert volume(reconstruction) - volume(fit_one(house(), dormers=True)) == pytest.approx(
         true_volume(AT_WALL, WITHIN) - true_volume(), rel=0.25
     )
     for x0, x1, y0, _, top in (AT_WALL, WITHIN):
         # well within the box its top, half a metre beside it the slope
         middle = np.array([[(x0 + x1) / 2, y0 + 0.4]])
         beside = np.array([[x0 - 0.4, y0 + 0.4], [x1 + 0.4, y0 + 0.4]])
-        height, _ = roof_over(made.vertex_m, made.triangle, np.vstack([middle, beside]))
+        height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, np.vstack([middle, beside]))
         assert height[0] == pytest.approx(top, abs=0.08)
         assert height[1:] == pytest.approx(roof_z(beside), abs=0.12)
-    # that at the wall begins there, the other one does not
+    # the box at the wall begins there, the other one does not
     near_wall = np.array([[3.5, 0.02], [9.5, 0.6]])
-    height, _ = roof_over(made.vertex_m, made.triangle, near_wall)
+    height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, near_wall)
     assert height[0] == pytest.approx(7.4, abs=0.08)
     assert height[1] == pytest.approx(roof_z(near_wall[1:])[0], abs=0.12)
 
@@ -78,10 +78,10 @@ def test_two_box_dormers_are_found_and_the_mesh_is_closed() -> None:
 def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
     chimney = (6.0, 6.5, 2.0, 2.6, 10.0)
     for building in (house(), house(chimney)):
-        with_option, without = fitted(building, dormers=True), fitted(building, dormers=False)
+        with_option, without = fit_one(building, dormers=True), fit_one(building, dormers=False)
         assert np.array_equal(with_option.triangle, without.triangle)
         assert with_option.vertex_m.tobytes() == without.vertex_m.tobytes()
-    # the chimney is one that points show
+    # the points do show the chimney
     assert (house(chimney).point_m[:, 2] > 9.5).any()
 
 
@@ -89,8 +89,8 @@ def test_off_by_default() -> None:
     assert not Reconstruct().dormers
     building = house(AT_WALL, WITHIN)
     (default,) = fit([building], Reconstruct(max_parts=1))
-    assert default.vertex_m.tobytes() == fitted(building, dormers=False).vertex_m.tobytes()
-    assert len(default.triangle) < len(fitted(building, dormers=True).triangle)
+    assert default.vertex_m.tobytes() == fit_one(building, dormers=False).vertex_m.tobytes()
+    assert len(default.triangle) < len(fit_one(building, dormers=True).triangle)
 
 
 def test_height_over_a_mesh() -> None:

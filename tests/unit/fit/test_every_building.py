@@ -1,4 +1,4 @@
-"""Every footprint of a hostile file gets a mesh or a reason, and one bad one costs the others nothing."""
+"""Every footprint of a difficult file gets a mesh or a reason, and a bad one does not affect the others."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Scene:
             return
         area = shapely.box(*shape.bounds)
         x0, y0, x1, y1 = area.bounds
-        seen = shape.buffer(0) if within is None else shapely.transform(within, lambda xy: xy + place)
+        visible = shape.buffer(0) if within is None else shapely.transform(within, lambda xy: xy + place)
         xy = self.draw.uniform([x0, y0], [x1, y1], (60 * num_points, 2))
-        xy = xy[shapely.contains_xy(seen, *xy.T)][:num_points]
+        xy = xy[shapely.contains_xy(visible, *xy.T)][:num_points]
         z = gabled(*xy.T, (x0 + x1) / 2, half_m)
         if classes[0]:
             self.points.append(np.column_stack([xy, z, np.full(len(xy), classes[0])]))
@@ -68,8 +68,8 @@ class Scene:
         cloud = Cloud(x, y, z, classification.astype(np.uint8), LAMBERT)
         shapes = gpd.GeoSeries(self.shapes, crs=LAMBERT)
         frame = gpd.GeoDataFrame({"building_id": self.names}, geometry=shapes)
-        found = reconstruct.run(cleaned(frame), cloud, predictor, "tile", config)
-        return {result.reconstruction.building_id: result for result in found}
+        results = reconstruct.run(cleaned(frame), cloud, predictor, "tile", config)
+        return {result.reconstruction.building_id: result for result in results}
 
 
 HOUSE = shapely.box(0, 0, 10, 14)
@@ -103,55 +103,55 @@ def scene() -> Scene:
     return scene
 
 
-def check(found: dict[str, reconstruct.Result]) -> None:
-    for name, result in found.items():
-        made = result.reconstruction
+def check(results: dict[str, reconstruct.Result]) -> None:
+    for name, result in results.items():
+        reconstruction = result.reconstruction
         assert result.status in ("ok", "flat", "none"), name
         assert (result.reason is None) == (result.status == "ok"), name
-        assert made.has_mesh == (result.status != "none"), name
-        if made.has_mesh:
-            mesh = trimesh.Trimesh(made.vertex_m, made.triangle, process=False)
+        assert reconstruction.has_mesh == (result.status != "none"), name
+        if reconstruction.has_mesh:
+            mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle, process=False)
             assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0, name
-            # without a point on the roof there is the network's guess, and nothing to hold against it
+            # without a point on the roof there is only the network's guess and nothing to compare it with
             assert result.residual_m < 1 or result.status == "flat" or result.visible_share == 0, name
         attributes = reconstruct.attributes(result)
-        assert attributes["num_parts"] == (made.num_parts if made.has_mesh else None)
+        assert attributes["num_parts"] == (reconstruction.num_parts if reconstruction.has_mesh else None)
         assert attributes["visible_share"] is None or 0 <= attributes["visible_share"] <= 1
 
 
 @pytest.mark.parametrize("predictor", [None, Oracle()], ids=["fit", "network and fit"])
 def test_a_mesh_or_a_reason(scene: Scene, predictor: Oracle | None) -> None:
-    found = scene.results(predictor, Reconstruct())
-    check(found)
-    with_mesh = {name for name, result in found.items() if result.status == "ok"}
+    results = scene.results(predictor, Reconstruct())
+    check(results)
+    with_mesh = {name for name, result in results.items() if result.status == "ok"}
     assert with_mesh >= {"good", "ten points", "no class 6", "no ground", "half seen", "courtyard", "comb"}
     assert with_mesh >= {"ten points and ground", "two parts-1", "two parts-2"}
-    assert found["no point"].reason == "no-points"
-    assert (found["one point"].status, found["one point"].reason) == ("flat", "too-few-points")
-    # a flat roof at no height would be a guess; the network's is one
-    assert found["ground only"].status == ("none" if predictor is None else "ok")
-    assert found["ground only"].visible_share == 0
+    assert results["no point"].reason == "no-points"
+    assert (results["one point"].status, results["one point"].reason) == ("flat", "too-few-points")
+    # without points on the roof only the network has a height
+    assert results["ground only"].status == ("none" if predictor is None else "ok")
+    assert results["ground only"].visible_share == 0
     for name in ("line", "speck", "empty", "missing", "not a polygon"):
-        assert found[name].status == "none" and found[name].reason, name
-    assert any(name.startswith("bow tie") and found[name].reconstruction.has_mesh for name in found)
-    names = {name.split("-")[0] for name in found}
+        assert results[name].status == "none" and results[name].reason, name
+    assert any(name.startswith("bow tie") and results[name].reconstruction.has_mesh for name in results)
+    names = {name.split("-")[0] for name in results}
     assert names == set(scene.names)
     # 10 m wide, 35 degrees: 3.5 m over the eave
-    good = found["good"].reconstruction
+    good = results["good"].reconstruction
     assert good.eave_height_m == pytest.approx(ROOF_M - GROUND_M, abs=0.1)
     assert good.vertex_m[:, 2].max() == pytest.approx(ROOF_M + 3.5 - GROUND_M, abs=0.2)
 
 
-def test_visible_share_is_that_of_cells_with_a_point(scene: Scene) -> None:
-    found = scene.results(None, Reconstruct(max_parts=1))
+def test_visible_share_is_the_share_of_cells_with_a_point(scene: Scene) -> None:
+    results = scene.results(None, Reconstruct(max_parts=1))
     # 140 cells and 400 points: e^-2.9 of the cells have none
-    assert found["good"].visible_share == pytest.approx(0.94, abs=0.05)
-    assert found["half seen"].visible_share == pytest.approx(0.5, abs=0.03)
-    assert found["one point"].visible_share == pytest.approx(1 / 140, abs=1e-3)
-    assert found["no point"].visible_share == 0 and found["ground only"].visible_share == 0
+    assert results["good"].visible_share == pytest.approx(0.94, abs=0.05)
+    assert results["half seen"].visible_share == pytest.approx(0.5, abs=0.03)
+    assert results["one point"].visible_share == pytest.approx(1 / 140, abs=1e-3)
+    assert results["no point"].visible_share == 0 and results["ground only"].visible_share == 0
 
 
-def test_what_one_roof_cannot_be_is_flagged() -> None:
+def test_a_building_that_one_roof_cannot_describe_is_flagged() -> None:
     """A tower over half of a house: one height leaves metres, two heights centimetres."""
     scene = Scene()
     scene.add("good", HOUSE)
@@ -159,13 +159,13 @@ def test_what_one_roof_cannot_be_is_flagged() -> None:
     roof = scene.points[-2]
     high = roof[:, 0] > roof[:, 0].mean()
     roof[:, 2] = np.where(high, ROOF_M + 9, ROOF_M)
-    one = scene.results(None, Reconstruct(max_parts=1))
-    assert one["tower"].not_representable and one["tower"].residual_m > 1
-    assert not one["good"].not_representable
-    assert "1 of them not representable" in reconstruct.summary(list(one.values()))
-    two = scene.results(None, Reconstruct())
-    assert two["tower"].reconstruction.num_parts == 2 and not two["tower"].not_representable
-    # the network alone was not fitted: its error is no fault of the building
+    single = scene.results(None, Reconstruct(max_parts=1))
+    assert single["tower"].not_representable and single["tower"].residual_m > 1
+    assert not single["good"].not_representable
+    assert "1 of them not representable" in reconstruct.summary(list(single.values()))
+    several = scene.results(None, Reconstruct())
+    assert several["tower"].reconstruction.num_parts == 2 and not several["tower"].not_representable
+    # the network's own values are not fitted: a large residual does not mean that the building is not representable
     network_alone = scene.results(Oracle(), Reconstruct(fit=False))
     assert not network_alone["tower"].not_representable
 

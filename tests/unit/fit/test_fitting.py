@@ -1,4 +1,4 @@
-"""Buildings fitted to points: what is kept, and that every mesh is closed."""
+"""Buildings fitted to points: which of several candidates is the result, and that every mesh is closed."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.mesh import build_meshes
-from p2wss.fit.one_height import OneHeight
+from p2wss.fit.one_height import FittedRoof
 from p2wss.fit.solid import is_closed
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.skeleton import Polygons
@@ -48,55 +48,55 @@ def house_and_annex(num_points: int = 600) -> Building:
 
 
 def network(case: Building, angle_deg: np.ndarray, eave_height_m: float) -> Reconstruction:
-    (made,) = build_meshes(
+    (reconstruction,) = build_meshes(
         [case], [case.rings], [100.0], np.array([eave_height_m]), [angle_deg], np.array([0.5]), "network",
         CONFIG, [""],
     )  # fmt: skip
-    return made
+    return reconstruction
 
 
-def two_parts(loss_m: float) -> list[OneHeight]:
+def two_parts(loss_m: float) -> list[FittedRoof]:
     return [
-        OneHeight([HOUSE], GABLE, 106.0, np.inf, loss_m, 200),
-        OneHeight([ANNEX], np.zeros(4), 103.0, np.inf, loss_m, 100),
+        FittedRoof([HOUSE], GABLE, 106.0, np.inf, loss_m, 200),
+        FittedRoof([ANNEX], np.zeros(4), 103.0, np.inf, loss_m, 100),
     ]
 
 
 @pytest.mark.parametrize(("loss_m", "num_parts"), [(0.25, 2), (0.453, 1), (0.6, 1)])
-def test_parts_stay_only_if_they_are_worth_more_than_they_cost(monkeypatch, loss_m, num_parts):
+def test_parts_are_kept_only_if_they_gain_more_than_they_cost(monkeypatch, loss_m, num_parts):
     """The network's roof is 0.6 m too high, so its loss 0.46 m: the parts have to gain 0.012 m and more."""
     case = one_gable()
     start = network(case, GABLE, 6.6)
     monkeypatch.setattr(fitting, "fit_parts", lambda *_: two_parts(loss_m))
-    (made,) = fitting.fit([case], CONFIG, [start])
-    assert made.num_parts == num_parts
+    (reconstruction,) = fitting.fit([case], CONFIG, [start])
+    assert reconstruction.num_parts == num_parts
     if num_parts == 1:
-        assert made.eave_height_m == pytest.approx(6.6)
+        assert reconstruction.eave_height_m == pytest.approx(6.6)
 
 
-@pytest.mark.parametrize(("led_m", "searches", "num_parts"), [(0.04, 1, 1), (0.2, 2, 2)])
-def test_points_far_from_where_the_network_leads_are_searched_without_it(
-    monkeypatch, led_m, searches, num_parts
+@pytest.mark.parametrize(("residual_m", "num_searches", "num_parts"), [(0.04, 1, 1), (0.2, 2, 2)])
+def test_a_building_far_from_the_network_is_also_searched_without_it(
+    monkeypatch, residual_m, num_searches, num_parts
 ):
-    """The network's own roof is 0.46 m off; the search from it ends in one part, that without it in two, 0.01 m off."""
-    asked = []
+    """The network's roof is 0.46 m off. A search from it ends in one part, a search without it in two, 0.01 m off."""
+    num_guesses = []
 
     def fit_parts(fitter, rings, point_m, effort, cutting, guesses, prior):
-        asked.append(len(guesses))
-        return two_parts(0.01) if not guesses else [OneHeight(rings, GABLE, 106.0, np.inf, led_m, 300)]
+        num_guesses.append(len(guesses))
+        return two_parts(0.01) if not guesses else [FittedRoof(rings, GABLE, 106.0, np.inf, residual_m, 300)]
 
     monkeypatch.setattr(fitting, "fit_parts", fit_parts)
     case = one_gable()
-    (made,) = fitting.fit([case], CONFIG, [network(case, GABLE, 6.6)])
-    assert asked == [1, 0][:searches] and made.num_parts == num_parts
+    (reconstruction,) = fitting.fit([case], CONFIG, [network(case, GABLE, 6.6)])
+    assert num_guesses == [1, 0][:num_searches] and reconstruction.num_parts == num_parts
 
 
 def test_a_network_that_is_right_is_not_made_worse():
     case = one_gable()
     start = network(case, GABLE, 6.0)
-    (made,) = fitting.fit([case], CONFIG, [start])
-    assert made.num_parts == 1 and made.angle_deg.tolist() == GABLE.tolist()
-    assert made.eave_height_m == pytest.approx(6.0, abs=0.03)
+    (reconstruction,) = fitting.fit([case], CONFIG, [start])
+    assert reconstruction.num_parts == 1 and reconstruction.angle_deg.tolist() == GABLE.tolist()
+    assert reconstruction.eave_height_m == pytest.approx(6.0, abs=0.03)
 
 
 def test_without_a_closed_union_there_are_fewer_parts(monkeypatch):
@@ -104,20 +104,22 @@ def test_without_a_closed_union_there_are_fewer_parts(monkeypatch):
     (parts,) = fitting.fit([case], CONFIG)
     assert parts.num_parts == 2
     monkeypatch.setattr(fitting, "union", lambda *_: None)
-    (made,) = fitting.fit([case], CONFIG)
-    assert made.has_mesh and made.num_parts == 1 and is_closed(made.vertex_m, made.triangle)
+    (reconstruction,) = fitting.fit([case], CONFIG)
+    assert reconstruction.has_mesh and reconstruction.num_parts == 1
+    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
 
 
 def test_a_building_is_the_same_whatever_is_fitted_beside_it():
     cases = [one_gable(), house_and_annex(), building(np.zeros((0, 3))), one_gable(40), house_and_annex(30)]
-    known = [None if i % 2 else network(case, GABLE, 5.0) for i, case in enumerate(cases)]
-    together = fitting.fit(cases[::-1], CONFIG, known[::-1])[::-1]
-    for case, start, made in zip(cases, known, together, strict=True):
+    initial = [None if i % 2 else network(case, GABLE, 5.0) for i, case in enumerate(cases)]
+    together = fitting.fit(cases[::-1], CONFIG, initial[::-1])[::-1]
+    for case, start, reconstruction in zip(cases, initial, together, strict=True):
         (alone,) = fitting.fit([case], CONFIG, [start])
         assert (alone.status, alone.num_parts, alone.eave_height_m) == (
-            made.status, made.num_parts, made.eave_height_m,
+            reconstruction.status, reconstruction.num_parts, reconstruction.eave_height_m,
         )  # fmt: skip
-        assert np.array_equal(alone.vertex_m, made.vertex_m) and np.array_equal(alone.triangle, made.triangle)
+        assert np.array_equal(alone.vertex_m, reconstruction.vertex_m)
+        assert np.array_equal(alone.triangle, reconstruction.triangle)
 
 
 @pytest.mark.parametrize("num_points", [1, 2, 3, 5, 9, 10, 12, 20, 40, 80, 300])
@@ -126,10 +128,10 @@ def test_every_number_of_points_gives_a_closed_solid(num_points, has_network):
     whole = house_and_annex()
     chosen = np.random.default_rng(num_points).choice(len(whole.point_m), num_points, replace=False)
     case = replace(whole, point_m=whole.point_m[chosen], classification=whole.classification[chosen])
-    known = [network(case, np.array([90, 35, 90, 35.0]), 5.0)] if has_network else None
-    made = with_fallback(fitting.fit([case], CONFIG, known), [case], CONFIG)
-    assert made[0].has_mesh and is_closed(made[0].vertex_m, made[0].triangle)
-    z = made[0].vertex_m[:, 2]
+    initial = [network(case, np.array([90, 35, 90, 35.0]), 5.0)] if has_network else None
+    (reconstruction,) = with_fallback(fitting.fit([case], CONFIG, initial), [case], CONFIG)
+    assert reconstruction.has_mesh and is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    z = reconstruction.vertex_m[:, 2]
     assert z.min() == 0 and 2.5 < z.max() < 12
-    ground = shapely.convex_hull(shapely.multipoints(made[0].vertex_m[z == 0][:, :2]))
+    ground = shapely.convex_hull(shapely.multipoints(reconstruction.vertex_m[z == 0][:, :2]))
     assert ground.area == pytest.approx(13 * 8, rel=1e-3)

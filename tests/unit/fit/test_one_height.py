@@ -6,7 +6,7 @@ import shapely
 
 from p2wss.fit.one_height import Effort, Fitter, Limits, flat_rings
 from p2wss.fit.points import even_order, every_kth, roof_points
-from p2wss.fit.prior import believed
+from p2wss.fit.prior import make_prior
 from p2wss.fit.starts import edge_groups
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
@@ -43,59 +43,59 @@ def sample(rings, angle_deg, eave_z_m, num_points, noise_m=0.0, top_m=np.inf, se
 )
 def test_recovers_a_known_building(rings, angle_deg):
     point_m = sample(rings, angle_deg, 107.3, 400, noise_m=0.04)
-    found = Fitter(Limits()).fit_whole(rings, point_m, Effort())
+    fit = Fitter(Limits()).fit_whole(rings, point_m, Effort())
     # whole degrees, up to the one that noise moves it by
-    np.testing.assert_allclose(found.angle_deg, angle_deg, atol=1)
-    assert found.eave_z_m == pytest.approx(107.3, abs=0.08)
-    assert found.loss_m < 0.05
+    np.testing.assert_allclose(fit.angle_deg, angle_deg, atol=1)
+    assert fit.eave_z_m == pytest.approx(107.3, abs=0.08)
+    assert fit.loss_m < 0.05
 
 
 def test_recovers_a_flat_roof_as_zero_degrees():
     point_m = sample([ELL], [0] * 6, 5.0, 200, noise_m=0.03)
-    found = Fitter(Limits()).fit_whole([ELL], point_m, Effort())
-    assert found.angle_deg.tolist() == [0] * 6
-    assert found.eave_z_m == pytest.approx(5.0, abs=0.01)
+    fit = Fitter(Limits()).fit_whole([ELL], point_m, Effort())
+    assert fit.angle_deg.tolist() == [0] * 6
+    assert fit.eave_z_m == pytest.approx(5.0, abs=0.01)
 
 
 def test_recovers_a_flat_top():
     point_m = sample([OUTER], [50] * 4, 5.0, 500, noise_m=0.03, top_m=3.0)
-    found = Fitter(Limits()).fit_whole([OUTER], point_m, Effort())
-    assert found.top_m == pytest.approx(3.0, abs=0.1)
-    np.testing.assert_allclose(found.angle_deg, 50, atol=2)
+    fit = Fitter(Limits()).fit_whole([OUTER], point_m, Effort())
+    assert fit.top_m == pytest.approx(3.0, abs=0.1)
+    np.testing.assert_allclose(fit.angle_deg, 50, atol=2)
     without = Fitter(Limits(flat_top=False)).fit_whole([OUTER], point_m, Effort())
     assert without.top_m == np.inf
-    assert found.loss_m < without.loss_m
+    assert fit.loss_m < without.loss_m
 
 
 def test_outliers_do_not_move_the_roof():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
     point_m[::12, 2] += 4.0
-    found = Fitter(Limits()).fit_whole([RECTANGLE], point_m, Effort())
-    np.testing.assert_allclose(found.angle_deg, [35, 90, 35, 90], atol=1)
-    assert found.eave_z_m == pytest.approx(6.0, abs=0.08)
+    fit = Fitter(Limits()).fit_whole([RECTANGLE], point_m, Effort())
+    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
+    assert fit.eave_z_m == pytest.approx(6.0, abs=0.08)
 
 
-def test_hits_on_a_wall_that_stands_back_are_no_steep_roof():
+def test_returns_from_a_wall_that_stands_back_are_not_a_steep_roof():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
     rng = np.random.default_rng(1)
     wall_m = np.column_stack([np.full(20, 10.6), rng.uniform(2, 5, 20), rng.uniform(6.5, 8.0, 20)])
-    found = Fitter(Limits()).fit_whole([RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
-    np.testing.assert_allclose(found.angle_deg, [35, 90, 35, 90], atol=1)
+    fit = Fitter(Limits()).fit_whole([RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
+    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
 
 
 def test_a_steep_end_that_is_as_wide_as_a_roof_stays():
     point_m = sample([OUTER], [45, 63, 45, 63], 6.0, 600, noise_m=0.03)
-    found = Fitter(Limits()).fit_whole([OUTER], point_m, Effort(num_points=600))
-    np.testing.assert_allclose(found.angle_deg, [45, 63, 45, 63], atol=2)
+    fit = Fitter(Limits()).fit_whole([OUTER], point_m, Effort(num_points=600))
+    np.testing.assert_allclose(fit.angle_deg, [45, 63, 45, 63], atol=2)
 
 
-def test_edges_that_face_the_same_way_have_their_own_slopes_where_the_points_show_it():
+def test_edges_that_face_the_same_way_have_different_slopes_where_the_points_show_it():
     angle_deg = [40, 90, 25, 40, 45, 40]
     point_m = sample([ELL], angle_deg, 6.0, 400, noise_m=0.03)
-    found = Fitter(Limits()).fit_whole([ELL], point_m, Effort(num_points=400))
-    np.testing.assert_allclose(found.angle_deg, angle_deg, atol=1)
-    together = Fitter(Limits(own_slope_gain_m=1.0)).fit_whole([ELL], point_m, Effort(num_points=400))
-    assert together.loss_m > found.loss_m + 0.02
+    fit = Fitter(Limits()).fit_whole([ELL], point_m, Effort(num_points=400))
+    np.testing.assert_allclose(fit.angle_deg, angle_deg, atol=1)
+    together = Fitter(Limits(separate_slope_gain_m=1.0)).fit_whole([ELL], point_m, Effort(num_points=400))
+    assert together.loss_m > fit.loss_m + 0.02
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -106,10 +106,10 @@ def test_never_worse_than_the_guess_or_a_flat_roof(seed):
     point_m = point_m[np.isfinite(point_m[:, 2])]
     fitter = Fitter(Limits())
     guess = rng.choice([0, 90, 30, 50.0], len(ELL))
-    found = fitter.fit([ELL], point_m, Effort(num_search_points=80), [guess])
+    fit = fitter.fit([ELL], point_m, Effort(num_search_points=80), [guess])
     flat = np.abs(point_m[:, 2] - np.median(point_m[:, 2])).clip(max=1.0).mean()
-    assert found.loss_m <= flat + 1e-9
-    assert fitter.loss(found, point_m) == pytest.approx(found.loss_m, abs=1e-12)
+    assert fit.loss_m <= flat + 1e-9
+    assert fitter.loss(fit, point_m) == pytest.approx(fit.loss_m, abs=1e-12)
 
 
 def test_same_result_whatever_the_order_of_the_points_and_earlier_fits():
@@ -127,36 +127,39 @@ SURE_GABLE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] * 2)
 
 
 def test_a_network_decides_where_points_are_few_and_gives_way_to_many():
-    """Points of a gable along x; the network took it for one along y, two degrees and 0.2 m off."""
-    said = np.array([90, 37, 90, 37.0])
+    """Points of a gable along x; the network took it for a gable along y, two degrees and 0.2 m off."""
+    network_deg = np.array([90, 37, 90, 37.0])
     many = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 400, noise_m=0.03)
     few = np.array([[5.5, 3.5, 8.4], [5.4, 3.4, 8.4], [5.6, 3.6, 8.4]])
     fitter = Fitter(Limits())
-    prior = believed([RECTANGLE], len(few), said, SURE_GABLE, 6.2)
-    assert fitter.fit_whole([RECTANGLE], few, Effort(), [said], prior).angle_deg.tolist() == said.tolist()
-    prior = believed([RECTANGLE], len(many), said, SURE_GABLE, 6.2)
-    found = fitter.fit_whole([RECTANGLE], many, Effort(), [said], prior)
-    np.testing.assert_allclose(found.angle_deg, [35, 90, 35, 90], atol=1)
+    prior = make_prior([RECTANGLE], len(few), network_deg, SURE_GABLE, 6.2)
+    assert (
+        fitter.fit_whole([RECTANGLE], few, Effort(), [network_deg], prior).angle_deg.tolist()
+        == network_deg.tolist()
+    )
+    prior = make_prior([RECTANGLE], len(many), network_deg, SURE_GABLE, 6.2)
+    fit = fitter.fit_whole([RECTANGLE], many, Effort(), [network_deg], prior)
+    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
 
 
 def test_the_prior_is_part_of_the_loss():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 50)
     fitter = Fitter(Limits())
-    found = fitter.fit_whole([RECTANGLE], point_m, Effort())
-    odds = np.array([[0.01, 0.01, 0.98], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98], [0.01, 0.09, 0.9]])
-    prior = believed([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), odds, 6.0 + 2.0)
-    more = fitter.loss(found, point_m, prior) - fitter.loss(found, point_m)
+    fit = fitter.fit_whole([RECTANGLE], point_m, Effort())
+    probability = np.array([[0.01, 0.01, 0.98], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98], [0.01, 0.09, 0.9]])
+    prior = make_prior([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), probability, 6.0 + 2.0)
+    more = fitter.loss(fit, point_m, prior) - fitter.loss(fit, point_m)
     # a class ten times less probable and the eave 2 m off
     assert more == pytest.approx(
         (np.log(10) * 0.0125 + 2 * 0.075) / 50 + np.log(10) * 0.002 + 2 * 0.01, rel=0.05
     )
 
 
-def test_too_few_points_are_no_roof():
+def test_too_few_points_give_no_roof():
     assert Fitter(Limits()).fit([RECTANGLE], np.zeros((2, 3)), Effort()) is None
 
 
-def test_many_edges_end_in_time():
+def test_many_edges_take_few_evaluations():
     turn = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     ring = np.column_stack([np.cos(turn), np.sin(turn)]) * 15
     point_m = np.column_stack([sample([RECTANGLE], [0] * 4, 6.0, 200)[:, :2] - 4, np.full(200, 6.0)])
@@ -172,7 +175,7 @@ def test_direction_groups():
     assert length.tolist() == [14, 6, 8, 6, 6, 12]
 
 
-def test_roof_points_are_never_those_of_the_ring():
+def test_roof_points_are_those_over_the_footprint():
     polygon = shapely.Polygon(RECTANGLE)
     point_m = np.array([[1, 1, 9], [12, 1, 9], [2, 2, 9], [3, 3, 9], [4, 4, 1.0]])
     building = np.full(5, 6, np.uint8)

@@ -1,4 +1,4 @@
-"""Buildings of several heights: cuts are found, and the union is one closed manifold."""
+"""Buildings with several heights: cuts lie where the heights change, and the union is one closed manifold."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import shapely
 import trimesh
 from test_one_height import sample
 
-from p2wss.fit.one_height import Effort, Fitter, Limits, OneHeight
+from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.solid import is_closed, is_sound, union
 from p2wss.formats.polygons import planar_surfaces
@@ -22,11 +22,11 @@ def house_with_annex(noise_m: float = 0.03) -> np.ndarray:
     return np.vstack([house, sample([ANNEX], [0] * 4, 3.0, 250, noise_m, seed=1)])
 
 
-def one(ring: np.ndarray, angle_deg: list[float], eave_z_m: float, top_m: float = np.inf) -> OneHeight:
-    return OneHeight([ring], np.array(angle_deg, float), eave_z_m, top_m, 0.0, 1)
+def roof(ring: np.ndarray, angle_deg: list[float], eave_z_m: float, top_m: float = np.inf) -> FittedRoof:
+    return FittedRoof([ring], np.array(angle_deg, float), eave_z_m, top_m, 0.0, 1)
 
 
-def test_house_and_annex_are_found_where_they_are() -> None:
+def test_house_and_annex_are_cut_where_they_meet() -> None:
     parts = fit_parts(Fitter(Limits()), [BOTH], house_with_annex(), Effort(), Cutting())
     assert len(parts) == 2
     low, high = sorted(parts, key=lambda part: part.eave_z_m)
@@ -50,7 +50,7 @@ def test_parts_are_not_worse_than_one_height() -> None:
     single = fit_parts(fitter, [BOTH], point_m, Effort(), Cutting(max_parts=1))
     parts = fit_parts(fitter, [BOTH], point_m, Effort(), Cutting())
     assert len(parts) == 2
-    # what a part costs included
+    # including the cost of a part
     assert cost_m(parts, Cutting()) < cost_m(single, Cutting())
     assert cost_m(parts, Cutting(gain_m=0.5)) == pytest.approx(sum(p.total_loss_m for p in parts) + 0.5 * 750)
 
@@ -64,15 +64,15 @@ def test_a_handful_of_points_is_no_reason_to_cut() -> None:
 @pytest.mark.parametrize(
     "parts",
     [
-        [one(HOUSE, [90, 40, 90, 40], 6.0), one(ANNEX, [0] * 4, 3.0)],
+        [roof(HOUSE, [90, 40, 90, 40], 6.0), roof(ANNEX, [0] * 4, 3.0)],
         # crossing roofs: each is higher somewhere along the cut
-        [one(HOUSE, [30, 90, 90, 90], 5.0), one(ANNEX, [90, 90, 30, 90], 5.0)],
-        [one(HOUSE, [45] * 4, 4.0, 2.0), one(ANNEX, [90, 20, 90, 90], 3.0)],
+        [roof(HOUSE, [30, 90, 90, 90], 5.0), roof(ANNEX, [90, 90, 30, 90], 5.0)],
+        [roof(HOUSE, [45] * 4, 4.0, 2.0), roof(ANNEX, [90, 20, 90, 90], 3.0)],
         # the same height: one flat roof
-        [one(HOUSE, [0] * 4, 4.0), one(ANNEX, [0] * 4, 4.0)],
+        [roof(HOUSE, [0] * 4, 4.0), roof(ANNEX, [0] * 4, 4.0)],
     ],
 )
-def test_unions_are_closed_and_have_the_volume_of_the_parts(parts: list[OneHeight]) -> None:
+def test_unions_are_closed_and_have_the_volume_of_the_parts(parts: list[FittedRoof]) -> None:
     mesh = union(parts, 0.0, 1.0, 12.0)
     assert mesh is not None and is_closed(mesh.vertex_m, mesh.triangle)
     solid = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
@@ -85,7 +85,7 @@ def test_unions_are_closed_and_have_the_volume_of_the_parts(parts: list[OneHeigh
 
 
 def test_coplanar_faces_of_parts_are_one() -> None:
-    mesh = union([one(HOUSE, [0] * 4, 4.0), one(ANNEX, [0] * 4, 4.0)], 0.0, 1.0, 12.0)
+    mesh = union([roof(HOUSE, [0] * 4, 4.0), roof(ANNEX, [0] * 4, 4.0)], 0.0, 1.0, 12.0)
     assert mesh is not None
     assert (len(mesh.vertex_m), len(mesh.triangle)) == (8, 12)
     faces = planar_surfaces(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane)
@@ -98,16 +98,16 @@ def test_an_edge_of_millimetres_is_closed_up_without_folding_a_face() -> None:
     east = [[15.95, 0], [19.14, -0.02], [19.07, 5.18], [21.88, 5.16], [21.82, 9.73], [15.95, 9.76]]
     east += [[16.01, 5.29], [15.95, 5.29]]
     parts = [
-        one(west, [41, 69, 39, 52], 6.156),
-        one(np.array(east), [54.4, 90, 54.4, 30.7, 90, 28.5, 55.1, 90], 4.919),
+        roof(west, [41, 69, 39, 52], 6.156),
+        roof(np.array(east), [54.4, 90, 54.4, 30.7, 90, 28.5, 55.1, 90], 4.919),
     ]
     mesh = union(parts, 0.0, 1.0, 12.0)
     assert mesh is not None and is_closed(mesh.vertex_m, mesh.triangle) and is_sound(mesh)
     corner = mesh.vertex_m[mesh.triangle]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     for plane in np.unique(mesh.plane):
-        own = normal[mesh.plane == plane]
-        assert (own @ own.sum(axis=0) > 0).all()
+        in_plane = normal[mesh.plane == plane]
+        assert (in_plane @ in_plane.sum(axis=0) > 0).all()
 
 
 def test_is_closed_notices_a_hole_and_a_flipped_triangle() -> None:
@@ -129,7 +129,7 @@ def test_main_frame_is_that_of_the_edges() -> None:
 
 
 def test_triangles_are_grouped_by_the_planes_they_lie_in() -> None:
-    mesh = union([one(HOUSE, [90, 40, 90, 40], 6.0), one(ANNEX, [0] * 4, 3.0)], 0.0, 2.0, 12.0)
+    mesh = union([roof(HOUSE, [90, 40, 90, 40], 6.0), roof(ANNEX, [0] * 4, 3.0)], 0.0, 2.0, 12.0)
     assert mesh is not None
     same = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
     flat = same.face_adjacency[same.face_adjacency_angles < 1e-3]
