@@ -16,8 +16,8 @@ from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint
 def with_fallback(
     reconstructions: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
 ) -> list[Reconstruction]:
-    """Flat roofs (method ``lod1``) for the buildings without a mesh that have any point; their status keeps
-    the reason."""
+    """The reconstructions, with flat roofs (method ``lod1``) for buildings that have points but no mesh; their status
+    keeps the reason."""
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
     for i, flat in zip(missing, lod1([buildings[i] for i in missing], config), strict=True):

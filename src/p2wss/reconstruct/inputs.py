@@ -1,4 +1,4 @@
-"""What ``p2wss reconstruct`` works on and with: the weights, the one CRS, the footprints of a tile, what to read."""
+"""Inputs of ``p2wss reconstruct``: the weights, the common CRS, the footprints of a tile, the window to read."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from p2wss.data.clouds import horizontal, same_crs
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.errors import InputError
 
-# the name of a file of weights that stands for no network
+# in place of a file of weights: no network
 NO_NETWORK = "none"
 
 
 def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
-    """The file of weights: ``model``, or without one that of the package, if there is any; None for no network,
-    which a ``model`` named "none" asks for.
+    """The file of weights: ``model``, or by default the one that came with the package, if there is one. None for no
+    network, as with the ``model`` "none".
 
     Raises :class:`InputError` if there is neither a network nor a fit.
     """
@@ -44,31 +44,36 @@ def shipped_model() -> Path | None:
 def common_crs(
     cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
 ) -> tuple[pyproj.CRS, str | None]:
-    """The one CRS of clouds and footprints, and a note if it was assumed. ``names``: of the two files.
+    """The common CRS of clouds and footprints, and a note if it was assumed.
 
-    Raises :class:`InputError` if two known ones differ, none is known, or it is not projected in metres.
+    cloud, frame: the CRS that each of the two files states, if any. stated: the one that the user states. names: of the
+    two files. Raises :class:`InputError` if two of them differ, if there is none, or if it is not projected in metres.
     """
     note = None
     if stated is not None:
         try:
-            told = pyproj.CRS.from_user_input(stated)
+            stated_crs = pyproj.CRS.from_user_input(stated)
         except pyproj.exceptions.CRSError as error:
-            raise InputError(f"--crs {stated}: no such CRS; give one such as EPSG:28992") from error
-        if cloud is not None and not same_crs(cloud, told):
-            raise InputError(f"{names[0]} is in {cloud.name}, but --crs says {told.name}; leave --crs out")
-        cloud = cloud or told
+            raise InputError(f"--crs {stated}: no such CRS; state one such as EPSG:28992") from error
+        if cloud is not None and not same_crs(cloud, stated_crs):
+            raise InputError(
+                f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; leave --crs out"
+            )
+        cloud = cloud or stated_crs
     if cloud is not None and frame is not None and not same_crs(cloud, frame):
-        told_by = names[0] if stated is None else f"{names[0]}, says --crs,"
+        source = "" if stated is None else " according to --crs"
         raise InputError(
-            f"{told_by} is in {cloud.name}, but {names[1]} is in {frame.name}; reproject one of them"
+            f"{names[0]} is in {cloud.name}{source}, but {names[1]} is in {frame.name}; reproject one of them"
         )
     crs = cloud or frame
     if crs is None:
         raise InputError(
-            f"neither {names[0]} nor {names[1]} tells its CRS; give it with --crs, as EPSG:28992"
+            f"neither {names[0]} nor {names[1]} states its CRS; state it with --crs, such as EPSG:28992"
         )
     if cloud is None:
-        note = f"{names[0]} tells no CRS: taken to be in {crs.name} as {names[1]}; --crs says otherwise"
+        note = (
+            f"{names[0]} does not state its CRS; assuming {crs.name} as in {names[1]} (--crs overrides this)"
+        )
     flat = horizontal(crs)
     if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
         raise InputError(
@@ -78,7 +83,7 @@ def common_crs(
 
 
 def window(frame: gpd.GeoDataFrame) -> Bounds:
-    """What a cloud must cover: the footprints and the ground around them."""
+    """The bounds that a cloud must cover: the footprints and the ground around them."""
     if not len(frame):
         return 0.0, 0.0, 0.0, 0.0
     x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
@@ -87,10 +92,10 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
 
 
 def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
-    """The footprints whose middle is in the tile."""
+    """The footprints whose centre is in the tile."""
     frame = frame[np.isfinite(frame["centre_x_m"])]
-    chosen = tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile
-    return frame[chosen].reset_index(drop=True)
+    in_tile = tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile
+    return frame[in_tile].reset_index(drop=True)
 
 
 def output_stem(cloud: Path) -> str:

@@ -1,7 +1,4 @@
-"""From points and footprints to closed buildings: by the network, flat, or with constant values.
-
-Everything here works on buildings in memory. The evaluation and ``p2wss reconstruct`` share it.
-"""
+"""Buildings with the heights and angles that the network predicts."""
 
 from __future__ import annotations
 
@@ -18,9 +15,12 @@ from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint, simplify
 
 
 class Parameters(Protocol):
-    """Decoded parameters of b buildings: heights above ground (b,), an array of angles per building with a
-    value per edge over all rings, another (edges, 3) with the probabilities of 0 degrees, 90 degrees and a slope,
-    confidence (b,) from 0 to 1. NaN: the network cannot take the footprint."""
+    """Predicted parameters of b buildings.
+
+    eave_height_m: above the ground, (b,). angle_deg: per building an array with a value per edge over all rings.
+    class_probability: per building (edges, 3), of 0 degrees, 90 degrees and a slope. confidence: (b,), 0 to 1. Heights
+    are NaN where the network cannot take the footprint.
+    """
 
     @property
     def eave_height_m(self) -> np.ndarray: ...
@@ -44,47 +44,57 @@ class Predictor(Protocol):
         ...
 
     def with_num_views(self, num_views: int) -> Predictor:
-        """The same network, which averages over so many views of a building."""
+        """The same network with predictions averaged over ``num_views`` views of a building."""
         ...
 
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Parameters:
-        """From points (n, 3) with z above the estimated ground, and rings as in :class:`Building`."""
+        """The parameters of buildings with these points, each (n, 3) with z above the ground, and rings as in
+        :class:`Building`."""
         ...
 
 
 def reconstruct_with_network(
     buildings: Sequence[Building], predictor: Predictor, config: Reconstruct, method: str = "point2wss"
 ) -> list[Reconstruction]:
-    """One reconstruction per building with the network's height and angles, in the order given.
+    """One reconstruction per building with the network's height and angles, in order.
 
-    A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has no mesh here
-    and a status; :func:`with_fallback` gives it a flat roof.
+    A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has a status and no mesh;
+    :func:`p2wss.reconstruct.flat.with_fallback` replaces it by a flat roof.
     """
-    meshed = [mesh_footprint(building, config) for building in buildings]
-    seen = [simplify_exterior(rings, predictor.max_num_vertices) for rings in meshed]
+    mesh_rings = [mesh_footprint(building, config) for building in buildings]
+    network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
     ground = [building.ground_z_m for building in buildings]
     height = np.full(len(buildings), np.nan)
     confidence = np.full(len(buildings), np.nan)
-    angle = [np.zeros(sum(map(len, rings))) for rings in meshed]
-    odds: list[np.ndarray | None] = [None] * len(buildings)
+    angle = [np.zeros(sum(map(len, rings))) for rings in mesh_rings]
+    probability: list[np.ndarray | None] = [None] * len(buildings)
     status = [reasons.OK if len(b.point_m) else reasons.NO_POINTS for b in buildings]
-    enough = []
+    with_points = []
     for i, building in enumerate(buildings):
         if len(building.point_m) >= config.min_num_points:
-            enough.append(i)
+            with_points.append(i)
         elif status[i] == reasons.OK:
             status[i] = reasons.TOO_FEW_POINTS
-    if enough:
-        decoded = predictor.predict(
-            [buildings[i].point_m - [0, 0, ground[i]] for i in enough], [seen[i] for i in enough]
+    if with_points:
+        parameters = predictor.predict(
+            [buildings[i].point_m - [0, 0, ground[i]] for i in with_points],
+            [network_rings[i] for i in with_points],
         )
-        for k, i in enumerate(enough):
-            if np.isfinite(decoded.eave_height_m[k]):
-                height[i] = max(float(decoded.eave_height_m[k]), config.min_eave_height_m)
-                confidence[i] = decoded.confidence[k]
-                angle[i] = kernel_angles(transfer_angles(seen[i], decoded.angle_deg[k], meshed[i]))
-                odds[i] = transfer_angles(seen[i], decoded.class_probability[k], meshed[i])
+        for k, i in enumerate(with_points):
+            if np.isfinite(parameters.eave_height_m[k]):
+                height[i] = max(float(parameters.eave_height_m[k]), config.min_eave_height_m)
+                confidence[i] = parameters.confidence[k]
+                angle_deg = transfer_angles(network_rings[i], parameters.angle_deg[k], mesh_rings[i])
+                angle[i] = kernel_angles(angle_deg)
+                probability[i] = transfer_angles(
+                    network_rings[i], parameters.class_probability[k], mesh_rings[i]
+                )
             else:
                 status[i] = reasons.FOOTPRINT_TOO_LARGE
-    made = build_meshes(buildings, meshed, ground, height, angle, confidence, method, config, status)
-    return [replace(one, class_probability=own) for one, own in zip(made, odds, strict=True)]
+    reconstructions = build_meshes(
+        buildings, mesh_rings, ground, height, angle, confidence, method, config, status
+    )
+    return [
+        replace(reconstruction, class_probability=edges)
+        for reconstruction, edges in zip(reconstructions, probability, strict=True)
+    ]

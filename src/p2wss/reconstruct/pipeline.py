@@ -29,20 +29,20 @@ from p2wss.metrics.surface import distance_to_mesh
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 
-# points that a residual is taken over
+# a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
-# buildings between two reports of progress
+# number of buildings between two reports of progress
 _BATCH = 256
 
 
 @dataclass(frozen=True)
 class Result:
-    """A building of the output: its reconstruction, what was read for it and how well the mesh fits.
+    """A building of the output: its reconstruction, its points and how well the mesh fits them.
 
     status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
-    residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: of the
-    footprint's 1 m cells, those with a point on the building. not_representable: fitted, and yet the residual is
-    more than ``not_representable_m``.
+    residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: share of the
+    footprint's 1 m cells that have a point on the building. not_representable: the building was fitted, but the
+    residual is more than ``not_representable_m``.
     """
 
     reconstruction: Reconstruction
@@ -62,10 +62,11 @@ def run(
     config: Reconstruct,
     progress: Callable[[int], object] = lambda num_done: None,
 ) -> list[Result]:
-    """A result per row of ``frame``, what ``scenes.clean_footprints`` gave, in its order.
+    """One result per row of ``frame``, in its order.
 
-    By the network, then fitted to the points unless ``config.fit`` is off; without a network, fitted only.
-    progress: called now and then with the number of rows that are done.
+    frame: what :func:`p2wss.data.footprints.clean_footprints` returns. With a network its values are fitted to the
+    points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
+    time with the number of rows that are done.
     """
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.buffer_m)
@@ -97,7 +98,7 @@ def run(
 def _results(
     buildings: Sequence[Building], status: Sequence[str], predictor: Predictor | None, config: Reconstruct
 ) -> list[Result]:
-    """One result per building, in order; of those whose footprint has a status other than "ok" nothing is
+    """One result per building, in order. A building whose footprint has another status than "ok" is not
     reconstructed."""
     usable = [i for i, value in enumerate(status) if value == "ok"]
     reconstructions = reconstruct_buildings([buildings[i] for i in usable], predictor, config)
@@ -123,27 +124,29 @@ def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) 
         )
 
 
-def _result(building: Building, made: Reconstruction, config: Reconstruct) -> Result:
-    status = "none" if not made.has_mesh else "ok" if made.status == "ok" else "flat"
-    reason = None if made.status == "ok" else made.status
+def _result(building: Building, reconstruction: Reconstruction, config: Reconstruct) -> Result:
+    reason = None if reconstruction.status == "ok" else reconstruction.status
+    status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
     on_building = building.is_on_building
-    residual_m = _residual_m(building.point_m[on_building], made)
-    fitted = config.fit or made.method == FIT
-    flagged = fitted and status == "ok" and residual_m > config.not_representable_m
+    residual_m = _residual_m(building.point_m[on_building], reconstruction)
+    is_fitted = config.fit or reconstruction.method == FIT
+    not_representable = is_fitted and status == "ok" and residual_m > config.not_representable_m
     share = _visible_share(building, on_building)
-    return Result(made, status, reason, len(building.point_m), residual_m, share, flagged)
+    return Result(reconstruction, status, reason, len(building.point_m), residual_m, share, not_representable)
 
 
-def _residual_m(point_m: np.ndarray, made: Reconstruction) -> float:
-    if not made.has_mesh or not len(point_m):
+def _residual_m(point_m: np.ndarray, reconstruction: Reconstruction) -> float:
+    if not reconstruction.has_mesh or not len(point_m):
         return float("nan")
-    # every k-th point: no draw, no dependence on a seed
-    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array([0, 0, made.ground_z_m])
-    return float(distance_to_mesh(point_m, made.vertex_m, made.triangle).mean())
+    # every k-th point, so that no random draw is needed
+    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array(
+        [0, 0, reconstruction.ground_z_m]
+    )
+    return float(distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle).mean())
 
 
 def _visible_share(building: Building, on_building: np.ndarray) -> float:
-    """As the crops' ``visible_roof_share``."""
+    """Share of the cells with a point on the building, as ``visible_roof_share`` of the crops."""
     x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[on_building, :2].T * 100))
     rings = [np.asarray(ring, float) for ring in building.rings]
     ends = np.cumsum([0, *map(len, rings)])
@@ -161,51 +164,51 @@ def summary(results: Sequence[Result]) -> str:
     """
     parts = []
     for status in ("ok", "flat", "none"):
-        own = [result for result in results if result.status == status]
-        reasons = Counter(result.reason for result in own if result.reason)
-        told = ", ".join(f"{reason}: {count}" for reason, count in sorted(reasons.items()))
-        if own or status == "ok":
-            parts.append(f"{len(own)} {status}" + (f" ({told})" if told else ""))
-    flagged = sum(result.not_representable for result in results)
-    told = f"; {flagged} of them not representable" if flagged else ""
-    return f"{len(results)} buildings: " + ", ".join(parts) + told
+        with_status = [result for result in results if result.status == status]
+        reasons = Counter(result.reason for result in with_status if result.reason)
+        text = ", ".join(f"{reason}: {count}" for reason, count in sorted(reasons.items()))
+        if with_status or status == "ok":
+            parts.append(f"{len(with_status)} {status}" + (f" ({text})" if text else ""))
+    num_flagged = sum(result.not_representable for result in results)
+    flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
+    return f"{len(results)} buildings: " + ", ".join(parts) + flagged
 
 
 def table(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
-    """A row per footprint: geometry as cleaned (none, if it was rejected) and what was found.
+    """A row per footprint: the cleaned geometry (none if it was rejected) and the :func:`attributes`.
 
-    ``angle_deg`` is text, one number per edge, edge i from vertex i of the geometry, rings in order.
+    ``angle_deg`` is text with one number per edge; edge i begins at vertex i of the geometry, rings in order.
     """
     rows: list[dict[str, Any]] = []
     shapes: list[shapely.Polygon | None] = []
     for result in results:
-        made = result.reconstruction
-        rows.append({"building_id": made.building_id, **attributes(result)})
-        rings = [ring + made.origin_xy_m for ring in made.rings]
+        reconstruction = result.reconstruction
+        rows.append({"building_id": reconstruction.building_id, **attributes(result)})
+        rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
         shapes.append(shapely.Polygon(rings[0], rings[1:]) if rings else None)
     return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
 
 
 def attributes(result: Result) -> dict[str, Any]:
-    """What is told of a building, None where unknown: the same in every format."""
-    made = result.reconstruction
-    angles = (
-        None if made.angle_deg is None else " ".join(f"{angle:g}" for angle in np.round(made.angle_deg, 2))
-    )
+    """The attributes of a building, the same in every output format; None where a value is unknown."""
+    reconstruction = result.reconstruction
+    angles = None
+    if reconstruction.angle_deg is not None:
+        angles = " ".join(f"{angle:g}" for angle in np.round(reconstruction.angle_deg, 2))
     return {
         "status": result.status,
         "reason": result.reason,
-        "method": made.method if made.has_mesh else None,
-        "eave_height_m": _rounded(made.eave_height_m),
+        "method": reconstruction.method if reconstruction.has_mesh else None,
+        "eave_height_m": _rounded(reconstruction.eave_height_m),
         "angle_deg": angles,
-        "ground_z_m": _rounded(made.ground_z_m),
-        "confidence": _rounded(made.confidence),
+        "ground_z_m": _rounded(reconstruction.ground_z_m),
+        "confidence": _rounded(reconstruction.confidence),
         "residual_m": _rounded(result.residual_m),
         "not_representable": result.not_representable,
         "visible_share": _rounded(result.visible_share),
         "num_points": result.num_points,
-        "num_parts": made.num_parts if made.has_mesh else None,
-        "num_triangles": len(made.triangle),
+        "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,
+        "num_triangles": len(reconstruction.triangle),
     }
 
 
@@ -214,8 +217,8 @@ def _rounded(value: float | None) -> float | None:
 
 
 def city_json(results: Sequence[Result], crs: pyproj.CRS, output: str = "cityjsonseq") -> str:
-    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``; those without
-    a mesh without geometry."""
+    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``. A building without a
+    mesh has no geometry."""
     epsg = crs.to_epsg() or horizontal(crs).to_epsg()
     ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
     solids = [solid(result) for result in ordered]
@@ -224,15 +227,17 @@ def city_json(results: Sequence[Result], crs: pyproj.CRS, output: str = "cityjso
     return "\n".join(cityjson.lines(solids, epsg)) + "\n"
 
 
-def vertices_m(made: Reconstruction) -> np.ndarray:
+def vertices_m(reconstruction: Reconstruction) -> np.ndarray:
     """Mesh vertices in the CRS of the cloud, (v, 3)."""
-    return made.vertex_m + np.array([*made.origin_xy_m, made.ground_z_m])
+    return reconstruction.vertex_m + np.array([*reconstruction.origin_xy_m, reconstruction.ground_z_m])
 
 
 def solid(result: Result) -> Solid:
     """The building for CityJSON, its triangles merged into planar polygons."""
-    made = result.reconstruction
-    if not made.has_mesh:
-        return Solid(made.building_id, np.zeros((0, 3)), [], attributes(result))
-    surfaces = planar_surfaces(made.vertex_m, made.triangle, made.kind, made.edge)
-    return Solid(made.building_id, vertices_m(made), surfaces, attributes(result))
+    reconstruction = result.reconstruction
+    if not reconstruction.has_mesh:
+        return Solid(reconstruction.building_id, np.zeros((0, 3)), [], attributes(result))
+    surfaces = planar_surfaces(
+        reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, reconstruction.edge
+    )
+    return Solid(reconstruction.building_id, vertices_m(reconstruction), surfaces, attributes(result))

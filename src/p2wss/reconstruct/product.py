@@ -20,18 +20,19 @@ def reconstruct_buildings(
 ) -> list[Reconstruction]:
     """The product: one reconstruction per building, in order.
 
-    The network's values of ``config.num_views`` views, fitted to the points; with ``config.fit`` off the values
-    of as many views as the model was trained for; without a predictor the fit alone. Where these give no mesh, a
-    flat roof of the method ``lod1`` whose status has the reason (:func:`p2wss.reconstruct.flat.with_fallback`).
+    The network's values from ``config.num_views`` views are fitted to the points. With ``config.fit`` off they are
+    the result, from as many views as the model was trained for; without a predictor there is only the fit. Where
+    these give no mesh, the result is a flat roof of the method ``lod1`` whose status has the reason
+    (:func:`p2wss.reconstruct.flat.with_fallback`).
     """
-    starts = None
+    initial = None
     if predictor is not None:
         predictor = predictor.with_num_views(config.num_views) if config.fit else predictor
-        starts = reconstruct_with_network(buildings, predictor, config, NETWORK)
-    if starts is None or config.fit:
-        reconstructions = fitting.fit(buildings, config, starts, method_name(predictor, config))
+        initial = reconstruct_with_network(buildings, predictor, config, NETWORK)
+    if initial is None or config.fit:
+        reconstructions = fitting.fit(buildings, config, initial, method_name(predictor, config))
     else:
-        reconstructions = starts
+        reconstructions = initial
     return with_fallback(reconstructions, buildings, config)
 
 

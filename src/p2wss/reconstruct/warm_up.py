@@ -46,7 +46,7 @@ def warm_network_input() -> None:
 
 
 def warm_product() -> None:
-    """Everything, the rest included: parts, boxes, the way by a network, terrain."""
+    """Everything else: parts, boxes, the fit from a network's values, terrain."""
     import pyproj
 
     from p2wss.config import Reconstruct
@@ -126,5 +126,5 @@ class _Network:
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Any:
         num_edges = [sum(map(len, each)) for each in rings]
         probability = [np.tile([0.1, 0.2, 0.7], (n, 1)) for n in num_edges]
-        known = np.full(len(rings), 6.0), [np.full(n, 40.0) for n in num_edges]
-        return _Values(*known, probability, np.full(len(rings), 0.5))
+        angle_deg = [np.full(n, 40.0) for n in num_edges]
+        return _Values(np.full(len(rings), 6.0), angle_deg, probability, np.full(len(rings), 0.5))

@@ -41,26 +41,26 @@ def building(
 
 
 def test_mesh_has_the_predicted_eave_and_slope() -> None:
-    (made,) = reconstruct_with_network([building()], Oracle(), CONFIG)
-    mesh = trimesh.Trimesh(made.vertex_m, made.triangle)
-    assert made.status == "ok" and mesh.is_watertight and mesh.volume > 0
-    assert made.eave_height_m == pytest.approx(6.0)
+    (reconstruction,) = reconstruct_with_network([building()], Oracle(), CONFIG)
+    mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle)
+    assert reconstruction.status == "ok" and mesh.is_watertight and mesh.volume > 0
+    assert reconstruction.eave_height_m == pytest.approx(6.0)
     assert mesh.bounds[0, 2] == 0
     # a hip roof over 8 m: the ridge is 4 m in
     assert mesh.bounds[1, 2] == pytest.approx(6 + 4 * np.tan(np.deg2rad(35)))
-    assert made.ground_z_m == 42 and made.confidence == pytest.approx(0.9)
+    assert reconstruction.ground_z_m == 42 and reconstruction.confidence == pytest.approx(0.9)
 
 
 def test_too_few_points_get_a_flat_roof_and_no_point_only_a_reason() -> None:
     cases = [building(num_points=5), building(num_points=0), building(height_m=70)]
-    made = reconstruct_with_network(cases, Oracle(), CONFIG)
-    assert [m.status for m in made] == [
+    reconstructions = reconstruct_with_network(cases, Oracle(), CONFIG)
+    assert [m.status for m in reconstructions] == [
         "too-few-points",
         "no-points",
         "footprint-too-large",
     ]
-    assert not any(m.has_mesh for m in made)
-    few, none, large = with_fallback(made, cases, CONFIG)
+    assert not any(m.has_mesh for m in reconstructions)
+    few, none, large = with_fallback(reconstructions, cases, CONFIG)
     assert few.has_mesh and few.method == "lod1" and few.status == "too-few-points"
     assert few.vertex_m[:, 2].max() == pytest.approx(6.0)
     assert not none.has_mesh and none.status == "no-points"
@@ -71,11 +71,11 @@ def test_courtyards_stay_when_the_exterior_is_simplified_for_the_network() -> No
     round_ring = 10 * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, 2 * np.pi, 41)[:-1]])
     yard = (YARD - [6, 4])[::1]
     oracle = Oracle(max_num_vertices=8)
-    (made,) = reconstruct_with_network([building([round_ring, yard])], oracle, CONFIG)
+    (reconstruction,) = reconstruct_with_network([building([round_ring, yard])], oracle, CONFIG)
     assert len(oracle.rings[0][0]) <= 8 and np.array_equal(oracle.rings[0][1], yard)
-    assert made.status == "ok"
-    assert [len(ring) for ring in made.rings] == [40, 4] and len(made.angle_deg) == 44  # type: ignore[arg-type]
-    mesh = trimesh.Trimesh(made.vertex_m, made.triangle)
+    assert reconstruction.status == "ok"
+    assert [len(ring) for ring in reconstruction.rings] == [40, 4] and len(reconstruction.angle_deg) == 44  # type: ignore[arg-type]
+    mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle)
     assert mesh.is_watertight and mesh.euler_number == 0  # one hole through
 
 
@@ -117,11 +117,11 @@ def test_simplified_exteriors_are_simple_and_small_enough(seed: int, most: int, 
 
 
 def test_transferred_angles_follow_place_and_direction() -> None:
-    known, angle = [RECTANGLE], np.array([10.0, 20, 30, 40])
+    source_rings, angle = [RECTANGLE], np.array([10.0, 20, 30, 40])
     split = np.array([[0, 8], [0, 4], [0, 0], [5, 0], [12, 0], [12, 8]], float)  # other start, more vertices
-    assert transfer_angles(known, angle, [split]).tolist() == [40, 40, 10, 10, 20, 30]
+    assert transfer_angles(source_rings, angle, [split]).tolist() == [40, 40, 10, 10, 20, 30]
     notched = np.array([[0, 0], [12, 0], [12, 8], [7, 8], [7, 7], [5, 7], [5, 8], [0, 8]], float)
-    got = transfer_angles(known, angle, [notched])
+    got = transfer_angles(source_rings, angle, [notched])
     # the bottom of the notch faces as the top does; its sides face east and west
     assert got[[2, 4, 6]].tolist() == [30, 30, 30]
     assert got[3] == 20 or got[3] == 40

@@ -41,21 +41,21 @@ def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cloud", "frame", "stated", "told"),
+    ("cloud", "frame", "stated", "message"),
     [
         (LAMBERT, RD, None, "a.laz is in RGF93 v1 / Lambert-93, but b.gpkg is in Amersfoort / RD New"),
         (None, RD, "EPSG:2154", "but b.gpkg is in Amersfoort / RD New"),
-        (LAMBERT, LAMBERT, "EPSG:28992", "--crs says Amersfoort"),
-        (None, None, None, "give it with --crs"),
+        (LAMBERT, LAMBERT, "EPSG:28992", "--crs states Amersfoort"),
+        (None, None, None, "state it with --crs"),
         (None, None, "EPSG:999999", "no such CRS"),
         (WGS84, WGS84, None, "not a projected CRS in metres"),
         (pyproj.CRS.from_epsg(2263), None, None, "not a projected CRS in metres"),
     ],
 )
-def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, told: str) -> None:
+def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, message: str) -> None:
     with pytest.raises(InputError) as error:
         reconstruct.common_crs(cloud, frame, stated, NAMES)  # type: ignore[arg-type]
-    assert told in str(error.value) and "\n" not in str(error.value)
+    assert message in str(error.value) and "\n" not in str(error.value)
 
 
 def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
@@ -146,8 +146,8 @@ def test_real_clouds_give_watertight_buildings(
     path = tmp_path / "out.city.jsonl"
     path.write_text(reconstruct.city_json(results, crs))
     judge = [sys.executable, SHARED / "tools" / "evaluate_cityjson.py", path, folder / "footprints.gpkg"]
-    said = subprocess.run([*judge, folder / cloud, "--json"], capture_output=True, text=True, check=True)
-    found = json.loads(said.stdout)["summary"]
-    assert found["meshes"] == num_meshes and found["watertight"] == 1.0
+    completed = subprocess.run([*judge, folder / cloud, "--json"], capture_output=True, text=True, check=True)
+    summary = json.loads(completed.stdout)["summary"]
+    assert summary["meshes"] == num_meshes and summary["watertight"] == 1.0
     # the oracle puts a hip roof on the median: no more than a few metres off, and light
-    assert found["p2m"]["mean"] < 1.5 and found["tri"]["mean"] < 40
+    assert summary["p2m"]["mean"] < 1.5 and summary["tri"]["mean"] < 40
