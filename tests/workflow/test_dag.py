@@ -80,3 +80,10 @@ def test_every_config_plans(project, file):
 def test_a_wrong_config_is_one_clear_line(project, override, message):
     run = project.snakemake("-n", "--config", override, check=False)
     assert run.returncode != 0 and message in run.stdout + run.stderr
+
+
+@pytest.mark.parametrize("config", ["config/default.yaml", "config/shipped.yaml", "tests/mini/dataset.yaml"])
+def test_plan_counts_the_jobs_that_snakemake_plans(project, config):
+    jobs = rules_to_run(project.snakemake("-n", "--configfile", config))
+    plan = json.loads(project.p2wss("plan", "--configfile", config, "--json").stdout)
+    assert plan["jobs"] == sum(jobs.values())

@@ -18,6 +18,7 @@ from p2wss.cli import (
     fetch,
     inspect,
     model,
+    plan,
     reconstruct,
     scans,
     scenes,
@@ -39,6 +40,7 @@ COMMANDS = (
     model,
     evaluation,
     reconstruct,
+    plan,
     inspect,
     warm_up,
 )

@@ -22,6 +22,7 @@ from p2wss.config.places import (
     member_places,
     place_config,
 )
+from p2wss.config.plan import Plan
 from p2wss.config.reconstruct import OUTPUT_SUFFIXES, Output, Reconstruct
 from p2wss.config.region import Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
@@ -54,6 +55,7 @@ __all__ = [
     "Optimiser",
     "Output",
     "PatternShares",
+    "Plan",
     "Prepare",
     "Reconstruct",
     "Region",

@@ -15,6 +15,7 @@ from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import Fetch
 from p2wss.config.model import Model
+from p2wss.config.plan import Plan
 from p2wss.config.reconstruct import Reconstruct
 from p2wss.config.region import Region
 from p2wss.config.scans import Scans
@@ -36,6 +37,7 @@ class Config(Section):
     ablation: Ablation = Ablation()
     eval: Eval = Eval()
     reconstruct: Reconstruct = Reconstruct()
+    plan: Plan = Plan()
 
     @model_validator(mode="after")
     def _variants_are_models(self) -> Self:

@@ -1,0 +1,160 @@
+"""Measured costs per unit of work, from the benchmark files and the results of a run: ``config/costs.csv``.
+
+    snakemake -c2 eval_report && python benchmarks/costs.py                    # of the miniature
+    python benchmarks/costs.py --configfile config/regions/lyon.yaml --out costs.csv
+
+``p2wss plan`` multiplies the table. CPU time of a unit is the median over the jobs of a stage, so that a job which
+had to compile counts no more than others; memory is that of the largest job. GPU time is not measured but assumed.
+The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from statistics import median
+
+from p2wss.config import Config, dataset_name, load, member_places, place_config
+from p2wss.data.tiling import tiles_of_bounds
+from p2wss.plan.costs import Cost, write_costs
+from p2wss.plan.work import Region, Work, count_work
+
+# (stage, unit, results): a stage's benchmark files are <stage>.tsv, or those below <stage>/ of its tiles
+STAGES = [
+    ("fetch/footprints", "member", "fetch/**/*footprints.gpkg"),
+    ("fetch/*/dtm_*", "tile", "resources/ign/{vintage}/dtm/*.tif"),
+    ("fetch/*/lidar_*", "real building", "resources/ign/{vintage}/lidar/*.laz"),
+    ("fetch/prepare/**/*", "real building", "fetch/lidar/**/*.laz"),
+    ("scenes/index", "building", "scenes/index.tsv"),
+    ("scenes/**/*", "building", "scenes/**/*"),
+    ("buildings/**/*", "building", "buildings/**/*.parquet"),
+    ("scans/**/*", "million pulses", "scans/**/*"),
+    ("crops/simulated/**/*", "building", "crops/simulated/**/*.parquet"),
+    ("crops/real/**/*", "real building", "crops/real/**/*.parquet"),
+    ("crops/manifest", "building", "crops/manifest.json"),
+    ("dvae/train", "dvae tflop", "dvae/*"),
+    ("model/train", "model tflop", "model/*"),
+    ("eval/point2wss", "test tflop", "eval/point2wss.parquet"),
+    ("eval/point2wss+fit", "test building", "eval/point2wss+fit.parquet"),
+    ("eval/fit", "test building", "eval/fit.parquet"),
+    ("eval/lod1", "test building", "eval/lod1.parquet"),
+    ("eval/constant", "test building", "eval/constant.parquet"),
+    ("eval/measure", "test building", "eval/measures.parquet"),
+    ("eval/report", "run", "eval/*.html"),
+    ("reconstruct/**/*", "real building", "reconstruct/**/*"),
+]
+# stages that also run the network: the part of it in their CPU time goes by its own unit
+WITH_NETWORK = {"eval/point2wss+fit": "test tflop", "reconstruct": "real tflop"}
+# not measured
+GPU_TFLOP_PER_S = 20.0
+GPU_SOURCE = (
+    f"GPU assumed at {GPU_TFLOP_PER_S:g} TFLOP/s sustained, a quarter of the float32 peak of an RTX 4090"
+)
+
+
+def work_of(config: Config) -> tuple[Work, dict[str, int]]:
+    """The work that a run has done, and the buildings of each of its tiles."""
+    with Path("results", dataset_name(config), "scenes/index.tsv").open(newline="") as file:
+        counts = {
+            (row["place"], row["tile"]): int(row["num_buildings"])
+            for row in csv.DictReader(file, delimiter="\t")
+        }
+    regions: list[Region] = []
+    by_tile: dict[str, int] = {}
+    for place in member_places(config):
+        region = place_config(config, place).region
+        tiles = region.tiles or list(tiles_of_bounds(region.bounds_m, region.tile_size_m))
+        of_place = {tile: count for (name, tile), count in counts.items() if name == place}
+        regions.append(Region(tiles, region.lidar_tiles, of_place))
+        by_tile |= of_place
+    return count_work(config, regions), by_tile
+
+
+def cost_of(config: Config, work: Work, by_tile: dict[str, int], stage: tuple[str, str, str]) -> Cost | None:
+    """The cost of a unit in a stage; None if the stage has not run."""
+    pattern, unit, results = stage
+    name = dataset_name(config)
+    folder = Path("logs", name, "benchmarks")
+    jobs = {path: job for path in sorted(folder.glob(f"{pattern}.tsv")) if (job := read_job(path))}
+    if pattern == "scenes/**/*":
+        jobs.pop(folder / "scenes/index.tsv", None)
+    amount = work.amounts[unit]
+    if not jobs or not amount:
+        return None
+    amounts = {path: by_tile.get(path.stem, 0) if "building" in unit else 0 for path in jobs}
+    cpu_s = median(
+        float(job["cpu_time"]) / (amounts[path] or amount / len(jobs)) for path, job in jobs.items()
+    )
+    if results.startswith("resources"):
+        files = list(Path().glob(results.format(vintage=config.region.vintage)))
+    else:
+        files = list(Path("results", name).glob(results))
+    size_mb = sum(path.stat().st_size for path in files if path.is_file()) / 1e6
+    stage_name = pattern.split("/*")[0].replace("/train", "")
+    if pattern.startswith("fetch/*"):
+        stage_name = "fetch/" + pattern.split("/")[-1].removesuffix("_*")
+    is_network = unit.endswith("tflop")
+    machine = f"{os.cpu_count()} cores, {platform.machine()}"
+    return Cost(
+        stage_name,
+        unit,
+        cpu_s,
+        1 / GPU_TFLOP_PER_S if is_network else 0.0,
+        # weights are of one size, however long the training
+        0.0 if is_network else size_mb / amount,
+        max(float(job["max_rss"]) for job in jobs.values()),
+        f"CPU measured on {name} ({machine})" + (f"; {GPU_SOURCE}" if is_network else ""),
+    )
+
+
+def read_job(path: Path) -> dict[str, str] | None:
+    """The row of a benchmark file; None for a job too short to be measured."""
+    with path.open(newline="") as file:
+        row = next(csv.DictReader(file, delimiter="\t"))
+    return None if row["cpu_time"] in ("NA", "-") or row["max_rss"] in ("NA", "-") else row
+
+
+def with_network(costs: list[Cost], work: Work) -> list[Cost]:
+    """The costs with the part of the network in rows of its own, where a stage runs it beside other work."""
+    network = next((cost for cost in costs if cost.stage == "eval/point2wss"), None)
+    if network is None:
+        return costs
+    split = []
+    for cost in costs:
+        unit = WITH_NETWORK.get(cost.stage)
+        if unit is None:
+            split.append(cost)
+            continue
+        of_network = network.cpu_s * work.amounts[unit] / work.amounts[cost.unit]
+        parts = asdict(cost)
+        split.append(Cost(**parts | {"cpu_s": max(cost.cpu_s - of_network, 0.0)}))
+        row = {"unit": unit, "disk_mb": 0.0, "cpu_s": network.cpu_s, "gpu_s": network.gpu_s}
+        split.append(Cost(**parts | row | {"source": network.source}))
+    return split
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--configfile", type=Path, nargs="+", default=[], help="configs of the run (default: the miniature)"
+    )
+    parser.add_argument("--out", type=Path, default=Path("config/costs.csv"), help="table to write")
+    options = parser.parse_args()
+    config = load(*options.configfile)
+    work, by_tile = work_of(config)
+    measured = [cost_of(config, work, by_tile, stage) for stage in STAGES]
+    costs = with_network([cost for cost in measured if cost is not None], work)
+    write_costs(options.out, costs)
+    print(options.out.read_text())
+    print(json.dumps({f"{cost.stage}, {cost.unit}": asdict(cost) for cost in costs}))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,225 @@
+"""What a config needs: its work times the measured costs, as a table and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from p2wss.config import Config, dataset_name, member_places, place_config
+from p2wss.errors import InputError
+from p2wss.plan.costs import Cost
+from p2wss.plan.work import Region, Work, count_work, density_per_km2, split_shares
+
+# a point takes about 5 bytes in a LAZ file and 100 while a tile is prepared or cropped
+_MEMORY_PER_LAZ_MB = 20
+
+
+@dataclass(frozen=True)
+class Download:
+    """Megabytes of one product that are not stored yet, and how they were estimated. largest_mb: of one file."""
+
+    product: str
+    size_mb: float
+    largest_mb: float
+    basis: str
+
+
+@dataclass(frozen=True)
+class StageEstimate:
+    """One row of the table of costs times its amount."""
+
+    stage: str
+    amount: float
+    unit: str
+    cpu_hours: float
+    gpu_hours: float
+    disk_gb: float
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a config needs.
+
+    cpu_hours: without what runs on a GPU; cpu_hours_without_gpu: all. peak_memory_gb: of the largest job, not on
+    the GPU.
+    """
+
+    name: str
+    work: Work
+    stages: Sequence[StageEstimate]
+    cpu_hours: float
+    gpu_hours: float
+    cpu_hours_without_gpu: float
+    disk_gb: float
+    download_gb: float
+    peak_memory_gb: float
+    assumptions: Sequence[str]
+
+
+def estimate(
+    config: Config, regions: Sequence[Region], costs: Sequence[Cost], downloads: Sequence[Download]
+) -> Estimate:
+    """What a config needs. regions: as of :func:`count_work`. downloads: what must still be downloaded."""
+    work = count_work(config, regions)
+    unknown = sorted({cost.unit for cost in costs} - work.amounts.keys())
+    if unknown:
+        raise InputError(f"table of costs: unknown unit {unknown[0]}; units: {', '.join(work.amounts)}")
+    # a stage that the config skips costs nothing, whatever its unit
+    costs = [cost for cost in costs if work.amounts[cost.unit]]
+    stages = [_stage(cost, work.amounts[cost.unit]) for cost in costs]
+    on_gpu = [stage for stage in stages if stage.gpu_hours]
+    cpu_hours = sum(stage.cpu_hours for stage in stages)
+    download_gb = sum(download.size_mb for download in downloads) / 1000
+    clouds_gb = sum(download.size_mb for download in downloads if download.product == "LiDAR") / 1000
+    largest_mb = max((download.largest_mb for download in downloads), default=0.0)
+    peak_mb = max([largest_mb * _MEMORY_PER_LAZ_MB, *(cost.peak_mb for cost in costs)])
+    return Estimate(
+        dataset_name(config),
+        work,
+        stages,
+        cpu_hours - sum(stage.cpu_hours for stage in on_gpu),
+        sum(stage.gpu_hours for stage in stages),
+        cpu_hours,
+        # prepared clouds are as large as those downloaded
+        sum(stage.disk_gb for stage in stages) + download_gb + clouds_gb + _training_cache_gb(config, work),
+        download_gb,
+        peak_mb / 1000,
+        _assumptions(config, regions, costs, downloads, work),
+    )
+
+
+def to_json(result: Estimate) -> dict[str, Any]:
+    """The estimate for programs; counts are whole numbers."""
+    work = result.work
+    return {
+        "name": result.name,
+        "tiles": work.num_tiles,
+        "lidar_tiles": work.num_lidar_tiles,
+        "jobs": work.num_jobs,
+        "buildings": round(work.num_buildings),
+        "simulated": round(work.num_expected),
+        "pairs": round(sum(work.pairs.values())),
+        "pairs_by_split": {split: round(count) for split, count in work.pairs.items()},
+        "real_clouds": round(work.num_real),
+        "lidar_dvae": round(work.num_lidar_dvae),
+        "lidar_test": round(work.num_lidar_test),
+        "cpu_hours": _rounded(result.cpu_hours),
+        "gpu_hours": _rounded(result.gpu_hours),
+        "cpu_hours_without_gpu": _rounded(result.cpu_hours_without_gpu),
+        "disk_gb": _rounded(result.disk_gb),
+        "download_gb": _rounded(result.download_gb),
+        "peak_memory_gb": _rounded(result.peak_memory_gb),
+        "stages": [
+            {
+                "stage": stage.stage,
+                "amount": _rounded(stage.amount),
+                "unit": stage.unit,
+                "cpu_hours": _rounded(stage.cpu_hours),
+                "gpu_hours": _rounded(stage.gpu_hours),
+                "disk_gb": _rounded(stage.disk_gb),
+            }
+            for stage in result.stages
+        ],
+        "assumptions": list(result.assumptions),
+    }
+
+
+def to_text(result: Estimate) -> str:
+    """The estimate for the terminal."""
+    work = result.work
+    splits = ", ".join(f"{round(count):,} {split}" for split, count in work.pairs.items())
+    rows = [
+        ("tiles", f"{work.num_tiles:,}, with real LiDAR {work.num_lidar_tiles:,}"),
+        ("jobs", f"{work.num_jobs:,}"),
+        ("buildings", f"{round(work.num_buildings):,}, simulated {round(work.num_expected):,} times"),
+        ("pairs", f"{round(sum(work.pairs.values())):,} ({splits})"),
+        (
+            "real clouds",
+            f"{round(work.num_real):,}; for the dvae {round(work.num_lidar_dvae):,}, "
+            f"for the test {round(work.num_lidar_test):,}",
+        ),
+        ("CPU-hours", f"{result.cpu_hours:,.3g}, without a GPU {result.cpu_hours_without_gpu:,.3g}"),
+        ("GPU-hours", f"{result.gpu_hours:,.3g}"),
+        ("to download", f"{result.download_gb:,.3g} GB"),
+        ("on disk", f"{result.disk_gb:,.3g} GB"),
+        ("peak memory", f"{result.peak_memory_gb:.2g} GB"),
+    ]
+    lines = [f"{name:12} {text}" for name, text in rows]
+    lines += ["", f"{'stage':24}{'amount':>14} {'unit':16}{'CPU-hours':>10}{'GPU-hours':>10}{'GB':>9}"]
+    lines += [
+        f"{stage.stage:24}{stage.amount:14,.0f} {stage.unit:16}{stage.cpu_hours:10.3g}"
+        f"{stage.gpu_hours:10.3g}{stage.disk_gb:9.3g}"
+        for stage in result.stages
+    ]
+    return "\n".join([*lines, "", "assumptions:", *(f"- {text}" for text in result.assumptions)])
+
+
+def pinned(config: Config, regions: Sequence[Region]) -> dict[str, Any]:
+    """A config for a later ``--configfile`` that names the tiles of every member."""
+    if not config.dataset.members:
+        return {"region": {"tiles": list(regions[0].tiles), "lidar_tiles": list(regions[0].lidar_tiles)}}
+    members = config.model_dump(mode="json")["dataset"]["members"]
+    for member, region in zip(members, regions, strict=True):
+        member["region"] |= {"tiles": list(region.tiles), "lidar_tiles": list(region.lidar_tiles)}
+    return {"dataset": {"members": members}}
+
+
+def _stage(cost: Cost, amount: float) -> StageEstimate:
+    hours = amount / 3600
+    return StageEstimate(
+        cost.stage, amount, cost.unit, cost.cpu_s * hours, cost.gpu_s * hours, cost.disk_mb * amount / 1000
+    )
+
+
+def _training_cache_gb(config: Config, work: Work) -> float:
+    """Points and patches that a training maps into memory, int16."""
+    num_clouds = work.pairs["train"] + work.pairs["val"] + work.num_lidar_dvae
+    num_points = config.dvae.num_points + config.dvae.num_patches * config.dvae.patch_size
+    return 6 * num_clouds * num_points / 1e9 if work.amounts["dvae tflop"] else 0.0
+
+
+def _assumptions(
+    config: Config,
+    regions: Sequence[Region],
+    costs: Sequence[Cost],
+    downloads: Sequence[Download],
+    work: Work,
+) -> list[str]:
+    lines = []
+    for place, region in zip(member_places(config), regions, strict=True):
+        name = place.removesuffix("/") or config.region.name
+        tiles = f"{len(region.tiles)} tiles" + (
+            "" if place_config(config, place).region.tiles else ", all within its bounds"
+        )
+        buildings = (
+            f"{density_per_km2(config, place):g} usable buildings per km2 (section plan of the config)"
+            if region.num_buildings is None
+            else "buildings counted by the stage scenes"
+        )
+        lines.append(f"{name}: {tiles}; {buildings}")
+    shares = split_shares(config.crops)
+    if config.crops.split == "blocks":
+        lines.append(
+            f"val and test buildings within {config.crops.guard_m:g} m of the edge of their block of "
+            f"{config.crops.block_size_m:g} m are not used: {100 * (1 - shares['test'] / 0.1):.0f} % of them"
+        )
+    dataset, pairs = config.dataset, sum(work.pairs.values())
+    if dataset.num_pairs and round(pairs) < dataset.num_pairs:
+        lines.append(f"TOO FEW pairs: {pairs:,.0f} of the {dataset.num_pairs:,} of dataset.num_pairs")
+    wanted = dataset.num_lidar_dvae + dataset.num_lidar_test
+    if round(work.num_real) < wanted:
+        lines.append(f"TOO FEW real clouds: {work.num_real:,.0f} of {wanted:,}")
+    lines += [f"{download.product} to download: {download.basis}" for download in downloads]
+    if any(download.product == "LiDAR" for download in downloads):
+        lines.append(
+            f"a job with real LiDAR needs {_MEMORY_PER_LAZ_MB} times the size of its LAZ file as memory, "
+            "and prepared clouds are as large as those downloaded"
+        )
+    lines += sorted({f"costs: {cost.source}" for cost in costs})
+    return lines
+
+
+def _rounded(value: float) -> float:
+    """Three digits: the costs are not known better."""
+    return float(f"{value:.3g}")
