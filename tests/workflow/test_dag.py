@@ -63,6 +63,12 @@ def test_open_tiles_wait_for_the_checkpoint(project):
     assert "index_scenes" in jobs and "cut_scene" not in jobs
 
 
+def test_all_tiles_are_planned_without_the_checkpoint(project):
+    everything = "region={tiles: [all], lidar_tiles: [all], bounds_m: [652000, 6860000, 654000, 6862000]}"
+    jobs = rules_to_run(project.snakemake("-n", "--config", everything))
+    assert jobs["cut_scene"] == jobs["prepare_lidar"] == jobs["crop_real"] == 4
+
+
 @pytest.mark.parametrize("file", sorted((ROOT / "config").glob("**/*.yaml")), ids=lambda path: path.stem)
 def test_every_config_plans(project, file):
     project.snakemake("-n", "--configfile", str(file.relative_to(ROOT)))

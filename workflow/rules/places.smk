@@ -4,15 +4,23 @@ A place (wildcard {place}, p2wss.config.places) stands before each tile: "" with
 "paris/2/" for its second draw.
 """
 
-from p2wss.data.tiling import neighbours, tile_bounds
+from p2wss.data.tiling import neighbours, tile_bounds, tiles_of_bounds
 
 MEMBERS = configs.member_places(settings)
 
 
+@cache
+def pinned_tiles(member):
+    """The tiles of a member as far as the config alone decides them: named, or all of its bounds."""
+    region = at(member).region
+    every = region.tiles == [configs.ALL]
+    return list(tiles_of_bounds(region.bounds_m, region.tile_size_m)) if every else region.tiles
+
+
 def tiles_of(member):
     """The pinned tiles of a member, or those in which index_scenes found buildings."""
-    if at(member).region.tiles:
-        return at(member).region.tiles
+    if pinned := pinned_tiles(member):
+        return pinned
     with checkpoints.index_scenes.get().output.index.open() as index:
         rows = [line.rstrip("\n").split("\t") for line in list(index)[1:]]
     return [tile for place, tile, _ in rows if place == member]
@@ -29,9 +37,17 @@ def every_tile(path, draws=True):
     return lambda wildcards: list(paths(wildcards))
 
 
+def lidar_tiles_of(member):
+    """The tiles of a member whose real LiDAR is used."""
+    tiles = at(member).region.lidar_tiles
+    return tiles_of(member) if tiles == [configs.ALL] else tiles
+
+
 def every_lidar_tile(path):
-    """``path`` for every place and tile with real LiDAR."""
-    return [expand(path, place=member, tile=at(member).region.lidar_tiles) for member in MEMBERS]
+    """An input function: ``path`` for every member and tile with real LiDAR."""
+    return lambda wildcards: [
+        file for member in MEMBERS for file in expand(path, place=member, tile=lidar_tiles_of(member))
+    ]
 
 
 def of_place(path):
@@ -50,7 +66,7 @@ def around(path):
     def paths(wildcards):
         region = at(wildcards.place).region
         names = [wildcards.tile, *neighbours(wildcards.tile, region.tile_size_m)]
-        tiles = [name for name in names if name in region.lidar_tiles]
+        tiles = [name for name in names if name in lidar_tiles_of(wildcards.place)]
         return expand(path, place=wildcards.place, vintage=region.vintage, tile=tiles)
 
     return paths

@@ -11,7 +11,7 @@ from p2wss.config.training import Compute, Optimiser
 
 
 class Masking(Section):
-    """What is masked during training, for the model to predict. The paper: 0, 0 and [0.3, 0.3]."""
+    """What is masked during training, for the model to predict. The paper: random tokens only, of no stated share."""
 
     inference_share: Share = Field(
         0.8,
@@ -86,9 +86,7 @@ class Model(Section):
     max_vertices: int = Field(
         16, ge=3, le=128, description="buildings with more vertices are not used for training"
     )
-    coord_decimals: Literal[1, 2] = Field(
-        1, description="decimals of coordinates in tokens; the paper's 2 is slower"
-    )
+    coord_decimals: Literal[1, 2] = Field(1, description="decimals of coordinates in tokens; 2 is slower")
     hundreds: bool = Field(
         False, description="encode heights and coordinates up to 999 m; false = below 100 m"
     )

@@ -7,16 +7,14 @@ footprints and real LiDAR, stands at the place of the member: ``paris/``.
 
 from __future__ import annotations
 
-from typing import Any
 from zlib import crc32
 
 from p2wss.config.base import merge
 from p2wss.config.dataset import Member
+from p2wss.config.region import ALL
 from p2wss.config.sections import Config
 
 PLACE_PATTERN = r"([A-Za-z0-9_-]+/)*"
-# what a member must state itself: the defaults are those of the miniature
-_NOT_INHERITED: dict[str, Any] = {"tiles": [], "lidar_tiles": []}
 
 
 def dataset_name(config: Config) -> str:
@@ -58,7 +56,10 @@ def place_config(config: Config, place: str) -> Config:
         return config
     member = _member(config, place)
     sections = config.model_dump(mode="json", exclude={"dataset"})
-    sections["region"] |= _NOT_INHERITED
+    for name in ("tiles", "lidar_tiles"):
+        # names of tiles are of one region (the defaults of the miniature); "all" is of any
+        if sections["region"][name] != [ALL]:
+            sections["region"][name] = []
     for name in ("region", "fetch", "scenes", "scans"):
         merge(sections[name], getattr(member, name))
     for name in ("scenes", "scans"):

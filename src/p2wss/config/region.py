@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from p2wss.config.base import Section
+
+# in place of the names of tiles
+ALL = "all"
 
 
 class Region(Section):
@@ -31,12 +34,19 @@ class Region(Section):
     )
     tiles: list[str] = Field(
         ["0652_6862", "0653_6862", "0652_6861"],
-        description="tiles to process; [] = every tile within the bounds that has buildings",
+        description="tiles to process; [] = those within the bounds that have buildings, [all] = all within the bounds",
     )
     lidar_tiles: list[str] = Field(
         ["0653_6861"],
-        description="tiles with real (or stand-in) LiDAR, used for evaluation and the dvae; [] = none",
+        description="tiles with real (or stand-in) LiDAR, for evaluation and dvae; [] = none, [all] = all of tiles",
     )
+
+    @field_validator("tiles", "lidar_tiles")
+    @classmethod
+    def _all_stands_alone(cls, names: list[str]) -> list[str]:
+        if ALL in names and len(names) > 1:
+            raise ValueError(f"{ALL} stands alone")
+        return names
 
     @model_validator(mode="after")
     def _bounds_in_order(self) -> Self:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import yaml
 
-from p2wss.config import Config, load
+from p2wss.config import ALL, Config, load
 from p2wss.data.tiling import grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch import open_source
 from p2wss.fetch.geoplateforme import GeoplateformeSource
@@ -73,7 +73,7 @@ def estimate_downloads(config: Config, downloads: Path) -> list[Estimate]:
         f"4 bytes per cell of {settings.dtm_resolution_m} m",
     )
 
-    is_stored = [source.has_lidar(_bounds(config, tile)) for tile in region.lidar_tiles]
+    is_stored = [source.has_lidar(_bounds(config, tile)) for tile in lidar_tiles(config)]
     num_missing = is_stored.count(False)
     lidar = Estimate(
         "LiDAR",
@@ -88,7 +88,14 @@ def estimate_downloads(config: Config, downloads: Path) -> list[Estimate]:
 
 def tiles(config: Config) -> list[str]:
     """The names of the region's tiles: ``region.tiles``, or every tile of its bounds."""
-    return config.region.tiles or list(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
+    if config.region.tiles not in ([], [ALL]):
+        return config.region.tiles
+    return list(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
+
+
+def lidar_tiles(config: Config) -> list[str]:
+    """The names of the tiles whose LiDAR is wanted."""
+    return tiles(config) if config.region.lidar_tiles == [ALL] else config.region.lidar_tiles
 
 
 def format_estimates(config: Config, estimates: Sequence[Estimate]) -> str:
@@ -97,7 +104,7 @@ def format_estimates(config: Config, estimates: Sequence[Estimate]) -> str:
     x_min, y_min, x_max, y_max = region.bounds_m
     lines = [
         f"region {region.name}: {len(tiles(config))} tiles of {region.tile_size_m:g} m in {x_min:.0f}..{x_max:.0f}, "
-        f"{y_min:.0f}..{y_max:.0f} ({region.crs}), LiDAR for {len(region.lidar_tiles)}; vintage {region.vintage}"
+        f"{y_min:.0f}..{y_max:.0f} ({region.crs}), LiDAR for {len(lidar_tiles(config))}; vintage {region.vintage}"
     ]
     if not estimates:
         return "\n".join([*lines, "nothing to download: fetch.source is folder"])
@@ -123,9 +130,9 @@ def download(config: Config, downloads: Path, log: logging.Logger) -> None:
     for number, tile in enumerate(names := tiles(config)):
         source.dtm(_bounds(config, tile, fetch.margin_m))
         log.info(f"terrain: {number + 1} of {len(names)} tiles")
-    for number, tile in enumerate(region.lidar_tiles):
+    for number, tile in enumerate(names := lidar_tiles(config)):
         source.lidar(_bounds(config, tile))
-        log.info(f"LiDAR: {number + 1} of {len(region.lidar_tiles)} tiles")
+        log.info(f"LiDAR: {number + 1} of {len(names)} tiles")
 
 
 def region_yaml(name: str, bbox: Sequence[float], vintage: str, crs: str, lidar_tiles: Sequence[str]) -> str:

@@ -242,7 +242,7 @@ def test_patches_are_precomputed_where_no_augmentation_changes_the_shape_of_a_cl
 def test_the_papers_preset_is_a_valid_override() -> None:
     paper = load(ROOT / "config" / "paper.yaml").model
     assert paper.dim == 384 and paper.masking.random_ratio == (0.3, 0.3)
-    assert build_tokenizer(paper).vocabulary_size == 51
+    assert build_tokenizer(paper).vocabulary_size == 61
     assert Model().masking.inference_share == 0.8
 
 
