@@ -89,9 +89,9 @@ def main() -> int:
         cpu_s, compiled = compilation(folder / "one")
         twice = sorted(function for function, count in compiled.items() if count > 1)
         print(f"{len(compiled)} functions in {cpu_s:.1f} CPU s; compiled twice: {', '.join(twice) or 'none'}")
-        for told in ("p2wss warm-up", "again"):
+        for title in ("p2wss warm-up", "again"):
             wall_s, again_s = p2wss(folder / "two", "warm-up")
-            print(f"{told}: {wall_s:.1f} s, {again_s:.1f} CPU s")
+            print(f"{title}: {wall_s:.1f} s, {again_s:.1f} CPU s")
         files = write_sample(folder)
         wall_s, start_s = p2wss(folder / "two", "reconstruct", *files, folder / "out", "--crs", "EPSG:2154")
         print(f"first p2wss reconstruct, of three buildings: {wall_s:.1f} s, {start_s:.1f} CPU s")

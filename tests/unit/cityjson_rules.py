@@ -66,13 +66,13 @@ def assert_objects(objects: dict[str, Any], vertices: list[list[int]], transform
             (values,) = geometry["semantics"]["values"]
             kinds = [surface["type"] for surface in geometry["semantics"]["surfaces"]]
             assert len(values) == len(shell) and set(values) == set(range(len(kinds)))
-            own = [[np.array(ring) for ring in rings] for rings in shell]
-            indices = {int(v) for rings in own for ring in rings for v in ring}
+            faces = [[np.array(ring) for ring in rings] for rings in shell]
+            indices = {int(v) for rings in faces for ring in rings for v in ring}
             assert min(indices) >= 0 and max(indices) < len(vertices)
             # no two vertices of a building in one place
             assert len({tuple(vertices[v]) for v in indices}) == len(indices)
             used |= indices
-            assert_solid(vertex_m, own, [kinds[value] for value in values])
+            assert_solid(vertex_m, faces, [kinds[value] for value in values])
             solids += 1
     assert used == set(range(len(vertices)))
     return solids

@@ -77,12 +77,12 @@ def block_lines(page: Path) -> Iterator[str]:
 
 def commands(word: str) -> list[tuple[Path, str, bool]]:
     """(page, command, whether it is whole) of every command of the pages that begins with ``word``."""
-    found = []
+    result = []
     for page in PAGES:
-        found += [(page, code, False) for code in inline_code(page) if code.split()[:1] == [word]]
-        found += [(page, line, True) for line in block_lines(page) if line.split()[:1] == [word]]
-    assert found, word
-    return found
+        result += [(page, code, False) for code in inline_code(page) if code.split()[:1] == [word]]
+        result += [(page, line, True) for line in block_lines(page) if line.split()[:1] == [word]]
+    assert result, word
+    return result
 
 
 def subcommand(words: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
@@ -97,11 +97,11 @@ def subcommand(words: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
 
 
 def options(parser: argparse.ArgumentParser) -> set[str]:
-    own = {option for action in parser._actions for option in action.option_strings}
+    names = {option for action in parser._actions for option in action.option_strings}
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
-            own |= {option for inner in action.choices.values() for option in options(inner)}
-    return own
+            names |= {option for inner in action.choices.values() for option in options(inner)}
+    return names
 
 
 def test_every_command_of_p2wss_parses():
@@ -118,13 +118,13 @@ def test_every_command_of_p2wss_parses():
 
 
 def test_every_option_named_alone_exists():
-    known = options(cli._parser()) | SNAKEMAKE_VALUES | SNAKEMAKE_FLAGS
+    existing = options(cli._parser()) | SNAKEMAKE_VALUES | SNAKEMAKE_FLAGS
     for path in ROOT.glob("benchmarks/*.py"):
-        known |= set(re.findall(r'"(--[\w-]+)"', path.read_text()))
+        existing |= set(re.findall(r'"(--[\w-]+)"', path.read_text()))
     for page in PAGES:
         for code in inline_code(page):
             if code.startswith("--"):
-                assert code.split()[0].partition("=")[0] in known, f"{page.name}: {code}"
+                assert code.split()[0].partition("=")[0] in existing, f"{page.name}: {code}"
 
 
 def test_every_target_and_setting_of_snakemake_commands_exists():
@@ -230,7 +230,7 @@ def test_every_identifier_occurs_in_the_code():
 
 
 def test_every_import_of_the_examples_works():
-    found = 0
+    num_imports = 0
     for page in PAGES:
         for module, names in re.findall(
             r"^\s*from (p2wss[\w.]*) import ([\w, ]+)$", text_of(page), re.MULTILINE
@@ -242,8 +242,8 @@ def test_every_import_of_the_examples_works():
                 inner = [source / name, source / f"{name}.py"] if source.is_dir() else []
                 defined = re.search(rf"\b{name}\b", path.read_text()) or any(file.exists() for file in inner)
                 assert defined, f"{page.name}: {module}.{name}"
-                found += 1
-    assert found
+                num_imports += 1
+    assert num_imports
 
 
 def test_pages_show_the_stored_figures():

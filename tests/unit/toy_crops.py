@@ -23,11 +23,11 @@ def make(folder: Path, num: dict[str, int], seed: int = 0, lidar: int = 0) -> Pa
         for row in real:
             row.update(eave_height_m=None, label_terrain_z_m=None, angle_deg=None, roof_type=None)
         shards.append(("real", real, "hd/0002_0001.parquet"))
-    listed = []
+    entries = []
     for dataset, shard, name in shards:
         columns = {field.name: [row[field.name] for row in shard] for field in CROPS}
         files.write_table(folder / name, columns, CROPS, files.provenance(crs="EPSG:2154"))
-        listed.append(
+        entries.append(
             {
                 "path": name,
                 "dataset": dataset,
@@ -35,7 +35,7 @@ def make(folder: Path, num: dict[str, int], seed: int = 0, lidar: int = 0) -> Pa
                 "sha256": files.sha256(folder / name),
             }
         )
-    files.write_json(folder / "manifest.json", {"shards": listed})
+    files.write_json(folder / "manifest.json", {"shards": entries})
     return folder / "manifest.json"
 
 

@@ -84,7 +84,7 @@ def _begin() -> None:
 
 
 def _marker(with_scans: bool) -> Path | None:
-    """A file beside the cached code that tells that all of these sources is there; None without a cache."""
+    """The file beside the cached code that exists once all of these sources are compiled; None without a cache."""
     import numba
     from llvmlite.binding import get_host_cpu_name
 

@@ -95,10 +95,10 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
     draw = generator(config.seed, "eval.measure", building.tile, building.building_id, reconstruction.method)
     samples = sample_surface(reconstruction.vertex_m, reconstruction.triangle, config.num_samples, draw)
     row["chamfer_m"] = _finite(chamfer_distance_m(subset(case, point_m, config), samples))
-    chosen = building.is_on_building
-    if chosen.sum() >= MIN_ROOF_POINTS:
-        inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[chosen], y[chosen])
-        row |= _roof_measures(reconstruction, point_m[chosen], inner, config, draw)
+    is_on_building = building.is_on_building
+    if is_on_building.sum() >= MIN_ROOF_POINTS:
+        inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[is_on_building], y[is_on_building])
+        row |= _roof_measures(reconstruction, point_m[is_on_building], inner, config, draw)
     return row
 
 

@@ -96,9 +96,9 @@ def choose(count: int) -> dict[str, list[int]]:
     worst = list(range(min(NUM_BUILDINGS["worst"], count)))
     best = list(range(max(len(worst), count - NUM_BUILDINGS["best"]), count))
     first = (count - NUM_BUILDINGS["median"]) // 2
-    taken = {*worst, *best}
+    extremes = {*worst, *best}
     median = [rank for rank in range(first, first + NUM_BUILDINGS["median"]) if 0 <= rank < count]
-    return {"worst": worst, "median": [rank for rank in median if rank not in taken], "best": best[::-1]}
+    return {"worst": worst, "median": [rank for rank in median if rank not in extremes], "best": best[::-1]}
 
 
 def _chamfer_m(row: Mapping[str, Any]) -> float:

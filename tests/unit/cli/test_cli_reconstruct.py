@@ -107,10 +107,10 @@ def test_shipped_weights_are_the_default(place: Path, monkeypatch: pytest.Monkey
 
 
 def test_shipped_weights_are_found_in_the_package() -> None:
-    found = reconstruct.shipped_model()
-    assert found is None or found.stat().st_size > 0
+    weights = reconstruct.shipped_model()
+    assert weights is None or weights.stat().st_size > 0
     expected = Path(p2wss.__file__).parent / "weights" / "point2wss.safetensors"
-    assert (found == expected) if expected.exists() else found is None
+    assert (weights == expected) if expected.exists() else weights is None
 
 
 def test_the_device_is_that_of_the_option(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -153,7 +153,7 @@ def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ("cloud", "truncated"),
         ("gone", "no such file"),
@@ -162,8 +162,8 @@ def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:
         ("elsewhere", "no point near any"),
     ],
 )
-def test_bad_input_is_one_line_and_loses_nothing(
-    change: str, told: str, place: Path, capfd: pytest.CaptureFixture[str]
+def test_bad_input_is_one_line_and_changes_no_file(
+    change: str, message: str, place: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert run(place) == 0
     before = {path.name: path.read_bytes() for path in (place / "out").iterdir()}
@@ -181,10 +181,10 @@ def test_bad_input_is_one_line_and_loses_nothing(
     if change == "elsewhere":
         good.set_geometry(good.translate(5000, 0)).to_file(other)
     assert run(place, footprints=other.name if other.exists() else "footprints.gpkg") == 2
-    *before_it, line = [said for said in capfd.readouterr().err.splitlines() if said]
-    assert line.startswith("p2wss: error: ") and told in line
+    *before_it, line = [text for text in capfd.readouterr().err.splitlines() if text]
+    assert line.startswith("p2wss: error: ") and message in line
     # what was read so far, if it was read; no traceback
-    assert all("points around them" in said for said in before_it) and len(before_it) <= 1
+    assert all("points around them" in text for text in before_it) and len(before_it) <= 1
     assert {path.name: path.read_bytes() for path in (place / "out").iterdir()} == before
 
 

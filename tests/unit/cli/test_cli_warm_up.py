@@ -35,9 +35,9 @@ def fails() -> None:
 
 def test_the_last_task_waits_for_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path))
-    told: list[int] = []
-    warm_up.run_tasks((first_a, first_b), last, (), 2, told.append)
-    assert (tmp_path / "last").exists() and told[-1] == 3 and told == sorted(told)
+    progress: list[int] = []
+    warm_up.run_tasks((first_a, first_b), last, (), 2, progress.append)
+    assert (tmp_path / "last").exists() and progress[-1] == 3 and progress == sorted(progress)
 
 
 def test_a_task_that_fails_is_no_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,11 +64,11 @@ def test_rows_hold_the_points_around_each_footprint(scanned):
         width, length = buildings["footprint_xy_m"][source].as_py()[4:6]
         x0, y0 = columns["origin_x_m"][row], columns["origin_y_m"][row]
         near = shapely.dwithin(shapely.box(x0, y0, x0 + width, y0 + length), everything, 1.0)
-        found = points_of(columns, row)
+        point_m = points_of(columns, row)
         expected = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[near]
-        assert len(found) == columns["num_points"][row] == len(expected)
-        order = [np.lexsort(np.round(a, 1).T) for a in (found, expected)]
-        assert np.abs(np.sort(found, axis=0) - np.sort(expected, axis=0)).max() <= 0.0051
+        assert len(point_m) == columns["num_points"][row] == len(expected)
+        order = [np.lexsort(np.round(a, 1).T) for a in (point_m, expected)]
+        assert np.abs(np.sort(point_m, axis=0) - np.sort(expected, axis=0)).max() <= 0.0051
         assert len(order[0]) == len(order[1])
         kind = face[near & (owner == source)] & 3
         assert columns["num_roof_points"][row] == (kind == 2).sum()
@@ -89,10 +89,10 @@ def test_labels_are_those_of_the_building(scanned):
     buildings, scan = scanned
     columns, _ = crops.crop_simulated(buildings, scan, Crops(min_points=1300))
     source = {row["building_id"]: row for row in buildings.to_pylist()}
-    kept = columns["building_id"].to_pylist()
-    assert 0 < len(kept) < sum(row["in_tile"] for row in source.values())
+    names = columns["building_id"].to_pylist()
+    assert 0 < len(names) < sum(row["in_tile"] for row in source.values())
     assert (columns["num_points"] >= 1300).all()
-    for row, name in enumerate(kept):
+    for row, name in enumerate(names):
         label = source[name]
         assert columns["angle_deg"][row].as_py() == label["angle_deg"]
         assert columns["eave_height_m"][row].as_py() == label["eave_height_m"]
@@ -135,8 +135,8 @@ def test_ground_is_the_median_of_the_nearest_ground_points():
     # none within 1 m: further away, as far as 64 m, then nothing
     for gap, expected in ((3, 50.0), (12, 50.0), (50, 50.0), (70, np.nan)):
         far = grid_cloud(lambda u, v: 0 * u + 50, (20 + gap, 24 + gap), (12, 18))
-        found = ground_height(far, polygon_arrays.to_polygons([box]))
-        np.testing.assert_equal(found, [expected])
+        ground_z_m = ground_height(far, polygon_arrays.to_polygons([box]))
+        np.testing.assert_equal(ground_z_m, [expected])
     # a courtyard's ground counts
     ring = box.difference(shapely.box(13, 13, 17, 17))
     court = grid_cloud(lambda u, v: 0 * u + 99, (13, 17), (13, 17))
@@ -181,8 +181,8 @@ def test_splits_do_not_depend_on_the_tile():
     for low, high in ((0, 1000), (1000, 2000)):
         with_margin = (middle > low - 60) & (middle < high + 60)
         part = assign_splits(polygon_arrays.to_polygons(shapes[with_margin]), Crops())
-        own = ((middle > low) & (middle < high))[with_margin]
-        assert (part[own] == whole[with_margin][own]).all()
+        in_tile = ((middle > low) & (middle < high))[with_margin]
+        assert (part[in_tile] == whole[with_margin][in_tile]).all()
     other_seed = assign_splits(polygon_arrays.to_polygons(shapes), Crops(seed=1))
     assert (other_seed != whole).mean() > 0.1
     assert assign_splits(polygon_arrays.to_polygons([]), Crops()).tolist() == []
@@ -209,12 +209,12 @@ def test_command_line_and_manifest(tmp_path, capsys):
     assert len(rows) > 10 and files.read_metadata(shard)["tile"] == TILE
     manifest = tmp_path / "out" / "manifest.json"
     assert main(["crops", "manifest", "--out", str(manifest), "--simulated", shard, "--real", shard]) == 0
-    listed = json.loads(manifest.read_text())
-    assert [s["dataset"] for s in listed["shards"]] == ["simulated", "real"]
-    assert listed["shards"][0]["path"] == "../shards/a.parquet"
-    assert listed["shards"][0]["sha256"] == files.sha256(shard)
-    assert sum(listed["shards"][0]["splits"].values()) == len(rows)
-    assert listed["num_rows"] == 2 * len(rows)
+    content = json.loads(manifest.read_text())
+    assert [s["dataset"] for s in content["shards"]] == ["simulated", "real"]
+    assert content["shards"][0]["path"] == "../shards/a.parquet"
+    assert content["shards"][0]["sha256"] == files.sha256(shard)
+    assert sum(content["shards"][0]["splits"].values()) == len(rows)
+    assert content["num_rows"] == 2 * len(rows)
 
     capsys.readouterr()
     wide_guard = '{"crops": {"guard_m": 100}}'

@@ -33,7 +33,7 @@ def test_pairs_are_chosen_by_split_whatever_the_order() -> None:
     backwards = {("simulated", split): ranks_of(*parts[::-1], seed=3) for split, parts in tables.items()}
     ranges = choose(ranks, config)
     assert choose(backwards, config) == ranges
-    assert {name: found["num_buildings"] for name, found in ranges["simulated"].items()} == {
+    assert {split: counts["num_buildings"] for split, counts in ranges["simulated"].items()} == {
         "train": 80, "val": 10, "test": 10,
     }  # fmt: skip
     manifest = Manifest([], ranges, 3)

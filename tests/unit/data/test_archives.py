@@ -42,24 +42,24 @@ def pack(path: Path, product: int = 1, part_bytes: int | None = None) -> Path:
 def test_only_grids_in_the_window_are_unpacked_and_only_once(tmp_path, part_bytes, monkeypatch):
     archive = pack(tmp_path / "RGEALTI_D078.7z", part_bytes=part_bytes)
     assert len(list(tmp_path.iterdir())) == (1 if part_bytes is None else 3)
-    found = unpack(archive, WINDOW, tmp_path / "grids")
-    assert [path.name for path in found] == ["RGEALTI_FXX_0652_6861_MNT_LAMB93_IGN69.asc"]
-    assert found[0].read_bytes() == (GRIDS / found[0].name).read_bytes()
-    assert list((tmp_path / "grids").iterdir()) == found
+    grids = unpack(archive, WINDOW, tmp_path / "grids")
+    assert [path.name for path in grids] == ["RGEALTI_FXX_0652_6861_MNT_LAMB93_IGN69.asc"]
+    assert grids[0].read_bytes() == (GRIDS / grids[0].name).read_bytes()
+    assert list((tmp_path / "grids").iterdir()) == grids
     monkeypatch.setattr(py7zr.SevenZipFile, "extract", lambda *a, **k: pytest.fail("unpacked again"))
-    assert unpack(archive, WINDOW, tmp_path / "grids") == found
+    assert unpack(archive, WINDOW, tmp_path / "grids") == grids
 
 
 def test_a_window_at_a_corner_needs_four_grids(tmp_path):
     archive = pack(tmp_path / "a.7z")
-    found = unpack(archive, (652990.0, 6860990.0, 653010.0, 6861010.0), tmp_path / "grids")
-    assert len(found) == 4
+    grids = unpack(archive, (652990.0, 6860990.0, 653010.0, 6861010.0), tmp_path / "grids")
+    assert len(grids) == 4
 
 
 def test_grids_of_the_five_metre_product_are_five_kilometres_wide(tmp_path):
     archive = pack(tmp_path / "RGEALTI_2-0_5M_ASC.7z", product=5)
-    found = unpack(archive, (656000.0, 6857000.0, 656500.0, 6857500.0), tmp_path / "grids")
-    assert {path.name[12:21] for path in found} == {"0652_6861", "0652_6862", "0653_6861", "0653_6862"}
+    grids = unpack(archive, (656000.0, 6857000.0, 656500.0, 6857500.0), tmp_path / "grids")
+    assert {path.name[12:21] for path in grids} == {"0652_6861", "0652_6862", "0653_6861", "0653_6862"}
     assert unpack(archive, (659000.0, 6857000.0, 659500.0, 6857500.0), tmp_path / "grids") == []
 
 
@@ -68,9 +68,9 @@ def test_terrain_from_an_archive_equals_its_grids(tmp_path, part_bytes):
     (tmp_path / "in").mkdir()
     pack(tmp_path / "in" / "RGEALTI.7z", part_bytes=part_bytes)
     bounds = (652900.0, 6860900.0, 653100.0, 6861100.0)
-    found = FolderSource(Folder(dtm=str(tmp_path / "in")), "EPSG:2154", tmp_path / "grids").dtm(bounds)
+    terrain = FolderSource(Folder(dtm=str(tmp_path / "in")), "EPSG:2154", tmp_path / "grids").dtm(bounds)
     expected = FolderSource(Folder(dtm=str(GRIDS)), "EPSG:2154", tmp_path / "none").dtm(bounds)
-    np.testing.assert_array_equal(found.height_m, expected.height_m)
+    np.testing.assert_array_equal(terrain.height_m, expected.height_m)
     assert len(list((tmp_path / "grids").rglob("*.asc"))) == 4
 
 

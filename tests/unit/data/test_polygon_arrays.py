@@ -38,6 +38,6 @@ def test_columns_are_local_and_survive_a_round_trip():
 
 def test_take_selects_and_reorders():
     polygons = polygon_arrays.to_polygons(SHAPES)
-    chosen = polygon_arrays.to_geometries(polygon_arrays.take(polygons, np.array([5, 2, 0])))
-    assert chosen[0].equals(TRIANGLE) and chosen[1].is_empty and chosen[2].equals(SQUARE)
+    selection = polygon_arrays.to_geometries(polygon_arrays.take(polygons, np.array([5, 2, 0])))
+    assert selection[0].equals(TRIANGLE) and selection[1].is_empty and selection[2].equals(SQUARE)
     assert len(polygon_arrays.take(polygons, np.zeros(len(SHAPES), bool))) == 0

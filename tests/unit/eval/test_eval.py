@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import trimesh
-from knowing_network import Knowing
+from truth_network import TruthNetwork
 
 from p2wss import cli
 from p2wss.config import Eval, Reconstruct
@@ -84,13 +84,13 @@ def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path:
 def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[cases.Case]) -> None:
     medians = cases.train_medians(read_manifest(hamlet))
     # only upwards and from slopes: 0 and 90 would be clipped
-    predictor = Knowing(hamlet_cases, wrong_m=0.25)
+    predictor = TruthNetwork(hamlet_cases, wrong_m=0.25)
     rows = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
     errors = parameters.masked_errors(hamlet_cases, rows, predictor, medians)
-    given, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
+    fixed, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
     assert (errors["num_buildings"], errors["num_left_out"]) == (16, 0)
-    assert given["height_m"]["mean"] == pytest.approx(0.25) and given["height_m"]["std"] < 1e-5
-    assert given["height_m"]["count"] == 16 and given["angle_deg"]["mean"] == pytest.approx(0, abs=1e-5)
+    assert fixed["height_m"]["mean"] == pytest.approx(0.25) and fixed["height_m"]["std"] < 1e-5
+    assert fixed["height_m"]["count"] == 16 and fixed["angle_deg"]["mean"] == pytest.approx(0, abs=1e-5)
     assert masked["coordinate_m"]["mean"] == pytest.approx(0.15)  # 0.3 in x, 0 in y
     assert masked["vertex_m"]["mean"] == pytest.approx(0.3)
     assert errors["settings"]["all_masked_signs"]["vertex_m"]["mean"] == pytest.approx(0.6)
@@ -103,7 +103,7 @@ def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[
 
 
 def test_the_truth_measures_better_than_a_flat_roof(hamlet_cases: list[cases.Case]) -> None:
-    ours = predict.predict(hamlet_cases[:16], Knowing(hamlet_cases), RECONSTRUCT)
+    ours = predict.predict(hamlet_cases[:16], TruthNetwork(hamlet_cases), RECONSTRUCT)
     flat = predict.by_dataset(hamlet_cases[:16], lod1, RECONSTRUCT)
     for case, good, bad in zip(hamlet_cases, ours, flat, strict=False):
         a, b = (measure.measure_building(case, reconstruction, CONFIG) for reconstruction in (good, bad))
@@ -227,7 +227,7 @@ def test_report_from_files_is_one_self_contained_page(
     """The commands as the rules run them, with a predictor that knows the truth."""
     manifest = read_manifest(hamlet)
     hamlet_cases = cases.test_cases(manifest)
-    predictor = Knowing(hamlet_cases, 0.1)
+    predictor = TruthNetwork(hamlet_cases, 0.1)
     reconstructions = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
     facts = files.provenance(method="point2wss", status="ok", code="0123")
     columns = reconstruction_columns(reconstructions, [case.dataset for case in hamlet_cases])

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import shapely
-from knowing_network import Knowing
+from truth_network import TruthNetwork
 
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
@@ -41,7 +41,7 @@ def hamlet_cases(hamlet: Path) -> list[cases.Case]:
 @pytest.fixture(scope="module")
 def reconstructions(hamlet_cases: list[cases.Case]) -> dict[str, dict[tuple[str, str, str], Reconstruction]]:
     """From a network whose heights are 40 cm too high and whose roofs are all hips of 30 degrees."""
-    network = Knowing(hamlet_cases, wrong_m=0.4, slope_deg=30.0)
+    network = TruthNetwork(hamlet_cases, wrong_m=0.4, slope_deg=30.0)
     every = {
         NETWORK: predict.predict(hamlet_cases, network, RECONSTRUCT),
         NETWORK_AND_FIT: predict.fit(hamlet_cases, network, RECONSTRUCT),
@@ -132,14 +132,14 @@ def test_seen_edges_are_those_with_points_over_a_sloped_face(hamlet_cases: list[
         )
     truth = [case.angle_deg for case in thinned if case.angle_deg is not None]
     tents = [np.full(len(angle), 30.0) for angle in truth]
-    seen = parameters.seen_edges(thinned, truth)
-    together = np.concatenate(seen)
+    is_seen = parameters.seen_edges(thinned, truth)
+    together = np.concatenate(is_seen)
     assert 0.1 < together.mean() < 0.95
     alone = [parameters.seen_edges([case], [angle])[0] for case, angle in zip(thinned, truth, strict=True)]
-    assert all(map(np.array_equal, seen, alone))
-    seen_as_tents = parameters.seen_edges(thinned, tents)
-    assert np.concatenate(seen_as_tents).sum() > together.sum()
-    for case, tent, mask, tent_mask in zip(thinned, tents, seen, seen_as_tents, strict=True):
+    assert all(map(np.array_equal, is_seen, alone))
+    is_seen_of_tents = parameters.seen_edges(thinned, tents)
+    assert np.concatenate(is_seen_of_tents).sum() > together.sum()
+    for case, tent, mask, tent_mask in zip(thinned, tents, is_seen, is_seen_of_tents, strict=True):
         assert case.angle_deg is not None
         of_label, of_tent = num_points_over_faces(case, case.angle_deg), num_points_over_faces(case, tent)
         assert np.array_equal(mask, of_label >= 10)
@@ -174,8 +174,8 @@ def test_table_1_has_the_variants_over_all_and_over_seen_values(
     )
     assert settings["point2wss+fit"]["height_m"]["mean"] < 0.05 and settings["fit"]["height_m"]["mean"] < 0.05
     angles = [reconstructions["point2wss+fit"][case.key].angle_deg for case in hamlet_cases[:16]]
-    seen = np.concatenate(parameters.seen_edges(hamlet_cases[:16], angles))
-    assert settings["point2wss+fit"]["angle_seen_deg"]["count"] == seen.sum() <= len(truth)
+    is_seen = np.concatenate(parameters.seen_edges(hamlet_cases[:16], angles))
+    assert settings["point2wss+fit"]["angle_seen_deg"]["count"] == is_seen.sum() <= len(truth)
     rows = tables.table_1(errors)
     assert [row[0] for row in rows[-2:]] == ["Height, roof seen (m)", "Angles, roof face seen (°)"]
     assert rows[1][rows[0].index("Point2WSS + fit MAE")] == settings["point2wss+fit"]["height_m"]["mean"]

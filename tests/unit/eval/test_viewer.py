@@ -30,18 +30,19 @@ TITLES = {"simulated": "Simulated", "real": "LiDAR"}
 @pytest.fixture(scope="module")
 def view(hamlet: Path) -> Viewer:
     """Ours: hip roofs of 35 degrees with eaves at 5 m; the last building has no mesh."""
-    found = cases.test_cases(read_manifest(hamlet))
-    buildings = [case.building for case in found]
+    test_cases = cases.test_cases(read_manifest(hamlet))
+    buildings = [case.building for case in test_cases]
     config = Reconstruct()
-    ours = constant(buildings, np.full(len(found), 5.0), 35.0, config, "point2wss")
+    ours = constant(buildings, np.full(len(test_cases), 5.0), 35.0, config, "point2wss")
     none = np.zeros((0, 3), np.int32)
     ours[-1] = replace(ours[-1], triangle=none, vertex_m=np.zeros((0, 3)), status="no height")
     tables = {"point2wss": ours, "lod1": lod1(buildings, config), "constant": ours}
     by_key = {
-        name: {case.key: row for case, row in zip(found, rows, strict=True)} for name, rows in tables.items()
+        name: {case.key: row for case, row in zip(test_cases, rows, strict=True)}
+        for name, rows in tables.items()
     }
-    rows = [*measure.measure(found, [by_key["point2wss"], by_key["lod1"]], Eval(num_samples=64))]
-    view = viewer({case.key: case for case in found}, by_key, rows, TITLES, NAMES, "point2wss")
+    rows = [*measure.measure(test_cases, [by_key["point2wss"], by_key["lod1"]], Eval(num_samples=64))]
+    view = viewer({case.key: case for case in test_cases}, by_key, rows, TITLES, NAMES, "point2wss")
     assert view is not None
     return view
 
@@ -55,14 +56,14 @@ def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) ->
     data = json.loads(view.data)
     assert [method["key"] for method in data["methods"]] == ["point2wss", "lod1"]
     by_id = {building["id"]: building for building in data["buildings"]}
-    found = cases.test_cases(read_manifest(hamlet))
-    assert set(by_id) == {case.building.building_id for case in found} and len(by_id) == len(found)
-    without_mesh = found[-1].building.building_id
+    test_cases = cases.test_cases(read_manifest(hamlet))
+    assert set(by_id) == {case.building.building_id for case in test_cases} and len(by_id) == len(test_cases)
+    without_mesh = test_cases[-1].building.building_id
     assert "point2wss" not in by_id[without_mesh]["meshes"]
     assert by_id[without_mesh]["title"].startswith("no mesh")
     # the worst of a data set comes first, and a building without a mesh is the worst
     assert next(b["id"] for b in data["buildings"] if b["group"] == "LiDAR: worst") == without_mesh
-    for case in found[:-1]:
+    for case in test_cases[:-1]:
         stored = by_id[case.building.building_id]
         point_m = numbers(stored["points"], "<i2").reshape(-1, 3) / 100
         expected = case.building.point_m - [0, 0, case.building.ground_z_m]

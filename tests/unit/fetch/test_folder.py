@@ -38,8 +38,8 @@ def buildings(number: int = 3, **columns: Any) -> gpd.GeoDataFrame:
 
 
 def test_window_of_the_miniature() -> None:
-    found = source(footprints=MINI / "bdtopo").footprints((652900, 6861000, 653000, 6861100))
-    result = normalise(found, "EPSG:2154", "mini")
+    footprints = source(footprints=MINI / "bdtopo").footprints((652900, 6861000, 653000, 6861100))
+    result = normalise(footprints, "EPSG:2154", "mini")
     everything = gpd.read_file(MINI / "bdtopo" / "BDTOPO_mini.gpkg")
     expected = everything[everything.intersects(shapely.box(652900, 6861000, 653000, 6861100))]
     assert sorted(result["building_id"]) == sorted(expected["cleabs"])
@@ -59,8 +59,8 @@ def test_window_of_the_miniature() -> None:
 
 @pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
 def test_shapefiles_have_other_column_names() -> None:
-    found = source(footprints=OLEMPS / "BATIMENT.shp").footprints((664000, 6360000, 665000, 6361000))
-    result = normalise(found, "EPSG:2154", "olemps").set_index("building_id")
+    footprints = source(footprints=OLEMPS / "BATIMENT.shp").footprints((664000, 6360000, 665000, 6361000))
+    result = normalise(footprints, "EPSG:2154", "olemps").set_index("building_id")
     raw = gpd.read_file(OLEMPS / "BATIMENT.shp").set_index("ID").loc[result.index]
     np.testing.assert_array_equal(result["hauteur_m"], raw["HAUTEUR"])
     np.testing.assert_array_equal(result["altitude_minimale_sol_m"], raw["Z_MIN_SOL"])
@@ -76,17 +76,17 @@ def test_windows_of_other_formats(tmp_path: Path, suffix: str) -> None:
         frame.to_parquet(path, write_covering_bbox=True)
     else:
         frame.to_file(path)
-    found = normalise(
+    footprints = normalise(
         source(footprints=path).footprints((652015, 6861000, 652055, 6861010)), "EPSG:2154", "b"
     )
-    assert list(found["building_id"]) == ["B1", "B2"]
+    assert list(footprints["building_id"]) == ["B1", "B2"]
 
 
 def test_a_building_in_two_files_is_returned_once(tmp_path: Path) -> None:
     buildings(3).to_file(tmp_path / "a.gpkg")
     buildings(5).iloc[2:].to_file(tmp_path / "b.gpkg")
-    found = source(footprints=tmp_path / "*.gpkg").footprints((652000, 6861000, 652100, 6861100))
-    assert list(normalise(found, "EPSG:2154", "ab")["building_id"]) == ["B0", "B1", "B2", "B3", "B4"]
+    footprints = source(footprints=tmp_path / "*.gpkg").footprints((652000, 6861000, 652100, 6861100))
+    assert list(normalise(footprints, "EPSG:2154", "ab")["building_id"]) == ["B0", "B1", "B2", "B3", "B4"]
 
 
 def test_a_missing_column_is_an_error_that_lists_the_columns() -> None:
@@ -189,9 +189,9 @@ def test_terrain_outside_the_files_is_nan() -> None:
 def test_nodata_becomes_nan(tmp_path: Path) -> None:
     write_asc(tmp_path / "a.asc", 652000, 6861050, 50, 1, nodata=50)
     terrain = source(dtm=tmp_path).dtm((652000.0, 6861010.0, 652040.0, 6861060.0))
-    known = np.isfinite(terrain.height_m)
-    y = terrain.y_max_m - (np.arange(len(known)) + 0.5)
-    np.testing.assert_array_equal(known[:, 0], y < 6861050)
+    has_data = np.isfinite(terrain.height_m)
+    y = terrain.y_max_m - (np.arange(len(has_data)) + 0.5)
+    np.testing.assert_array_equal(has_data[:, 0], y < 6861050)
     assert known_height_share(terrain, (652000, 6861010, 652040, 6861040), "x") == 1
     with pytest.raises(InputError, match="x: no heights in"):
         known_height_share(terrain, (652000, 6861052, 652040, 6861058), "x")
@@ -345,8 +345,8 @@ def test_window_of_the_national_geoparquet(tmp_path: Path, crs: str, covering: b
     frame = buildings(200)
     frame.to_crs(crs).to_parquet(tmp_path / "b.parquet", write_covering_bbox=covering, row_group_size=20)
     window = (652105.0, 6861000.0, 652145.0, 6861010.0)
-    found = source(footprints=tmp_path / "b.parquet").footprints(window)
-    result = normalise(found, "EPSG:2154", "b").set_index("building_id")
+    footprints = source(footprints=tmp_path / "b.parquet").footprints(window)
+    result = normalise(footprints, "EPSG:2154", "b").set_index("building_id")
     expected = frame.set_index("cleabs")
     expected = expected[expected.intersects(shapely.box(*window))]
     assert sorted(result.index) == sorted(expected.index)
@@ -356,8 +356,8 @@ def test_window_of_the_national_geoparquet(tmp_path: Path, crs: str, covering: b
 
 def test_geopackage_in_degrees(tmp_path: Path) -> None:
     buildings(50).to_crs("EPSG:4326").to_file(tmp_path / "b.gpkg")
-    found = source(footprints=tmp_path / "b.gpkg").footprints((652105.0, 6861000.0, 652145.0, 6861010.0))
-    assert sorted(normalise(found, "EPSG:2154", "b")["building_id"]) == ["B5", "B6", "B7"]
+    footprints = source(footprints=tmp_path / "b.gpkg").footprints((652105.0, 6861000.0, 652145.0, 6861010.0))
+    assert sorted(normalise(footprints, "EPSG:2154", "b")["building_id"]) == ["B5", "B6", "B7"]
 
 
 def test_an_empty_window_of_each_format(tmp_path: Path) -> None:
@@ -366,8 +366,8 @@ def test_an_empty_window_of_each_format(tmp_path: Path) -> None:
     frame.to_parquet(tmp_path / "b.parquet")
     frame.to_file(tmp_path / "c.gpkg")
     for name in ("a.parquet", "b.parquet", "c.gpkg"):
-        found = source(footprints=tmp_path / name).footprints((0.0, 0.0, 1.0, 1.0))
-        assert len(normalise(found, "EPSG:2154", name)) == 0
+        footprints = source(footprints=tmp_path / name).footprints((0.0, 0.0, 1.0, 1.0))
+        assert len(normalise(footprints, "EPSG:2154", name)) == 0
 
 
 def test_not_a_parquet_file(tmp_path: Path) -> None:

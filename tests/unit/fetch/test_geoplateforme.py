@@ -76,15 +76,15 @@ def test_pages_are_requested_until_complete(source: Any, httpserver: HTTPServer)
     httpserver.expect_request("/wfs/ows").respond_with_handler(
         serve_features([building(i) for i in range(25)])
     )
-    found = source(page_size=10).footprints(BOUNDS)
-    assert sorted(found["cleabs"]) == [f"BATIMENT{i:04d}" for i in range(25)]
-    assert found.crs == "EPSG:2154"
-    asked = [request.args for request, _ in httpserver.log]
-    assert [args["STARTINDEX"] for args in asked] == ["0", "10", "20"]
-    assert asked[0]["BBOX"] == "652000,6861000,653000,6862000,EPSG:2154"
-    assert asked[0]["SORTBY"] == "cleabs"
-    assert asked[0]["TYPENAMES"] == "BDTOPO_V3:batiment"
-    assert len(normalise(found, "EPSG:2154", "wfs")) == 25
+    footprints = source(page_size=10).footprints(BOUNDS)
+    assert sorted(footprints["cleabs"]) == [f"BATIMENT{i:04d}" for i in range(25)]
+    assert footprints.crs == "EPSG:2154"
+    queries = [request.args for request, _ in httpserver.log]
+    assert [args["STARTINDEX"] for args in queries] == ["0", "10", "20"]
+    assert queries[0]["BBOX"] == "652000,6861000,653000,6862000,EPSG:2154"
+    assert queries[0]["SORTBY"] == "cleabs"
+    assert queries[0]["TYPENAMES"] == "BDTOPO_V3:batiment"
+    assert len(normalise(footprints, "EPSG:2154", "wfs")) == 25
 
 
 def test_pages_that_the_server_cuts_short(source: Any, httpserver: HTTPServer) -> None:
@@ -136,8 +136,8 @@ def test_no_building_in_the_bounds(source: Any, httpserver: HTTPServer) -> None:
 def test_a_feature_of_the_real_service(source: Any, httpserver: HTTPServer) -> None:
     features = json.loads(REAL_FEATURE.read_text())["features"]
     httpserver.expect_request("/wfs/ows").respond_with_handler(serve_features(features))
-    found = source(crs="EPSG:4326").footprints((4.8, 45.7, 4.9, 45.8))
-    row = normalise(found, "EPSG:4326", "wfs").iloc[0]
+    footprints = source(crs="EPSG:4326").footprints((4.8, 45.7, 4.9, 45.8))
+    row = normalise(footprints, "EPSG:4326", "wfs").iloc[0]
     assert (row.building_id, row.hauteur_m, row.num_floors) == ("BATIMENT0000000240879442", 25.6, 6)
     assert (row.altitude_minimale_sol_m, row.altitude_minimale_toit_m) == (213.1, 238.6)
     assert row.nature == "Indifférenciée"
@@ -182,8 +182,8 @@ def test_terrain_is_centred_on_multiples(
     source: Any, httpserver: HTTPServer, image_format: Any, cell: float, max_pixels: int
 ) -> None:
     httpserver.expect_request("/wms-r").respond_with_handler(serve_terrain)
-    asked = source(dtm_format=image_format, dtm_resolution_m=cell, dtm_max_pixels=max_pixels)
-    terrain = asked.dtm((652000.0, 6861600.0, 653000.0, 6862000.0))
+    service = source(dtm_format=image_format, dtm_resolution_m=cell, dtm_max_pixels=max_pixels)
+    terrain = service.dtm((652000.0, 6861600.0, 653000.0, 6862000.0))
     rows, columns = terrain.height_m.shape
     assert (columns, rows) == (1000 / cell + 1, 400 / cell + 1)
     x = terrain.x_min_m + cell * (np.arange(columns) + 0.5)
@@ -244,8 +244,8 @@ def laz(tmp_path: Path, num_points: int = 5) -> bytes:
     cloud.x = 652000 + np.arange(num_points)
     cloud.y = 6861000 + np.arange(num_points)
     cloud.z = np.zeros(num_points)
-    cloud.write(tmp_path / "made.laz")
-    return (tmp_path / "made.laz").read_bytes()
+    cloud.write(tmp_path / "cloud.laz")
+    return (tmp_path / "cloud.laz").read_bytes()
 
 
 def test_lidar_tile_from_the_index(source: Any, httpserver: HTTPServer, tmp_path: Path) -> None:
@@ -261,8 +261,8 @@ def test_lidar_tile_from_the_index(source: Any, httpserver: HTTPServer, tmp_path
     httpserver.expect_request("/download/LHD_FXX_0652-6862_PTS_LAMB93_IGN69.copc.laz").respond_with_data(
         status=404
     )
-    asked = source()
-    paths = asked.lidar(BOUNDS)
+    service = source()
+    paths = service.lidar(BOUNDS)
     assert [path.read_bytes() for path in paths] == [body]
     requests = len(httpserver.log)
     assert requests == 3
@@ -294,9 +294,9 @@ def test_a_place_without_lidar(source: Any, httpserver: HTTPServer, tmp_path: Pa
 
 
 def test_addresses_on_the_host_of_the_service_use_its_scheme(tmp_path: Path) -> None:
-    asked = GeoplateformeSource(Geoplateforme(), "EPSG:2154", tmp_path)
-    assert asked._with_service_scheme("http://data.geopf.fr/a.laz") == "https://data.geopf.fr/a.laz"
-    assert asked._with_service_scheme("http://elsewhere.example/a.laz") == "http://elsewhere.example/a.laz"
+    service = GeoplateformeSource(Geoplateforme(), "EPSG:2154", tmp_path)
+    assert service._with_service_scheme("http://data.geopf.fr/a.laz") == "https://data.geopf.fr/a.laz"
+    assert service._with_service_scheme("http://elsewhere.example/a.laz") == "http://elsewhere.example/a.laz"
 
 
 # --- what is kept ---
@@ -348,15 +348,15 @@ def test_a_damaged_response_is_requested_again(
 
 
 def test_offline_lists_what_is_missing(source: Any, httpserver: HTTPServer) -> None:
-    asked = source(offline=True)
+    service = source(offline=True)
     with pytest.raises(
         InputError, match=r"footprints in 652000\.\.653000, .* missing; fetch\.offline is set"
     ):
-        asked.footprints(BOUNDS)
+        service.footprints(BOUNDS)
     with pytest.raises(InputError, match=r"terrain in 651999\.500,.* missing; fetch\.offline is set"):
-        asked.dtm(BOUNDS)
+        service.dtm(BOUNDS)
     with pytest.raises(InputError, match=r"METADONNEE:metadata is not in .*fetch\.offline is set"):
-        asked.lidar(BOUNDS)
+        service.lidar(BOUNDS)
     assert len(httpserver.log) == 0
 
 
@@ -391,9 +391,9 @@ def test_footprints_in_windows(source: Any, httpserver: HTTPServer) -> None:
 
     httpserver.expect_request("/wfs/ows").respond_with_handler(handler)
     bounds = (652000.0, 6861000.0, 652800.0, 6861400.0)
-    found = source(footprints_window_m=400).footprints(bounds)
-    assert len(httpserver.log) == 2 and len(found) > 80
-    assert len(normalise(found, "EPSG:2154", "wfs")) == 80
+    footprints = source(footprints_window_m=400).footprints(bounds)
+    assert len(httpserver.log) == 2 and len(footprints) > 80
+    assert len(normalise(footprints, "EPSG:2154", "wfs")) == 80
 
 
 # --- more faults ---
@@ -450,11 +450,11 @@ def test_an_expired_address_of_a_stored_index(
     httpserver.expect_request("/wfs/ows").respond_with_handler(index)
     httpserver.expect_request("/old.laz").respond_with_data("gone", status=status)
     httpserver.expect_request("/new.laz").respond_with_data(laz(tmp_path))
-    asked = source(lidar_types=["IGNF_LIDAR-HD_METADONNEE:metadata"])
+    service = source(lidar_types=["IGNF_LIDAR-HD_METADONNEE:metadata"])
     with pytest.raises(InputError, match=rf"lists an address that does not exist: .*HTTP {status}"):
-        asked.lidar(BOUNDS)
+        service.lidar(BOUNDS)
     assert len(httpserver.log) == 2
-    assert [path.name for path in asked.lidar(BOUNDS)] == ["new.laz"]
+    assert [path.name for path in service.lidar(BOUNDS)] == ["new.laz"]
     assert [request.path for request, _ in httpserver.log[2:]] == ["/old.laz", "/wfs/ows", "/new.laz"]
 
 

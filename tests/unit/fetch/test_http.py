@@ -89,9 +89,9 @@ def test_no_response() -> None:
 def test_requests_are_spaced(httpserver: HTTPServer) -> None:
     httpserver.expect_request("/x").respond_with_data("fine")
     pauses: list[float] = []
-    asked = Client(Geoplateforme(requests_per_s=0.5), sleep=pauses.append)
+    client = Client(Geoplateforme(requests_per_s=0.5), sleep=pauses.append)
     for _ in range(3):
-        asked.get(httpserver.url_for("/x"))
+        client.get(httpserver.url_for("/x"))
     assert len(pauses) == 2
     assert all(1.5 < pause <= 2 for pause in pauses)
 
@@ -232,5 +232,5 @@ def test_repeated_connection_resets_are_an_error_with_their_count(tmp_path: Path
         with pytest.raises(InputError, match="after 3 attempts"):
             client(max_attempts=3).download(url, tmp_path / "t.laz", b"LASF")
         assert len(requests) == 3
-        assert b"Range: bytes=524288-" in requests[1], "the rest is asked for"
+        assert b"Range: bytes=524288-" in requests[1], "the rest is requested"
     assert not (tmp_path / "t.laz").exists()

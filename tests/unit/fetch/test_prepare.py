@@ -148,8 +148,8 @@ def test_flags_are_rewritten_for_an_older_pdal():
 def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
     """IGN's LiDAR without its classes: PDAL's ground agrees with IGN's and contains no roofs."""
     cloud = laspy.read(BRESSE)
-    given = np.asarray(cloud.classification).copy()
-    cloud.classification = np.ones(len(given), np.uint8)
+    ign_classes = np.asarray(cloud.classification).copy()
+    cloud.classification = np.ones(len(ign_classes), np.uint8)
     cloud.write(tmp_path / "0870_6618.laz")
     out = tmp_path / "out" / "0870_6618.laz"
     around = (869900.0, 6616900.0, 871100.0, 6618100.0)
@@ -158,25 +158,26 @@ def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
     )
     assert facts["by"] == "pdal" and "no ground points" in facts["reason"]
 
-    found = laspy.read(out)
-    classes = np.asarray(found.classification)
-    assert facts["num_ground_points"] == (classes == 2).sum() and found.header.parse_crs().to_epsg() == 2154
-    before = dict(zip(map(tuple, rows_in_order(cloud)), given.tolist(), strict=True))
-    theirs = np.array([before[tuple(row)] for row in rows_in_order(found)])
-    assert len(found) > 0.97 * len(cloud)
-    assert (classes[theirs == 2] == 2).mean() > 0.98
-    assert (classes[theirs == 6] == 2).mean() < 0.01
+    result = laspy.read(out)
+    classes = np.asarray(result.classification)
+    assert facts["num_ground_points"] == (classes == 2).sum() and result.header.parse_crs().to_epsg() == 2154
+    before = dict(zip(map(tuple, rows_in_order(cloud)), ign_classes.tolist(), strict=True))
+    expected_classes = np.array([before[tuple(row)] for row in rows_in_order(result)])
+    assert len(result) > 0.97 * len(cloud)
+    assert (classes[expected_classes == 2] == 2).mean() > 0.98
+    assert (classes[expected_classes == 6] == 2).mean() < 0.01
     # points that IGN left unclassified and PDAL calls ground lie on IGN's ground
-    tree = cKDTree(np.c_[cloud.x, cloud.y][given == 2])
-    new = (classes == 2) & (theirs != 2)
-    _, nearest = tree.query(np.c_[found.x, found.y][new])
-    above = np.abs(np.asarray(found.z)[new] - np.asarray(cloud.z)[given == 2][nearest])
+    tree = cKDTree(np.c_[cloud.x, cloud.y][ign_classes == 2])
+    new = (classes == 2) & (expected_classes != 2)
+    _, nearest = tree.query(np.c_[result.x, result.y][new])
+    above = np.abs(np.asarray(result.z)[new] - np.asarray(cloud.z)[ign_classes == 2][nearest])
     assert np.percentile(above, 95) < 0.3
-    heights = np.asarray(found["HeightAboveGround"])
-    assert np.percentile(heights[theirs == 6], 5) > 1.5 and np.median(np.abs(heights[theirs == 2])) < 0.1
+    heights = np.asarray(result["HeightAboveGround"])
+    assert np.percentile(heights[expected_classes == 6], 5) > 1.5
+    assert np.median(np.abs(heights[expected_classes == 2])) < 0.1
 
-    left = json.loads(out.with_suffix(".pdal.json").read_text())["pipeline"]
-    assert left[0]["filename"] == str(tmp_path / "0870_6618.laz") and left[-1]["filename"] == str(out)
+    written = json.loads(out.with_suffix(".pdal.json").read_text())["pipeline"]
+    assert written[0]["filename"] == str(tmp_path / "0870_6618.laz") and written[-1]["filename"] == str(out)
     assert sorted(path.name for path in out.parent.iterdir()) == ["0870_6618.laz", "0870_6618.pdal.json"]
 
 
@@ -185,18 +186,18 @@ def test_real_pdal_finds_the_ground_of_the_miniature(pdal_command, tmp_path):
     cloud = laspy.read(MINI)
     keep = (cloud.x < 653150) & (cloud.y > 6860850)
     cloud.points = cloud.points[keep]
-    given = np.asarray(cloud.classification).copy()
-    cloud.classification = np.zeros(len(given), np.uint8)
+    true_classes = np.asarray(cloud.classification).copy()
+    cloud.classification = np.zeros(len(true_classes), np.uint8)
     cloud.write(tmp_path / "0653_6861.laz")
     out = tmp_path / "out.laz"
     around = (652900.0, 6859900.0, 654100.0, 6861100.0)
     prepare(out, [tmp_path / "0653_6861.laz"], around, [], L93, L93, config(pdal_command=pdal_command))
-    found = laspy.read(out)
-    before = dict(zip(map(tuple, rows_in_order(cloud)), given.tolist(), strict=True))
-    theirs = np.array([before[tuple(row)] for row in rows_in_order(found)])
-    classes = np.asarray(found.classification)
-    assert (classes[theirs == 2] == 2).mean() > 0.95
-    assert (classes[theirs == 6] == 2).mean() < 0.02
+    result = laspy.read(out)
+    before = dict(zip(map(tuple, rows_in_order(cloud)), true_classes.tolist(), strict=True))
+    expected_classes = np.array([before[tuple(row)] for row in rows_in_order(result)])
+    classes = np.asarray(result.classification)
+    assert (classes[expected_classes == 2] == 2).mean() > 0.95
+    assert (classes[expected_classes == 6] == 2).mean() < 0.02
 
 
 def test_real_pdal_merges_drops_noise_and_keeps_classified_ground(pdal_command, write_points, tmp_path):
@@ -204,15 +205,15 @@ def test_real_pdal_merges_drops_noise_and_keeps_classified_ground(pdal_command, 
     classes = np.random.default_rng(1).choice([1, 2, 6, 7, 18], len(points))
     withheld = np.random.default_rng(2).random(len(points)) < 0.1
     cloud = write_points("0652_6862.laz", points, classes, withheld=withheld)
-    theirs = scatter(2000, (653000, 6861400, 653300, 6861600), seed=3)
-    neighbour = write_points("0653_6862.laz", theirs, 2)
+    neighbour_points = scatter(2000, (653000, 6861400, 653300, 6861600), seed=3)
+    neighbour = write_points("0653_6862.laz", neighbour_points, 2)
     out = tmp_path / "out.laz"
     settings = config(pdal_command=pdal_command, mode="pdal")
     facts = prepare(out, [cloud, neighbour], AROUND, [EAST], L93, L93, settings)
     expected = (points[:, 0] < 653000) & ~withheld & ~np.isin(classes, [7, 18])
-    found = laspy.read(out)
-    assert rows(found.xyz) == rows(points[expected])
-    assert facts["num_ground_points"] == (expected & (classes == 2)).sum(), "no ground of its own making"
+    result = laspy.read(out)
+    assert rows(result.xyz) == rows(points[expected])
+    assert facts["num_ground_points"] == (expected & (classes == 2)).sum(), "no further ground points"
     stages = json.loads(out.with_suffix(".pdal.json").read_text())["pipeline"]
     assert "filters.smrf" not in [stage["type"] for stage in stages]
 
@@ -232,13 +233,13 @@ def test_real_pdal_on_a_cloud_of_an_old_format(pdal_command, tmp_path):
     cloud.write(tmp_path / "0652_6862.laz")
     out = tmp_path / "out.laz"
     prepare(out, [tmp_path / "0652_6862.laz"], AROUND, [], L93, L93, config(pdal_command=pdal_command))
-    found = laspy.read(out)
-    assert len(found) >= 0.98 * (np.asarray(cloud.withheld) == 0).sum()
-    assert len(found) <= (np.asarray(cloud.withheld) == 0).sum()
-    on_roof = np.asarray(found.z) > 54
-    classes = np.asarray(found.classification)
+    result = laspy.read(out)
+    assert len(result) >= 0.98 * (np.asarray(cloud.withheld) == 0).sum()
+    assert len(result) <= (np.asarray(cloud.withheld) == 0).sum()
+    on_roof = np.asarray(result.z) > 54
+    classes = np.asarray(result.classification)
     assert (classes[on_roof] == 1).all() and (classes[~on_roof] == 2).mean() > 0.98
-    assert (found.header.version.minor, found.header.parse_crs().to_epsg()) == (4, 2154)
+    assert (result.header.version.minor, result.header.parse_crs().to_epsg()) == (4, 2154)
 
 
 def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
@@ -252,10 +253,10 @@ def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
     cloud = write_points("0652_6862.laz", moved, 2, crs="EPSG:32631")
     out = tmp_path / "out.laz"
     prepare(out, [cloud], AROUND, [], L93, "EPSG:32631", config(pdal_command=pdal_command))
-    found = laspy.read(out)
-    distance, _ = cKDTree(points).query(found.xyz)
-    assert len(found) == len(points) and distance.max() < 0.003
-    assert found.header.parse_crs().to_epsg() == 2154
+    result = laspy.read(out)
+    distance, _ = cKDTree(points).query(result.xyz)
+    assert len(result) == len(points) and distance.max() < 0.003
+    assert result.header.parse_crs().to_epsg() == 2154
 
 
 def rows_in_order(cloud: laspy.LasData) -> list[list[int]]:

@@ -69,10 +69,10 @@ def test_a_remote_window_equals_the_window_of_the_file(httpserver: HTTPServer, t
     x, y = np.asarray(cloud.x), np.asarray(cloud.y)
     inside = (x >= WINDOW[0]) & (x <= WINDOW[2]) & (y >= WINDOW[1]) & (y <= WINDOW[3])
     expected = np.sort(cloud.points[inside].array[["X", "Y", "Z", "gps_time"]])
-    found = laspy.read(out)
+    result = laspy.read(out)
     assert num_points == inside.sum() > 1000
-    np.testing.assert_array_equal(np.sort(found.points.array[["X", "Y", "Z", "gps_time"]]), expected)
-    assert found.header.parse_crs().to_epsg() == 2154
+    np.testing.assert_array_equal(np.sort(result.points.array[["X", "Y", "Z", "gps_time"]]), expected)
+    assert result.header.parse_crs().to_epsg() == 2154
     assert len(httpserver.log) == 3, "a file of 370 kB is three blocks"
 
 

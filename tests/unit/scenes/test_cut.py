@@ -55,10 +55,10 @@ TILES = ["0652_6862", "0653_6862", "0652_6863", "0653_6863"]
 def test_every_building_is_in_one_tile() -> None:
     frame = town()
     scenes = [cut_scene(window(frame, tile), flat(), tile, TILE_M, CONFIG) for tile in TILES]
-    own = pd.concat([scene[scene["in_tile"]] for scene in scenes])
-    assert sorted(own["building_id"]) == sorted(frame["building_id"])
+    in_tile = pd.concat([scene[scene["in_tile"]] for scene in scenes])
+    assert sorted(in_tile["building_id"]) == sorted(frame["building_id"])
     counts = count_buildings(frame, TILE_M, CONFIG.min_area_m2)
-    assert counts == own["tile"].value_counts().to_dict()
+    assert counts == in_tile["tile"].value_counts().to_dict()
     middle = frame.set_index("building_id").centroid
     for scene in scenes:
         x_min, y_min, x_max, y_max = tile_bounds(scene["tile"].iloc[0], TILE_M, CONFIG.margin_m)
@@ -132,9 +132,9 @@ def test_party_walls_agree_with_sampled_distances() -> None:
         shapely.box(8, 12, 11, 16),
     ]
     polygons = np.array([shapely.orient_polygons(shape) for shape in shapes])
-    for own, flags in enumerate(party_walls(polygons)):
-        others = shapely.union_all(np.delete(polygons, own))
-        ring = np.array(polygons[own].exterior.coords)
+    for building, flags in enumerate(party_walls(polygons)):
+        others = shapely.union_all(np.delete(polygons, building))
+        ring = np.array(polygons[building].exterior.coords)
         for start, end, flag in zip(ring[:-1], ring[1:], flags, strict=True):
             along = shapely.points(start + np.linspace(0, 1, 101)[:, None] * (end - start))
             assert flag == (np.mean(shapely.distance(along, others) <= 0.3) >= 0.5)

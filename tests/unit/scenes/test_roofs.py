@@ -35,8 +35,8 @@ def edges_of(shape: shapely.Polygon, party: list[int] | None = None) -> Footprin
 
 
 def draws(shape: shapely.Polygon, config: Scenes, number: int = 200, party: list[int] | None = None):
-    found = [draw_angles(edges_of(shape, party), f"B{i}", config) for i in range(number)]
-    return [name for name, _ in found], np.array([angle for _, angle in found])
+    results = [draw_angles(edges_of(shape, party), f"B{i}", config) for i in range(number)]
+    return [name for name, _ in results], np.array([angle for _, angle in results])
 
 
 def test_uniform_is_uniform() -> None:

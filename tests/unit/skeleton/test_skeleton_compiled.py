@@ -76,8 +76,8 @@ def test_no_folder_to_cache_in(tmp_path):
     blocked.touch()
     (tmp_path / "p2wss" / "skeleton" / "__pycache__").touch()
     more = {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked), "PYTHONDONTWRITEBYTECODE": "1"}
-    for own in (str(blocked), ""):
-        result, log = run(tmp_path, NUMBA_CACHE_DIR=own, **more)
+    for folder in (str(blocked), ""):
+        result, log = run(tmp_path, NUMBA_CACHE_DIR=folder, **more)
         assert result == 2 and "set NUMBA_CACHE_DIR" in log
 
 
@@ -135,11 +135,11 @@ def test_an_exception_of_what_is_called_by_address() -> None:
 
 
 def test_the_garbage_collector_rests_while_numba_compiles() -> None:
-    seen = []
+    is_enabled = []
 
     class Listener(event.Listener):
         def on_start(self, event):
-            seen.append(gc.isenabled())
+            is_enabled.append(gc.isenabled())
 
         def on_end(self, event):
             pass
@@ -150,4 +150,4 @@ def test_the_garbage_collector_rests_while_numba_compiles() -> None:
 
     with event.install_listener("numba:compile", Listener()):
         assert one(1) == 2
-    assert seen == [False] and gc.isenabled()
+    assert is_enabled == [False] and gc.isenabled()
