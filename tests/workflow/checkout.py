@@ -1,17 +1,28 @@
 """A copy of the project in a temporary folder, in which Snakemake runs and whose code can be edited."""
 
+import importlib
+import multiprocessing
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 PARTS = ["Snakefile", "workflow", "profiles", "config", "envs", "models", "src", "tests/mini"]
 
+# Processes that start with these libraries imported and without p2wss, which each takes from its own project
+_PROCESSES = multiprocessing.get_context("forkserver")
+_PROCESSES.set_forkserver_preload(
+    ["geopandas", "laspy", "numba", "pyarrow.parquet", "rasterio", "scipy.spatial", "snakemake.cli", "torch"]
+)
+
 
 class Project:
-    """A checkout of one's own; ``snakemake(...)`` runs in it with its own code."""
+    """A checkout in ``folder``. Each command runs in a process that imports the code of this checkout."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -19,15 +30,31 @@ class Project:
             source, target = ROOT / part, folder / part
             target.parent.mkdir(parents=True, exist_ok=True)
             if source.is_dir():
-                shutil.copytree(source, target, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+                ignored = shutil.ignore_patterns("*.egg-info")
+                shutil.copytree(source, target, copy_function=_copy, ignore=ignored)
             else:
                 shutil.copy(source, target)
 
     def snakemake(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-        return self._run("snakemake", *arguments, check=check)
+        """The command ``snakemake``, for runs that do something."""
+        command = ["snakemake", *arguments]
+        run = subprocess.run(
+            command, cwd=self.folder, env=self._environment(), capture_output=True, text=True
+        )
+        return _checked(run, check)
+
+    def dry_run(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+        """``snakemake -n``, without the second that Snakemake takes to be imported."""
+        return _checked(*self._main("snakemake", [["-n", *arguments]]), check)
+
+    def dry_runs(self, commands: Sequence[Sequence[str]]) -> list[subprocess.CompletedProcess[str]]:
+        """Several ``snakemake -n`` of the same code in one process, which reads that code once."""
+        runs = self._main("snakemake", [["-n", *arguments] for arguments in commands])
+        return [_checked(run, True) for run in runs]
 
     def p2wss(self, *arguments: object, check: bool = True) -> subprocess.CompletedProcess[str]:
-        return self._run("p2wss", *map(str, arguments), check=check)
+        """The command ``p2wss``, without the seconds that its libraries take to be imported."""
+        return _checked(*self._main("p2wss", [[str(each) for each in arguments]]), check)
 
     def edit(self, path: str, old: str, new: str) -> None:
         file = self.folder / path
@@ -35,17 +62,63 @@ class Project:
         assert old in text, f"{path} does not contain {old!r}"
         file.write_text(text.replace(old, new, 1))
 
-    def _run(self, program: str, *arguments: str, check: bool) -> subprocess.CompletedProcess[str]:
-        environment = os.environ | {
+    def _environment(self) -> dict[str, str]:
+        return os.environ | {
             "PYTHONPATH": str(self.folder / "src"),
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
             "OMP_WAIT_POLICY": "PASSIVE",
         }
-        run = subprocess.run(
-            [program, *arguments], cwd=self.folder, env=environment, capture_output=True, text=True
-        )
-        assert not check or run.returncode == 0, f"{program} {arguments}:\n{run.stdout}\n{run.stderr}"
-        return run
+
+    def _main(
+        self, program: str, commands: Sequence[Sequence[str]]
+    ) -> list[subprocess.CompletedProcess[str]]:
+        with ProcessPoolExecutor(1, mp_context=_PROCESSES) as pool:
+            return pool.submit(_main, program, commands, self.folder, self._environment()).result()
+
+
+def _copy(source: str, target: str) -> None:
+    """Machine code of the checkout is linked: whoever has newer code replaces such a file and never changes it."""
+    if Path(source).parent.name == "__pycache__":
+        try:
+            os.link(source, target)
+            return
+        except OSError:
+            pass  # another file system
+    shutil.copy2(source, target)
+
+
+def _main(
+    program: str, commands: Sequence[Sequence[str]], folder: Path, environment: dict[str, str]
+) -> list[subprocess.CompletedProcess[str]]:
+    """The main function of a program for each list of arguments, in a process that does nothing else."""
+    os.chdir(folder)
+    os.environ.update(environment)
+    sys.path.insert(0, str(folder / "src"))
+    main = importlib.import_module(f"{program}.cli").main
+    return [_captured(main, [program, *arguments]) for arguments in commands]
+
+
+def _captured(main: Callable[[list[str]], int], command: list[str]) -> subprocess.CompletedProcess[str]:
+    sys.argv = command
+    with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
+        os.dup2(stdout.fileno(), sys.stdout.fileno())
+        os.dup2(stderr.fileno(), sys.stderr.fileno())
+        try:
+            status = main(command[1:])
+        except SystemExit as end:
+            status = end.code
+        sys.stdout.flush()
+        sys.stderr.flush()
+        texts = []
+        for stream in (stdout, stderr):
+            stream.seek(0)
+            texts.append(stream.read())
+    return subprocess.CompletedProcess(command, status, *texts)
+
+
+def _checked(run: subprocess.CompletedProcess[str], check: bool) -> subprocess.CompletedProcess[str]:
+    assert not check or run.returncode == 0, f"{run.args}:\n{run.stdout}\n{run.stderr}"
+    return run
 
 
 REDUCED = ["-c2", "--configfile", "tests/mini/reduced.yaml"]

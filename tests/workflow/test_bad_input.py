@@ -39,40 +39,40 @@ def model(done):
     return done.folder / "results/mini/model/model.safetensors"
 
 
-def test_missing_cloud(project, footprints, model, tmp_path):
+def test_missing_cloud(fresh, footprints, model, tmp_path):
     out = tmp_path / "out"
-    run = project.p2wss("reconstruct", "no-such.laz", footprints, out, "--model", model, check=False)
+    run = fresh.p2wss("reconstruct", "no-such.laz", footprints, out, "--model", model, check=False)
     assert "no-such.laz: no such file" in error_of(run) and not out.exists()
 
 
 @pytest.mark.parametrize("num_bytes", [100, 400_000])
-def test_truncated_cloud(project, footprints, model, tmp_path, num_bytes):
+def test_truncated_cloud(fresh, footprints, model, tmp_path, num_bytes):
     cloud, out = tmp_path / "short.laz", tmp_path / "out"
     cloud.write_bytes(LAZ.read_bytes()[:num_bytes])
-    run = project.p2wss("reconstruct", cloud, footprints, out, "--model", model, check=False)
+    run = fresh.p2wss("reconstruct", cloud, footprints, out, "--model", model, check=False)
     assert "short.laz" in error_of(run) and not out.exists()
 
 
-def test_missing_model(project, footprints, tmp_path):
-    run = project.p2wss(
+def test_missing_model(fresh, footprints, tmp_path):
+    run = fresh.p2wss(
         "reconstruct", LAZ, footprints, tmp_path / "out", "--model", "no-such.safetensors", check=False
     )
     assert "no-such.safetensors: no such file" in error_of(run)
 
 
-def test_footprints_in_another_crs_than_the_cloud(project, footprints, model, tmp_path):
+def test_footprints_in_another_crs_than_the_cloud(fresh, footprints, model, tmp_path):
     other = tmp_path / "other.gpkg"
     gpd.read_file(footprints).to_crs(32631).to_file(other)
-    run = project.p2wss("reconstruct", LAZ, other, tmp_path / "out", "--model", model, check=False)
+    run = fresh.p2wss("reconstruct", LAZ, other, tmp_path / "out", "--model", model, check=False)
     line = error_of(run)
     assert "other.gpkg" in line and "UTM zone 31N" in line and "Lambert-93" in line
 
 
-def test_footprints_without_the_needed_columns(project, footprints, tmp_path):
+def test_footprints_without_the_needed_columns(fresh, footprints, tmp_path):
     out = tmp_path / "out.gpkg"
     out.write_bytes(b"what was there")
     config = f"{{fetch: {{folder: {{footprints: {footprints}, footprints_layer: ''}}}}}}"
-    run = project.p2wss("fetch", "footprints", "--out", out, "--config", config, check=False)
+    run = fresh.p2wss("fetch", "footprints", "--out", out, "--config", config, check=False)
     assert "footprints.gpkg" in error_of(run) and "cleabs" in error_of(run)
     assert out.read_bytes() == b"what was there"
 
@@ -117,8 +117,8 @@ def test_terrain_with_a_hole_under_buildings(done, tmp_path):
         ("no-such.yaml", "no-such.yaml: No such file"),
     ],
 )
-def test_config(project, tmp_path, config, message):
-    run = project.p2wss(
+def test_config(fresh, tmp_path, config, message):
+    run = fresh.p2wss(
         *("scans", "--scene", "a", "--dtm", "b", "--buildings", "c", "--out", tmp_path / "d.laz"),
         *("--out-survey", tmp_path / "e.json", "--config", config),
         check=False,

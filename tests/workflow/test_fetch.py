@@ -17,9 +17,8 @@ def test_settings_of_pdal_and_of_offline_download_nothing_again(project):
     project.snakemake("-c1", "fetch", *configure(project, prepare={"mode": "auto"}))
     prepared = project.folder / "results/mini/fetch/lidar/0653_6861.laz"
     assert prepared.samefile(project.folder / "resources/ign/mini/lidar/0653_6861.laz")
-    again = ["-n", "fetch"]
-    assert rules_to_run(project.snakemake(*again, *configure(project, offline=True))) == {}
-    changed = rules_to_run(project.snakemake(*again, *configure(project, prepare={"mode": "never"})))
+    assert rules_to_run(project.dry_run("fetch", *configure(project, offline=True))) == {}
+    changed = rules_to_run(project.dry_run("fetch", *configure(project, prepare={"mode": "never"})))
     assert set(changed) == {"prepare_lidar", "fetch"}
 
 

@@ -35,7 +35,7 @@ def again(done, tmp_path):
 
 
 def planned(project: Project, *arguments: str) -> dict[str, int]:
-    run = project.snakemake("-n", *(arguments or ("eval_report",)), *REDUCED)
+    run = project.dry_run(*(arguments or ("eval_report",)), *REDUCED)
     jobs = rules_to_run(run)
     assert jobs or NOTHING in run.stdout + run.stderr
     return jobs

@@ -108,14 +108,14 @@ def test_table_2_of_a_real_data_set_with_recorded_roofer(done, project):
     assert {more["Buildings"][i] for i in at} == {"74"} and {more["Without a mesh"][i] for i in at} == {"0"}
     assert {more["Manifold (%)"][i] for i in at} == {"100.0000"}
     assert "Roofer (recorded)" in (folder / "report.html").read_text()
-    assert rules_to_run(project.snakemake("-n", *target)) == {}
+    assert rules_to_run(project.dry_run(*target)) == {}
     # a Roofer that appears is run instead
     program = project.folder / "roofer"
     program.write_text("#!/bin/sh\necho roofer 9.9\n")
     program.chmod(0o755)
     config["eval"]["roofer_command"] = str(program)
     (project.folder / "delft.yaml").write_text(yaml.safe_dump(config))
-    assert "baseline" in rules_to_run(project.snakemake("-n", *target))
+    assert "baseline" in rules_to_run(project.dry_run(*target))
 
 
 def test_another_crs_is_one_clear_line(done, tmp_path):

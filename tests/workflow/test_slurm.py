@@ -2,13 +2,12 @@
 
 import csv
 import re
-import shutil
 import subprocess
 import time
 from collections import defaultdict
 
 import pytest
-from checkout import ROOT, Project
+from checkout import Project
 from one_node_slurm import one_node_slurm, reason_to_skip
 
 pytestmark = pytest.mark.slow
@@ -32,8 +31,6 @@ def slurm(tmp_path):
 def test_the_reduced_miniature_to_its_report(slurm, tmp_path):
     """The stages of a tile are one job, and a job that Slurm kills for its memory is sent again with more."""
     project = Project(tmp_path / "project")
-    # with what is compiled already, as after make install
-    shutil.copytree(ROOT / "src", project.folder / "src", dirs_exist_ok=True)
     start = time.monotonic()
     run = project.snakemake(
         *("eval_report", "--profile", "profiles/slurm", "--configfile", "tests/mini/reduced.yaml", *SITE),

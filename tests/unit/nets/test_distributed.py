@@ -130,15 +130,17 @@ def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results of one process and of two; run by torchrun, as a user would."""
+    """The results of one process and of two; run by torchrun, as a user would, both at the same time."""
     folder = tmp_path_factory.mktemp("distributed")
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
+    runs = []
     for count in (1, 2):
         command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
-        run = subprocess.run(
-            [*command, __file__, str(folder / str(count))], env=environment, capture_output=True, text=True
-        )
-        assert run.returncode == 0, run.stderr[-3000:]
+        command += [__file__, str(folder / str(count))]
+        runs.append(subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True))
+    for run in runs:
+        _, error = run.communicate()
+        assert run.returncode == 0, error[-3000:]
     return folder
 
 
