@@ -22,7 +22,7 @@ eval_report: install
 	snakemake -c$(CORES) eval_report
 
 test: install lint
-	pytest
+	pytest --durations=15
 
 test-slow: install
 	pytest -m slow --timeout 3600
