@@ -58,19 +58,19 @@ def test_snakemakes_own_report_has_page_and_tables(done, tmp_path):
     with zipfile.ZipFile(archive) as content:
         names = [name.rsplit("/", 1)[-1] for name in content.namelist()]
         assert {"report.html", "table1.csv", "table2.csv", "table2_more.csv", "worst.csv"} <= set(names)
-        told = "".join(content.read(name).decode(errors="ignore") for name in content.namelist())
-    assert "as in Table 1 of the paper" in told, "the captions"
+        text = "".join(content.read(name).decode(errors="ignore") for name in content.namelist())
+    assert "as in Table 1 of the paper" in text, "the captions"
 
 
 def test_every_building_has_a_row_and_every_mesh_is_closed(done):
     results = done.folder / "results/mini"
     manifest = json.loads((results / "crops/manifest.json").read_text())
-    wanted = set()
+    expected = set()
     for shard in manifest["shards"]:
         table = pq.read_table(results / "crops" / shard["path"], columns=["building_id", "split"])
-        wanted |= {row["building_id"] for row in table.to_pylist() if row["split"] in ("test", "none")}
+        expected |= {row["building_id"] for row in table.to_pylist() if row["split"] in ("test", "none")}
     predictions = pq.read_table(results / "eval/point2wss.parquet").to_pylist()
-    assert {row["building_id"] for row in predictions} == wanted
+    assert {row["building_id"] for row in predictions} == expected
     with_mesh = [row for row in predictions if row["triangle"]]
     assert len(with_mesh) >= 0.98 * len(predictions)
     for row in with_mesh:

@@ -10,7 +10,7 @@ import numpy as np
 from p2wss.config import Crops
 from p2wss.crops.kernels import count_distinct, count_true, gather_cm, medians
 from p2wss.data import files, polygon_arrays, reasons
-from p2wss.data.cloud_crops import Cropped
+from p2wss.data.cloud_crops import CloudCrops
 from p2wss.data.clouds import Cloud
 from p2wss.data.cropping import seen_share
 from p2wss.skeleton.types import Polygons
@@ -21,7 +21,7 @@ _OUT_OF_RANGE = -32768
 
 def crop_columns(
     cloud: Cloud,
-    cropped: Cropped,
+    cropped: CloudCrops,
     polygons: Polygons,
     origin_xy_m: np.ndarray,
     on_roof: np.ndarray,

@@ -21,8 +21,8 @@ _FOOT_QUANTILE = 0.02
 
 
 @dataclass(frozen=True)
-class Cropped:
-    """Points of each of n polygons: polygon p has the pairs ``offset[p]:offset[p + 1]``.
+class CloudCrops:
+    """The points of a cloud on or near each of n polygons: polygon p has the pairs ``offset[p]:offset[p + 1]``.
 
     point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for points in the buffer around
     the footprint. ground_z_m: float64 (n,), z of the ground at the building (:func:`ground_height`). If the cloud
@@ -39,14 +39,14 @@ class Cropped:
         return self.point[self.offset[polygon] : self.offset[polygon + 1]]
 
 
-def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cropped:
+def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> CloudCrops:
     """The points of ``cloud`` inside or within ``buffer_m`` of each polygon. polygons: in the CRS of the cloud."""
     point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
     first_ring = (point, inside, offset) if buffer_m == GROUND_RINGS_M[0] else None
     ground_z_m = ground_height(cloud, polygons, first_ring)
     for p in np.flatnonzero(np.isnan(ground_z_m) & (np.diff(offset) > 0)):
         ground_z_m[p] = np.quantile(cloud.z_m[point[offset[p] : offset[p + 1]]], _FOOT_QUANTILE)
-    return Cropped(point, inside, offset, ground_z_m)
+    return CloudCrops(point, inside, offset, ground_z_m)
 
 
 def ground_height(

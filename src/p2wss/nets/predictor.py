@@ -60,7 +60,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class _Decoded:
+class _Prediction:
     """Values of a batch: height_m (b,), angle_deg (b, n), class_probability (b, n, 3) and, that the height and each
     angle are within their tolerances, probability (b, 1 + n)."""
 
@@ -118,15 +118,15 @@ class Predictor:
         class_probability = [np.full((len(edges), 3), 1 / 3) for edges in angle]
         probability = [np.zeros(0)] * len(points_m)
         for index, batch in self._batches(points_m, exterior):
-            decoded = self._decode(batch)
+            prediction = self._decode(batch)
             for row, i in enumerate(index):
                 num_edges = len(exterior[i])
-                height[i] = decoded.height_m[row]
-                angle[i][:num_edges] = decoded.angle_deg[row, :num_edges]
-                class_probability[i][:num_edges] = decoded.class_probability[row, :num_edges]
+                height[i] = prediction.height_m[row]
+                angle[i][:num_edges] = prediction.angle_deg[row, :num_edges]
+                class_probability[i][:num_edges] = prediction.class_probability[row, :num_edges]
                 if len(rings[i]) > 1:
                     angle[i][num_edges:] = _courtyard_angle(angle[i][:num_edges])
-                probability[i] = decoded.probability[row, : 1 + num_edges]
+                probability[i] = prediction.probability[row, : 1 + num_edges]
                 confidence[i] = decoding.expected_share(probability[i])
         return Prediction(height, angle, class_probability, probability, confidence)
 
@@ -164,9 +164,9 @@ class Predictor:
         num_points, num_vertices = np.diff(dataset.point_offset)[index], dataset.num_vertices[index]
         for rows in self._similar_size_batches(num_points, num_vertices):
             batch = augment.centre(dataset.batch(index[rows], self.dvae_config.num_points, None))
-            decoded = self._decode(batch)
-            heights[rows] = decoded.height_m - batch.height.numpy()
-            difference = decoded.angle_deg - batch.angle.numpy()
+            prediction = self._decode(batch)
+            heights[rows] = prediction.height_m - batch.height.numpy()
+            difference = prediction.angle_deg - batch.angle.numpy()
             for row, i in enumerate(rows):
                 angles[i] = difference[row, : batch.num_vertices[row]]
         return heights, np.concatenate(angles)
@@ -230,7 +230,7 @@ class Predictor:
         )
 
     @torch.inference_mode()
-    def _decode(self, batch: Batch) -> _Decoded:
+    def _decode(self, batch: Batch) -> _Prediction:
         """Heights and angles of a centred batch whose footprints are known.
 
         The probabilities of the views are averaged before values are decoded.
@@ -257,7 +257,7 @@ class Predictor:
         height_tolerance = round(decoding.HEIGHT_TOLERANCE_M / unit)
         height_probability = decoding.mass_near(heights, height, height_tolerance)
         angle_probability = decoding.mass_near(angles, angle, decoding.ANGLE_TOLERANCE_DEG)
-        return _Decoded(
+        return _Prediction(
             (height * unit).cpu().numpy(),
             angle.double().cpu().numpy(),
             decoding.class_probability(angles).double().cpu().numpy(),

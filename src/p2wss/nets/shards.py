@@ -57,15 +57,15 @@ def load_dataset(
     same content and the same arguments uses that folder. Without ``cache`` the arrays are held in memory. Raises
     :class:`InputError` for a broken manifest or shard, or when no building remains.
     """
-    listed = read_manifest(manifest)
+    listing = read_manifest(manifest)
     shards = [
-        shard for shard in listed.shards if shard.dataset == SIMULATED or (include_real and not labelled)
+        shard for shard in listing.shards if shard.dataset == SIMULATED or (include_real and not labelled)
     ]
     excluded: Counter[str] = Counter()
 
     def parts() -> Iterator[BuildingDataset]:
         for path, name, _ in shards:
-            select = partial(listed.select, dataset=name, purposes=splits if name == SIMULATED else ["dvae"])
+            select = partial(listing.select, dataset=name, purposes=splits if name == SIMULATED else ["dvae"])
             part = _read_shard(path, select, limits, labelled, excluded)
             if len(part):
                 yield part
@@ -77,8 +77,8 @@ def load_dataset(
         key = [
             _CACHE_VERSION,
             content,
-            listed.seed,
-            dict(listed.selection),
+            listing.seed,
+            dict(listing.selection),
             list(splits),
             vars(limits),
             labelled,
