@@ -96,3 +96,13 @@ def test_plan_counts_the_jobs_that_snakemake_plans(fresh, config):
     jobs = rules_to_run(fresh.dry_run("--configfile", config))
     plan = json.loads(fresh.p2wss("plan", "--configfile", config, "--json").stdout)
     assert plan["jobs"] == sum(jobs.values())
+
+
+def test_settings_of_roofer_change_the_command_of_its_baseline_only(fresh):
+    """Snakemake runs a rule again whose parameters have changed, and they are all in the command."""
+    other = json.dumps({"roofer_command": "roofer --rerun", "roofer_keep": "kept", "roofer_timeout_s": 7})
+    before = commands_of(fresh.dry_run())
+    after = commands_of(fresh.dry_run("--config", f"eval={other}"))
+    changed = [command for command in after if command not in before]
+    roofer = ["eval", "baseline", "--name", "roofer"]
+    assert [command[:4] == roofer for command in changed if command[:2] != ["eval", "report"]] == [True]

@@ -45,6 +45,18 @@ def variant_section(wildcards):
     return configs.section_json(configs.ablated(settings, wildcards.variant), "model")
 
 
+# settings that only the report reads: no mesh depends on them
+REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst")
+# settings that only the baseline roofer reads
+ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_keep", "roofer_timeout_s")
+
+
+def baseline_section(wildcards):
+    """The settings of a baseline: those of Roofer are of one baseline only."""
+    without = REPORT_ONLY if wildcards.baseline == "roofer" else REPORT_ONLY + ROOFER_ONLY
+    return section("eval", "reconstruct", without=without)(wildcards)
+
+
 def baseline_state(wildcards):
     """What a baseline depends on beside the code: another version of Roofer runs it again."""
     return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""

@@ -9,8 +9,6 @@ from shlex import quote
 
 # our methods; each file of reconstructions is named after its method
 OURS = ["point2wss", "point2wss+fit", "fit"]
-# settings that only the report reads: no mesh depends on them
-REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst")
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
 
 
@@ -35,7 +33,7 @@ rule predict:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
         gpu=1,
     params:
-        config=section("eval", "reconstruct", without=REPORT_ONLY),
+        config=section("eval", "reconstruct", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.predict", "eval.parameters", "nets.predictor"),
     shell:
         "p2wss eval predict --manifest {input.manifest} --model {input.model:q} --out {output.reconstructions}"
@@ -63,7 +61,7 @@ rule fit:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
         gpu=lambda wildcards: int(wildcards.method == "point2wss+fit"),
     params:
-        config=section("eval", "reconstruct", without=REPORT_ONLY),
+        config=section("eval", "reconstruct", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.predict", "nets.predictor"),
         model=lambda wildcards, input: f"--model {quote(str(input.model))}" if input.model else "",
     shell:
@@ -89,7 +87,7 @@ rule baseline:
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
-        config=section("eval", "reconstruct", without=REPORT_ONLY),
+        config=baseline_section,
         code=fingerprint("eval.baselines"),
         state=baseline_state,
     shell:
@@ -115,7 +113,7 @@ rule measure:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        config=section("eval", without=REPORT_ONLY),
+        config=section("eval", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.measure"),
     shell:
         "p2wss eval measure --manifest {input.manifest} --reconstructions {input.reconstructions} --out {output.measures}"

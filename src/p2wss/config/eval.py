@@ -52,4 +52,8 @@ class Eval(Section):
         "",
         description="recorded results of Roofer (folder of CityJSON), used where it is not installed; '' = none",
     )
+    roofer_keep: str = Field(
+        "",
+        description="folder in which to keep the output of Roofer, to be given as roofer_recorded later; '' = none",
+    )
     roofer_timeout_s: float = Field(3600, gt=0, description="longest run of Roofer on one tile")

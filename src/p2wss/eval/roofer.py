@@ -19,7 +19,7 @@ import pyproj
 import shapely.affinity
 
 from p2wss.config import Eval
-from p2wss.data import reasons
+from p2wss.data import files, reasons
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL
 from p2wss.eval.cases import Case
@@ -47,14 +47,16 @@ def run(
     """
     by_key: dict[tuple[str, str, str], Reconstruction] = {}
     clock = clock or CpuClock()
-    for (dataset, _tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
+    for (dataset, tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
         members = list(group)
         with tempfile.TemporaryDirectory(prefix="p2wss-roofer-") as folder:
             write_inputs(members, crs.get(dataset), Path(folder))
             with clock.timed(dataset, len(members)):
                 solids, reason = _run_tile(roofer, members, Path(folder), config)
-        for index, case in enumerate(members):
-            solid = solids.get(str(index))
+            if config.roofer_keep:
+                _keep(_outputs(Path(folder)), dataset, tile, Path(config.roofer_keep))
+        for case in members:
+            solid = solids.get(case.building.building_id)
             by_key[case.key] = (
                 reconstruction(case, solid)
                 if solid is not None and len(solid.triangle)
@@ -118,11 +120,10 @@ def _run_key(case: Case) -> tuple[str, str]:
 def _run_tile(
     roofer: Roofer, cases: Sequence[Case], folder: Path, config: Eval
 ) -> tuple[dict[str, ReadSolid], str | None]:
-    """Solids by position of the case, and the reason if the run failed."""
-    out = folder / "out"
+    """Solids by building id, and the reason if the run failed."""
     command = [word.replace("{folder}", str(folder)) for word in roofer.command]
     command += ["--id-attribute", ID_FIELD, "--lod22"]
-    command += [str(folder / "points.laz"), str(folder / "footprints.gpkg"), str(out)]
+    command += [str(folder / "points.laz"), str(folder / "footprints.gpkg"), str(folder / "out")]
     try:
         completed = subprocess.run(
             command, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
@@ -141,14 +142,32 @@ def _run_tile(
         )
         return {}, reasons.ROOFER_FAILED
     solids = {}
-    for path in sorted(out.rglob("*.jsonl")):
+    for path in _outputs(folder):
         for solid in cityjson.read(path, LOD):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
     return solids, None
 
 
+def _outputs(folder: Path) -> list[Path]:
+    return sorted((folder / "out").rglob("*.jsonl"))
+
+
+def _keep(paths: Sequence[Path], dataset: str, tile: str, folder: Path) -> None:
+    """Copy the output of a run: of real LiDAR into ``folder``, of other data sets into a folder of their name in it.
+
+    ``eval.roofer_recorded`` reads the files of a folder, but not those of the folders in it.
+    """
+    folder = folder if dataset == REAL else folder / dataset
+    # the name of a tile may begin with its place
+    name = tile.replace("/", "_")
+    for old in folder.glob(f"{name}.*.city.jsonl"):
+        old.unlink()
+    for number, path in enumerate(paths):
+        files.write_bytes(folder / f"{name}.{number}.city.jsonl", path.read_bytes())
+
+
 def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
-    """Write ``points.laz``, each point once with its class, and ``footprints.gpkg``, ids = positions of the cases."""
+    """Write ``points.laz``, each point once with its class, and ``footprints.gpkg`` with the ids of the buildings."""
     cloud = [case.building.point_m + np.array([*case.building.origin_xy_m, 0.0]) for case in cases]
     classes = np.concatenate([case.building.classification for case in cases])
     # crops of neighbours overlap; on a grid of centimetres the same point has the same coordinates
@@ -165,6 +184,8 @@ def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
     las.number_of_returns = np.ones(len(grid), np.uint8)
     las.write(folder / "points.laz")
     shapes = [shapely.affinity.translate(case.building.polygon, *case.building.origin_xy_m) for case in cases]
-    frame = gpd.GeoDataFrame({ID_FIELD: [str(i) for i in range(len(cases))]}, geometry=shapes, crs=crs)
+    frame = gpd.GeoDataFrame(
+        {ID_FIELD: [case.building.building_id for case in cases]}, geometry=shapes, crs=crs
+    )
     # Roofer 1.1 built with GDAL 3.6 aborts on version 1.4 without a CRS
     frame.to_file(folder / "footprints.gpkg", driver="GPKG", engine="pyogrio", VERSION="1.2")

@@ -21,7 +21,7 @@ from p2wss import cli
 from p2wss.config import Eval, Reconstruct
 from p2wss.data import files
 from p2wss.data.building import no_mesh
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
 from p2wss.data.schemas.manifest import Manifest, Shard, read_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, read_reconstructions, reconstruction_columns
@@ -196,6 +196,32 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
         assert mesh.bounds[1, 2] == pytest.approx(top, abs=0.011)
         # the bounding box of the footprint, in the frame of the building
         assert mesh.bounds[0, :2] == pytest.approx(case.building.rings[0].min(axis=0), abs=0.011)
+
+
+def test_kept_outputs_of_roofer_can_be_read_as_recorded(
+    hamlet_cases: list[cases.Case], tmp_path: Path
+) -> None:
+    program = tmp_path / "roofer"
+    program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
+    program.chmod(program.stat().st_mode | stat.S_IXUSR)
+    folder = tmp_path / "kept"
+    config = CONFIG.model_copy(update={"roofer_command": str(program), "roofer_keep": str(folder)})
+    crs = {"simulated": "EPSG:2154", "real": "EPSG:2154"}
+    tool = roofer_command.find(str(program))
+    assert isinstance(tool, roofer_command.Roofer)
+    runs = [roofer.run(tool, hamlet_cases, crs, config) for _ in range(2)]
+    without_program = Eval(roofer_command="no-such-program-as-roofer", roofer_recorded=str(folder))
+    paths = roofer_command.recorded_files(without_program)
+    assert len(paths) == 1  # a second run replaces the output of the first
+    recorded = roofer.recorded(paths, hamlet_cases)
+    real = [case for case in hamlet_cases if case.dataset == REAL]
+    assert real and set(recorded) == {case.key for case in real}
+    for case, reconstruction in zip(hamlet_cases, runs[1], strict=True):
+        if case.dataset == REAL:
+            np.testing.assert_array_equal(recorded[case.key].vertex_m, reconstruction.vertex_m)
+            np.testing.assert_array_equal(recorded[case.key].triangle, reconstruction.triangle)
+    # those of simulated buildings, which may have the same ids, are in a folder of their own
+    assert len(list((folder / SIMULATED).glob("*.city.jsonl"))) == 1
 
 
 def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
