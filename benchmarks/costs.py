@@ -21,7 +21,7 @@ from pathlib import Path
 from statistics import median
 
 from p2wss.config import Config, dataset_name, load, member_places, place_config
-from p2wss.data.tiling import tiles_of_bounds
+from p2wss.fetch import plan as fetch_plan
 from p2wss.plan.costs import Cost, write_costs
 from p2wss.plan.work import Region, Work, count_work
 
@@ -68,10 +68,9 @@ def work_of(config: Config) -> tuple[Work, dict[str, int]]:
     regions: list[Region] = []
     by_tile: dict[str, int] = {}
     for place in member_places(config):
-        region = place_config(config, place).region
-        tiles = region.tiles or list(tiles_of_bounds(region.bounds_m, region.tile_size_m))
+        at = place_config(config, place)
         of_place = {tile: count for (name, tile), count in counts.items() if name == place}
-        regions.append(Region(tiles, region.lidar_tiles, of_place))
+        regions.append(Region(fetch_plan.tiles(at), fetch_plan.lidar_tiles(at), of_place))
         by_tile |= of_place
     return count_work(config, regions), by_tile
 

@@ -75,7 +75,7 @@ def _regions_and_downloads(config: Config) -> tuple[list[Any], list[Any]]:
     regions, downloads = [], []
     for place in member_places(config):
         member = place_config(config, place)
-        regions.append(Region(fetch_plan.tiles(member), member.region.lidar_tiles, counts.get(place)))
+        regions.append(Region(fetch_plan.tiles(member), fetch_plan.lidar_tiles(member), counts.get(place)))
         folder = Path("resources/ign", member.region.vintage, "downloads")
         downloads += [
             Download(

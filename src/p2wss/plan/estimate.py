@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from p2wss.config import Config, dataset_name, member_places, place_config
+from p2wss.config import ALL, Config, dataset_name, member_places, place_config
 from p2wss.errors import InputError
 from p2wss.plan.costs import Cost
 from p2wss.plan.work import Region, Work, count_work, density_per_km2, split_shares
@@ -189,9 +189,8 @@ def _assumptions(
     lines = []
     for place, region in zip(member_places(config), regions, strict=True):
         name = place.removesuffix("/") or config.region.name
-        tiles = f"{len(region.tiles)} tiles" + (
-            "" if place_config(config, place).region.tiles else ", all within its bounds"
-        )
+        named = place_config(config, place).region.tiles
+        tiles = f"{len(region.tiles)} tiles{', all within its bounds' if named in ([], [ALL]) else ''}"
         buildings = (
             f"{density_per_km2(config, place):g} usable buildings per km2 (section plan of the config)"
             if region.num_buildings is None
@@ -201,8 +200,8 @@ def _assumptions(
     shares = split_shares(config.crops)
     if config.crops.split == "blocks":
         lines.append(
-            f"val and test buildings within {config.crops.guard_m:g} m of the edge of their block of "
-            f"{config.crops.block_size_m:g} m are not used: {100 * (1 - shares['test'] / 0.1):.0f} % of them"
+            f"{100 * (1 - shares['test'] / 0.1):.0f} % of val and test buildings are within "
+            f"{config.crops.guard_m:g} m of another split and are not used"
         )
     dataset, pairs = config.dataset, sum(work.pairs.values())
     if dataset.num_pairs and round(pairs) < dataset.num_pairs:
@@ -210,7 +209,7 @@ def _assumptions(
     wanted = dataset.num_lidar_dvae + dataset.num_lidar_test
     if round(work.num_real) < wanted:
         lines.append(f"TOO FEW real clouds: {work.num_real:,.0f} of {wanted:,}")
-    lines += [f"{download.product} to download: {download.basis}" for download in downloads]
+    lines += dict.fromkeys(f"{download.product} to download: {download.basis}" for download in downloads)
     if any(download.product == "LiDAR" for download in downloads):
         lines.append(
             f"a job with real LiDAR needs {_MEMORY_PER_LAZ_MB} times the size of its LAZ file as memory, "
