@@ -1,5 +1,7 @@
 # make eval_report   install, then the whole pipeline on the miniature: results/mini/eval/report.html
+# make dry-run       install, then the plan of the miniature: its jobs, none of which runs
 # make test          install, then format, lint, types and tests, a real run of the reduced miniature among them
+# make test-slurm    the reduced miniature on a Slurm of this machine alone; as root, with Debian's packages of Slurm
 PYTHON ?= python3
 BIN := .venv/bin
 CORES ?= 2
@@ -8,7 +10,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install eval_report test test-slow lint format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-slow test-slurm lint format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -18,14 +20,24 @@ $(BIN)/.installed: envs/lock.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $@
 
+# plugins of Slurm, Kubernetes and object storage, and what their tests need
+engines: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r envs/engines.txt
+
 eval_report: install
 	snakemake -c$(CORES) eval_report
+
+dry-run: install
+	snakemake eval_report --dry-run --quiet rules
 
 test: install lint
 	pytest --durations=15
 
 test-slow: install
 	pytest -m slow --timeout 3600
+
+test-slurm: engines
+	pytest -m slow --timeout 3600 -s tests/workflow/test_slurm.py
 
 lint: install
 	ruff check .
@@ -54,6 +66,8 @@ lock:
 		--no-emit-options --no-header --extra test --extra lint -c envs/constraints.txt -o envs/lock.txt pyproject.toml
 	sed -i -e 's/^torch==\([0-9.]*\)+.*/torch==\1/' \
 		-e 's/^\(backports-zstd==[0-9.]*\)$$/\1 ; python_version < "3.14"/' envs/lock.txt
+	$(BIN)/pip-compile --quiet --upgrade --allow-unsafe --strip-extras --no-emit-find-links --no-emit-index-url \
+		--no-emit-options --no-header --no-annotate -c envs/lock.txt -o envs/engines.txt envs/engines.in
 
 clean:
 	rm -rf results resources logs .snakemake

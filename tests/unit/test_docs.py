@@ -48,7 +48,10 @@ SOURCES = [
 ]
 # options of Snakemake that the pages name
 SNAKEMAKE_FLAGS = {"-n", "-f"}
-SNAKEMAKE_VALUES = {"--profile", "--report", "--sdm", "--container-image", "-R"}
+SNAKEMAKE_VALUES = {
+    "--profile", "--report", "--sdm", "--container-image", "-R",
+    "--default-storage-prefix", "--slurm-no-account", "--slurm-status-command",
+}  # fmt: skip
 # what the recipes of CONTRIBUTING add
 RECIPES = re.compile(r"saltbox|hip35|\btail\b|tail_|\boff$")
 # placeholders in the pages, and files that a command of the pages writes
@@ -150,7 +153,7 @@ def test_every_target_and_setting_of_snakemake_commands_exists():
             elif word.startswith("results/"):
                 assert generic(word) in RULES_TEXT, where
             else:
-                assert word in RULES or word in ("...", "<your", "image>"), where
+                assert word in RULES or word in ("...", "<your", "image>", "bucket>/p2wss"), where
 
 
 def test_contributing_has_every_room():

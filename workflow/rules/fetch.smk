@@ -23,7 +23,7 @@ rule fetch_footprints:
     input:
         lambda wildcards: local(drawn_town(wildcards.place, "footprints")),
     output:
-        footprints=ensure("<results>/fetch/{place}footprints.gpkg", non_empty=True),
+        footprints="<results>/fetch/{place}footprints.gpkg",
     log:
         "<logs>/fetch/{place}footprints.log",
     benchmark:
@@ -49,7 +49,7 @@ rule fetch_dtm:
     input:
         lambda wildcards: local(drawn_town(source_of_tile(wildcards), "dtm")),
     output:
-        dtm=ensure("resources/ign/{vintage}/dtm/{tile}.tif", non_empty=True),
+        dtm="resources/ign/{vintage}/dtm/{tile}.tif",
     log:
         "<logs>/fetch/{vintage}/dtm_{tile}.log",
     benchmark:
@@ -72,7 +72,7 @@ rule fetch_dtm:
 
 rule fetch_lidar:
     output:
-        lidar=ensure("resources/ign/{vintage}/lidar/{tile}.laz", non_empty=True),
+        lidar="resources/ign/{vintage}/lidar/{tile}.laz",
     log:
         "<logs>/fetch/{vintage}/lidar_{tile}.log",
     benchmark:
@@ -98,7 +98,7 @@ rule prepare_lidar:
         clouds=delivered_around,
         stages=local(settings.fetch.prepare.pdal_stages),
     output:
-        lidar=ensure("<results>/fetch/lidar/{place}{tile}.laz", non_empty=True),
+        lidar="<results>/fetch/lidar/{place}{tile}.laz",
     log:
         "<logs>/fetch/prepare/{place}{tile}.log",
     benchmark:

@@ -11,7 +11,7 @@ rule cast_scan:
         dtm="<results>/scenes/{place}{tile}.tif",
         buildings="<results>/buildings/{place}{tile}.parquet",
     output:
-        scan=ensure("<results>/scans/{place}{tile}.laz", non_empty=True),
+        scan="<results>/scans/{place}{tile}.laz",
         survey="<results>/scans/{place}{tile}.json",
         picture="<results>/scans/{place}{tile}.png",
     log:
