@@ -45,7 +45,7 @@ class Error:
 
 def read(manifest: Path) -> list[Case]:
     """The labelled test split."""
-    every = cases.test_cases(read_manifest(manifest))
+    every = [case for of_shard in cases.test_cases(read_manifest(manifest)) for case in of_shard]
     return [case for case in every if case.dataset == SIMULATED and case.angle_deg is not None]
 
 

@@ -54,6 +54,21 @@ def test_trained_weights_are_used_as_they_are_and_the_town_of_the_config_is_draw
     assert (jobs["draw_town"], jobs["cut_scene"], jobs["predict"]) == (1, 2, 1)
 
 
+def test_shards_are_evaluated_in_groups(project):
+    """Four shards: by default in one group, or three and one."""
+    jobs = rules_to_run(project.snakemake("-n", "eval_report"))
+    assert [jobs[rule] for rule in ("predict", "fit", "measure", "merge")] == [1, 2, 1, 1]
+    dry_run = project.snakemake("-n", "eval_report", "--config", "eval={shards_per_job: 3}")
+    jobs = rules_to_run(dry_run)
+    assert [jobs[rule] for rule in ("predict", "fit", "baseline", "measure", "merge")] == [2, 4, 6, 2, 1]
+    options = [
+        cli._parser().parse_args(words) for words in commands_of(dry_run) if words[:2] == ["eval", "predict"]
+    ]
+    shards = sorted((group.out.parent.name, [shard.stem for shard in group.shards]) for group in options)
+    simulated = ["0652_6862", "0653_6862", "0652_6861"]
+    assert shards == [("0000", simulated), ("0001", ["0653_6861"])]
+
+
 def test_a_stage_is_a_target(fresh):
     jobs = rules_to_run(fresh.dry_run("scans"))
     assert {"cast_scan", "build_roofs", "cut_scene"} <= set(jobs)

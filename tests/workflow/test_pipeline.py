@@ -20,6 +20,8 @@ SCANS_AND_WHAT_FOLLOWS = {
     "fit",
     "baseline",
     "measure",
+    "medians",
+    "merge",
     "reconstruct_tile",
     "eval_report",
 }
@@ -69,7 +71,7 @@ def test_every_building_has_a_row_and_every_mesh_is_closed(done):
     for shard in manifest["shards"]:
         table = pq.read_table(results / "crops" / shard["path"], columns=["building_id", "split"])
         expected |= {row["building_id"] for row in table.to_pylist() if row["split"] in ("test", "none")}
-    predictions = pq.read_table(results / "eval/point2wss.parquet").to_pylist()
+    predictions = pq.read_table(results / "eval/parts/0000/point2wss.parquet").to_pylist()
     assert {row["building_id"] for row in predictions} == expected
     with_mesh = [row for row in predictions if row["triangle"]]
     assert len(with_mesh) >= 0.98 * len(predictions)

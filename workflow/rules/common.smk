@@ -24,6 +24,7 @@ wildcard_constraints:
     place=configs.PLACE_PATTERN,
     tile=TILE_PATTERN,
     vintage=r"[A-Za-z0-9_.-]+",
+    group=r"\d+",
     method=r"(point2wss\+)?fit",
     baseline="lod1|constant|roofer",
 
@@ -45,8 +46,8 @@ def variant_section(wildcards):
     return configs.section_json(configs.ablated(settings, wildcards.variant), "model")
 
 
-# settings that only the report reads: no mesh depends on them
-REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst")
+# settings that only the report or the rules read: no mesh depends on them
+REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst", "shards_per_job")
 # settings that only the baseline roofer reads
 ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_keep", "roofer_timeout_s")
 

@@ -1,31 +1,83 @@
 """Eval: reconstructions by every method, their measures, and the report with its tables.
 
 In:  the crops, the weights of the model, the metrics of the trainings, pictures of the scans.
-Out: <results>/eval/{method}.parquet and cpu/{method}.json for point2wss, point2wss+fit, fit and each of eval.baselines;
-     parameters.json (errors of Table 1), measures.parquet; report.html and its tables as CSV and LaTeX.
+Out: <results>/eval/parts/{group}/ per group of eval.shards_per_job shards: {method}.parquet and cpu/{method}.json for
+     point2wss, point2wss+fit, fit and each of eval.baselines; measures.parquet and the errors of Table 1.
+     <results>/eval/: medians.json (constant predictor); merged measures.parquet, parameters.json (errors of Table 1) and
+     methods.json (status, CPU time); report.html and its tables as CSV and LaTeX.
 """
 
 from shlex import quote
 
 # our methods; each file of reconstructions is named after its method
 OURS = ["point2wss", "point2wss+fit", "fit"]
+METHODS = [*OURS, *settings.eval.baselines]
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
+
+
+@cache
+def evaluated_shards():
+    """All shards in the order of the manifest, cut into the groups of one job each."""
+    shards = [*simulated_shards({}), *real_shards({})]
+    size = settings.eval.shards_per_job
+    return [shards[first : first + size] for first in range(0, len(shards), size)]
+
+
+def shards_of_group(wildcards):
+    return evaluated_shards()[int(wildcards.group)]
+
+
+def every_group(path):
+    """An input function: ``path`` for every group of shards."""
+    return lambda wildcards: expand(
+        path, group=[f"{number:04d}" for number in range(len(evaluated_shards()))], allow_missing=True
+    )
+
+
+def folders_of(name):
+    """The folders of the parts, from the paths of an input with this name."""
+    return lambda wildcards, input: list(dict.fromkeys(os.path.dirname(path) for path in input[name]))
+
+
+RECONSTRUCTIONS = every_group(expand("<results>/eval/parts/{{group}}/{name}.parquet", name=METHODS))
+
+
+# the constant predictor
+rule medians:
+    input:
+        manifest="<results>/crops/manifest.json",
+        simulated=simulated_shards,
+        real=real_shards,
+    output:
+        medians="<results>/eval/medians.json",
+    log:
+        "<logs>/eval/medians.log",
+    benchmark:
+        "<benchmarks>/eval/medians.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+    params:
+        code=fingerprint("eval.cases"),
+    shell:
+        "p2wss eval medians --manifest {input.manifest} --out {output.medians} 2> {log}"
 
 
 rule predict:
     input:
         manifest="<results>/crops/manifest.json",
-        simulated=simulated_shards,
-        real=real_shards,
+        shards=shards_of_group,
+        medians="<results>/eval/medians.json",
         model=weights,
     output:
-        reconstructions="<results>/eval/point2wss.parquet",
-        parameters="<results>/eval/parameters.json",
-        cpu="<results>/eval/cpu/point2wss.json",
+        reconstructions="<results>/eval/parts/{group}/point2wss.parquet",
+        errors="<results>/eval/parts/{group}/masked_errors.json",
+        cpu="<results>/eval/parts/{group}/cpu/point2wss.json",
     log:
-        "<logs>/eval/point2wss.log",
+        "<logs>/eval/{group}/point2wss.log",
     benchmark:
-        "<benchmarks>/eval/point2wss.tsv"
+        "<benchmarks>/eval/{group}/point2wss.tsv"
     conda:
         "../../envs/p2wss.yaml"
     threads: 2
@@ -36,24 +88,23 @@ rule predict:
         config=section("eval", "reconstruct", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.predict", "eval.parameters", "nets.predictor"),
     shell:
-        "p2wss eval predict --manifest {input.manifest} --model {input.model:q} --out {output.reconstructions}"
-        " --out-parameters {output.parameters} --out-cpu {output.cpu}"
+        "p2wss eval predict --manifest {input.manifest} --shards {input.shards} --model {input.model:q} --medians {input.medians}"
+        " --out {output.reconstructions} --out-errors {output.errors} --out-cpu {output.cpu}"
         " --threads {threads} --config {params.config:q} 2> {log}"
 
 
 rule fit:
     input:
         manifest="<results>/crops/manifest.json",
-        simulated=simulated_shards,
-        real=real_shards,
+        shards=shards_of_group,
         model=branch(lambda wildcards: wildcards.method == "point2wss+fit", then=weights, otherwise=[]),
     output:
-        reconstructions="<results>/eval/{method}.parquet",
-        cpu="<results>/eval/cpu/{method}.json",
+        reconstructions="<results>/eval/parts/{group}/{method}.parquet",
+        cpu="<results>/eval/parts/{group}/cpu/{method}.json",
     log:
-        "<logs>/eval/{method}.log",
+        "<logs>/eval/{group}/{method}.log",
     benchmark:
-        "<benchmarks>/eval/{method}.tsv"
+        "<benchmarks>/eval/{group}/{method}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     threads: 2
@@ -65,23 +116,27 @@ rule fit:
         code=fingerprint("eval.predict", "nets.predictor"),
         model=lambda wildcards, input: f"--model {quote(str(input.model))}" if input.model else "",
     shell:
-        "p2wss eval fit --manifest {input.manifest} --out {output.reconstructions} --out-cpu {output.cpu} {params.model}"
+        "p2wss eval fit --manifest {input.manifest} --shards {input.shards} --out {output.reconstructions} --out-cpu {output.cpu} {params.model}"
         " --threads {threads} --config {params.config:q} 2> {log}"
 
 
 rule baseline:
     input:
         manifest="<results>/crops/manifest.json",
-        simulated=simulated_shards,
-        real=real_shards,
+        shards=shards_of_group,
+        medians=branch(
+            lambda wildcards: wildcards.baseline == "constant",
+            then="<results>/eval/medians.json",
+            otherwise=[],
+        ),
         recorded=branch(lambda wildcards: wildcards.baseline == "roofer", then=RECORDED, otherwise=[]),
     output:
-        reconstructions="<results>/eval/{baseline}.parquet",
-        cpu="<results>/eval/cpu/{baseline}.json",
+        reconstructions="<results>/eval/parts/{group}/{baseline}.parquet",
+        cpu="<results>/eval/parts/{group}/cpu/{baseline}.json",
     log:
-        "<logs>/eval/{baseline}.log",
+        "<logs>/eval/{group}/{baseline}.log",
     benchmark:
-        "<benchmarks>/eval/{baseline}.tsv"
+        "<benchmarks>/eval/{group}/{baseline}.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -90,24 +145,25 @@ rule baseline:
         config=baseline_section,
         code=fingerprint("eval.baselines"),
         state=baseline_state,
+        medians=lambda wildcards, input: f"--medians {input.medians}" if input.medians else "",
     shell:
-        "p2wss eval baseline --name {wildcards.baseline} --manifest {input.manifest} --out {output.reconstructions}"
-        " --out-cpu {output.cpu}"
+        "p2wss eval baseline --name {wildcards.baseline} --manifest {input.manifest} --shards {input.shards} {params.medians}"
+        " --out {output.reconstructions} --out-cpu {output.cpu}"
         " --config {params.config:q} 2> {log}"
 
 
 rule measure:
     input:
         manifest="<results>/crops/manifest.json",
-        simulated=simulated_shards,
-        real=real_shards,
-        reconstructions=expand("<results>/eval/{name}.parquet", name=[*OURS, *settings.eval.baselines]),
+        shards=shards_of_group,
+        reconstructions=expand("<results>/eval/parts/{{group}}/{name}.parquet", name=METHODS),
     output:
-        measures="<results>/eval/measures.parquet",
+        measures="<results>/eval/parts/{group}/measures.parquet",
+        errors="<results>/eval/parts/{group}/variant_errors.json",
     log:
-        "<logs>/eval/measure.log",
+        "<logs>/eval/{group}/measure.log",
     benchmark:
-        "<benchmarks>/eval/measure.tsv"
+        "<benchmarks>/eval/{group}/measure.tsv"
     conda:
         "../../envs/p2wss.yaml"
     resources:
@@ -116,7 +172,38 @@ rule measure:
         config=section("eval", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.measure"),
     shell:
-        "p2wss eval measure --manifest {input.manifest} --reconstructions {input.reconstructions} --out {output.measures}"
+        "p2wss eval measure --manifest {input.manifest} --shards {input.shards} --reconstructions {input.reconstructions}"
+        " --out {output.measures} --out-errors {output.errors}"
+        " --config {params.config:q} 2> {log}"
+
+
+rule merge:
+    input:
+        measures=every_group("<results>/eval/parts/{group}/measures.parquet"),
+        variant_errors=every_group("<results>/eval/parts/{group}/variant_errors.json"),
+        masked_errors=every_group("<results>/eval/parts/{group}/masked_errors.json"),
+        reconstructions=RECONSTRUCTIONS,
+        cpu=every_group(expand("<results>/eval/parts/{{group}}/cpu/{name}.json", name=METHODS)),
+    output:
+        measures="<results>/eval/measures.parquet",
+        parameters="<results>/eval/parameters.json",
+        methods="<results>/eval/methods.json",
+    log:
+        "<logs>/eval/merge.log",
+    benchmark:
+        "<benchmarks>/eval/merge.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+    params:
+        config=section("eval", "reconstruct", without=REPORT_ONLY + ROOFER_ONLY),
+        code=fingerprint("eval.parts"),
+        parts=folders_of("measures"),
+        methods=METHODS,
+    shell:
+        "p2wss eval merge --parts {params.parts} --methods {params.methods} --out-measures {output.measures}"
+        " --out-parameters {output.parameters} --out-methods {output.methods}"
         " --config {params.config:q} 2> {log}"
 
 
@@ -125,8 +212,11 @@ rule eval_report:
         manifest="<results>/crops/manifest.json",
         measures="<results>/eval/measures.parquet",
         parameters="<results>/eval/parameters.json",
-        reconstructions=rules.measure.input.reconstructions,
-        cpu=expand("<results>/eval/cpu/{name}.json", name=[*OURS, *settings.eval.baselines]),
+        methods="<results>/eval/methods.json",
+        # of the buildings that it shows
+        simulated=simulated_shards,
+        real=real_shards,
+        reconstructions=RECONSTRUCTIONS,
         # weights from elsewhere have no metrics of a training here
         metrics=(
             []
@@ -162,12 +252,12 @@ rule eval_report:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        config=section("region", "fetch", "eval"),
+        config=section("region", "fetch", "eval", without=("shards_per_job",)),
         code=fingerprint("eval.report", "eval.templates", "eval.assets"),
+        parts=folders_of("reconstructions"),
         folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report --out {params.folder} --manifest {input.manifest} --measures {input.measures}"
-        " --parameters {input.parameters} --reconstructions {input.reconstructions}"
-        " --cpu {input.cpu} --metrics {input.metrics}"
-        " --scans {input.scans}"
+        " --parameters {input.parameters} --methods {input.methods} --parts {params.parts}"
+        " --metrics {input.metrics} --scans {input.scans}"
         " --config {params.config:q} 2> {log}"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +28,23 @@ def add_parser(stages: Parsers) -> None:
     """Add ``p2wss eval`` to the parser."""
     parts = add_group(stages, "eval", "evaluate the methods and write the report")
     command = add_command(
-        parts, "predict", eval_predict, "reconstruct the test split and the real LiDAR with the network alone"
+        parts, "medians", eval_medians, "find the heights and angles that the constant predictor gives"
     )
     _add_manifest(command)
+    command.add_argument("--out", type=Path, required=True, help="JSON to write: the medians of the labels")
+
+    command = add_command(
+        parts, "predict", eval_predict, "reconstruct the test split and the real LiDAR with the network alone"
+    )
+    _add_shards(command)
     command.add_argument("--model", type=Path, required=True, help="weights written by p2wss model")
+    _add_medians(command)
     _add_reconstruction_outputs(command)
     command.add_argument(
-        "--out-parameters", type=Path, required=True, help="JSON to write: the errors of Table 1"
+        "--out-errors",
+        type=Path,
+        required=True,
+        help="JSON to write: errors with masked parameters (Table 1)",
     )
     add_threads(command)
     add_device(command)
@@ -40,7 +52,7 @@ def add_parser(stages: Parsers) -> None:
     command = add_command(
         parts, "fit", eval_fit, "reconstruct the same buildings as p2wss reconstruct does, with a fit"
     )
-    _add_manifest(command)
+    _add_shards(command)
     command.add_argument(
         "--model", type=Path, help="weights written by p2wss model (default: fit without a network)"
     )
@@ -50,14 +62,38 @@ def add_parser(stages: Parsers) -> None:
 
     command = add_command(parts, "baseline", eval_baseline, "reconstruct the same buildings with a baseline")
     command.add_argument("--name", required=True, help="name of the baseline: lod1, constant or roofer")
-    _add_manifest(command)
+    _add_shards(command)
+    _add_medians(command)
     _add_reconstruction_outputs(command)
 
     command = add_command(parts, "measure", eval_measure, "measure the errors of all reconstructions")
-    _add_manifest(command)
-    _add_reconstructions(command)
+    _add_shards(command)
+    command.add_argument(
+        "--reconstructions",
+        type=Path,
+        nargs="+",
+        required=True,
+        metavar="PARQUET",
+        help="files written by p2wss eval predict, fit and baseline",
+    )
     command.add_argument(
         "--out", type=Path, required=True, help="Parquet to write: one row per building and method"
+    )
+    command.add_argument(
+        "--out-errors", type=Path, required=True, help="JSON to write: errors of our variants (Table 1)"
+    )
+
+    command = add_command(parts, "merge", eval_merge, "merge the measures of all groups of shards")
+    _add_parts(command)
+    command.add_argument("--methods", nargs="+", required=True, metavar="METHOD", help="methods to compare")
+    command.add_argument(
+        "--out-measures", type=Path, required=True, help="Parquet to write: one row per building and method"
+    )
+    command.add_argument(
+        "--out-parameters", type=Path, required=True, help="JSON to write: the errors of Table 1"
+    )
+    command.add_argument(
+        "--out-methods", type=Path, required=True, help="JSON to write: status and CPU time of each method"
     )
 
     command = add_command(parts, "ablation", eval_ablation, "compare the variants of the model")
@@ -76,19 +112,11 @@ def add_parser(stages: Parsers) -> None:
 
     command = add_command(parts, "report", eval_report, "write the report")
     _add_manifest(command)
-    command.add_argument("--measures", type=Path, required=True, help="Parquet written by p2wss eval measure")
-    command.add_argument(
-        "--parameters", type=Path, required=True, help="JSON written by p2wss eval predict --out-parameters"
-    )
-    _add_reconstructions(command)
-    command.add_argument(
-        "--cpu",
-        type=Path,
-        nargs="*",
-        default=[],
-        metavar="JSON",
-        help="files written with --out-cpu, one per method",
-    )
+    for name in ("measures", "parameters", "methods"):
+        command.add_argument(
+            f"--{name}", type=Path, required=True, help=f"file written by p2wss eval merge --out-{name}"
+        )
+    _add_parts(command)
     command.add_argument(
         "--metrics",
         type=Path,
@@ -112,20 +140,52 @@ def _add_manifest(command: argparse.ArgumentParser) -> None:
     command.add_argument("--manifest", type=Path, required=True, help="JSON written by p2wss crops manifest")
 
 
-def _add_reconstructions(command: argparse.ArgumentParser) -> None:
+def _add_shards(command: argparse.ArgumentParser) -> None:
+    _add_manifest(command)
     command.add_argument(
-        "--reconstructions",
+        "--shards",
+        type=Path,
+        nargs="+",
+        metavar="SHARD",
+        help="evaluate only these shards of the manifest (default: all)",
+    )
+
+
+def _add_medians(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--medians",
+        type=Path,
+        help="JSON written by p2wss eval medians (default: the medians of the shards that are evaluated)",
+    )
+
+
+def _add_parts(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--parts",
         type=Path,
         nargs="+",
         required=True,
-        metavar="PARQUET",
-        help="files written by p2wss eval predict, fit and baseline",
+        metavar="FOLDER",
+        help="a folder for each group of shards: METHOD.parquet and cpu/METHOD.json of each method, measures.parquet, "
+        "masked_errors.json (predict), variant_errors.json (measure)",
     )
 
 
 def _add_reconstruction_outputs(command: argparse.ArgumentParser) -> None:
     command.add_argument("--out", type=Path, required=True, help="Parquet to write: the reconstructions")
-    command.add_argument("--out-cpu", type=Path, required=True, help="JSON to write: CPU time per building")
+    command.add_argument(
+        "--out-cpu", type=Path, required=True, help="JSON to write: CPU time and number of buildings"
+    )
+
+
+def eval_medians(arguments: argparse.Namespace) -> None:
+    """Write the medians of the labels."""
+    from p2wss.data.schemas.manifest import read_manifest
+    from p2wss.eval import cases
+
+    medians = cases.train_medians(read_manifest(arguments.manifest))
+    medians.write(arguments.out)
+    log.info(f"{arguments.out.name}: {medians.eave_height_m:.3f} m, {medians.angle_deg:.1f} degrees")
 
 
 def eval_predict(arguments: argparse.Namespace) -> None:
@@ -139,13 +199,16 @@ def eval_predict(arguments: argparse.Namespace) -> None:
 
     config, clock = read_config(arguments), CpuClock()
     predictor = load_predictor(arguments.model, arguments.device)
-    manifest = read_manifest(arguments.manifest)
-    test_cases = cases.test_cases(manifest)
-    rows = predict.predict(test_cases, predictor, config.reconstruct, clock)
-    errors = parameters.masked_errors(test_cases, rows, predictor, cases.train_medians(manifest))
+    manifest = read_manifest(arguments.manifest, arguments.shards)
+    medians = cases.read_medians(arguments.medians) if arguments.medians else cases.train_medians(manifest)
     facts = _eval_facts(config, method=NETWORK, status="ok", model=_facts_of_weights(arguments.model))
-    files.write_json(arguments.out_parameters, errors | {"p2wss": facts})
-    _write_reconstructions(arguments, test_cases, rows, facts, clock)
+    errors = []
+    with _reconstructions(arguments, clock, facts) as write:
+        for test_cases in cases.test_cases(manifest):
+            rows = predict.predict(test_cases, predictor, config.reconstruct, clock)
+            write(test_cases, rows)
+            errors.append(parameters.masked_errors(test_cases, rows, predictor, medians))
+    files.write_json(arguments.out_errors, parameters.merged(errors) | {"p2wss": facts})
 
 
 def eval_fit(arguments: argparse.Namespace) -> None:
@@ -158,14 +221,14 @@ def eval_fit(arguments: argparse.Namespace) -> None:
     from p2wss.reconstruct.product import FIT, NETWORK_AND_FIT
 
     config, clock = read_config(arguments), CpuClock()
-    test_cases = cases.test_cases(read_manifest(arguments.manifest))
     facts: dict[str, Any] = {"method": FIT, "status": "ok"}
     predictor = None
     if arguments.model is not None:
         predictor = load_predictor(arguments.model, arguments.device)
         facts = {"method": NETWORK_AND_FIT, "status": "ok", "model": _facts_of_weights(arguments.model)}
-    rows = predict.fit(test_cases, predictor, config.reconstruct, clock)
-    _write_reconstructions(arguments, test_cases, rows, _eval_facts(config, **facts), clock)
+    with _reconstructions(arguments, clock, _eval_facts(config, **facts)) as write:
+        for test_cases in cases.test_cases(read_manifest(arguments.manifest, arguments.shards)):
+            write(test_cases, predict.fit(test_cases, predictor, config.reconstruct, clock))
 
 
 def _facts_of_weights(path: Path) -> dict[str, Any]:
@@ -178,46 +241,83 @@ def _facts_of_weights(path: Path) -> dict[str, Any]:
 def eval_baseline(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of a baseline."""
     from p2wss.data.schemas.manifest import read_manifest
-    from p2wss.eval import baselines, cases
+    from p2wss.eval import baselines, cases, parts
     from p2wss.eval.clock import CpuClock
 
     config, clock = read_config(arguments), CpuClock()
-    manifest = read_manifest(arguments.manifest)
-    test_cases = cases.test_cases(manifest)
-    reconstructions, run = baselines.baseline(
-        arguments.name, test_cases, manifest, config.eval, config.reconstruct, clock
-    )
-    test_cases = [case for case in test_cases if case.key in reconstructions]
-    rows = [reconstructions[case.key] for case in test_cases]
+    manifest = read_manifest(arguments.manifest, arguments.shards)
+    medians = cases.read_medians(arguments.medians) if arguments.medians else None
+    runs = []
+    facts: dict[str, Any] = {"method": arguments.name}
+    with _reconstructions(arguments, clock, facts) as write:
+        for test_cases in cases.test_cases(manifest):
+            reconstructions, run = baselines.baseline(
+                arguments.name, test_cases, manifest, config.eval, config.reconstruct, clock, medians
+            )
+            runs.append(run)
+            test_cases = [case for case in test_cases if case.key in reconstructions]
+            write(test_cases, [reconstructions[case.key] for case in test_cases])
+        run = parts.merge_facts(runs)
+        facts |= _eval_facts(config, **run)
     log.info("%s: %s", arguments.name, run["status"])
-    facts = _eval_facts(config, method=arguments.name, **run)
-    _write_reconstructions(arguments, test_cases, rows, facts, clock)
 
 
-def _write_reconstructions(
-    arguments: argparse.Namespace, test_cases: Any, rows: Any, facts: dict[str, Any], clock: Any
-) -> None:
+@contextmanager
+def _reconstructions(
+    arguments: argparse.Namespace, clock: Any, facts: dict[str, Any]
+) -> Iterator[Callable[[Any, Any], None]]:
+    """A function that writes cases and their reconstructions to ``--out``; the facts are those of the end."""
     from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
 
-    columns = reconstruction_columns(rows, [case.dataset for case in test_cases])
-    files.write_table(arguments.out, columns, RECONSTRUCTIONS, facts)
-    files.write_json(arguments.out_cpu, {"method": facts["method"], "cpu_ms": clock.ms_per_building()})
-    log_status_counts(arguments.out, columns["status"])
+    status: list[str] = []
+    with files.table_writer(arguments.out, RECONSTRUCTIONS) as writer:
+
+        def write(test_cases: Any, rows: Any) -> None:
+            columns = reconstruction_columns(rows, [case.dataset for case in test_cases])
+            status.extend(columns["status"])
+            writer.append(columns)
+
+        yield write
+        writer.metadata = facts
+    times = {"seconds": clock.seconds, "num_buildings": clock.num_buildings}
+    files.write_json(arguments.out_cpu, {"method": facts["method"], **times})
+    log_status_counts(arguments.out, status)
 
 
 def eval_measure(arguments: argparse.Namespace) -> None:
-    """Write the measures of all reconstructions."""
+    """Write the measures of all reconstructions, and the errors of our variants."""
     from p2wss.data.schemas.manifest import read_manifest
     from p2wss.data.schemas.measures import MEASURES
     from p2wss.data.schemas.reconstructions import read_reconstructions
-    from p2wss.eval import cases, measure
+    from p2wss.eval import cases, measure, parameters
 
     config = read_config(arguments)
-    test_cases = cases.test_cases(read_manifest(arguments.manifest))
-    methods = [read_reconstructions(path) for path in arguments.reconstructions]
-    rows = cases.columns_of(measure.measure(test_cases, methods, config.eval), MEASURES.names)
-    files.write_table(arguments.out, rows, MEASURES, _eval_facts(config))
-    log.info("%s: %d rows", arguments.out, len(rows["method"]))
+    paths = {str(files.read_metadata(path)["method"]): path for path in arguments.reconstructions}
+    errors, num_rows = [], 0
+    with files.table_writer(arguments.out, MEASURES) as writer:
+        for test_cases in cases.test_cases(read_manifest(arguments.manifest, arguments.shards)):
+            keys = [case.key for case in test_cases]
+            methods = {method: read_reconstructions(path, keys) for method, path in paths.items()}
+            rows = list(measure.measure(test_cases, methods, config.eval))
+            writer.append(cases.columns_of(rows, MEASURES.names))
+            errors.append(parameters.variant_errors(test_cases, methods))
+            num_rows += len(rows)
+        writer.metadata = _eval_facts(config)
+    files.write_json(arguments.out_errors, parameters.merged(errors))
+    log.info("%s: %d rows", arguments.out, num_rows)
+
+
+def eval_merge(arguments: argparse.Namespace) -> None:
+    """Write the measures, errors and CPU times of all parts as one."""
+    from p2wss.eval import parts
+
+    facts = _eval_facts(read_config(arguments))
+    folders = [parts.Part(folder) for folder in arguments.parts]
+    num_rows = parts.merge_measures(folders, arguments.methods, arguments.out_measures, facts)
+    files.write_json(arguments.out_parameters, parts.merge_errors(folders) | {"p2wss": facts})
+    methods = parts.merge_methods(folders, arguments.methods)
+    files.write_json(arguments.out_methods, {"methods": methods, "p2wss": facts})
+    log.info("%s: %d rows of %d parts", arguments.out_measures, num_rows, len(folders))
 
 
 def eval_ablation(arguments: argparse.Namespace) -> None:
@@ -243,8 +343,8 @@ def eval_report(arguments: argparse.Namespace) -> None:
         arguments.manifest,
         arguments.measures,
         arguments.parameters,
-        arguments.reconstructions,
-        arguments.cpu,
+        arguments.methods,
+        arguments.parts,
         arguments.metrics,
         config.eval.model_copy(update=footer),
         arguments.scans,

@@ -16,6 +16,9 @@ class Eval(Section):
     baselines: list[Literal["lod1", "constant", "roofer"]] = Field(
         ["lod1", "constant", "roofer"], description="methods to compare with; roofer only if it is installed"
     )
+    shards_per_job: int = Field(
+        16, ge=1, description="shards (tiles) that one job reconstructs or measures, one after the other"
+    )
     lidar_name: str = Field(
         "Real LiDAR (stand-in)",
         min_length=1,

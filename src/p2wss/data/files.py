@@ -10,19 +10,22 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from p2wss import __version__
 from p2wss.errors import InputError
 
 METADATA_KEY = b"p2wss"
+# rows that are compressed and read together
+ROW_GROUP_SIZE = 512
 
 
 def provenance(**facts: Any) -> dict[str, Any]:
@@ -64,12 +67,39 @@ def write_table(
     path: str | Path, columns: dict[str, Any], schema: pa.Schema, metadata: dict[str, Any]
 ) -> None:
     """Write ``columns`` as Parquet (zstd) with the types of ``schema``; ``metadata`` is stored as JSON."""
-    table = pa.table(
-        {field.name: pa.array(columns[field.name], type=field.type) for field in schema},
-        schema=schema.with_metadata({METADATA_KEY: json.dumps(metadata).encode()}),
-    )
-    with atomic(path) as temporary:
-        pq.write_table(table, temporary, compression="zstd", compression_level=3, row_group_size=512)
+    with table_writer(path, schema) as writer:
+        writer.append(columns)
+        writer.metadata = metadata
+
+
+class TableWriter:
+    """An open Parquet file, see :func:`table_writer`. ``metadata`` is stored as JSON at the end."""
+
+    def __init__(self, writer: pq.ParquetWriter) -> None:
+        self._writer = writer
+        self.metadata: Mapping[str, Any] = {}
+
+    def append(self, columns: Mapping[str, Any]) -> None:
+        """Write rows, one array or list of values per column of the schema."""
+        schema = self._writer.schema
+        arrays = {field.name: pa.array(columns[field.name], type=field.type) for field in schema}
+        self.append_table(pa.table(arrays, schema=schema))
+
+    def append_table(self, table: pa.Table) -> None:
+        """Write rows of the schema."""
+        self._writer.write_table(table, row_group_size=ROW_GROUP_SIZE)
+
+
+@contextmanager
+def table_writer(path: str | Path, schema: pa.Schema) -> Iterator[TableWriter]:
+    """Write Parquet (zstd) piece by piece: only one piece is in memory. The file appears at the end of the block."""
+    with (
+        atomic(path) as temporary,
+        pq.ParquetWriter(temporary, schema, compression="zstd", compression_level=3) as writer,
+    ):
+        table = TableWriter(writer)
+        yield table
+        writer.add_key_value_metadata({METADATA_KEY: json.dumps(table.metadata).encode()})
 
 
 def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = None) -> pa.Table:
@@ -78,19 +108,62 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
     Raises :class:`InputError` if the file is missing or broken, or lacks one of the columns.
     """
     names = columns or schema.names
+    with _readable(path) as file:
+        _check_columns(path, file, names)
+        return file.read(columns=names)
+
+
+def read_rows(
+    path: str | Path, schema: pa.Schema, columns: list[str], select: Callable[[pa.Table], np.ndarray]
+) -> pa.Table:
+    """Rows of a Parquet file with all columns of ``schema``; only those parts of the file that have any are read.
+
+    select: from a table of ``columns`` with n rows to a mask, bool (n,). Raises :class:`InputError` as
+    :func:`read_table` does.
+    """
+    pieces = [schema.empty_table()]
+    with _readable(path) as file:
+        _check_columns(path, file, schema.names)
+        for i in range(file.num_row_groups):
+            mask = select(file.read_row_group(i, columns=columns))
+            if mask.any():
+                pieces.append(file.read_row_group(i, columns=schema.names).filter(pa.array(mask)))
+    return pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
+
+
+def rows_with(columns: list[str], keys: Collection[tuple[str, ...]]) -> Callable[[pa.Table], np.ndarray]:
+    """A function from a table to the mask of the rows whose values of ``columns`` are one of ``keys``, bool (n,)."""
+    wanted, last = set(keys), pa.array(sorted({key[-1] for key in keys}), pa.string())
+
+    def select(table: pa.Table) -> np.ndarray:
+        mask = np.array(pc.is_in(table[columns[-1]], last), bool)
+        rows = table.select(columns).take(np.flatnonzero(mask))
+        mask[mask] = [
+            key in wanted for key in zip(*(rows[name].to_pylist() for name in columns), strict=True)
+        ]
+        return mask
+
+    return select
+
+
+def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> None:
+    missing = [name for name in names if name not in file.schema_arrow.names]
+    if missing:
+        raise InputError(
+            f"{path}: has no columns {', '.join(missing)}; was it written by another version of p2wss?"
+        )
+
+
+@contextmanager
+def _readable(path: str | Path) -> Iterator[pq.ParquetFile]:
     try:
-        missing = [name for name in names if name not in pq.read_schema(path).names]
-        table = pq.read_table(path, columns=[name for name in names if name not in missing])
+        with pq.ParquetFile(path) as file:
+            yield file
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file") from error
     except (pa.ArrowException, OSError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not a readable Parquet file: {reason}") from error
-    if missing:
-        raise InputError(
-            f"{path}: has no columns {', '.join(missing)}; was it written by another version of p2wss?"
-        )
-    return table
 
 
 def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> None:
@@ -104,7 +177,7 @@ def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """The metadata of a Parquet file that p2wss wrote. Raises :class:`InputError` if it has none."""
-    stored = (pq.read_schema(path).metadata or {}).get(METADATA_KEY)
+    stored = (pq.read_metadata(path).metadata or {}).get(METADATA_KEY)
     if stored is None:
         raise InputError(f"{path}: not written by p2wss: it has no metadata with the key p2wss")
     return json.loads(stored)

@@ -84,7 +84,7 @@ def _parquet(path: Path) -> Facts:
     import pyarrow.parquet as pq
 
     file = pq.ParquetFile(path)
-    schema, metadata = file.schema_arrow, file.schema_arrow.metadata or {}
+    schema, metadata = file.schema_arrow, file.metadata.metadata or {}
     facts: Facts = {"kind": "Parquet", "num_rows": file.metadata.num_rows}
     if b"geo" in metadata:
         geo = json.loads(metadata[b"geo"])

@@ -11,12 +11,11 @@ from p2wss.data import files
 from p2wss.data.building import Reconstruction
 from p2wss.errors import InputError
 from p2wss.eval import roofer, roofer_command
-from p2wss.eval.cases import Case, Manifest, train_medians
+from p2wss.eval.cases import Case, Key, Manifest, Medians, train_medians
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.predict import by_dataset
 from p2wss.reconstruct.flat import constant, lod1
 
-Key = tuple[str, str, str]
 RECORDED = "recorded"
 
 
@@ -27,8 +26,11 @@ def baseline(
     eval_config: Eval,
     config: Reconstruct,
     clock: CpuClock | None = None,
+    medians: Medians | None = None,
 ) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
     """Reconstructions of a baseline by the keys of the cases, and facts of the run.
+
+    medians: of the constant predictor; without them those of the labels that the manifest lists.
 
     The fact ``status`` is ``ok``, ``recorded`` (outputs of an earlier run of Roofer, for real LiDAR only) or
     ``not run: <reason>``, then without any reconstruction. name: lod1, constant or roofer. Raises
@@ -37,7 +39,7 @@ def baseline(
     if name == "lod1":
         return _by_key(cases, by_dataset(cases, lod1, config, clock)), {"status": "ok"}
     if name == "constant":
-        return _constant(cases, manifest, config, clock)
+        return _constant(cases, medians or train_medians(manifest), config, clock)
     if name == roofer.METHOD:
         return _roofer(cases, manifest, eval_config, clock)
     raise InputError(f"unknown baseline {name}: choose lod1, constant or roofer")
@@ -62,10 +64,9 @@ def _roofer(
 
 
 def _constant(
-    cases: Sequence[Case], manifest: Manifest, config: Reconstruct, clock: CpuClock | None
+    cases: Sequence[Case], medians: Medians, config: Reconstruct, clock: CpuClock | None
 ) -> tuple[Mapping[Key, Reconstruction], dict[str, str]]:
     """Every building with the median height and the median angle of the train split."""
-    medians = train_medians(manifest)
     if not np.isfinite(medians.eave_height_m):
         return {}, {"status": "not run: no building has a label"}
     rows = by_dataset(

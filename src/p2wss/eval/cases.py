@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from p2wss.data import files, polygon_arrays
-from p2wss.data.building import Building
+from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.data.schemas.manifest import Manifest
+from p2wss.errors import InputError
+
+Key = tuple[str, str, str]
+_KEY_COLUMNS = ["tile", "building_id"]
 
 
 @dataclass(frozen=True)
@@ -28,17 +33,38 @@ class Case:
     angle_deg: np.ndarray | None
 
     @property
-    def key(self) -> tuple[str, str, str]:
+    def key(self) -> Key:
         """(dataset, tile, building id), which identifies the building in every table of the evaluation."""
         return self.dataset, self.building.tile, self.building.building_id
 
 
-def test_cases(manifest: Manifest) -> list[Case]:
-    """The test split of the simulated shards and the real clouds for the test, in the order of the manifest."""
-    cases: list[Case] = []
+def test_cases(manifest: Manifest) -> Iterator[list[Case]]:
+    """The test split of the simulated shards and the real clouds for the test, shard by shard.
+
+    A list for each shard that has any, in the order of the manifest; an empty one if none has. No more than one is in
+    memory.
+    """
+    is_empty = True
     for path, dataset, _ in manifest.shards:
-        table = files.read_table(path, CROPS)
-        cases += from_crops(table.filter(pa.array(manifest.select(table, dataset, ["test"]))), dataset)
+
+        def select(table: pa.Table, dataset: str = dataset) -> np.ndarray:
+            return manifest.select(table, dataset, ["test"])
+
+        table = files.read_rows(path, CROPS, ["split", *_KEY_COLUMNS], select)
+        if len(table):
+            is_empty = False
+            yield from_crops(table, dataset)
+    if is_empty:
+        yield []
+
+
+def cases_of(manifest: Manifest, keys: Collection[Key]) -> dict[Key, Case]:
+    """The cases with these keys."""
+    cases: dict[Key, Case] = {}
+    for path, dataset, _ in manifest.shards:
+        names = {key[1:] for key in keys if key[0] == dataset}
+        table = files.read_rows(path, CROPS, _KEY_COLUMNS, files.rows_with(_KEY_COLUMNS, names))
+        cases |= {case.key: case for case in from_crops(table, dataset)}
     return cases
 
 
@@ -48,6 +74,18 @@ class Medians:
 
     eave_height_m: float
     angle_deg: float
+
+    def write(self, path: Path) -> None:
+        """Write as JSON."""
+        files.write_json(path, asdict(self))
+
+
+def read_medians(path: Path) -> Medians:
+    """Medians from a file of :meth:`Medians.write`. Raises :class:`InputError` if it is missing or something else."""
+    try:
+        return Medians(**files.read_json(path))
+    except TypeError as error:
+        raise InputError(f"{path}: not written by p2wss eval medians") from error
 
 
 def train_medians(manifest: Manifest) -> Medians:
@@ -82,6 +120,12 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     if not len(height):
         return Medians(float("nan"), float("nan"))
     return Medians(float(np.median(height)), float(np.median(angle)))
+
+
+def local_points(case: Case, reconstruction: Reconstruction) -> np.ndarray:
+    """The building's points in the frame of the reconstruction's mesh: (n, 3), metres."""
+    shift = np.subtract(case.building.origin_xy_m, reconstruction.origin_xy_m)
+    return case.building.point_m + np.array([*shift, -reconstruction.ground_z_m])
 
 
 def from_crops(table: pa.Table, dataset: str) -> list[Case]:

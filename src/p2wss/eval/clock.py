@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 
@@ -22,8 +22,17 @@ class CpuClock:
         try:
             yield
         finally:
-            self.seconds[dataset] = self.seconds.get(dataset, 0.0) + _cpu_s() - start
-            self.num_buildings[dataset] = self.num_buildings.get(dataset, 0) + num_buildings
+            self.add({dataset: _cpu_s() - start}, {dataset: num_buildings})
+
+    def has_timed(self, dataset: str) -> bool:
+        """Whether any building of the data set was counted."""
+        return dataset in self.seconds
+
+    def add(self, seconds: Mapping[str, float], num_buildings: Mapping[str, int]) -> None:
+        """Add the sums of another clock."""
+        for dataset, count in num_buildings.items():
+            self.seconds[dataset] = self.seconds.get(dataset, 0.0) + seconds[dataset]
+            self.num_buildings[dataset] = self.num_buildings.get(dataset, 0) + count
 
     def ms_per_building(self) -> dict[str, float]:
         """Milliseconds per building of each data set."""

@@ -39,6 +39,8 @@ FACE_COLORS = {
     FaceKind.FLAT: "#d9a06b",
 }
 _MAX_DRAWN_POINTS = 1200
+# of a curve of a distribution: a data set of many buildings has one point per value otherwise
+_MAX_STEPS = 2000
 
 
 def data_uri(figure: Figure, dots_per_inch: int = 110) -> str:
@@ -83,6 +85,9 @@ def cumulative(values: dict[str, np.ndarray], names: Mapping[str, str], x_label:
         ordered = np.sort(sample[np.isfinite(sample)])
         if len(ordered):
             share = np.arange(1, len(ordered) + 1) / len(ordered)
+            if len(ordered) > _MAX_STEPS:
+                chosen = np.linspace(0, len(ordered) - 1, _MAX_STEPS).astype(int)
+                ordered, share = ordered[chosen], share[chosen]
             label = names.get(name, name)
             axes.step(ordered, share, where="post", label=label, color=COLORS.get(name))
     top = [np.nanquantile(sample, 0.98) for sample in values.values() if np.isfinite(sample).any()]

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from p2wss.eval.tables import numbers
+from p2wss.eval.tables import numbers, rows_of
 from p2wss.metrics import calibration as metrics
 from p2wss.metrics.calibration import Calibration
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
@@ -26,6 +27,7 @@ BY = {
 STATED = (NETWORK_AND_FIT, FIT, NETWORK)
 MEDIANS = ("chamfer_m", "roof_chamfer_m", "points_to_mesh_m", "height_rmse_m")
 MEANS = ("height_error_m", "angle_error_deg")
+HEADER_COLUMNS = ("dataset", "tile", "building_id", "method", "roof_type", "roof_kind")
 HEADER = ("dataset", "by", "group", "method", "num_buildings", "num_meshes")
 
 
@@ -38,45 +40,48 @@ def table(measures: pa.Table, datasets: Sequence[str]) -> list[list[Any]]:
     rows: list[list[Any]] = [
         [*HEADER, *(f"median_{name}" for name in MEDIANS), *(f"mean_{name}" for name in MEANS)]
     ]
+    columns = measures.select([*HEADER_COLUMNS, *MEDIANS, *MEANS, *(by for by in BY if by != KIND)])
     for dataset in datasets:
-        of_dataset = measures.filter(pc.equal(measures["dataset"], dataset))
+        frame = _frame(columns.filter(pc.equal(columns["dataset"], dataset)))
+        methods = list(frame["method"].unique())
         for by in BY:
-            groups = group_of_building(of_dataset, by)
-            for group in dict.fromkeys(groups.values()):
-                for method in dict.fromkeys(of_dataset["method"].to_pylist()):
-                    mask = pc.and_(
-                        pc.equal(of_dataset["method"], method),
-                        pa.array([groups.get(key) == group for key in _keys(of_dataset)]),
-                    )
-                    part = of_dataset.filter(mask)
+            groups = group_of_building(frame, by)
+            group = groups.reindex(frame["building"]).to_numpy()
+            for name in groups.unique():
+                in_group = frame[group == name]
+                for method in methods:
+                    part = in_group[in_group["method"] == method]
                     if len(part):
-                        rows.append([dataset, by, group, method, *_statistics(part)])
+                        rows.append([dataset, by, name, method, *_statistics(part)])
     return rows
 
 
-def group_of_building(measures: pa.Table, by: str) -> dict[tuple[str, str], str]:
-    """The group of each building (tile, id) of one data set, in the order of the groups.
+def _frame(measures: pa.Table) -> pd.DataFrame:
+    """Measures of a data set with numbers as float64 and the number of the building, in order of first rows."""
+    columns = {name: numbers(measures, name) for name in measures.schema.names if name not in HEADER_COLUMNS}
+    texts = measures.select(["method", "roof_type", "roof_kind"]).to_pandas()
+    key = measures["tile"].to_pandas(), measures["building_id"].to_pandas()
+    building = pd.MultiIndex.from_arrays(key).factorize()[0]
+    return pd.DataFrame({"building": building, **columns}).join(texts)
+
+
+def group_of_building(frame: pd.DataFrame, by: str) -> pd.Series:
+    """The group of each building of one data set, in the order of the groups; indexed by the building.
 
     A numerical property gives four groups of about equal size. Empty if all buildings are in the same group or the
     property is unknown.
     """
     if by == KIND:
-        kinds = _kinds(measures)
-        names = sorted(set(kinds.values()))
-        return {key: name for name in names for key in kinds if kinds[key] == name} if len(names) > 1 else {}
-    values = _values(measures, by)
-    if len(set(values.values())) < 2:
-        return {}
-    keys = sorted(values, key=lambda key: values[key])
-    quarters = _quarters(np.array([values[key] for key in keys], float))
-    return dict(zip(keys, quarters, strict=True)) if len(set(quarters)) > 1 else {}
+        groups = _kinds(frame).sort_values(kind="stable")
+    else:
+        values = _values(frame, by).sort_values(kind="stable")
+        groups = pd.Series(_quarters(values.to_numpy()), values.index, dtype=object)
+    return groups if groups.nunique() > 1 else groups[:0]
 
 
 def calibration(measures: pa.Table, dataset: str, method: str) -> Calibration:
     """The stated confidence of a method against the observed share of correct values."""
-    rows = measures.filter(
-        pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
-    )
+    rows = rows_of(measures.select(["dataset", "method", "confidence", "right_share"]), dataset, method)
     return metrics.calibration(numbers(rows, "confidence"), numbers(rows, "right_share"))
 
 
@@ -106,46 +111,37 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _keys(measures: pa.Table) -> list[tuple[str, str]]:
-    return list(zip(measures["tile"].to_pylist(), measures["building_id"].to_pylist(), strict=True))
-
-
-def _values(measures: pa.Table, by: str) -> dict[tuple[str, str], float]:
+def _values(frame: pd.DataFrame, by: str) -> pd.Series:
     """A numerical property of each building from the first row that has it; the confidence is our best variant's."""
-    values: dict[tuple[str, str], float] = {}
-    methods = measures["method"].to_pylist()
-    best = next((method for method in STATED if method in methods), None)
-    for key, value, method in zip(_keys(measures), measures[by].to_pylist(), methods, strict=True):
-        if value is not None and np.isfinite(value) and (by != "confidence" or method == best):
-            values.setdefault(key, float(value))
-    return values
+    if by == "confidence":
+        methods = set(frame["method"])
+        frame = frame[frame["method"] == next((method for method in STATED if method in methods), None)]
+    rows = frame[np.isfinite(frame[by])].drop_duplicates("building")
+    return pd.Series(rows[by].to_numpy(), rows["building"])
 
 
-def _kinds(measures: pa.Table) -> dict[tuple[str, str], str]:
+def _kinds(frame: pd.DataFrame) -> pd.Series:
     """The roof type of each building by its label; without a label, by the angles of our best reconstruction."""
-    kinds: dict[tuple[str, str], str] = {}
-    rank = {NETWORK_AND_FIT: 0, FIT: 1, NETWORK: 2}
-    rows = measures.select(["tile", "building_id", "method", "roof_type", "roof_kind"]).to_pylist()
-    for row in sorted(rows, key=lambda row: rank.get(row["method"], 3)):
-        kind = row["roof_type"] or (row["roof_kind"] if row["method"] in rank else None)
-        if kind is not None:
-            kinds.setdefault((row["tile"], row["building_id"]), kind)
-    return kinds
+    rank = frame["method"].map({NETWORK_AND_FIT: 0, FIT: 1, NETWORK: 2})
+    kind = frame["roof_type"].where(frame["roof_type"].notna(), frame["roof_kind"].where(rank.notna()))
+    rows = frame.assign(kind=kind, rank=rank.fillna(3)).sort_values("rank", kind="stable")
+    rows = rows[rows["kind"].notna()].drop_duplicates("building")
+    return pd.Series(rows["kind"].to_numpy(), rows["building"], dtype=object)
 
 
-def _statistics(part: pa.Table) -> list[Any]:
-    cd = numbers(part, "chamfer_m")
-    row: list[Any] = [len(part), int((~np.isnan(cd)).sum())]
+def _statistics(part: pd.DataFrame) -> list[Any]:
+    row: list[Any] = [len(part), int(part["chamfer_m"].notna().sum())]
     for names, statistic in ((MEDIANS, np.median), (MEANS, np.mean)):
         for name in names:
-            values = numbers(part, name)
-            values = values[~np.isnan(values)]
+            values = part[name].dropna().to_numpy()
             row.append(float(statistic(values)) if len(values) else None)
     return row
 
 
 def _quarters(values: np.ndarray) -> list[str]:
     """For each value the quarter that it belongs to, named by the least and greatest value in it."""
+    if not len(values):
+        return []
     edges = np.unique(np.quantile(values, [0.25, 0.5, 0.75]))
     group = np.searchsorted(edges, values, side="left")
     labels = {}

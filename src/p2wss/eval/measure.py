@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,21 +10,24 @@ import shapely
 
 from p2wss.config import Eval
 from p2wss.data.building import Reconstruction
+from p2wss.data.schemas.crops import REAL
 from p2wss.data.seeds import generator
-from p2wss.eval.cases import Case
+from p2wss.eval.cases import Case, Key, local_points
+from p2wss.eval.causes import FAR_M, UNEXPLAINED_M, cause_of_error
+from p2wss.eval.methods import fit_parts, main_method
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.metrics.chamfer import chamfer_distance_m
 from p2wss.metrics.height import height_rmse_m, surface_height_m
 from p2wss.metrics.mesh_facts import mesh_facts
 from p2wss.metrics.planarity import face_of_triangle, out_of_plane_m
 from p2wss.metrics.surface import distance_to_mesh, sample_surface, triangle_areas
+from p2wss.reconstruct.product import NETWORK
 from p2wss.skeleton.types import FaceKind
 
 # with fewer points on the building, distances to the roof mean nothing
 MIN_ROOF_POINTS = 10
 PLANAR_M = 0.01
 SMALL_FACE_M2 = 0.25
-FAR_M = 0.5
 # from the footprint's edges: nearer points may be on a wall, where a height over the roof means nothing
 INNER_M = 0.5
 # a value within these of the label counts as correct
@@ -51,17 +54,32 @@ _MESH_MEASURES = (
 
 def measure(
     cases: Sequence[Case],
-    reconstructions: Iterable[Mapping[tuple[str, str, str], Reconstruction]],
+    reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
     config: Eval,
 ) -> Iterator[dict[str, Any]]:
     """Rows of the schema ``MEASURES``, one per case and method, methods in the order given.
 
     A method's mapping may lack a case on which the method was not run; there is no row for it.
     """
-    for method in reconstructions:
+    main = main_method(list(reconstructions))
+    for method, by_key in reconstructions.items():
         for case in cases:
-            if case.key in method:
-                yield measure_building(case, method[case.key], config)
+            if case.key in by_key:
+                row = measure_building(case, by_key[case.key], config)
+                if method == main or (method == NETWORK and case.dataset == REAL):
+                    row["cause"] = _cause(case, row, reconstructions, method)
+                yield row
+
+
+def _cause(
+    case: Case, row: dict[str, Any], reconstructions: Mapping[str, Mapping[Key, Reconstruction]], method: str
+) -> str | None:
+    """The kind of cause of the error, of real buildings and of those that are far from their points."""
+    distance_m = row["points_to_mesh_m"]
+    if case.dataset != REAL and distance_m is not None and distance_m <= UNEXPLAINED_M:
+        return None
+    num_parts = fit_parts({name: by_key.get(case.key) for name, by_key in reconstructions.items()})
+    return cause_of_error(case, reconstructions[method][case.key], num_parts).kind
 
 
 def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -> dict[str, Any]:
@@ -85,6 +103,7 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
         else None,
         "visible_roof_share": case.visible_roof_share,
         "confidence": reconstruction.confidence,
+        "cause": None,
         **dict.fromkeys(_MESH_MEASURES),
         **_parameter_errors(case, reconstruction),
     }
@@ -100,12 +119,6 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
         inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[is_on_building], y[is_on_building])
         row |= _roof_measures(reconstruction, point_m[is_on_building], inner, config, draw)
     return row
-
-
-def local_points(case: Case, reconstruction: Reconstruction) -> np.ndarray:
-    """The building's points in the frame of the reconstruction's mesh: (n, 3), metres."""
-    shift = np.subtract(case.building.origin_xy_m, reconstruction.origin_xy_m)
-    return case.building.point_m + np.array([*shift, -reconstruction.ground_z_m])
 
 
 def _mesh_measures(reconstruction: Reconstruction) -> dict[str, Any]:

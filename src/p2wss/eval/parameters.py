@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -10,18 +10,19 @@ import numpy as np
 
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import SIMULATED
-from p2wss.eval.cases import Case, Medians
-from p2wss.metrics.absolute_error import absolute_error, vertex_error
+from p2wss.eval.cases import Case, Key, Medians
+from p2wss.metrics.absolute_error import AbsoluteError, absolute_error, pooled, vertex_error
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import Polygons
 
-Key = tuple[str, str, str]
 # a roof counts as seen with this many points on it, an edge with this many over its sloped face
 MIN_SEEN_POINTS = 10
 # the method behind a setting of Table 1
 SETTING_OF_METHOD = {NETWORK: "footprint_given", NETWORK_AND_FIT: NETWORK_AND_FIT, FIT: FIT}
+# how many simulated buildings there are, and how many of them the masked settings cannot take
+COUNTS = {"num_buildings", "num_left_out"}
 
 
 class MaskedPredictor(Predictor, Protocol):
@@ -40,7 +41,7 @@ def masked_errors(
     predictor: MaskedPredictor,
     medians: Medians,
 ) -> dict[str, Any]:
-    """The content of ``parameters.json``: MAE, deviation and count per setting and parameter (Table 1).
+    """MAE, deviation and count per setting and parameter (Table 1), as in ``parameters.json``.
 
     Settings: ``all_masked`` as in the paper (signs visible), ``all_masked_signs`` (signs masked too),
     ``footprint_given`` (as for Table 2), ``constant`` (the medians of the train split; every vertex of the footprint
@@ -74,20 +75,38 @@ def masked_errors(
     }
 
 
-def with_reconstructions(
-    parameters: Mapping[str, Any],
-    cases: Mapping[Key, Case],
-    reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
+def variant_errors(
+    cases: Sequence[Case], reconstructions: Mapping[str, Mapping[Key, Reconstruction]]
 ) -> dict[str, Any]:
-    """``parameters`` with the settings of our variants (:data:`SETTING_OF_METHOD`) from their reconstructions."""
-    labelled = {key: case for key, case in cases.items() if is_labelled(case)}
-    settings = dict(parameters["settings"])
+    """The same for the settings of our variants (:data:`SETTING_OF_METHOD`), from their reconstructions."""
+    labelled = [case for case in cases if is_labelled(case)]
+    settings = {}
     for method, setting in SETTING_OF_METHOD.items():
         by_key = reconstructions.get(method, {})
-        errors = errors_of([(case, by_key[key]) for key, case in labelled.items() if key in by_key])
+        errors = errors_of([(case, by_key[case.key]) for case in labelled if case.key in by_key])
         if errors:
             settings[setting] = errors
-    return {**parameters, "settings": settings}
+    return {"settings": settings}
+
+
+def merged(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
+    """The errors over the buildings of all parts, of :func:`masked_errors` or of :func:`variant_errors`."""
+    settings: dict[str, dict[str, list[AbsoluteError]]] = {}
+    counts: dict[str, int] = {}
+    for part in parts:
+        for setting, errors in part["settings"].items():
+            by_name = settings.setdefault(setting, {})
+            for name, error in errors.items():
+                by_name.setdefault(name, []).append(AbsoluteError(**error))
+        for name in COUNTS & part.keys():
+            counts[name] = counts.get(name, 0) + part[name]
+    return {
+        "settings": {
+            setting: {name: asdict(pooled(errors)) for name, errors in by_name.items()}
+            for setting, by_name in settings.items()
+        },
+        **counts,
+    }
 
 
 def is_labelled(case: Case) -> bool:

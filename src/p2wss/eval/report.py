@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import jinja2
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from p2wss.config import Eval
 from p2wss.data import files
@@ -19,34 +19,51 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.schemas.manifest import read_manifest
 from p2wss.data.schemas.measures import MEASURES
-from p2wss.data.schemas.reconstructions import read_reconstructions
 from p2wss.errors import InputError
-from p2wss.eval import figures, groups, parameters, tables, texts
-from p2wss.eval.cases import Case, test_cases
-from p2wss.eval.gallery import Exhibit, Gallery, cause_counts
-from p2wss.eval.viewer import viewer
+from p2wss.eval import figures, groups, tables, texts
+from p2wss.eval.cases import Key
+from p2wss.eval.gallery import Counterpart, Exhibit, Gallery
+from p2wss.eval.parts import Part
+from p2wss.eval.samples import Samples, read_samples
+from p2wss.eval.viewer import choices, viewer
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
 
-Key = tuple[str, str, str]
 # methods whose meshes a picture shows, as far as they were run: with the points four panels
 PICTURED = (NETWORK, NETWORK_AND_FIT, "roofer")
 PICTURED_INSTEAD = ("fit", "lod1")
 
 
 @dataclass(frozen=True)
+class Exhibits:
+    """The buildings to show: the worst by data set, counterparts of the paper's figures, those of the 3D view."""
+
+    main: str
+    worst: Mapping[str, Sequence[Exhibit]]
+    cause_counts: Mapping[str, Sequence[tuple[str, int]]]
+    counterparts: Sequence[Counterpart]
+    viewed: Sequence[tuple[str, Key]]
+
+    def keys(self) -> set[Key]:
+        """The buildings whose points and meshes are needed."""
+        exhibits = chain(*self.worst.values(), *(counterpart.exhibits for counterpart in self.counterparts))
+        return {exhibit.key for exhibit in exhibits} | {key for _, key in self.viewed}
+
+
+@dataclass(frozen=True)
 class Inputs:
     """All that the report shows.
 
-    parameters: errors of Table 1. cpu_ms: per building, by method and data set. training: the records of
-    ``metrics.jsonl`` by stage. provenance: the metadata of each file. scans: PNGs as ``data:`` URIs, by tile.
+    parameters: errors of Table 1. cpu_ms: per building, by method and data set. samples: the buildings of the
+    exhibits. training: the records of ``metrics.jsonl`` by stage. provenance: the metadata of each file. scans: PNGs
+    as ``data:`` URIs, by tile.
     """
 
     region: str
     measures: pa.Table
     parameters: dict[str, Any]
     runs: Sequence[tables.Run]
-    reconstructions: Mapping[str, Mapping[Key, Reconstruction]]
-    cases: Mapping[Key, Case]
+    exhibits: Exhibits
+    samples: Samples
     training: Mapping[str, Sequence[dict[str, Any]]]
     provenance: Mapping[str, dict[str, Any]]
     config: Eval
@@ -63,9 +80,9 @@ def read(
     region: str,
     manifest: Path,
     measures: Path,
-    masked: Path,
-    reconstructions: Sequence[Path],
-    cpu: Sequence[Path],
+    errors: Path,
+    methods: Path,
+    parts: Sequence[Path],
     metrics: Sequence[Path],
     config: Eval,
     scans: Sequence[Path] = (),
@@ -74,32 +91,43 @@ def read(
 
     Raises :class:`InputError` if a file is missing or malformed.
     """
-    by_method = {}
-    runs = []
-    provenance: dict[str, dict[str, Any]] = {}
-    for path in reconstructions:
-        facts = files.read_metadata(path)
-        method = str(facts.get("method", path.stem))
-        runs.append(tables.Run(method, str(facts.get("status", "ok")), str(facts.get("roofer", ""))))
-        by_method[method] = read_reconstructions(path)
-        provenance[path.name] = facts
-    cases = {case.key: case for case in test_cases(read_manifest(manifest))}
     content = files.read_json(manifest)
-    provenance[manifest.name] = {name: value for name, value in content.items() if name != "shards"}
+    provenance = {manifest.name: {name: value for name, value in content.items() if name != "shards"}}
     provenance[measures.name] = files.read_metadata(measures)
-    times = [files.read_json(path) for path in cpu]
+    records = files.read_json(methods)["methods"]
+    for record in records:
+        provenance[record["method"]] = {name: value for name, value in record.items() if name != "cpu_ms"}
+    runs = [
+        tables.Run(record["method"], record["status"], str(record.get("roofer", ""))) for record in records
+    ]
+    names = [run.method for run in runs]
+    table = files.read_table(measures, MEASURES)
+    chosen = choose_exhibits(table, names, config)
+    folders = [Part(folder) for folder in parts]
     return Inputs(
         region,
-        files.read_table(measures, MEASURES),
-        parameters.with_reconstructions(files.read_json(masked), cases, by_method),
+        table,
+        files.read_json(errors),
         runs,
-        by_method,
-        cases,
+        chosen,
+        read_samples(chosen.keys(), read_manifest(manifest), table, folders, names),
         {path.parent.name: read_training(path) for path in metrics},
         provenance,
         config,
-        {time["method"]: time["cpu_ms"] for time in times},
+        {record["method"]: record["cpu_ms"] for record in records},
         {path.stem: figures.png_uri(path.read_bytes()) for path in scans},
+    )
+
+
+def choose_exhibits(measures: pa.Table, methods: Sequence[str], config: Eval) -> Exhibits:
+    """The buildings to show, chosen by their measures (schema ``MEASURES``)."""
+    gallery, names = Gallery(measures, methods), dataset_names(config)
+    return Exhibits(
+        gallery.main,
+        {dataset: gallery.worst(dataset, config.num_worst) for dataset in names},
+        {dataset: gallery.cause_counts(dataset) for dataset in names},
+        gallery.counterparts(config.num_pictures) if config.num_pictures else [],
+        choices(measures, names, gallery.main),
     )
 
 
@@ -118,9 +146,8 @@ CAPTIONS = {
 def documents(inputs: Inputs) -> dict[str, str]:
     """The files of the report, text by name: ``report.html``, and each of :data:`CAPTIONS` as CSV and LaTeX."""
     details = tables.details(inputs.measures, inputs.config, inputs.cpu_ms)
-    gallery = Gallery(inputs.cases, inputs.reconstructions, inputs.measures.to_pylist())
-    rows = _tables(inputs, details, gallery)
-    texts_by_name = {"report.html": render(inputs, details, gallery)}
+    rows = _tables(inputs, details)
+    texts_by_name = {"report.html": render(inputs, details)}
     for name, caption in CAPTIONS.items():
         texts_by_name[f"{name}.csv"] = texts.to_csv(rows[name])
         texts_by_name[f"{name}.tex"] = texts.to_latex(
@@ -129,17 +156,17 @@ def documents(inputs: Inputs) -> dict[str, str]:
     return texts_by_name
 
 
-def _tables(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -> dict[str, list[list[Any]]]:
+def _tables(inputs: Inputs, details: Sequence[tables.Detail]) -> dict[str, list[list[Any]]]:
     names = dataset_names(inputs.config)
     columns = tables.columns_2(details, inputs.runs)
     worst: list[list[Any]] = [
         ["dataset", "tile", "building_id", "method", "points_to_mesh_m", "CD_m", "cause"]
     ]
     for dataset in names:
-        for exhibit in gallery.worst(dataset, inputs.config.num_worst):
-            row = gallery.rows[dataset, exhibit.method][exhibit.key]
+        for exhibit in inputs.exhibits.worst[dataset]:
+            row = inputs.samples.rows[exhibit.key, exhibit.method]
             distances = [row["points_to_mesh_m"], row["chamfer_m"]]
-            worst.append([*exhibit.key, exhibit.method, *distances, exhibit.sentence])
+            worst.append([*exhibit.key, exhibit.method, *distances, _sentence(inputs, exhibit)])
     return {
         "table1": tables.table_1(inputs.parameters),
         "table2": tables.table_2(columns, names),
@@ -151,7 +178,13 @@ def _tables(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) 
     }
 
 
-def render(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -> str:
+def _sentence(inputs: Inputs, exhibit: Exhibit) -> str:
+    if exhibit.sentence is not None:
+        return exhibit.sentence
+    return inputs.samples.cause(exhibit.key, exhibit.method).sentence
+
+
+def render(inputs: Inputs, details: Sequence[tables.Detail]) -> str:
     """The HTML of the report."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("p2wss.eval"),
@@ -167,7 +200,7 @@ def render(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -
         region=inputs.region,
         names=names,
         methods=methods,
-        main=gallery.main,
+        main=inputs.exhibits.main,
         ours=tables.OURS,
         parameters=inputs.parameters,
         settings=tables.SETTINGS_1,
@@ -184,21 +217,12 @@ def render(inputs: Inputs, details: Sequence[tables.Detail], gallery: Gallery) -
         calibration=_calibration(inputs, names, methods),
         distributions=_distributions(inputs, names, methods),
         training=_training(inputs.training),
-        worst=_worst(inputs, names, methods, gallery),
+        worst=_worst(inputs, names, methods),
         counterparts=[
-            {"about": counterpart, "pictures": _pictures(inputs, counterpart.exhibits, methods, gallery)}
-            for counterpart in gallery.counterparts(inputs.config.num_pictures)
-        ]
-        if inputs.config.num_pictures
-        else [],
-        viewer=viewer(
-            inputs.cases,
-            inputs.reconstructions,
-            inputs.measures.to_pylist(),
-            names,
-            methods,
-            gallery.main,
-        ),
+            {"about": counterpart, "pictures": _pictures(inputs, counterpart.exhibits, methods)}
+            for counterpart in inputs.exhibits.counterparts
+        ],
+        viewer=viewer(inputs.samples, inputs.exhibits.viewed, methods, inputs.exhibits.main),
         scans=inputs.scans,
         attribution=inputs.config.attribution,
         provenance=inputs.provenance,
@@ -243,7 +267,7 @@ def _breakdowns(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, 
     """
     header, *rows = groups.table(inputs.measures, list(names))
     records = [dict(zip(header, row, strict=True)) for row in rows]
-    main = tables.main_method(list(inputs.reconstructions))
+    main = inputs.exhibits.main
     breakdowns = []
     for dataset in names:
         for by, title in groups.BY.items():
@@ -286,17 +310,16 @@ def _calibration(
 def _distributions(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[str]:
     images = []
     for dataset, title in names.items():
-        rows = inputs.measures.filter(pc.equal(inputs.measures["dataset"], dataset))
         for column, label in (
             ("chamfer_m", "Chamfer distance (m)"),
             ("points_to_mesh_m", "points to mesh (m)"),
         ):
+            measures = inputs.measures.select(["dataset", "method", column])
             values = {
-                run.method: np.array(
-                    rows.filter(pc.equal(rows["method"], run.method))[column].drop_null().to_pylist(), float
-                )
+                run.method: tables.numbers(tables.rows_of(measures, dataset, run.method), column)
                 for run in tables.ordered(inputs.runs)
             }
+            values = {method: sample[~np.isnan(sample)] for method, sample in values.items()}
             values = {method: sample for method, sample in values.items() if len(sample)}
             if values:
                 images.append(figures.data_uri(figures.cumulative(values, methods, label, title)))
@@ -338,38 +361,36 @@ def _panels(records: Sequence[dict[str, Any]]) -> dict[str, dict[str, tuple[list
     return {title: {name: curves[name] for name in members} for title, members in groups.items() if members}
 
 
-def _worst(
-    inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str], gallery: Gallery
-) -> list[dict[str, Any]]:
+def _worst(inputs: Inputs, names: Mapping[str, str], methods: Mapping[str, str]) -> list[dict[str, Any]]:
     """Per data set the worst buildings with pictures, and how often each cause occurs."""
     sections = []
     for dataset, title in names.items():
-        exhibits = gallery.worst(dataset, inputs.config.num_worst)
+        exhibits = inputs.exhibits.worst[dataset]
         if exhibits:
-            pictures = _pictures(inputs, exhibits, methods, gallery)
-            sections.append({"title": title, "pictures": pictures, "causes": cause_counts(gallery, dataset)})
+            pictures = _pictures(inputs, exhibits, methods)
+            causes = inputs.exhibits.cause_counts[dataset]
+            sections.append({"title": title, "pictures": pictures, "causes": causes})
     return sections
 
 
 def _pictures(
-    inputs: Inputs, exhibits: Sequence[Exhibit], methods: Mapping[str, str], gallery: Gallery
+    inputs: Inputs, exhibits: Sequence[Exhibit], methods: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    return [_picture(inputs, exhibit, methods, gallery) for exhibit in exhibits]
+    return [_picture(inputs, exhibit, methods) for exhibit in exhibits]
 
 
-def _picture(
-    inputs: Inputs, exhibit: Exhibit, methods: Mapping[str, str], gallery: Gallery
-) -> dict[str, Any]:
+def _picture(inputs: Inputs, exhibit: Exhibit, methods: Mapping[str, str]) -> dict[str, Any]:
     """The points of a building with our meshes and Roofer's; if that was not run, the fit's or the flat roof."""
-    key = exhibit.key
+    key, samples = exhibit.key, inputs.samples
     panels: list[tuple[str, Reconstruction]] = []
     for method in (*PICTURED, *PICTURED_INSTEAD):
-        reconstruction = inputs.reconstructions.get(method, {}).get(key)
+        reconstruction = samples.reconstructions.get(method, {}).get(key)
         if reconstruction is not None and reconstruction.has_mesh and len(panels) < len(PICTURED):
-            row = gallery.rows[key[0], method][key]
+            row = samples.rows[key, method]
             caption = f"{row['num_triangles']} triangles, CD {_number(row['chamfer_m'])} m"
             if row["points_to_mesh_m"] is not None:
                 caption += f", points {_number(row['points_to_mesh_m'])} m"
             panels.append((f"{methods[method]}\n{caption}", reconstruction))
-    image = figures.data_uri(figures.building(inputs.cases[key], panels), 85)
-    return {"row": gallery.rows[key[0], exhibit.method][key], "image": image, "sentence": exhibit.sentence}
+    image = figures.data_uri(figures.building(samples.cases[key], panels), 85)
+    row = samples.rows[key, exhibit.method]
+    return {"row": row, "image": image, "sentence": _sentence(inputs, exhibit)}

@@ -134,11 +134,6 @@ class Column:
     note: str = ""
 
 
-def main_method(methods: Sequence[str]) -> str:
-    """Our best variant: the network with the fit if it was run, else the network, else the fit alone."""
-    return next((name for name in (NETWORK_AND_FIT, NETWORK, FIT) if name in methods), NETWORK)
-
-
 def ordered(runs: Sequence[Run]) -> list[Run]:
     """The runs in the order of the columns."""
     names = list(METHOD_NAMES)
@@ -245,13 +240,14 @@ def details(
     cpu_ms: milliseconds per building, by method and data set.
     """
     statistics = []
-    keys = list(
-        dict.fromkeys(zip(measures["dataset"].to_pylist(), measures["method"].to_pylist(), strict=True))
+    keys = (
+        measures.select(["dataset", "method"])
+        .group_by(["dataset", "method"], use_threads=False)
+        .aggregate([])
     )
-    for dataset, method in keys:
-        rows = measures.filter(
-            pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
-        )
+    columns = measures.select(["dataset", "method", "status", *MEANS, *SHARES])
+    for dataset, method in zip(keys["dataset"].to_pylist(), keys["method"].to_pylist(), strict=True):
+        rows = rows_of(columns, dataset, method)
         without_mesh = pc.is_null(rows["num_triangles"])
         is_flat = pc.and_not(pc.fill_null(pc.not_equal(rows["status"], "ok"), False), without_mesh)
         statistics.append(
@@ -274,8 +270,9 @@ def _counts(values: Sequence[str]) -> dict[str, int]:
 
 
 def _share(table: pa.Table, name: str) -> float:
-    values = table[name].drop_null().to_pylist()
-    return float(np.mean(values)) if values else float("nan")
+    values = numbers(table, name)
+    values = values[~np.isnan(values)]
+    return float(np.mean(values)) if len(values) else float("nan")
 
 
 def _summary(table: pa.Table, name: str, config: Eval, dataset: str, method: str) -> Summary:
@@ -283,6 +280,13 @@ def _summary(table: pa.Table, name: str, config: Eval, dataset: str, method: str
     return summarize(numbers(table, name), draw, config.num_resamples)
 
 
+def rows_of(measures: pa.Table, dataset: str, method: str) -> pa.Table:
+    """The rows of a data set and a method."""
+    return measures.filter(
+        pc.and_(pc.equal(measures["dataset"], dataset), pc.equal(measures["method"], method))
+    )
+
+
 def numbers(table: pa.Table, name: str) -> np.ndarray:
     """A column as float64, with NaN for null."""
-    return np.array([np.nan if value is None else value for value in table[name].to_pylist()], float)
+    return pc.fill_null(table[name].cast(pa.float64()), np.nan).to_numpy()

@@ -14,14 +14,16 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from matplotlib import colormaps
 
 from p2wss.data.building import Reconstruction
-from p2wss.eval.cases import Case
+from p2wss.eval.cases import Case, Key
 from p2wss.eval.figures import COLORS, FACE_COLORS
+from p2wss.eval.samples import Samples
+from p2wss.eval.tables import numbers, rows_of
 from p2wss.metrics.surface import distance_to_mesh
 
-Key = tuple[str, str, str]
 # per data set; a building with its points and three meshes takes 20 to 60 kB of the page
 NUM_BUILDINGS = {"worst": 20, "median": 5, "best": 5}
 MAX_POINTS = 4000
@@ -37,31 +39,35 @@ class Viewer:
     script: str
 
 
-def viewer(
-    cases: Mapping[Key, Case],
-    reconstructions: Mapping[str, Mapping[Key, Reconstruction]],
-    measures: Sequence[Mapping[str, Any]],
-    titles: Mapping[str, str],
-    names: Mapping[str, str],
-    ours: str,
-) -> Viewer | None:
-    """The view of the worst, median and best buildings of the method ``ours`` by Chamfer distance; None if empty.
+def choices(measures: pa.Table, titles: Mapping[str, str], ours: str) -> list[tuple[str, Key]]:
+    """The worst, median and best buildings of the method ``ours`` by Chamfer distance: title of the group, and key.
 
-    measures: rows of the schema ``MEASURES``. titles: data sets to show, with their titles. names: of the methods.
+    measures: of the schema ``MEASURES``. titles: data sets to show, with their titles.
     """
-    measured = {(row["dataset"], row["tile"], row["building_id"], row["method"]): row for row in measures}
-    methods = [name for name in reconstructions if name == ours or name != "constant"]
-    buildings = []
+    chosen: list[tuple[str, Key]] = []
+    columns = measures.select(["dataset", "method", "tile", "building_id", "chamfer_m"])
     for dataset, title in titles.items():
-        ranked = [key[:3] for key in measured if key[0] == dataset and key[3] == ours and key[:3] in cases]
-        ranked.sort(key=lambda key: (-_chamfer_m(measured[*key, ours]), key))
+        rows = rows_of(columns, dataset, ours)
+        # a building without a mesh is worse than any other
+        frame = rows.select(["tile", "building_id"]).to_pandas()
+        frame["order"] = -np.nan_to_num(numbers(rows, "chamfer_m"), nan=np.inf)
+        ranked = frame.sort_values(["order", "tile", "building_id"]).reset_index(drop=True)
         for group, ranks in choose(len(ranked)).items():
-            for key in (ranked[rank] for rank in ranks):
-                by_method = {name: reconstructions[name].get(key) for name in methods}
-                rows = {name: measured.get((*key, name)) for name in methods}
-                buildings.append(
-                    {"group": f"{title}: {group}"} | _building(cases[key], by_method, rows, ours)
-                )
+            for row in ranked.iloc[ranks].itertuples():
+                chosen.append((f"{title}: {group}", (dataset, str(row.tile), str(row.building_id))))
+    return chosen
+
+
+def viewer(
+    samples: Samples, chosen: Sequence[tuple[str, Key]], names: Mapping[str, str], ours: str
+) -> Viewer | None:
+    """The view of the chosen buildings (:func:`choices`); None if there are none. names: of the methods."""
+    methods = [name for name in samples.reconstructions if name == ours or name != "constant"]
+    buildings = []
+    for group, key in chosen:
+        by_method = {name: samples.reconstructions[name].get(key) for name in methods}
+        rows = {name: samples.rows.get((key, name)) for name in methods}
+        buildings.append({"group": group} | _building(samples.cases[key], by_method, rows, ours))
     if not buildings:
         return None
     spare = iter(_OTHER_COLORS * len(methods))
@@ -99,11 +105,6 @@ def choose(count: int) -> dict[str, list[int]]:
     extremes = {*worst, *best}
     median = [rank for rank in range(first, first + NUM_BUILDINGS["median"]) if 0 <= rank < count]
     return {"worst": worst, "median": [rank for rank in median if rank not in extremes], "best": best[::-1]}
-
-
-def _chamfer_m(row: Mapping[str, Any]) -> float:
-    # a building without a mesh is worse than any other
-    return float("inf") if row["chamfer_m"] is None else float(row["chamfer_m"])
 
 
 def _building(

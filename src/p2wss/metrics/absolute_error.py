@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,3 +48,20 @@ def summarize_errors(errors: np.ndarray) -> AbsoluteError:
     if not len(errors):
         return AbsoluteError(float("nan"), float("nan"), 0)
     return AbsoluteError(float(errors.mean()), float(errors.std()), len(errors))
+
+
+def pooled(errors: Sequence[AbsoluteError]) -> AbsoluteError:
+    """The error over the values of several samples together.
+
+    >>> pooled([AbsoluteError(1.0, 0.0, 1), AbsoluteError(3.0, 0.0, 1)])
+    AbsoluteError(mean=2.0, std=1.0, count=2)
+    """
+    errors = [error for error in errors if error.count]
+    if not errors:
+        return AbsoluteError(float("nan"), float("nan"), 0)
+    mean, std, count = (
+        np.array([getattr(error, name) for error in errors]) for name in ("mean", "std", "count")
+    )
+    total = float(np.average(mean, weights=count))
+    variance = np.average(std**2 + (mean - total) ** 2, weights=count)
+    return AbsoluteError(total, float(np.sqrt(variance)), int(count.sum()))

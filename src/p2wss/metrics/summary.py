@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+# resampled values in memory at a time
+_MAX_DRAWS = 1 << 19
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -36,7 +39,13 @@ def summarize(values: np.ndarray, generator: np.random.Generator, num_resamples:
     low, high = values[0], values[0]
     if len(values) > 1:
         low, high = stats.bootstrap(
-            (values,), np.mean, n_resamples=num_resamples, method="percentile", rng=generator
+            (values,),
+            np.mean,
+            n_resamples=num_resamples,
+            # the draws are the same in pieces of any size
+            batch=max(_MAX_DRAWS // len(values), 1),
+            method="percentile",
+            rng=generator,
         ).confidence_interval
     statistics = (values.mean(), q1, median, q3, values.std(), low, high)
     return Summary(len(values), *map(float, statistics))

@@ -98,6 +98,7 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
         "test tflop": networks.inference_tflop(config.model, config.dvae, num_test),
         "real tflop": networks.inference_tflop(config.model, config.dvae, num_real),
     }
+    num_groups = -(-(num_drawn_tiles + num_lidar_tiles) // config.eval.shards_per_job)
     num_jobs = (
         len(members)  # fetch_footprints
         + len(source_tiles)  # fetch_dtm
@@ -106,9 +107,8 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
         + 4 * num_drawn_tiles  # cut_scene, build_roofs, cast_scan, crop_simulated
         + 3 * num_lidar_tiles  # prepare_lidar, crop_real, reconstruct_tile
         + 2 * trained  # dvae, model
-        + 3  # predict, fit with and without the network
-        + len(config.eval.baselines)
-        + 5  # index_scenes, crops, measure, eval_report, all
+        + num_groups * (4 + len(config.eval.baselines))  # predict, fit with and without the network, measure
+        + 6  # index_scenes, crops, medians, merge, eval_report, all
     )
     return Work(
         num_tiles,

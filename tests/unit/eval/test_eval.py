@@ -13,8 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import trimesh
+from all_cases import all_test_cases
 from truth_network import TruthNetwork
 
 from p2wss import cli
@@ -48,7 +50,7 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
 
 @pytest.fixture(scope="module")
 def hamlet_cases(hamlet: Path) -> list[cases.Case]:
-    return cases.test_cases(read_manifest(hamlet))
+    return all_test_cases(hamlet)
 
 
 def test_cases_are_the_test_split_and_all_real_lidar_in_metres(hamlet_cases: list[cases.Case]) -> None:
@@ -116,9 +118,9 @@ def test_the_truth_measures_better_than_a_flat_roof(hamlet_cases: list[cases.Cas
 
 def test_measures_do_not_depend_on_order_or_on_the_rest(hamlet_cases: list[cases.Case]) -> None:
     flat = predict.by_dataset(hamlet_cases, lod1, RECONSTRUCT)
-    method = {case.key: row for case, row in zip(hamlet_cases, flat, strict=True)}
-    forth = list(measure.measure(hamlet_cases, [method], CONFIG))
-    back = list(measure.measure(hamlet_cases[::-1][:9], [method], CONFIG))
+    methods = {"lod1": {case.key: row for case, row in zip(hamlet_cases, flat, strict=True)}}
+    forth = list(measure.measure(hamlet_cases, methods, CONFIG))
+    back = list(measure.measure(hamlet_cases[::-1][:9], methods, CONFIG))
     assert back == forth[::-1][:9]
     few = measure.subset(hamlet_cases[0], hamlet_cases[0].building.point_m, Eval(max_num_points=100))
     assert len(np.unique(few, axis=0)) == 100
@@ -247,49 +249,113 @@ def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
 WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}}
 
 
-def test_report_from_files_is_one_self_contained_page(
-    hamlet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The commands as the rules run them, with a predictor that knows the truth."""
-    manifest = read_manifest(hamlet)
-    hamlet_cases = cases.test_cases(manifest)
-    predictor = TruthNetwork(hamlet_cases, 0.1)
-    reconstructions = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
-    facts = files.provenance(method="point2wss", status="ok", code="0123")
-    columns = reconstruction_columns(reconstructions, [case.dataset for case in hamlet_cases])
-    files.write_table(tmp_path / "point2wss.parquet", columns, RECONSTRUCTIONS, facts)
-    errors = parameters.masked_errors(hamlet_cases, reconstructions, predictor, cases.train_medians(manifest))
-    files.write_json(tmp_path / "parameters.json", errors)
-    config = json.dumps(
-        {"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
-    )
+NAMES = ("point2wss", "point2wss+fit", "fit", "lod1", "constant", "roofer")
+SETTINGS = json.dumps(
+    {"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
+)
 
-    def run(*arguments: object) -> None:
-        assert cli.main(["eval", *map(str, arguments), "--config", config]) == 0
 
-    def outputs(name: str) -> list[object]:
-        return ["--out", tmp_path / f"{name}.parquet", "--out-cpu", tmp_path / f"{name}.json"]
+def run(*arguments: object) -> None:
+    assert cli.main(["eval", *map(str, arguments), "--config", SETTINGS]) == 0
 
-    for name in ("lod1", "constant", "roofer"):
-        run("baseline", "--name", name, "--manifest", hamlet, *outputs(name))
+
+def evaluate(manifest: Path, groups: list[list[Path]], folder: Path) -> list[Path]:
+    """The commands as the rules run them, per group of shards, and their merge into ``folder``."""
+    run("medians", "--manifest", manifest, "--out", folder / "medians.json")
+    medians, model = ["--medians", folder / "medians.json"], ["--model", folder / "model.safetensors"]
+    parts = [folder / "parts" / f"{number:04d}" for number in range(len(groups))]
+    for part, shards in zip(parts, groups, strict=True):
+        of_group = ["--manifest", manifest, "--shards", *shards]
+
+        def outputs(name: str, part: Path = part) -> list[object]:
+            return ["--out", part / f"{name}.parquet", "--out-cpu", part / "cpu" / f"{name}.json"]
+
+        errors = ["--out-errors", part / "masked_errors.json"]
+        run("predict", *of_group, *model, *medians, *outputs("point2wss"), *errors)
+        run("fit", *of_group, *model, *outputs("point2wss+fit"))
+        run("fit", *of_group, *outputs("fit"))
+        for name in ("lod1", "constant", "roofer"):
+            run("baseline", "--name", name, *of_group, *medians, *outputs(name))
+        rows = [part / f"{name}.parquet" for name in NAMES]
+        errors = ["--out-errors", part / "variant_errors.json"]
+        run("measure", *of_group, "--reconstructions", *rows, "--out", part / "measures.parquet", *errors)
+    merged = [f(name) for name in ("measures.parquet", "parameters.json", "methods.json")
+              for f in (lambda name: f"--out-{name.split('.')[0]}", lambda name: folder / name)]  # fmt: skip
+    run("merge", "--parts", *parts, "--methods", *NAMES, *merged)
+    return parts
+
+
+def report_of(manifest: Path, folder: Path, parts: list[Path], *others: object) -> None:
+    merged = ["--measures", folder / "measures.parquet", "--parameters", folder / "parameters.json"]
+    merged += ["--methods", folder / "methods.json"]
+    run("report", "--out", folder, "--manifest", manifest, *merged, "--parts", *parts, *others)
+
+
+@pytest.fixture
+def true_weights(hamlet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Weights of a predictor that knows the truth."""
+    predictor = TruthNetwork(all_test_cases(hamlet), 0.1)
     monkeypatch.setattr(predictor_module, "load_predictor", lambda path, device: predictor)
     monkeypatch.setattr(weights, "read_weights", lambda path, kind: ({}, WEIGHTS_FACTS))
-    run("fit", "--manifest", hamlet, *outputs("point2wss+fit"), "--model", tmp_path / "model.safetensors")
-    run("fit", "--manifest", hamlet, *outputs("fit"))
-    names = ("point2wss", "point2wss+fit", "fit", "lod1", "constant", "roofer")
-    rows = [tmp_path / f"{name}.parquet" for name in names]
-    cpu = [tmp_path / f"{name}.json" for name in names[1:]]
-    run("measure", "--manifest", hamlet, "--out", tmp_path / "measures.parquet", "--reconstructions", *rows)
+
+
+@pytest.mark.usefixtures("true_weights")
+def test_groups_of_shards_give_the_same_tables_as_all_shards_at_once(hamlet: Path, tmp_path: Path) -> None:
+    shards = [hamlet.parent / "a.parquet", hamlet.parent / "b.parquet"]
+    folders = [tmp_path / "whole", tmp_path / "split"]
+    for folder, groups in zip(folders, ([shards], [[shard] for shard in shards]), strict=True):
+        parts = evaluate(hamlet, groups, folder)
+        report_of(hamlet, folder, parts, "--metrics")
+    whole, split = (pq.read_table(folder / "measures.parquet") for folder in folders)
+    assert whole.equals(split) and len(whole) == 5 * 28
+    whole, split = (files.read_json(folder / "parameters.json") for folder in folders)
+    assert whole["num_buildings"] == split["num_buildings"] == 16
+    for setting, errors in whole["settings"].items():
+        for name, error in errors.items():
+            assert split["settings"][setting][name] == pytest.approx(error)
+    for name in report.CAPTIONS:
+        whole, split = ((folder / f"{name}.csv").read_text() for folder in folders)
+        timeless = [[line for line in text.splitlines() if "CPU" not in line] for text in (whole, split)]
+        assert timeless[0] == timeless[1], name
+
+
+@pytest.mark.usefixtures("true_weights")
+def test_a_group_without_a_test_building_changes_nothing(hamlet: Path, tmp_path: Path) -> None:
+    rows = files.read_table(hamlet.parent / "a.parquet", CROPS).to_pylist()
+    columns = {name: [row[name] for row in rows if row["split"] != "test"] for name in CROPS.names}
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.parquet").symlink_to(hamlet.parent / f"{name}.parquet")
+    files.write_table(tmp_path / "c.parquet", columns, CROPS, files.provenance(crs="EPSG:2154"))
+    shards = [{"path": f"{name}.parquet", "dataset": "simulated"} for name in "ac"]
+    files.write_json(tmp_path / "manifest.json", {"shards": shards})
+    groups = [[tmp_path / "a.parquet"], [tmp_path / "c.parquet"]]
+    parts = evaluate(tmp_path / "manifest.json", groups, tmp_path / "with")
+    report_of(tmp_path / "manifest.json", tmp_path / "with", parts, "--metrics")
+    measured = pq.read_table(tmp_path / "with" / "measures.parquet")
+    assert measured["dataset"].unique().to_pylist() == ["simulated"] and len(measured) == 5 * 16
+    methods = {m["method"]: m for m in files.read_json(tmp_path / "with" / "methods.json")["methods"]}
+    assert {name: m["status"] for name, m in methods.items() if name != "roofer"} == dict.fromkeys(
+        NAMES[:-1], "ok"
+    )
+    assert list(methods["fit"]["cpu_ms"]) == ["simulated"]
+
+
+def test_a_shard_that_the_manifest_does_not_list_is_one_clear_line(hamlet: Path) -> None:
+    with pytest.raises(InputError, match=r"does not list .*manifest\.json; run the stage crops again"):
+        read_manifest(hamlet, [hamlet])
+    (only,) = read_manifest(hamlet, [hamlet.parent / "b.parquet"]).shards
+    assert only.dataset == "real"
+
+
+@pytest.mark.usefixtures("true_weights")
+def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Path) -> None:
+    """The commands as the rules run them, with a predictor that knows the truth."""
+    parts = evaluate(hamlet, [[hamlet.parent / "a.parquet", hamlet.parent / "b.parquet"]], tmp_path)
     training = tmp_path / "model" / "metrics.jsonl"
     (tmp_path / "0652_6862.png").write_bytes(b"\x89PNG of a scan")
     training.parent.mkdir()
     training.write_text("".join(json.dumps({"step": i, "loss": 9 / (i + 1)}) + "\n" for i in range(5)))
-    run(
-        *("report", "--out", tmp_path, "--manifest", hamlet, "--measures", tmp_path / "measures.parquet"),
-        *("--parameters", tmp_path / "parameters.json", "--reconstructions", *rows, "--metrics", training),
-        *("--cpu", *cpu),
-        *("--scans", tmp_path / "0652_6862.png"),
-    )
+    report_of(hamlet, tmp_path, parts, "--metrics", training, "--scans", tmp_path / "0652_6862.png")
     page = (tmp_path / "report.html").read_text()
     # nothing is loaded from elsewhere: scripts, style sheets and images are embedded in the page
     assert not re.search(r"<script[^>]* src|<link|@import|url\(", page)
@@ -299,7 +365,7 @@ def test_report_from_files_is_one_self_contained_page(
     assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
     assert "not run: eval.roofer_command is empty" in page
     assert page.count("Simulated scan of tile 0652_6862") == 1
-    assert "no real data" in page and "0123" in page and "4567" in page
+    assert "no real data" in page and "4567" in page
     assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
     assert "mu_CD" in (tmp_path / "table2.csv").read_text()
 

@@ -48,7 +48,7 @@ def delft() -> list[cases.Case]:
 @pytest.fixture(scope="module")
 def rows(delft: list[cases.Case]) -> list[dict]:
     recorded = roofer.recorded([DATA / "delft_ahn3/roofer_lod22.city.jsonl"], delft)
-    return list(measure.measure(delft, [recorded], Eval()))
+    return list(measure.measure(delft, {"roofer": recorded}, Eval()))
 
 
 @needs_data

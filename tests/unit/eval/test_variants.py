@@ -14,18 +14,19 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import shapely
+from all_cases import all_test_cases
 from truth_network import TruthNetwork
 
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL, SIMULATED
-from p2wss.data.schemas.manifest import read_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
 from p2wss.eval.causes import cause_of_error
 from p2wss.eval.clock import CpuClock
-from p2wss.eval.gallery import Gallery, cause_counts
+from p2wss.eval.gallery import Gallery
 from p2wss.eval.roof_kinds import roof_kind
+from p2wss.eval.samples import Samples, rows_by_key
 from p2wss.fit.mesh import build_meshes
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
@@ -35,7 +36,7 @@ CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
 
 @pytest.fixture(scope="module")
 def hamlet_cases(hamlet: Path) -> list[cases.Case]:
-    return cases.test_cases(read_manifest(hamlet))
+    return all_test_cases(hamlet)
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +56,10 @@ def reconstructions(hamlet_cases: list[cases.Case]) -> dict[str, dict[tuple[str,
 
 @pytest.fixture(scope="module")
 def table(hamlet_cases: list[cases.Case], reconstructions: dict) -> pa.Table:
-    return measures_of(hamlet_cases, list(reconstructions.values()))
+    return measures_of(hamlet_cases, reconstructions)
 
 
-def measures_of(hamlet_cases: list[cases.Case], methods: Sequence[dict]) -> pa.Table:
+def measures_of(hamlet_cases: list[cases.Case], methods: dict[str, dict]) -> pa.Table:
     rows = list(measure.measure(hamlet_cases, methods, CONFIG))
     columns = {name: [row[name] for row in rows] for name in MEASURES.names}
     return pa.table({field.name: pa.array(columns[field.name], field.type) for field in MEASURES})
@@ -163,9 +164,8 @@ def num_points_over_faces(case: cases.Case, angle_deg: np.ndarray) -> np.ndarray
 def test_table_1_has_the_variants_over_all_and_over_seen_values(
     hamlet_cases: list[cases.Case], reconstructions: dict
 ) -> None:
-    errors = parameters.with_reconstructions(
-        {"settings": {"all_masked": {}}}, {case.key: case for case in hamlet_cases}, reconstructions
-    )
+    parts = (hamlet_cases[:5], hamlet_cases[5:9], hamlet_cases[9:])
+    errors = parameters.merged(parameters.variant_errors(part, reconstructions) for part in parts)
     settings = errors["settings"]
     assert settings["footprint_given"]["height_m"]["mean"] == pytest.approx(0.4, abs=1e-5)
     truth = np.concatenate([case.angle_deg for case in hamlet_cases[:16] if case.angle_deg is not None])
@@ -300,9 +300,8 @@ def test_each_cause_is_recognised() -> None:
 def test_the_gallery_shows_the_worst_buildings_and_the_counterparts(
     hamlet_cases: list[cases.Case], reconstructions: dict, table: pa.Table
 ) -> None:
-    by_key = {case.key: case for case in hamlet_cases}
     rows = table.to_pylist()
-    gallery = Gallery(by_key, reconstructions, rows)
+    gallery = Gallery(table, list(reconstructions))
     assert gallery.main == NETWORK_AND_FIT
     worst = gallery.worst("simulated", 5)
     value = {
@@ -312,7 +311,14 @@ def test_the_gallery_shows_the_worst_buildings_and_the_counterparts(
     }
     expected = sorted((v for key, v in value.items() if key[0] == "simulated"), reverse=True)[:5]
     assert [value[exhibit.key] for exhibit in worst] == expected
-    assert all(exhibit.sentence.endswith(".") for exhibit in worst)
+    by_key = {case.key: case for case in hamlet_cases}
+    keys = [exhibit.key for exhibit in worst]
+    samples = Samples(by_key, reconstructions, rows_by_key(table, keys))
+    for exhibit in worst:
+        cause = samples.cause(exhibit.key, exhibit.method)
+        row = samples.rows[exhibit.key, exhibit.method]
+        assert row["cause"] == (cause.kind if row["points_to_mesh_m"] > 0.25 else None)
+        assert exhibit.sentence is None and cause.sentence.endswith(".")
     figures = {counterpart.figure: counterpart for counterpart in gallery.counterparts(2)}
     assert list(figures) == ["7 (1)", "7 (2)", "8", "9", "10", "11", "12", "13", "14"]
     # the network's hips are wrong by more than 5 degrees on every roof
@@ -320,7 +326,9 @@ def test_the_gallery_shows_the_worst_buildings_and_the_counterparts(
     assert figures["11"].exhibits and all(
         exhibit.method == NETWORK_AND_FIT for exhibit in figures["11"].exhibits
     )
-    assert all(count > 0 for _, count in cause_counts(gallery, "simulated"))
+    real = [r for r in rows if r["dataset"] == "real" and r["method"] in (NETWORK, NETWORK_AND_FIT)]
+    assert all(row["cause"] for row in real) and not any(row["cause"] for row in rows if row["method"] == FIT)
+    assert all(count > 0 for _, count in gallery.cause_counts("simulated"))
 
 
 HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b> ± ° ² μ σ – …"
@@ -409,7 +417,7 @@ def test_a_picture_has_the_same_bytes_each_time_and_all_panels(
     first, second = (figures.data_uri(figures.building(case, panels), 60) for _ in range(2))
     assert first == second and len(figures.building(case, panels).axes) == 4
     bins = groups.calibration(
-        measures_of(hamlet_cases[:4], [reconstructions[NETWORK]]), "simulated", NETWORK
+        measures_of(hamlet_cases[:4], {NETWORK: reconstructions[NETWORK]}), "simulated", NETWORK
     ).bins
     axes = figures.reliability_diagram({NETWORK: bins}, tables.METHOD_NAMES, "x").axes[0]
     dots = axes.collections[0].get_offsets()

@@ -13,13 +13,16 @@ from typing import Any
 
 import jinja2
 import numpy as np
+import pyarrow as pa
 import pytest
+from all_cases import all_test_cases
 from matplotlib.image import imread
 
 from p2wss.config import Eval, Reconstruct
-from p2wss.data.schemas.manifest import read_manifest
+from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, measure
-from p2wss.eval.viewer import MAX_POINTS, Viewer, choose, viewer
+from p2wss.eval.samples import Samples, rows_by_key
+from p2wss.eval.viewer import MAX_POINTS, Viewer, choices, choose, viewer
 from p2wss.reconstruct.flat import constant, lod1
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
@@ -30,7 +33,7 @@ TITLES = {"simulated": "Simulated", "real": "LiDAR"}
 @pytest.fixture(scope="module")
 def view(hamlet: Path) -> Viewer:
     """Ours: hip roofs of 35 degrees with eaves at 5 m; the last building has no mesh."""
-    test_cases = cases.test_cases(read_manifest(hamlet))
+    test_cases = all_test_cases(hamlet)
     buildings = [case.building for case in test_cases]
     config = Reconstruct()
     ours = constant(buildings, np.full(len(test_cases), 5.0), 35.0, config, "point2wss")
@@ -41,8 +44,12 @@ def view(hamlet: Path) -> Viewer:
         name: {case.key: row for case, row in zip(test_cases, rows, strict=True)}
         for name, rows in tables.items()
     }
-    rows = [*measure.measure(test_cases, [by_key["point2wss"], by_key["lod1"]], Eval(num_samples=64))]
-    view = viewer({case.key: case for case in test_cases}, by_key, rows, TITLES, NAMES, "point2wss")
+    measured = {name: by_key[name] for name in ("point2wss", "lod1")}
+    columns = cases.columns_of(measure.measure(test_cases, measured, Eval(num_samples=64)), MEASURES.names)
+    table = pa.table(columns, schema=MEASURES)
+    keys = {case.key: case for case in test_cases}
+    chosen = choices(table, TITLES, "point2wss")
+    view = viewer(Samples(keys, by_key, rows_by_key(table, keys)), chosen, NAMES, "point2wss")
     assert view is not None
     return view
 
@@ -56,7 +63,7 @@ def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) ->
     data = json.loads(view.data)
     assert [method["key"] for method in data["methods"]] == ["point2wss", "lod1"]
     by_id = {building["id"]: building for building in data["buildings"]}
-    test_cases = cases.test_cases(read_manifest(hamlet))
+    test_cases = all_test_cases(hamlet)
     assert set(by_id) == {case.building.building_id for case in test_cases} and len(by_id) == len(test_cases)
     without_mesh = test_cases[-1].building.building_id
     assert "point2wss" not in by_id[without_mesh]["meshes"]
@@ -87,7 +94,8 @@ def test_choose_shows_no_building_twice() -> None:
 
 
 def test_nothing_to_show() -> None:
-    assert viewer({}, {"point2wss": {}}, [], TITLES, NAMES, "point2wss") is None
+    assert choices(MEASURES.empty_table(), TITLES, "point2wss") == []
+    assert viewer(Samples({}, {"point2wss": {}}, {}), [], NAMES, "point2wss") is None
 
 
 class Page:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -66,10 +67,11 @@ def building_ranks(table: pa.Table, seed: int) -> np.ndarray:
     return np.array(ranks, np.uint64)
 
 
-def read_manifest(path: str | Path) -> Manifest:
+def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manifest:
     """The shards that a manifest lists; relative paths start at its folder, or else at the current folder.
 
-    Raises :class:`InputError` if the manifest or a shard is missing.
+    only: these of its shards, in the order of the manifest; the others need not exist. Raises :class:`InputError`
+    if the manifest or a shard is missing, or if it does not list one of ``only``.
     """
     content = files.read_json(path)
     shards = []
@@ -82,6 +84,13 @@ def read_manifest(path: str | Path) -> Manifest:
             )
     except (KeyError, TypeError) as error:
         raise InputError(f"{path}: not a manifest of crops: missing {error}") from error
+    if only is not None:
+        listed = {os.path.abspath(shard.path) for shard in shards}
+        wanted = {os.path.abspath(name): name for name in only}
+        for place, name in wanted.items():
+            if place not in listed:
+                raise InputError(f"{path}: does not list {name}; run the stage crops again")
+        shards = [shard for shard in shards if os.path.abspath(shard.path) in wanted]
     missing = [str(shard.path) for shard in shards if not shard.path.exists()]
     if missing:
         raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")

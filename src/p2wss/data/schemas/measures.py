@@ -31,6 +31,13 @@ MEASURES = pa.schema(
         ),
         field("visible_roof_share", pa.float32(), "as in the crop"),
         field("confidence", pa.float32(), "expected share of correct values; null if unknown", True),
+        field(
+            "cause",
+            pa.string(),
+            "why the mesh is far from the points (p2wss.eval.causes), where it is determined: of our best variant "
+            "and, of real LiDAR, of the network",
+            True,
+        ),
         field("num_parts", pa.int32(), "parts with their own eave height; null without a mesh", True),
         field(
             "num_triangles", pa.int32(), "triangles of the mesh, ground included; null without a mesh", True

@@ -5,7 +5,7 @@ Written and read by the stage eval.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,12 +78,18 @@ def reconstruction_columns(
     }
 
 
-def read_reconstructions(path: Path) -> dict[tuple[str, str, str], Reconstruction]:
-    """The reconstructions in a file by (dataset, tile, building id).
+def read_reconstructions(
+    path: Path, keys: Collection[tuple[str, str, str]] | None = None
+) -> dict[tuple[str, str, str], Reconstruction]:
+    """The reconstructions in a file by (dataset, tile, building id). keys: only these are read.
 
     Raises :class:`InputError` if the file is missing, broken or not a table of reconstructions.
     """
-    table = files.read_table(path, RECONSTRUCTIONS)
+    if keys is None:
+        table = files.read_table(path, RECONSTRUCTIONS)
+    else:
+        columns = ["dataset", "tile", "building_id"]
+        table = files.read_rows(path, RECONSTRUCTIONS, columns, files.rows_with(columns, keys))
     polygons = polygon_arrays.from_columns(table)
     lists = {
         name: files.list_column(table, name)
