@@ -15,30 +15,6 @@ METHODS = [*OURS, *settings.eval.baselines]
 TABLES = ["table1", "table2", "table2_more", "without_mesh", "groups", "calibration", "worst"]
 
 
-@cache
-def evaluated_shards():
-    """All shards in the order of the manifest, cut into the groups of one job each."""
-    shards = [*simulated_shards({}), *real_shards({})]
-    size = settings.eval.shards_per_job
-    return [shards[first : first + size] for first in range(0, len(shards), size)]
-
-
-def shards_of_group(wildcards):
-    return evaluated_shards()[int(wildcards.group)]
-
-
-def every_group(path):
-    """An input function: ``path`` for every group of shards."""
-    return lambda wildcards: expand(
-        path, group=[f"{number:04d}" for number in range(len(evaluated_shards()))], allow_missing=True
-    )
-
-
-def folders_of(name):
-    """The folders of the parts, from the paths of an input with this name."""
-    return lambda wildcards, input: list(dict.fromkeys(os.path.dirname(path) for path in input[name]))
-
-
 RECONSTRUCTIONS = every_group(expand("<results>/eval/parts/{{group}}/{name}.parquet", name=METHODS))
 
 

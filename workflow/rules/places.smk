@@ -1,4 +1,4 @@
-"""Places and tiles: the files of every member and draw of a data set.
+"""Places and tiles: the files of every member and draw of a data set, and the groups that are evaluated together.
 
 A place (wildcard {place}, p2wss.config.places) stands before each tile: "" without members, "paris/" for a member,
 "paris/2/" for its second draw.
@@ -96,3 +96,27 @@ def drawn_town(place, kind):
     """The footprints or the terrain of a place, if they are of a town that rule draw_town draws."""
     path = getattr(at(place).fetch.folder, kind)
     return path if at(place).fetch.source == "folder" and path.startswith("resources/towns/") else []
+
+
+@cache
+def evaluated_shards():
+    """All shards in the order of the manifest, cut into the groups of one job each."""
+    shards = [*simulated_shards({}), *real_shards({})]
+    size = settings.eval.shards_per_job
+    return [shards[first : first + size] for first in range(0, len(shards), size)]
+
+
+def shards_of_group(wildcards):
+    return evaluated_shards()[int(wildcards.group)]
+
+
+def every_group(path):
+    """An input function: ``path`` for every group of shards."""
+    return lambda wildcards: expand(
+        path, group=[f"{number:04d}" for number in range(len(evaluated_shards()))], allow_missing=True
+    )
+
+
+def folders_of(name):
+    """The folders of the parts, from the paths of an input with this name."""
+    return lambda wildcards, input: list(dict.fromkeys(os.path.dirname(path) for path in input[name]))
