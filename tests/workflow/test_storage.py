@@ -1,6 +1,5 @@
 """Results in object storage: a local S3 server (moto) on the loopback, and the plan of the profile for Kubernetes."""
 
-import shutil
 import socket
 import subprocess
 import sys
@@ -8,7 +7,7 @@ import time
 from contextlib import closing
 
 import pytest
-from checkout import ROOT, Project, rules_to_run
+from checkout import Project, rules_to_run
 
 pytest.importorskip("moto", reason="no moto[server]: make engines")
 pytest.importorskip("snakemake_storage_plugin_s3", reason="no snakemake-storage-plugin-s3: make engines")
@@ -53,14 +52,6 @@ def s3(tmp_path_factory):
         finally:
             server.terminate()
             server.wait(10)
-
-
-@pytest.fixture
-def project(tmp_path):
-    """With what is compiled already."""
-    project = Project(tmp_path)
-    shutil.copytree(ROOT / "src", project.folder / "src", dirs_exist_ok=True)
-    return project
 
 
 def _wait_for(port: int, log) -> None:
