@@ -4,7 +4,8 @@
     python benchmarks/costs.py --configfile config/regions/lyon.yaml --out costs.csv
 
 ``p2wss plan`` multiplies the table. CPU time of a unit is the median over the jobs of a stage, so that a job which
-had to compile counts no more than others; memory is that of the largest job. GPU time is not measured but assumed.
+had to compile counts no more than others; the time of the shortest job is the start of a job and has a row of its own.
+Memory is that of the largest job. GPU time is not measured but assumed.
 The last line is JSON.
 """
 
@@ -75,8 +76,10 @@ def work_of(config: Config) -> tuple[Work, dict[str, int]]:
     return count_work(config, regions), by_tile
 
 
-def cost_of(config: Config, work: Work, by_tile: dict[str, int], stage: tuple[str, str, str]) -> Cost | None:
-    """The cost of a unit in a stage; None if the stage has not run."""
+def cost_of(
+    config: Config, work: Work, by_tile: dict[str, int], stage: tuple[str, str, str], start_s: float
+) -> Cost | None:
+    """The cost of a unit in a stage; None if the stage has not run. start_s: of a job, which does not count."""
     pattern, unit, results = stage
     name = dataset_name(config)
     folder = Path("logs", name, "benchmarks")
@@ -88,7 +91,8 @@ def cost_of(config: Config, work: Work, by_tile: dict[str, int], stage: tuple[st
         return None
     amounts = {path: by_tile.get(path.stem, 0) if "building" in unit else 0 for path in jobs}
     cpu_s = median(
-        float(job["cpu_time"]) / (amounts[path] or amount / len(jobs)) for path, job in jobs.items()
+        (float(job["cpu_time"]) - start_s) / (amounts[path] or amount / len(jobs))
+        for path, job in jobs.items()
     )
     if results.startswith("resources"):
         files = list(Path().glob(results.format(vintage=config.region.vintage)))
@@ -99,7 +103,6 @@ def cost_of(config: Config, work: Work, by_tile: dict[str, int], stage: tuple[st
     if pattern.startswith("fetch/*"):
         stage_name = "fetch/" + pattern.split("/")[-1].removesuffix("_*")
     is_network = unit.endswith("tflop")
-    machine = f"{os.cpu_count()} cores, {platform.machine()}"
     return Cost(
         stage_name,
         unit,
@@ -108,8 +111,20 @@ def cost_of(config: Config, work: Work, by_tile: dict[str, int], stage: tuple[st
         # weights are of one size, however long the training
         0.0 if is_network else size_mb / amount,
         max(float(job["max_rss"]) for job in jobs.values()),
-        f"CPU measured on {name} ({machine})" + (f"; {GPU_SOURCE}" if is_network else ""),
+        measured_on(config) + (f"; {GPU_SOURCE}" if is_network else ""),
     )
+
+
+def start_of_job(config: Config) -> Cost:
+    """What the start of a job costs: the CPU time of the shortest one."""
+    files = Path("logs", dataset_name(config), "benchmarks").rglob("*.tsv")
+    cpu_s = min(float(job["cpu_time"]) for path in files if (job := read_job(path)))
+    return Cost("start of a job", "job", cpu_s, 0.0, 0.0, 0.0, measured_on(config))
+
+
+def measured_on(config: Config) -> str:
+    """The source of a figure."""
+    return f"CPU measured on {dataset_name(config)} ({os.cpu_count()} cores, {platform.machine()})"
 
 
 def read_job(path: Path) -> dict[str, str] | None:
@@ -147,8 +162,9 @@ def main() -> int:
     options = parser.parse_args()
     config = load(*options.configfile)
     work, by_tile = work_of(config)
-    measured = [cost_of(config, work, by_tile, stage) for stage in STAGES]
-    costs = with_network([cost for cost in measured if cost is not None], work)
+    start = start_of_job(config)
+    measured = [cost_of(config, work, by_tile, stage, start.cpu_s) for stage in STAGES]
+    costs = [start, *with_network([cost for cost in measured if cost is not None], work)]
     write_costs(options.out, costs)
     print(options.out.read_text())
     print(json.dumps({f"{cost.stage}, {cost.unit}": asdict(cost) for cost in costs}))

@@ -85,7 +85,7 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
     lidar_dvae = min(num_real - lidar_test, dataset.num_lidar_dvae) if dataset.num_lidar_test else num_real
     num_test = pairs["test"] + lidar_test
     trained = not config.model.weights
-    amounts = {
+    amounts: dict[str, float] = {
         "member": len(members),
         "tile": len(source_tiles),
         "building": num_simulated,
@@ -110,6 +110,7 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
         + num_groups * (4 + len(config.eval.baselines))  # predict, fit with and without the network, measure
         + 6  # index_scenes, crops, medians, merge, eval_report, all
     )
+    amounts["job"] = num_jobs
     return Work(
         num_tiles,
         num_lidar_tiles,
