@@ -26,29 +26,30 @@ from p2wss.fetch import plan as fetch_plan
 from p2wss.plan.costs import Cost, write_costs
 from p2wss.plan.work import Region, Work, count_work
 
-# (stage, unit, results): a stage's benchmark files are <stage>.tsv, or those below <stage>/ of its tiles
+# (stage, unit, benchmark files of its jobs, results)
 STAGES = [
-    ("fetch/footprints", "member", "fetch/**/*footprints.gpkg"),
-    ("fetch/*/dtm_*", "tile", "resources/ign/{vintage}/dtm/*.tif"),
-    ("fetch/*/lidar_*", "real building", "resources/ign/{vintage}/lidar/*.laz"),
-    ("fetch/prepare/**/*", "real building", "fetch/lidar/**/*.laz"),
-    ("scenes/index", "building", "scenes/index.tsv"),
-    ("scenes/**/*", "building", "scenes/**/*"),
-    ("buildings/**/*", "building", "buildings/**/*.parquet"),
-    ("scans/**/*", "million pulses", "scans/**/*"),
-    ("crops/simulated/**/*", "building", "crops/simulated/**/*.parquet"),
-    ("crops/real/**/*", "real building", "crops/real/**/*.parquet"),
-    ("crops/manifest", "building", "crops/manifest.json"),
-    ("dvae/train", "dvae tflop", "dvae/*"),
-    ("model/train", "model tflop", "model/*"),
-    ("eval/point2wss", "test tflop", "eval/point2wss.parquet"),
-    ("eval/point2wss+fit", "test building", "eval/point2wss+fit.parquet"),
-    ("eval/fit", "test building", "eval/fit.parquet"),
-    ("eval/lod1", "test building", "eval/lod1.parquet"),
-    ("eval/constant", "test building", "eval/constant.parquet"),
-    ("eval/measure", "test building", "eval/measures.parquet"),
-    ("eval/report", "run", "eval/*.html"),
-    ("reconstruct/**/*", "real building", "reconstruct/**/*"),
+    ("fetch/footprints", "member", "fetch/**/*footprints", "fetch/**/*footprints.gpkg"),
+    ("fetch/dtm", "tile", "fetch/*/dtm_*", "resources/ign/{vintage}/dtm/*.tif"),
+    ("fetch/lidar", "real building", "fetch/*/lidar_*", "resources/ign/{vintage}/lidar/*.laz"),
+    ("fetch/prepare", "real building", "fetch/prepare/**/*", "fetch/lidar/**/*.laz"),
+    ("scenes/index", "building", "scenes/index", "scenes/index.tsv"),
+    ("scenes", "building", "scenes/**/*_*", "scenes/**/*_*"),
+    ("buildings", "building", "buildings/**/*", "buildings/**/*.parquet"),
+    ("scans", "million pulses", "scans/**/*", "scans/**/*"),
+    ("crops/simulated", "building", "crops/simulated/**/*", "crops/simulated/**/*.parquet"),
+    ("crops/real", "real building", "crops/real/**/*", "crops/real/**/*.parquet"),
+    ("crops/manifest", "building", "crops/manifest", "crops/manifest.json"),
+    ("dvae", "dvae tflop", "dvae/train", "dvae/*"),
+    ("model", "model tflop", "model/train", "model/*"),
+    ("eval/point2wss", "test tflop", "eval/*/point2wss", "eval/parts/*/point2wss.parquet"),
+    ("eval/point2wss+fit", "test building", "eval/*/point2wss+fit", "eval/parts/*/point2wss+fit.parquet"),
+    ("eval/fit", "test building", "eval/*/fit", "eval/parts/*/fit.parquet"),
+    ("eval/lod1", "test building", "eval/*/lod1", "eval/parts/*/lod1.parquet"),
+    ("eval/constant", "test building", "eval/*/constant", "eval/parts/*/constant.parquet"),
+    ("eval/measure", "test building", "eval/*/measure", "eval/parts/*/measures.parquet"),
+    ("eval/merge", "test building", "eval/merge", "eval/measures.parquet"),
+    ("eval/report", "run", "eval/report", "eval/*.html"),
+    ("reconstruct", "real building", "reconstruct/**/*", "reconstruct/**/*"),
 ]
 # stages that also run the network: the part of it in their CPU time goes by its own unit
 WITH_NETWORK = {"eval/point2wss+fit": "test tflop", "reconstruct": "real tflop"}
@@ -77,15 +78,13 @@ def work_of(config: Config) -> tuple[Work, dict[str, int]]:
 
 
 def cost_of(
-    config: Config, work: Work, by_tile: dict[str, int], stage: tuple[str, str, str], start_s: float
+    config: Config, work: Work, by_tile: dict[str, int], stage: tuple[str, str, str, str], start_s: float
 ) -> Cost | None:
     """The cost of a unit in a stage; None if the stage has not run. start_s: of a job, which does not count."""
-    pattern, unit, results = stage
+    stage_name, unit, pattern, results = stage
     name = dataset_name(config)
     folder = Path("logs", name, "benchmarks")
     jobs = {path: job for path in sorted(folder.glob(f"{pattern}.tsv")) if (job := read_job(path))}
-    if pattern == "scenes/**/*":
-        jobs.pop(folder / "scenes/index.tsv", None)
     amount = work.amounts[unit]
     if not jobs or not amount:
         return None
@@ -99,9 +98,6 @@ def cost_of(
     else:
         files = list(Path("results", name).glob(results))
     size_mb = sum(path.stat().st_size for path in files if path.is_file()) / 1e6
-    stage_name = pattern.split("/*")[0].replace("/train", "")
-    if pattern.startswith("fetch/*"):
-        stage_name = "fetch/" + pattern.split("/")[-1].removesuffix("_*")
     is_network = unit.endswith("tflop")
     return Cost(
         stage_name,
