@@ -47,6 +47,7 @@ def test_the_report_and_its_tables_are_there(done):
     folder = done.folder / "results/mini/eval"
     page = (folder / "report.html").read_text()
     assert "Real LiDAR (stand-in)" in page and "LiDAR HD" not in page
+    assert "was also trained on these clouds of Real LiDAR (stand-in), without labels" in page
     assert 'src="http' not in page and 'href="http' not in page, "one self-contained file"
     for name in ("table1", "table2", "table2_more", "groups", "calibration", "worst"):
         rows = list(csv.reader((folder / f"{name}.csv").open()))

@@ -228,7 +228,7 @@ rule eval_report:
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
-        config=section("region", "fetch", "eval", without=("shards_per_job",)),
+        config=section("region", "dataset", "fetch", "eval", without=("shards_per_job",)),
         code=fingerprint("eval.report", "eval.templates", "eval.assets"),
         parts=folders_of("reconstructions"),
         folder=subpath(output.report, parent=True),

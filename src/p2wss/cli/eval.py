@@ -19,7 +19,7 @@ from p2wss.cli.common import (
     read_config,
     set_num_threads,
 )
-from p2wss.config import Config, section_json
+from p2wss.config import Config, dataset_name, section_json
 from p2wss.data import files
 from p2wss.provenance import fingerprint
 
@@ -336,17 +336,20 @@ def eval_report(arguments: argparse.Namespace) -> None:
     from p2wss.eval import attribution, report
 
     config = read_config(arguments)
-    sources = attribution.attribution(config, attribution.read(config.fetch.sources))
-    footer = {"attribution": [*sources, *config.eval.attribution]}
+    table = attribution.read(config.fetch.sources)
+    from_sources = {
+        "attribution": [*attribution.attribution(config, table), *config.eval.attribution],
+        "lidar_name": attribution.lidar_name(config, table),
+    }
     inputs = report.read(
-        config.region.name,
+        dataset_name(config),
         arguments.manifest,
         arguments.measures,
         arguments.parameters,
         arguments.methods,
         arguments.parts,
         arguments.metrics,
-        config.eval.model_copy(update=footer),
+        config.eval.model_copy(update=from_sources),
         arguments.scans,
     )
     for name, text in report.documents(inputs).items():

@@ -20,9 +20,8 @@ class Eval(Section):
         16, ge=1, description="shards (tiles) that one job reconstructs or measures, one after the other"
     )
     lidar_name: str = Field(
-        "Real LiDAR (stand-in)",
-        min_length=1,
-        description="name of the clouds of region.lidar_tiles in the report",
+        "",
+        description="name of the clouds of region.lidar_tiles in the report; '' = the product of fetch.sources",
     )
     attribution: list[str] = Field(
         [], description="lines in the footer of the report, besides those of fetch.sources"

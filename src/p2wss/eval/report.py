@@ -21,6 +21,7 @@ from p2wss.data.schemas.manifest import read_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.errors import InputError
 from p2wss.eval import figures, groups, tables, texts
+from p2wss.eval.attribution import UNKNOWN_LIDAR
 from p2wss.eval.cases import Key
 from p2wss.eval.gallery import Counterpart, Exhibit, Gallery
 from p2wss.eval.parts import Part
@@ -55,7 +56,7 @@ class Inputs:
 
     parameters: errors of Table 1. cpu_ms: per building, by method and data set. samples: the buildings of the
     exhibits. training: the records of ``metrics.jsonl`` by stage. provenance: the metadata of each file. scans: PNGs
-    as ``data:`` URIs, by tile.
+    as ``data:`` URIs, by tile. dvae_saw_real: whether the dvae was trained on the real clouds that are evaluated.
     """
 
     region: str
@@ -69,11 +70,12 @@ class Inputs:
     config: Eval
     cpu_ms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     scans: Mapping[str, str] = field(default_factory=dict)
+    dvae_saw_real: bool = False
 
 
 def dataset_names(config: Eval) -> dict[str, str]:
     """Titles of the data sets."""
-    return {SIMULATED: "Simulated", REAL: config.lidar_name}
+    return {SIMULATED: "Simulated", REAL: config.lidar_name or UNKNOWN_LIDAR}
 
 
 def read(
@@ -104,19 +106,33 @@ def read(
     table = files.read_table(measures, MEASURES)
     chosen = choose_exhibits(table, names, config)
     folders = [Part(folder) for folder in parts]
+    training = {path.parent.name: read_training(path) for path in metrics}
+    uses_lidar = any(
+        facts.get("model", {}).get("dvae_config", {}).get("use_lidar", False) for facts in provenance.values()
+    )
+    listed = read_manifest(manifest)
+    is_chosen = REAL in listed.selection
     return Inputs(
         region,
         table,
         files.read_json(errors),
         runs,
         chosen,
-        read_samples(chosen.keys(), read_manifest(manifest), table, folders, names),
-        {path.parent.name: read_training(path) for path in metrics},
+        read_samples(chosen.keys(), listed, table, folders, names),
+        training,
         provenance,
         config,
         {record["method"]: record["cpu_ms"] for record in records},
-        {path.stem: figures.png_uri(path.read_bytes()) for path in scans},
+        {_place_and_tile(path): figures.png_uri(path.read_bytes()) for path in scans},
+        # trained here, not read from elsewhere, and on clouds that were not chosen for one purpose or the other
+        bool(training) and uses_lidar and REAL in table["dataset"].unique().to_pylist() and not is_chosen,
     )
+
+
+def _place_and_tile(path: Path) -> str:
+    """Which tile of which draw a picture shows: its path below the folder of the stage, if it stands in one."""
+    parts = path.with_suffix("").parts
+    return "/".join(parts[parts.index("scans") + 1 :]) if "scans" in parts else path.stem
 
 
 def choose_exhibits(measures: pa.Table, methods: Sequence[str], config: Eval) -> Exhibits:
@@ -224,6 +240,7 @@ def render(inputs: Inputs, details: Sequence[tables.Detail]) -> str:
         ],
         viewer=viewer(inputs.samples, inputs.exhibits.viewed, methods, inputs.exhibits.main),
         scans=inputs.scans,
+        dvae_saw_real=inputs.dvae_saw_real,
         attribution=inputs.config.attribution,
         provenance=inputs.provenance,
     )

@@ -43,3 +43,51 @@ def test_another_table_is_refused(tmp_path: Path) -> None:
         attribution.attribution(load(), "a,b\n1,2\n")
     with pytest.raises(InputError, match=r"none\.csv: No such file"):
         attribution.read(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("config", "name"),
+    [
+        ({}, "Real LiDAR (stand-in)"),
+        ({"fetch": {"source": "geoplateforme"}}, "LiDAR HD"),
+        ({"fetch": {"folder": {"lidar": "my/ahn3.laz"}}}, "Real LiDAR"),
+        ({"fetch": {"source": "geoplateforme"}, "eval": {"lidar_name": "AHN3"}}, "AHN3"),
+    ],
+)
+def test_real_lidar_has_the_name_of_its_product(config: dict[str, object], name: str) -> None:
+    assert attribution.lidar_name(load(config), TABLE) == name
+
+
+@pytest.mark.parametrize("file", sorted(CONFIG.glob("**/*.yaml")), ids=lambda path: path.stem)
+def test_no_config_has_to_say_what_lidar_hd_is_called(file: Path) -> None:
+    config = load(file)
+    if config.fetch.source == "geoplateforme":
+        assert attribution.lidar_name(config, TABLE) == "LiDAR HD"
+
+
+def test_a_data_set_names_the_sources_of_all_its_members() -> None:
+    config = load(
+        {
+            "region": {"vintage": "2026"},
+            "dataset": {
+                "members": [
+                    {
+                        "name": "city",
+                        "region": {"lidar_tiles": ["all"]},
+                        "fetch": {"source": "geoplateforme"},
+                    },
+                    {"name": "town", "fetch": {"folder": {"footprints": "resources/towns/1/bdtopo/x.gpkg"}}},
+                    {"name": "mini", "region": {"lidar_tiles": ["0653_6861"]}},
+                ]
+            },
+        }
+    )
+    assert attribution.lidar_name(config, TABLE) == "LiDAR HD, Real LiDAR (stand-in)"
+    lines = attribution.attribution(config, TABLE)
+    assert lines[:3] == [
+        "IGN - BD TOPO (2026), Licence Ouverte / Open Licence 2.0 (Etalab)",
+        "IGN - RGE ALTI (2026), Licence Ouverte / Open Licence 2.0 (Etalab)",
+        "IGN - LiDAR HD (2026), Licence Ouverte / Open Licence 2.0 (Etalab)",
+    ]
+    assert any("Made-up towns" in line for line in lines) and any("stand-in" in line for line in lines)
+    assert not any("add its licence" in line for line in lines)
