@@ -75,3 +75,29 @@ def test_all_is_inherited_by_members_and_stands_alone() -> None:
     assert place_config(config, "a/").region.lidar_tiles == [], "names of tiles are those of one region"
     with pytest.raises(InputError, match=r"region.lidar_tiles: .*all stands alone"):
         load({"region": {"lidar_tiles": ["all", "0652_6862"]}})
+
+
+def test_the_shipped_model_is_trained_on_the_members_of_its_card() -> None:
+    config = load(CONFIG / "shipped-training.yaml")
+    members = {member.name: member for member in config.dataset.members}
+    splits = {name: member.split for name, member in members.items() if name.startswith("town-")}
+    assert splits == {f"town-{seed}": "train" for seed in range(1, 11)} | {
+        "town-19": "val",
+        "town-20": "test",
+    }
+    olemps = [member for name, member in members.items() if name.startswith("olemps")]
+    assert sum(member.draws for member in olemps if member.split == "train") == 28
+    tiles = {member.split: place_config(config, f"{member.name}/").region.tiles for member in olemps}
+    assert tiles == {"train": ["0664_6361"], "test": ["0664_6360"]}
+    # every fifth seed has the preset paper, of the others every third 14 pulses per m2
+    draws = {
+        (scans.preset, scans.density_per_m2): sum(
+            other.draws for other in olemps if other.split == "train" and other.scans == member.scans
+        )
+        for member in olemps
+        for scans in [place_config(config, f"{member.name}/").scans]
+        if member.split == "train"
+    }
+    assert draws == {("hd", 8): 15, ("hd", 14): 7, ("paper", 8): 6}
+    networks = load(CONFIG / "models" / "cpu.yaml")
+    assert (config.dvae, config.model) == (networks.dvae, networks.model)
