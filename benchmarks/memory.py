@@ -1,0 +1,205 @@
+"""Peak memory of the evaluation: of the miniature, of 20 times the miniature, and of 430,000 buildings.
+
+    snakemake -c2 crops                     # the miniature's shards
+    python benchmarks/memory.py
+
+The large data sets are copies of the miniature's shards with other tiles. predict, fit, the baselines and measure run
+on the miniature and on a group of 16 shards, of which 20 times the miniature has five; the parts of the other groups
+are copies of it. merge and report run on all of it. The 430,000 buildings (the paper's test) have clouds of 40 points,
+which keeps the files small: of these only the report reads any, and of a few buildings. The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from figures import Figures
+
+from p2wss.data import files
+from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
+from p2wss.data.schemas.manifest import Manifest, read_manifest
+
+ROOT = Path(__file__).resolve().parents[1]
+WEIGHTS = ROOT / "models/point2wss.safetensors"
+NUM_COPIES, NUM_PER_GROUP, NUM_BUILDINGS, NUM_POINTS = 20, 4, 430_000, 40
+MAX_RATIO, MAX_MIB = 1.5, 4096
+METHODS = ("point2wss", "point2wss+fit", "fit", "lod1", "constant")
+# the least that has any meaning: memory is that of the points and meshes, not of the samples on them
+CONFIG = json.dumps({"eval": {"baselines": ["lod1", "constant"], "num_samples": 256, "max_num_points": 256}})
+# getrusage is of no use: its figure begins with the memory of the parent
+WRAPPER = """
+import sys
+from p2wss import cli
+status = cli.main(sys.argv[2:])
+lines = open("/proc/self/status").read().splitlines()
+open(sys.argv[1], "w").write(next(line.split()[1] for line in lines if line.startswith("VmHWM")))
+sys.exit(status)
+"""
+
+
+class Evaluation:
+    """Runs commands in a folder, and records the peak memory of each."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.peak_mib: dict[str, float] = {}
+
+    def run(self, name: str, *words: object, config: str = CONFIG) -> None:
+        peak = self.folder / "peak"
+        command = [sys.executable, "-c", WRAPPER, peak, *words, "--config", config]
+        run = subprocess.run(list(map(str, command)), cwd=ROOT, capture_output=True, text=True)
+        if run.returncode:
+            raise SystemExit(f"{name}:\n{run.stderr}")
+        mib = int(peak.read_text()) / 1024
+        self.peak_mib[name] = max(round(mib, 1), self.peak_mib.get(name, 0))
+        print(f"{self.folder.name}: {name} {mib:.0f} MiB", flush=True)
+
+    def evaluate(self, manifest: Path, shards: list[Path], part: Path) -> None:
+        """All that the jobs of one group do."""
+        group: list[object] = ["--manifest", manifest, "--shards", *shards]
+        medians = ["--medians", self.folder / "medians.json"]
+
+        def outputs(method: str) -> list[object]:
+            return ["--out", part / f"{method}.parquet", "--out-cpu", part / "cpu" / f"{method}.json"]
+
+        errors = ["--out-errors", part / "masked_errors.json"]
+        self.run("medians", "eval", "medians", "--manifest", manifest, "--out", medians[1])
+        self.run(
+            "predict", "eval", "predict", *group, *medians, "--model", WEIGHTS, *outputs(METHODS[0]), *errors
+        )
+        self.run("fit", "eval", "fit", *group, "--model", WEIGHTS, *outputs(METHODS[1]))
+        self.run("fit", "eval", "fit", *group, *outputs(METHODS[2]))
+        for name in METHODS[3:]:
+            self.run("baseline", "eval", "baseline", "--name", name, *group, *medians, *outputs(name))
+        rows = [part / f"{method}.parquet" for method in METHODS]
+        errors = ["--out-errors", part / "variant_errors.json"]
+        out = ["--out", part / "measures.parquet"]
+        self.run("measure", "eval", "measure", *group, "--reconstructions", *rows, *out, *errors)
+
+    def report(self, manifest: Path, parts: list[Path]) -> int:
+        """Merge and report; returns the number of rows of the measures."""
+        names = {name: self.folder / name for name in ("measures.parquet", "parameters.json", "methods.json")}
+        outputs = [word for name, path in names.items() for word in (f"--out-{name.split('.')[0]}", path)]
+        inputs = [word for name, path in names.items() for word in (f"--{name.split('.')[0]}", path)]
+        self.run("merge", "eval", "merge", "--parts", *parts, "--methods", *METHODS, *outputs)
+        place = ["--out", self.folder / "report", "--manifest", manifest, "--parts", *parts]
+        self.run("report", "eval", "report", *place, *inputs, "--metrics")
+        return int(pq.read_metadata(names["measures.parquet"]).num_rows)
+
+
+def copied(table: pa.Table, copy: int) -> pa.Table:
+    """Rows with another tile: other buildings."""
+    tiles = pa.array([f"{copy:04d}/{tile}" for tile in table["tile"].to_pylist()])
+    return table.set_column(table.schema.get_field_index("tile"), table.schema.field("tile"), tiles)
+
+
+def copy_tables(paths: list[Path], copies: range, out: Path) -> None:
+    """Write copies of the rows of tables of the same schema to one file."""
+    schema = pq.read_schema(paths[0])
+    with files.table_writer(out, schema) as writer:
+        for copy in copies:
+            for path in paths:
+                writer.append_table(copied(pq.read_table(path), copy))
+        writer.metadata = files.read_metadata(paths[0])
+
+
+def copy_shards(manifest: Manifest, copies: range, folder: Path, thin: bool) -> list[tuple[str, Path]]:
+    """Copies of the shards; thin: of the evaluated buildings only, with a few points of each."""
+    shards = []
+    for path, dataset, _ in manifest.shards:
+        table = files.read_table(path, CROPS)
+        if thin:
+            table = thinned(table.filter(pa.array(manifest.select(table, dataset, ["test"]))))
+        for copy in copies:
+            out = folder / dataset / f"{copy:04d}" / path.name
+            with files.table_writer(out, CROPS) as writer:
+                writer.append_table(copied(table, copy).cast(CROPS))
+                writer.metadata = files.read_metadata(path)
+            shards.append((dataset, out))
+    return shards
+
+
+def thinned(table: pa.Table) -> pa.Table:
+    """The first points of each building."""
+    for name in ("x_cm", "y_cm", "z_cm", "classification"):
+        values = [row[:NUM_POINTS] for row in table[name].to_pylist()]
+        index = table.schema.get_field_index(name)
+        field = table.schema.field(name)
+        table = table.set_column(index, field, pa.array(values, field.type))
+    return table
+
+
+def write_manifest(evaluation: Evaluation, shards: list[tuple[str, Path]], config: object) -> Path:
+    """The manifest of shards, by the command."""
+    out = evaluation.folder / "manifest.json"
+    paths = {name: [path for dataset, path in shards if dataset == name] for name in (SIMULATED, REAL)}
+    words = ["--simulated", *paths[SIMULATED], "--real", *paths[REAL], "--out", out]
+    evaluation.run("manifest", "crops", "manifest", *words, config=json.dumps({"dataset": config}))
+    return out
+
+
+def copy_part(part: Path, copies: range, out: Path) -> None:
+    """The part of a group of copies of all shards of ``part``."""
+    (out / "cpu").mkdir(parents=True, exist_ok=True)
+    for name in (*METHODS, "measures"):
+        copy_tables([part / f"{name}.parquet"], copies, out / f"{name}.parquet")
+    for path in part.rglob("*.json"):
+        (out / path.relative_to(part)).write_bytes(path.read_bytes())
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--manifest", type=Path, default=ROOT / "results/mini/crops/manifest.json")
+    parser.add_argument("--buildings", type=int, default=NUM_BUILDINGS, help="of the largest data set")
+    options = parser.parse_args()
+    miniature, figures = read_manifest(options.manifest), Figures()
+    with tempfile.TemporaryDirectory() as name:
+        one, twenty, paper = (Evaluation(Path(name) / size) for size in ("miniature", "twenty", "paper"))
+        for evaluation in (one, twenty, paper):
+            evaluation.folder.mkdir()
+        paths = [shard.path for shard in miniature.shards]
+        part = one.folder / "parts/0000"
+        one.evaluate(options.manifest, paths, part)
+        num_rows = one.report(options.manifest, [part])
+
+        shards = copy_shards(miniature, range(NUM_COPIES), twenty.folder, thin=False)
+        manifest = write_manifest(twenty, shards, {})
+        copies = [f"{copy:04d}" for copy in range(NUM_PER_GROUP)]
+        group = [path for _, path in shards if path.parent.name in copies]
+        parts = [twenty.folder / f"parts/{i:04d}" for i in range(NUM_COPIES // NUM_PER_GROUP)]
+        twenty.evaluate(manifest, group, parts[0])
+        for i, other in enumerate(parts[1:], 1):
+            copy_part(part, range(i * NUM_PER_GROUP, (i + 1) * NUM_PER_GROUP), other)
+        if twenty.report(manifest, parts) != NUM_COPIES * num_rows:
+            raise SystemExit("the merged measures lack rows")
+
+        num_copies = -(-options.buildings * len(METHODS) // num_rows)
+        shards = copy_shards(miniature, range(num_copies), paper.folder, thin=True)
+        counts = {"num_lidar_test": int(1e6), "num_lidar_dvae": 1, "num_pairs": int(1e7)}
+        manifest = write_manifest(paper, shards, counts)
+        ranges = np.array_split(np.arange(num_copies), max(num_copies // NUM_PER_GROUP, 1))
+        parts = [paper.folder / f"parts/{i:04d}" for i in range(len(ranges))]
+        for copies_of_group, other in zip(ranges, parts, strict=True):
+            copy_part(part, range(copies_of_group[0], copies_of_group[-1] + 1), other)
+        num_paper_rows = paper.report(manifest, parts)
+
+    for evaluation in (one, twenty, paper):
+        figures.row(f"{evaluation.folder.name}_peak_mib", evaluation.peak_mib)
+    figures.row("buildings", {"miniature": num_rows // len(METHODS), "paper": num_paper_rows // len(METHODS)})
+    for stage, mib in one.peak_mib.items():
+        figures.at_most(f"twenty_times_{stage}", twenty.peak_mib[stage] / mib, MAX_RATIO)
+    figures.at_most("twenty_times", max(twenty.peak_mib.values()) / max(one.peak_mib.values()), MAX_RATIO)
+    figures.at_most("paper_mib", max(paper.peak_mib.values()), MAX_MIB)
+    return figures.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
