@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba import njit
 from numba.core import event
 from numba.core.errors import TypingError
 
@@ -144,7 +145,7 @@ def test_the_garbage_collector_rests_while_numba_compiles() -> None:
         def on_end(self, event):
             pass
 
-    @entry
+    @njit  # not from a cache, where a second run of this test would find it
     def one(x):
         return x + 1
 
