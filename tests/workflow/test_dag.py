@@ -80,6 +80,19 @@ def test_open_tiles_wait_for_the_checkpoint(fresh):
     assert "index_scenes" in jobs and "cut_scene" not in jobs
 
 
+@pytest.mark.parametrize(
+    "several", [["--config", "model={compute: {num_gpus: 3}}"], ["--set-resources", "model:gpu=3"]]
+)
+def test_several_gpus_are_a_resource_and_start_torchrun(project, several):
+    run = project.dry_run("model", *several)
+    commands = [line for line in (run.stdout + run.stderr).splitlines() if line.startswith("Shell command:")]
+    assert [line.split(" --manifest")[0] for line in commands if "--checkpoints" in line] == [
+        "Shell command: p2wss dvae",
+        "Shell command: torchrun --standalone --nproc-per-node 3 -m p2wss.cli model",
+    ]
+    assert "gpu=3" in run.stdout + run.stderr and "num_gpus" not in "".join(commands)
+
+
 def test_all_tiles_are_planned_without_the_checkpoint(fresh):
     everything = "region={tiles: [all], lidar_tiles: [all], bounds_m: [652000, 6860000, 654000, 6862000]}"
     jobs = rules_to_run(fresh.dry_run("--config", everything))

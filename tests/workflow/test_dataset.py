@@ -73,6 +73,19 @@ def test_the_evaluation_is_of_the_chosen_buildings_with_their_places(results):
     assert (results / "model/model.safetensors").exists()
 
 
+def test_the_model_was_trained_by_two_processes(finished, results):
+    log = (finished.folder / "logs/dataset/model/train.log").read_text()
+    assert log.count("step 10:") == 1, "the first process reports"
+    assert [json.loads(line)["step"] for line in (results / "model/metrics.jsonl").open()][-1] == 10
+    run = finished.dry_run("-f", "results/dataset/model/model.safetensors", *DATASET)
+    assert "torchrun --standalone --nproc-per-node 2 -m p2wss.cli model" in run.stdout + run.stderr
+
+
+def test_the_number_of_processes_trains_nothing_again(finished):
+    run = finished.dry_run("eval_report", *DATASET, "--config", "model={compute: {num_gpus: 4}}")
+    assert rules_to_run(run) == {}
+
+
 def test_the_report_is_of_the_data_set_and_shows_each_draw(results):
     page = (results / "eval/report.html").read_text()
     assert "Point2WSS on dataset" in page and "Real LiDAR (stand-in)" in page

@@ -41,9 +41,22 @@ def section(*names, without=()):
     return lambda wildcards: configs.section_json(at(wildcards.get("place", "")), *names, without=without)
 
 
+# how many processes train is a resource of the rule: the networks depend on it through rounding only
+RULE_ONLY = ("compute.num_gpus",)
+
+
+def program(wildcards, resources):
+    """The command p2wss, or torchrun that starts it in as many processes as the job has GPUs.
+
+    What depends on resources is not tracked: the number of GPUs reruns nothing.
+    """
+    torchrun = f"torchrun --standalone --nproc-per-node {resources.gpu} -m p2wss.cli"
+    return torchrun if resources.gpu > 1 else "p2wss"
+
+
 def variant_section(wildcards):
     """The section of a model of the ablation."""
-    return configs.section_json(configs.ablated(settings, wildcards.variant), "model")
+    return configs.section_json(configs.ablated(settings, wildcards.variant), "model", without=RULE_ONLY)
 
 
 # settings that only the report or the rules read: no mesh depends on them

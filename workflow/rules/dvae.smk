@@ -22,12 +22,13 @@ rule dvae:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
-        gpu=1,
+        gpu=settings.dvae.compute.num_gpus,
     params:
-        config=section("dvae"),
+        config=section("dvae", without=RULE_ONLY),
         code=fingerprint("dvae"),
         folder=subpath(output.weights, parent=True),
+        program=program,
     shell:
-        "p2wss dvae --manifest {input.manifest} --out {output.weights} --out-metrics {output.metrics}"
+        "{params.program} dvae --manifest {input.manifest} --out {output.weights} --out-metrics {output.metrics}"
         " --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

@@ -23,12 +23,13 @@ rule model:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
-        gpu=1,
+        gpu=settings.model.compute.num_gpus,
     params:
-        config=section("model", without=("weights",)),
+        config=section("model", without=("weights", *RULE_ONLY)),
         code=fingerprint("model"),
         folder=subpath(output.weights, parent=True),
+        program=program,
     shell:
-        "p2wss model --manifest {input.manifest} --dvae {input.dvae} --out {output.weights} --out-metrics {output.metrics}"
+        "{params.program} model --manifest {input.manifest} --dvae {input.dvae} --out {output.weights} --out-metrics {output.metrics}"
         " --checkpoints {params.folder}/checkpoints"
         " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"

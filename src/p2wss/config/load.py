@@ -34,8 +34,13 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
 
 
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
-    """The named sections as one line of JSON, readable by :func:`load`. without: keys to leave out."""
-    sections = {name: getattr(config, name).model_dump(mode="json", exclude=set(without)) for name in names}
+    """The named sections as one line of JSON, readable by :func:`load`. without: keys to leave out, ``a.b`` in a
+    nested section."""
+    exclude: dict[str, Any] = {}
+    for key in without:
+        outer, _, inner = key.partition(".")
+        exclude[outer] = {inner} if inner else True
+    sections = {name: getattr(config, name).model_dump(mode="json", exclude=exclude) for name in names}
     return json.dumps(sections, sort_keys=True)
 
 

@@ -32,6 +32,11 @@ class Compute(Section):
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="where to train; auto = a GPU if there is one"
     )
+    num_gpus: int = Field(
+        1,
+        ge=1,
+        description="GPUs of the job in the workflow; torchrun starts a process for each, or for as many CPUs",
+    )
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="precision of matrix products (autocast); weights and losses stay in float32"
     )

@@ -101,7 +101,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
 def training_config(config: Section) -> dict[str, Any]:
     """The config without the settings that may differ between a run and the one that resumes it."""
     return config.model_dump(
-        mode="json", exclude={"compute": {"device", "compile", "resident", "tensorboard"}}
+        mode="json", exclude={"compute": {"device", "num_gpus", "compile", "resident", "tensorboard"}}
     )
 
 
