@@ -66,7 +66,8 @@ def around(path):
     def paths(wildcards):
         region = at(wildcards.place).region
         names = [wildcards.tile, *neighbours(wildcards.tile, region.tile_size_m)]
-        tiles = [name for name in names if name in lidar_tiles_of(wildcards.place)]
+        listed = set(lidar_tiles_of(wildcards.place))  # once: it may read the index of the scenes
+        tiles = [name for name in names if name in listed]
         return expand(path, place=wildcards.place, vintage=region.vintage, tile=tiles)
 
     return paths
