@@ -6,8 +6,8 @@ that is closed in memory is closed in the file.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,19 +25,49 @@ SURFACE_NAMES = {
 }
 AXES = "x = easting - origin_m[0], y = northing - origin_m[1], z = height - origin_m[2]; metres"
 _VERTEX = np.dtype([("xyz", "<f4", 3)])
-_PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3), ("kind", "u1"), ("mesh", "<i4")])
+_PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3), ("kind", "u1"), ("building", "<i4")])
 _STL_FACE = np.dtype([("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 @dataclass(frozen=True)
+class BuildingRef:
+    """A building that a mesh has faces of. materials: name of a material by the name of a surface
+    (:data:`SURFACE_NAMES`); a surface without one has the default."""
+
+    building_id: str
+    materials: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Mesh:
-    """A named solid: vertex_m float64 (v, 3) in the CRS, triangle int (t, 3), kind (t,): ``FaceKind``, or
-    ``TERRAIN``."""
+    """A named solid: one building, a skin of several buildings that touch, or the terrain.
+
+    vertex_m: float64 (v, 3) in the CRS. triangle: int (t, 3). kind: uint8 (t,), a ``FaceKind``, or :data:`TERRAIN`.
+    building: int32 (t,), the building that each triangle belongs to, an index into ``buildings``. The terrain is the
+    only "building" of its mesh.
+    """
 
     name: str
     vertex_m: np.ndarray
     triangle: np.ndarray
     kind: np.ndarray
+    building: np.ndarray
+    buildings: tuple[BuildingRef, ...]
+
+    @classmethod
+    def of_building(
+        cls,
+        building_id: str,
+        vertex_m: np.ndarray,
+        triangle: np.ndarray,
+        kind: np.ndarray,
+        materials: Mapping[str, str] | None = None,
+    ) -> Mesh:
+        """The mesh of a single building, or of the terrain, named after it."""
+        building = np.zeros(len(triangle), np.int32)
+        return cls(
+            building_id, vertex_m, triangle, kind, building, (BuildingRef(building_id, materials or {}),)
+        )
 
 
 @dataclass(frozen=True)
@@ -78,10 +108,11 @@ def obj(meshes: Sequence[Mesh], frame: Frame) -> bytes:
 
 
 def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:
-    """Binary PLY; each face has its kind and the number of its mesh, whose name is in the comments."""
-    vertex, triangle, kind, mesh_number = _joined(meshes, frame)
+    """Binary PLY; each face has its kind and the number of its building, whose id is in the comments."""
+    vertex, triangle, kind, building = _joined(meshes, frame)
     face = np.zeros(len(triangle), _PLY_FACE)
-    face["count"], face["vertex"], face["kind"], face["mesh"] = 3, triangle, kind, mesh_number
+    face["count"], face["vertex"], face["kind"], face["building"] = 3, triangle, kind, building
+    buildings = [building for mesh in meshes for building in mesh.buildings]
     kinds = ", ".join(f"{int(number)} {name}" for number, name in SURFACE_NAMES.items())
     header = [
         "ply",
@@ -90,13 +121,13 @@ def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:
         f"comment crs {frame.crs}",
         f"comment origin_m {frame.origin} (add it to every vertex)",
         f"comment kind: {kinds}",
-        *(f"comment mesh {number} {_word(mesh.name)}" for number, mesh in enumerate(meshes)),
+        *(f"comment building {number} {_word(ref.building_id)}" for number, ref in enumerate(buildings)),
         f"element vertex {len(vertex)}",
         *(f"property float {axis}" for axis in "xyz"),
         f"element face {len(face)}",
         "property list uchar int vertex_indices",
         "property uchar kind",
-        "property int mesh",
+        "property int building",
         "end_header",
     ]
     return ("\n".join(header) + "\n").encode() + vertex.tobytes() + face.tobytes()
@@ -116,7 +147,10 @@ def stl(meshes: Sequence[Mesh], frame: Frame) -> bytes:
 
 
 def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (:data:`_VERTEX`), triangles, and per triangle kind and number of the mesh, of all meshes."""
+    """Vertices (:data:`_VERTEX`), triangles, and per triangle kind and number of the building, of all meshes.
+
+    Buildings are numbered in the order of the meshes, and within a mesh in that of its ``buildings``.
+    """
     counts = np.array([len(mesh.vertex_m) for mesh in meshes], int)
     sizes = [len(mesh.triangle) for mesh in meshes]
     first = np.repeat(np.cumsum(counts) - counts, sizes)
@@ -126,7 +160,9 @@ def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarra
     vertex["xyz"] = np.concatenate([mesh.vertex_m for mesh in meshes]) - frame.origin_m
     triangle = np.concatenate([mesh.triangle for mesh in meshes]).astype(int) + first[:, None]
     kind = np.concatenate([mesh.kind for mesh in meshes])
-    return vertex, triangle, kind, np.repeat(np.arange(len(meshes)), sizes)
+    refs = np.array([len(mesh.buildings) for mesh in meshes])
+    building = np.concatenate([mesh.building for mesh in meshes]) + np.repeat(np.cumsum(refs) - refs, sizes)
+    return vertex, triangle, kind, building
 
 
 def _word(name: str) -> str:

@@ -153,4 +153,4 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
 def mesh(result: Result) -> Mesh:
     """The building's mesh in the CRS of the cloud."""
     row = result.reconstruction
-    return Mesh(row.building_id, vertices_m(row), row.triangle, row.kind)
+    return Mesh.of_building(row.building_id, vertices_m(row), row.triangle, row.kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -62,7 +63,7 @@ def lowered_into(meshes: Sequence[Mesh], terrain: Terrain) -> list[Mesh]:
         vertex_m = mesh.vertex_m.copy()
         ground = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
         vertex_m[ground, 2] = np.minimum(vertex_m[ground, 2], lowest - _FOOT_M)
-        result.append(Mesh(mesh.name, vertex_m, mesh.triangle, mesh.kind))
+        result.append(replace(mesh, vertex_m=vertex_m))
     return result
 
 
@@ -133,7 +134,8 @@ def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Mesh:
     middle = [*((top_m[:, :2].min(axis=0) + top_m[:, :2].max(axis=0)) / 2), bottom_z_m]
     bottom = np.column_stack([lower[following], lower, np.full(around, count + around)])
     triangle = np.concatenate([upper, sides, bottom]).astype(np.int32)
-    return Mesh(NAME, np.vstack([top_m, below, middle]), triangle, np.full(len(triangle), TERRAIN, np.uint8))
+    kind = np.full(len(triangle), TERRAIN, np.uint8)
+    return Mesh.of_building(NAME, np.vstack([top_m, below, middle]), triangle, kind)
 
 
 def _ring(triangle: np.ndarray) -> np.ndarray:

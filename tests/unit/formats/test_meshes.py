@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -11,7 +12,7 @@ import trimesh
 
 from p2wss import skeleton
 from p2wss.formats.glb import glb
-from p2wss.formats.meshes import Frame, Mesh, frame_around, obj, ply, stl
+from p2wss.formats.meshes import BuildingRef, Frame, Mesh, frame_around, obj, ply, stl
 from p2wss.skeleton.types import FaceKind, Polygons
 
 POSITION = np.array([652000.25, 6861000.5, 103.7])
@@ -34,7 +35,7 @@ def meshes() -> list[Mesh]:
     result = []
     for i, name in enumerate(("house 1", "courtyard")):
         vertex, triangle, kind, _ = built.mesh(i)
-        result.append(Mesh(name, vertex + POSITION + [40 * i, 0, 0], triangle, kind))
+        result.append(Mesh.of_building(name, vertex + POSITION + [40 * i, 0, 0], triangle, kind))
     return result
 
 
@@ -102,12 +103,28 @@ def test_ply_has_kind_and_building_of_every_face(meshes: list[Mesh], frame: Fram
     content = ply(meshes, frame)
     header = content[: content.index(b"end_header")].decode().splitlines()
     assert "comment origin_m 652000 6861000 103 (add it to every vertex)" in header
-    assert "comment mesh 0 house_1" in header and "comment mesh 1 courtyard" in header
+    assert "comment building 0 house_1" in header and "comment building 1 courtyard" in header
     raw = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False).metadata["_ply_raw"]["face"][
         "data"
     ]
     assert raw["kind"].ravel().tolist() == np.concatenate([mesh.kind for mesh in meshes]).tolist()
-    assert raw["mesh"].ravel().tolist() == [0] * len(meshes[0].triangle) + [1] * len(meshes[1].triangle)
+    assert raw["building"].ravel().tolist() == [0] * len(meshes[0].triangle) + [1] * len(meshes[1].triangle)
+
+
+def test_ply_numbers_the_buildings_of_a_mesh_of_several(meshes: list[Mesh], frame: Frame) -> None:
+    """A skin before a single building: its two buildings are 0 and 1, the building 2."""
+    house, courtyard = meshes
+    halves = np.arange(len(courtyard.triangle), dtype=np.int32) % 2
+    skin = replace(courtyard, name="block", building=halves, buildings=(BuildingRef("a"), BuildingRef("b c")))
+    content = ply([skin, house], frame)
+    header = content[: content.index(b"end_header")].decode().splitlines()
+    assert [line for line in header if line.startswith("comment building")] == [
+        "comment building 0 a",
+        "comment building 1 b_c",
+        "comment building 2 house_1",
+    ]
+    raw = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False).metadata["_ply_raw"]["face"]
+    assert raw["data"]["building"].ravel().tolist() == [*halves.tolist(), *[2] * len(house.triangle)]
 
 
 def test_stl_is_binary_with_unit_normals_outwards(meshes: list[Mesh], frame: Frame) -> None:

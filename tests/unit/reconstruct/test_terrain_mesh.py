@@ -93,7 +93,7 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
     for i, (x, y) in enumerate(places):
         vertex, triangle, kind, _ = meshes.mesh(i)
         position = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
-        houses.append(Mesh(f"h{i}", vertex + position, triangle, kind))
+        houses.append(Mesh.of_building(f"h{i}", vertex + position, triangle, kind))
     block = terrain_mesh.block(land, (X + 5, Y + 10, X + 55, Y + 48), 0.1, 20.0)
     lowered = terrain_mesh.lowered_into(houses, land)
     draw = np.random.default_rng(0)
