@@ -11,18 +11,17 @@ from typing import Any
 import numpy as np
 import pyproj
 
-from p2wss.config import OUTPUT_SUFFIXES, Output, Reconstruct
+from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data import files
 from p2wss.data.clouds import same_crs
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.formats import gpkg
-from p2wss.formats.glb import glb
-from p2wss.formats.meshes import AXES, Frame, Mesh, frame_around, obj, ply, stl
+from p2wss.formats.meshes import AXES, Frame, Mesh, frame_around
+from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import terrain_mesh
 from p2wss.reconstruct.pipeline import Result, city_json, table, vertices_m
 
-MESH_OUTPUTS: tuple[Output, ...] = ("glb", "obj", "ply", "stl")
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
 
@@ -57,12 +56,11 @@ def write(
         elif output in ("cityjson", "cityjsonseq"):
             files.write_text(folder / name, city_json(results, crs, output))
         else:
-            files.write_bytes(folder / name, document(output, meshes, frame, facts))
+            write_meshes(folder, output, meshes, frame, FileOptions(stem, facts))
         written.append(name)
-        if config.per_building and output in MESH_OUTPUTS:
+        if config.per_building and output in SINGLE_FILES:
             for single, file in zip(meshes, file_names([mesh.name for mesh in meshes]), strict=True):
-                path = folder / stem / f"{file}{OUTPUT_SUFFIXES[output]}"
-                files.write_bytes(path, document(output, [single], frame, facts))
+                write_meshes(folder / stem, output, [single], frame, FileOptions(file, facts))
             written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
     files.write_json(
         folder / f"{stem}.json",
@@ -79,11 +77,12 @@ def write(
     return [*written, f"{stem}.json"]
 
 
-def document(output: str, meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
-    """Content of a file with the meshes, in one of the formats :data:`MESH_OUTPUTS`."""
-    if output == "glb":
-        return glb(meshes, frame, facts)
-    return {"obj": obj, "ply": ply, "stl": stl}[output](meshes, frame)
+def write_meshes(
+    folder: Path, output: str, meshes: Sequence[Mesh], frame: Frame, options: FileOptions
+) -> None:
+    """Write the files of one of the formats :data:`~p2wss.formats.outputs.MESH_WRITERS`."""
+    for name, content in MESH_WRITERS[output](meshes, frame, options).items():
+        files.write_bytes(folder / name, content)
 
 
 def file_names(names: Sequence[str]) -> list[str]:
