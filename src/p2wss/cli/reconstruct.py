@@ -6,9 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, read_config, set_num_threads
-from p2wss.config import OUTPUT_SUFFIXES, Config, section_json
+from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
+from p2wss.config import OUTPUT_SUFFIXES, Config, load, section_json
 from p2wss.data import files
+from p2wss.data.materials import MATERIALS
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 
@@ -54,6 +55,12 @@ def add_parser(stages: Parsers) -> None:
         "--terrain",
         type=Path,
         help="raster of terrain heights; meshes then stand on a closed block of terrain",
+    )
+    command.add_argument(
+        "--materials",
+        metavar="wall=A,roof=B,ground=C",
+        help="materials in mesh files of buildings whose footprints state none, and of the terrain "
+        "(default: reconstruct.materials of the config)",
     )
     add_threads(command)
     add_device(command)
@@ -116,5 +123,19 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
             )
     if arguments.per_building:
         options["per_building"] = True
-    config = read_config(arguments)
-    return config.model_copy(update={"reconstruct": config.reconstruct.model_copy(update=options)})
+    if arguments.materials is not None:
+        options["materials"] = _materials(arguments.materials)
+    return load(arguments.config, {"reconstruct": options})
+
+
+def _materials(text: str) -> dict[str, str]:
+    """The materials by surface of ``--materials``. Raises :class:`InputError` that names what may be stated."""
+    result = {}
+    for pair in filter(None, map(str.strip, text.split(","))):
+        surface, _, material = map(str.strip, pair.partition("="))
+        if surface not in ("wall", "roof", "ground"):
+            raise InputError(f"--materials {pair}: state materials as wall=A,roof=B,ground=C")
+        if material not in MATERIALS:
+            raise InputError(f"--materials {pair}: no such material; choose from {', '.join(MATERIALS)}")
+        result[surface] = material
+    return result

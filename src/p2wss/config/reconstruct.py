@@ -20,6 +20,39 @@ OUTPUT_SUFFIXES = {
     "geoparquet": ".parquet",
 }
 Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "gpkg", "geoparquet"]
+# explained in p2wss.data.materials
+MaterialName = Literal[
+    "concrete",
+    "brick",
+    "wood",
+    "glass",
+    "marble",
+    "metal",
+    "plasterboard",
+    "chipboard",
+    "plywood",
+    "very_dry_ground",
+    "medium_dry_ground",
+    "wet_ground",
+    "stone",
+    "millstone",
+    "slate",
+    "concrete_block",
+    "tile",
+    "zinc",
+]
+
+
+class Materials(Section):
+    """Materials in mesh files, for buildings whose footprints state none."""
+
+    wall: MaterialName = Field("concrete", description="material of walls and floors")
+    roof: MaterialName = Field("concrete", description="material of roofs")
+    ground: MaterialName = Field("medium_dry_ground", description="material of the terrain of --terrain")
+    from_footprints: bool = Field(
+        True,
+        description="use the materials that BD TOPO's columns materiaux_des_murs and materiaux_de_la_toiture state",
+    )
 
 
 class Reconstruct(Section):
@@ -73,6 +106,7 @@ class Reconstruct(Section):
     not_representable_m: float = Field(
         0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"
     )
+    materials: Materials = Materials()
     terrain_tolerance_m: float = Field(
         0.2, gt=0, le=10, description="vertical tolerance of the triangulated terrain of --terrain"
     )

@@ -1,45 +1,134 @@
-"""Meshes as a binary glTF 2.0 file: metres, y up as glTF prescribes, origin in the extras of the asset."""
+"""Meshes as a binary glTF 2.0 file: metres, y up as glTF prescribes, CRS and origin in the extras.
+
+Specification: https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html .
+"""
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import trimesh
-from trimesh.exchange.gltf import export_glb
-from trimesh.visual.material import PBRMaterial
 
-from p2wss.formats.meshes import TERRAIN, Frame, Mesh
+from p2wss import __version__
+from p2wss.data.materials import MATERIALS
+from p2wss.formats.meshes import Frame, Mesh, faces_of, material_names
 
-_COLORS = {"building": [205, 196, 182, 255], "terrain": [146, 158, 122, 255]}
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+_FLOAT, _UNSIGNED_INT = 5126, 5125
+_AXES = "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - northing; metres"
 
 
 def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
-    """Bytes of a GLB with one node per mesh.
+    """Bytes of a GLB with one node per mesh below a root node, and one primitive per building and material.
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with
-    ``frame.origin_m`` = (x0, y0, z0). The extras of the asset document this, and hold ``facts`` under ``p2wss``.
+    ``frame.origin_m`` = (x0, y0, z0). CRS, origin and axes are in the extras of the asset and of the root node, which
+    readers keep as properties of an object; the asset's also hold ``facts`` under ``p2wss``. A node's extras hold the
+    ids and materials of its buildings, a primitive's the id of its building, a material's its type in ITU-R P.2040.
     """
-    scene = trimesh.Scene()
-    materials = {
-        name: PBRMaterial(name=name, baseColorFactor=color, metallicFactor=0.0, roughnessFactor=0.9)
-        for name, color in _COLORS.items()
+    place = {"crs": frame.crs, "origin_m": [float(value) for value in frame.origin_m], "axes": _AXES}
+    binary = _Binary()
+    names = material_names(meshes)
+    nodes, shapes = [], []
+    for number, mesh in enumerate(meshes):
+        nodes.append({"name": mesh.name, "mesh": number, "extras": _extras(mesh)})
+        shapes.append({"name": mesh.name, "primitives": _primitives(mesh, frame, names, binary)})
+    root = {"name": "p2wss", "children": list(range(1, len(nodes) + 1)), "extras": place}
+    tree = {
+        "asset": {
+            "version": "2.0",
+            "generator": f"p2wss {__version__}",
+            "extras": {"p2wss": facts, **place},
+        },
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [root, *nodes],
+        "meshes": shapes,
+        "materials": [_material(name) for name in names],
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "buffers": [{"byteLength": binary.length}] if binary.length else [],
     }
-    for mesh in meshes:
-        local = np.asarray(mesh.vertex_m, float) - frame.origin_m
-        up = np.column_stack([local[:, 0], local[:, 2], -local[:, 1]])
-        material = materials["terrain" if TERRAIN in mesh.kind else "building"]
-        visual = trimesh.visual.TextureVisuals(material=material)
-        shape = trimesh.Trimesh(up, mesh.triangle, visual=visual, process=False)
-        scene.add_geometry(shape, node_name=mesh.name, geom_name=mesh.name)
+    if not nodes:
+        del root["children"]
+    # glTF has no empty lists
+    text = json.dumps({key: value for key, value in tree.items() if value != []}, separators=(",", ":"))
+    content = _chunk(b"JSON", text.encode(), b" ")
+    if binary.length:
+        content += _chunk(b"BIN\0", b"".join(binary.pieces), b"\0")
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(content)) + content
 
-    def with_extras(tree: dict[str, Any]) -> None:
-        tree["asset"]["extras"] = {
-            "p2wss": facts,
-            "crs": frame.crs,
-            "origin_m": [float(value) for value in frame.origin_m],
-            "axes": "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - northing; metres",
+
+class _Binary:
+    """The binary chunk, array by array, and the accessors that describe it."""
+
+    def __init__(self) -> None:
+        self.pieces: list[bytes] = []
+        self.length = 0
+        self.views: list[dict[str, Any]] = []
+        self.accessors: list[dict[str, Any]] = []
+
+    def append(self, values: np.ndarray, target: int, **accessor: Any) -> int:
+        """The number of the accessor. Elements have four bytes, so that every array is aligned."""
+        view = {"buffer": 0, "byteOffset": self.length, "byteLength": values.nbytes, "target": target}
+        self.views.append(view)
+        self.accessors.append({"bufferView": len(self.views) - 1, "count": len(values), **accessor})
+        self.pieces.append(values.tobytes())
+        self.length += values.nbytes
+        return len(self.accessors) - 1
+
+
+def _primitives(mesh: Mesh, frame: Frame, names: Sequence[str], binary: _Binary) -> list[dict[str, Any]]:
+    x, y, z = (np.asarray(mesh.vertex_m, float) - frame.origin_m).T
+    vertex = np.column_stack([x, z, -y]).astype("<f4")
+    bounds = {"min": vertex.min(axis=0).tolist(), "max": vertex.max(axis=0).tolist()}
+    position = binary.append(vertex, _ARRAY_BUFFER, componentType=_FLOAT, type="VEC3", **bounds)
+    pieces: dict[tuple[str, str], list[np.ndarray]] = {}
+    for faces in faces_of(mesh):
+        pieces.setdefault((faces.building_id, faces.material), []).append(faces.triangle)
+    result = []
+    for (building_id, material), triangles in pieces.items():
+        corner = mesh.triangle[np.sort(np.concatenate(triangles))].astype("<u4").ravel()
+        primitive = {
+            "attributes": {"POSITION": position},
+            "indices": binary.append(
+                corner, _ELEMENT_ARRAY_BUFFER, componentType=_UNSIGNED_INT, type="SCALAR"
+            ),
+            "material": names.index(material),
+            "extras": {"building_id": building_id},
         }
+        result.append(primitive)
+    return result
 
-    return export_glb(scene, tree_postprocessor=with_extras)
+
+def _extras(mesh: Mesh) -> dict[str, Any]:
+    materials: dict[str, dict[str, str]] = {ref.building_id: {} for ref in mesh.buildings}
+    for faces in faces_of(mesh):
+        materials[faces.building_id][faces.surface] = faces.material
+    if len(materials) == 1:
+        ((building_id, surfaces),) = materials.items()
+        return {"building_id": building_id, "materials": surfaces}
+    return {"building_ids": list(materials), "materials": materials}
+
+
+def _material(name: str) -> dict[str, Any]:
+    material = MATERIALS[name]
+    # glTF's colours are linear
+    color = [round((value / 255) ** 2.2, 4) for value in material.colour]
+    return {
+        "name": name,
+        "pbrMetallicRoughness": {
+            "baseColorFactor": [*color, 1.0],
+            "metallicFactor": 0.0,
+            "roughnessFactor": 0.9,
+        },
+        "extras": {"itu_r_p2040": material.itu_type},
+    }
+
+
+def _chunk(kind: bytes, content: bytes, padding: bytes) -> bytes:
+    content += padding * (-len(content) % 4)
+    return struct.pack("<I4s", len(content), kind) + content

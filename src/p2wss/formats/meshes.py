@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from p2wss import __version__
+from p2wss.data.materials import DEFAULTS, MATERIALS
 from p2wss.skeleton.types import FaceKind
 
 # kind of the triangles of terrain, after the kernel's ``FaceKind``
@@ -88,23 +89,81 @@ def frame_around(meshes: Sequence[Mesh], crs: str) -> Frame:
     return Frame(np.floor(np.min(corners, axis=0)) if corners else np.zeros(3), crs)
 
 
-def obj(meshes: Sequence[Mesh], frame: Frame) -> bytes:
-    """Wavefront OBJ: one object per mesh, its faces in the groups ground, wall, roof or terrain."""
+@dataclass(frozen=True)
+class Faces:
+    """The triangles, int (n,), of a mesh that show one surface (ground, wall, roof or terrain) of one building."""
+
+    building_id: str
+    surface: str
+    material: str
+    triangle: np.ndarray
+
+
+def faces_of(mesh: Mesh) -> list[Faces]:
+    """The triangles of a mesh by building and surface, in the order in which these first appear."""
+    kinds = max(SURFACE_NAMES) + 1
+    number, first, index = np.unique(
+        np.asarray(mesh.building, int) * kinds + mesh.kind, return_index=True, return_inverse=True
+    )
+    by_surface: dict[tuple[int, str], list[int]] = {}
+    for position in np.argsort(first):
+        building, kind = divmod(int(number[position]), kinds)
+        by_surface.setdefault((building, SURFACE_NAMES[kind]), []).append(position)
+    result = []
+    for (building, surface), positions in by_surface.items():
+        ref = mesh.buildings[building]
+        material = ref.materials.get(surface, DEFAULTS[surface])
+        result.append(Faces(ref.building_id, surface, material, np.flatnonzero(np.isin(index, positions))))
+    return result
+
+
+def obj(meshes: Sequence[Mesh], frame: Frame, library: str | None = None) -> bytes:
+    """Wavefront OBJ: one object per mesh, its faces in the groups ground, wall, roof or terrain.
+
+    The faces of a mesh of several buildings are also in a group named after the building. library: name of the file
+    with the materials (:func:`mtl`).
+    """
     lines = [
         f"# p2wss {__version__}; metres; x east, y north, z up",
         f"# crs {frame.crs}",
         f"# origin_m {frame.origin} (add it to every vertex)",
     ]
+    if library is not None:
+        lines.append(f"mtllib {library}")
     first = 1
     for mesh in meshes:
         lines.append(f"o {_word(mesh.name)}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
-        names = np.array([SURFACE_NAMES[int(kind)] for kind in mesh.kind], dtype=object)
-        for name in dict.fromkeys(names):
-            lines.append(f"g {name}")
-            lines += [f"f {a} {b} {c}" for a, b, c in (mesh.triangle[names == name] + first).tolist()]
+        material = None
+        for faces in faces_of(mesh):
+            building = f" {_word(faces.building_id)}" if len(mesh.buildings) > 1 else ""
+            lines.append(f"g {faces.surface}{building}")
+            if library is not None and faces.material != material:
+                material = faces.material
+                lines.append(f"usemtl {material}")
+            lines += [f"f {a} {b} {c}" for a, b, c in (mesh.triangle[faces.triangle] + first).tolist()]
         first += len(mesh.vertex_m)
     return ("\n".join(lines) + "\n").encode()
+
+
+def mtl(meshes: Sequence[Mesh]) -> bytes:
+    """The materials of the meshes for :func:`obj`: names, colours and, in comments, types of ITU-R P.2040."""
+    lines = [f"# p2wss {__version__}"]
+    for name in material_names(meshes):
+        material = MATERIALS[name]
+        red, green, blue = (value / 255 for value in material.colour)
+        lines += [
+            f"newmtl {name}",
+            f"# ITU-R P.2040: {material.itu_type}",
+            f"Kd {red:.3f} {green:.3f} {blue:.3f}",
+            "illum 1",
+        ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def material_names(meshes: Sequence[Mesh]) -> list[str]:
+    """Names of all materials of the meshes, in the order in which they first appear."""
+    return list(dict.fromkeys(faces.material for mesh in meshes for faces in faces_of(mesh)))
 
 
 def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from p2wss.formats.glb import glb
-from p2wss.formats.meshes import Frame, Mesh, obj, ply, stl
+from p2wss.formats.meshes import Frame, Mesh, mtl, obj, ply, stl
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,10 @@ Writer = Callable[[Sequence[Mesh], Frame, FileOptions], dict[str, bytes]]
 # one entry per mesh format of ``reconstruct.outputs``
 MESH_WRITERS: dict[str, Writer] = {
     "glb": lambda meshes, frame, options: {f"{options.stem}.glb": glb(meshes, frame, dict(options.facts))},
-    "obj": lambda meshes, frame, options: {f"{options.stem}.obj": obj(meshes, frame)},
+    "obj": lambda meshes, frame, options: {
+        f"{options.stem}.mtl": mtl(meshes),
+        f"{options.stem}.obj": obj(meshes, frame, f"{options.stem}.mtl"),
+    },
     "ply": lambda meshes, frame, options: {f"{options.stem}.ply": ply(meshes, frame)},
     "stl": lambda meshes, frame, options: {f"{options.stem}.stl": stl(meshes, frame)},
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ import pyproj
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data import files
 from p2wss.data.clouds import same_crs
+from p2wss.data.materials import materials_of
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.formats import gpkg
-from p2wss.formats.meshes import AXES, Frame, Mesh, frame_around
+from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import terrain_mesh
 from p2wss.reconstruct.pipeline import Result, city_json, table, vertices_m
@@ -40,7 +42,7 @@ def write(
     With a terrain the meshes stand in a block of it (:mod:`p2wss.reconstruct.terrain_mesh`); CityJSON does not change.
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
-    buildings = [mesh(result) for result in results if result.reconstruction.has_mesh]
+    buildings = [mesh(result, config) for result in results if result.reconstruction.has_mesh]
     ground = None if terrain is None else block(buildings, terrain, config)
     if terrain is not None:
         buildings = terrain_mesh.lowered_into(buildings, terrain)
@@ -111,9 +113,10 @@ def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> M
     margin = config.terrain_margin_m
     bounds = (low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
     try:
-        return terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
+        result = terrain_mesh.block(terrain, bounds, config.terrain_tolerance_m, low[2])
     except ValueError as error:
         raise InputError(f"the terrain of --terrain has no height around the buildings: {error}") from error
+    return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 
 def check_terrain(terrain_crs: pyproj.CRS, crs: pyproj.CRS, name: Path) -> None:
@@ -149,7 +152,11 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def mesh(result: Result) -> Mesh:
-    """The building's mesh in the CRS of the cloud."""
+def mesh(result: Result, config: Reconstruct) -> Mesh:
+    """The building's mesh in the CRS of the cloud, with the materials of its footprint or of ``config``."""
     row = result.reconstruction
-    return Mesh.of_building(row.building_id, vertices_m(row), row.triangle, row.kind)
+    materials: dict[str, str] = {"wall": config.materials.wall, "roof": config.materials.roof}
+    if config.materials.from_footprints:
+        materials |= materials_of(result.columns)
+    materials["ground"] = materials["wall"]
+    return Mesh.of_building(row.building_id, vertices_m(row), row.triangle, row.kind, materials)

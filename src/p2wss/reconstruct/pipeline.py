@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,8 @@ from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
+# columns that reading and cleaning add to the input's own
+_ADDED_COLUMNS = ("building_id", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress
 _BATCH = 256
 
@@ -42,7 +44,8 @@ class Result:
     status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
     residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: share of the
     footprint's 1 m cells that have a point on the building. not_representable: the building was fitted, but the
-    residual is more than ``not_representable_m``.
+    residual is more than ``not_representable_m``. columns: values of the footprint's input columns by their names, None
+    where there is no value.
     """
 
     reconstruction: Reconstruction
@@ -52,6 +55,7 @@ class Result:
     residual_m: float
     visible_share: float
     not_representable: bool
+    columns: Mapping[str, Any] = field(default_factory=dict)
 
 
 def run(
@@ -92,7 +96,22 @@ def run(
             )
         results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
         progress(len(results))
-    return results
+    return [
+        replace(result, columns=columns)
+        for result, columns in zip(results, input_columns(frame), strict=True)
+    ]
+
+
+def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+    """The values of the input's own columns, one dictionary per row, None where there is no value.
+
+    frame: what :func:`p2wss.data.footprints.clean_footprints` returns; the columns that it adds and the geometry are
+    left out.
+    """
+    columns = frame.columns.drop([frame.geometry.name, *_ADDED_COLUMNS], errors="ignore")
+    values = pd.DataFrame(frame[columns]).astype(object)
+    rows = values.where(values.notna(), None).to_dict("records")
+    return [{str(name): value for name, value in row.items()} for row in rows]
 
 
 def _results(

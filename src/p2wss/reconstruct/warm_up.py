@@ -59,7 +59,7 @@ def warm_product() -> None:
     results = run(frame, cloud, None, "sample", config)
     run(frame, cloud, _Network(), "sample", config)
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
-    exports.block([exports.mesh(result) for result in results], terrain, config)
+    exports.block([exports.mesh(result, config) for result in results], terrain, config)
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
 
 

@@ -79,6 +79,18 @@ def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest
     assert run(place, "--config", '{"reconstruct": {"num_views": 3}}') == 0 and oracle.num_views == 3
 
 
+def test_materials_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """They win over the config, which keeps the others; a misspelt one is refused before the work."""
+    config = '{"reconstruct": {"materials": {"wall": "wood", "roof": "slate"}}}'
+    options = ["--format", "obj", "--config", config]
+    assert run(place, *options, "--materials", "wall=brick, ground=wet_ground") == 0
+    lines = (place / "out" / "cloud.obj").read_text().splitlines()
+    assert {line for line in lines if line.startswith("usemtl")} == {"usemtl brick", "usemtl slate"}
+    for text, reason in (("wall=brik", "no such material"), ("window=glass", "wall=A,roof=B,ground=C")):
+        assert run(place, "--materials", text) == 2
+        assert f"--materials {text}: " in (message := capsys.readouterr().err) and reason in message
+
+
 def test_neither_a_model_nor_a_fit_is_an_error(
     place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,7 +136,7 @@ def test_formats_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[
     assert run(place, "--format", "stl, obj", "--per-building") == 0
     out = place / "out"
     assert sorted(str(path.relative_to(out)) for path in out.rglob("*.*")) == [
-        "cloud.json", "cloud.obj", "cloud.stl", "cloud/A.obj", "cloud/A.stl"
+        "cloud.json", "cloud.mtl", "cloud.obj", "cloud.stl", "cloud/A.mtl", "cloud/A.obj", "cloud/A.stl"
     ]  # fmt: skip
     capsys.readouterr()
     assert run(place, "--format", "obj,dwg") == 2

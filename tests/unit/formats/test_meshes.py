@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from dataclasses import replace
 from io import BytesIO
@@ -12,7 +13,7 @@ import trimesh
 
 from p2wss import skeleton
 from p2wss.formats.glb import glb
-from p2wss.formats.meshes import BuildingRef, Frame, Mesh, frame_around, obj, ply, stl
+from p2wss.formats.meshes import BuildingRef, Frame, Mesh, frame_around, mtl, obj, ply, stl
 from p2wss.skeleton.types import FaceKind, Polygons
 
 POSITION = np.array([652000.25, 6861000.5, 103.7])
@@ -125,6 +126,74 @@ def test_ply_numbers_the_buildings_of_a_mesh_of_several(meshes: list[Mesh], fram
     ]
     raw = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False).metadata["_ply_raw"]["face"]
     assert raw["data"]["building"].ravel().tolist() == [*halves.tolist(), *[2] * len(house.triangle)]
+
+
+def test_materials_in_obj(meshes: list[Mesh], frame: Frame) -> None:
+    """A group has the material of its surface, and a mesh of two buildings has groups of each."""
+    house, courtyard = meshes
+    halves = np.arange(len(courtyard.triangle), dtype=np.int32) % 2
+    materials = {"wall": "brick", "roof": "tile", "ground": "brick"}
+    refs = (BuildingRef("a", materials), BuildingRef("b", {"wall": "wood"}))
+    skin = replace(courtyard, name="block", building=halves, buildings=refs)
+    shown: dict[tuple[str, ...], set[str]] = {}
+    num_faces: dict[tuple[str, ...], int] = {}
+    for line in obj([skin, house], frame, "scene.mtl").decode().splitlines():
+        word, *rest = line.split()
+        if word == "g":
+            group = tuple(rest)
+        if word == "usemtl":
+            (material,) = rest
+        if word == "f":
+            shown.setdefault(group, set()).add(material)
+            num_faces[group] = num_faces.get(group, 0) + 1
+    assert shown == {
+        ("wall", "a"): {"brick"},
+        ("roof", "a"): {"tile"},
+        ("ground", "a"): {"brick"},
+        ("wall", "b"): {"wood"},
+        ("roof", "b"): {"concrete"},
+        ("ground", "b"): {"concrete"},
+        ("wall",): {"concrete"},
+        ("roof",): {"concrete"},
+        ("ground",): {"concrete"},
+    }
+    assert num_faces["wall", "b"] == ((skin.kind == FaceKind.WALL) & (halves == 1)).sum()
+    library = mtl([skin, house]).decode().splitlines()
+    assert sorted(line for line in library if line.startswith("newmtl")) == [
+        "newmtl brick",
+        "newmtl concrete",
+        "newmtl tile",
+        "newmtl wood",
+    ]
+
+
+def test_glb_keeps_crs_origin_and_materials_where_readers_look(meshes: list[Mesh], frame: Frame) -> None:
+    house, courtyard = meshes
+    house = replace(house, buildings=(BuildingRef("house 1", {"wall": "brick", "roof": "tile"}),))
+    content = glb([house, courtyard], frame, {"code": "x"})
+    size, kind = struct.unpack("<I4s", content[12:20])
+    tree = json.loads(content[20 : 20 + size])
+    assert kind == b"JSON" and struct.unpack("<I", content[8:12]) == (len(content),)
+    place = {"crs": "EPSG:2154", "origin_m": [652000, 6861000, 103]}
+    root, *nodes = tree["nodes"]
+    assert root["extras"].items() >= place.items() and root["children"] == [1, 2]
+    assert tree["asset"]["extras"].items() >= {**place, "p2wss": {"code": "x"}}.items()
+    assert [node["name"] for node in nodes] == ["house 1", "courtyard"]
+    assert nodes[0]["extras"] == {
+        "building_id": "house 1",
+        "materials": {"wall": "brick", "roof": "tile", "ground": "concrete"},
+    }
+    names = [material["name"] for material in tree["materials"]]
+    assert sorted(names) == ["brick", "concrete", "tile"]
+    kinds = {"brick": house.kind == FaceKind.WALL, "concrete": house.kind == FaceKind.GROUND}
+    kinds["tile"] = ~kinds["brick"] & ~kinds["concrete"]
+    for primitive in tree["meshes"][0]["primitives"]:
+        count = tree["accessors"][primitive["indices"]]["count"]
+        assert count == 3 * kinds[names[primitive["material"]]].sum()
+    assert [p["material"] for p in tree["meshes"][1]["primitives"]] == [names.index("concrete")]
+    for view in tree["bufferViews"]:
+        assert view["byteOffset"] % 4 == 0 and view["target"] in (34962, 34963)
+    assert tree["buffers"][0]["byteLength"] == sum(view["byteLength"] for view in tree["bufferViews"])
 
 
 def test_stl_is_binary_with_unit_normals_outwards(meshes: list[Mesh], frame: Frame) -> None:

@@ -42,8 +42,8 @@ def results() -> list[reconstruct.Result]:
 def test_every_format_has_the_same_content(results: list[reconstruct.Result], tmp_path: Path) -> None:
     written = exports.write(tmp_path, "out", results, LAMBERT, {"code": "x"}, EVERYTHING)
     names = sorted(path.name for path in tmp_path.iterdir() if path.is_file())
-    assert names == sorted([f"out{suffix}" for suffix in OUTPUT_SUFFIXES.values()] + ["out.json"])
-    assert set(names) <= set(written)
+    assert names == sorted([f"out{suffix}" for suffix in OUTPUT_SUFFIXES.values()] + ["out.json", "out.mtl"])
+    assert set(names) - {"out.mtl"} <= set(written)
 
     summary = json.loads((tmp_path / "out.json").read_text())
     assert (
@@ -88,13 +88,53 @@ def test_every_format_has_the_same_content(results: list[reconstruct.Result], tm
         assert second.bounds[0, 0] == pytest.approx(30, abs=1e-3)
 
 
+def test_materials_are_those_of_the_columns_or_of_the_settings(tmp_path: Path) -> None:
+    """BD TOPO's codes of brick walls and slate roofs; a footprint without a code has the settings' materials."""
+    boxes = [shapely.box(X + 30 * i, Y, X + 30 * i + 10, Y + 8) for i in range(2)]
+    frame = gpd.GeoDataFrame(
+        {
+            "building_id": ["A", "B"],
+            "materiaux_des_murs": ["49", None],
+            "materiaux_de_la_toiture": ["20", "90"],
+            "usage": ["Annexe", None],
+        },
+        geometry=boxes,
+        crs=LAMBERT,
+    )
+    results = reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
+    assert [dict(result.columns) for result in results] == [
+        {"materiaux_des_murs": "49", "materiaux_de_la_toiture": "20", "usage": "Annexe"},
+        {"materiaux_des_murs": None, "materiaux_de_la_toiture": "90", "usage": None},
+    ]
+    plain = {"wall": "wood", "roof": "metal", "ground": "wet_ground"}
+    config = Reconstruct(materials=plain, outputs=["obj"])
+    assert [exports.mesh(result, config).buildings[0].materials for result in results] == [
+        {"wall": "brick", "roof": "slate", "ground": "brick"},
+        {"wall": "wood", "roof": "metal", "ground": "wood"},
+    ]
+    ignored = Reconstruct(materials={**plain, "from_footprints": False})
+    assert exports.mesh(results[0], ignored).buildings[0].materials["wall"] == "wood"
+    exports.write(tmp_path, "out", results, LAMBERT, {}, config)
+    lines = (tmp_path / "out.obj").read_text().splitlines()
+    assert {line for line in lines if line.startswith("usemtl")} == {
+        "usemtl brick",
+        "usemtl slate",
+        "usemtl wood",
+        "usemtl metal",
+    }
+    assert "mtllib out.mtl" in lines and (tmp_path / "out.mtl").read_text().count("newmtl") == 4
+
+
 def test_meshes_stand_in_the_terrain(results: list[reconstruct.Result], tmp_path: Path) -> None:
     slope = np.tile(np.linspace(0, 4, 200, dtype=np.float32), (100, 1))
     land = Terrain(slope, X - 80, Y + 50, 1.0)
-    config = Reconstruct(outputs=["glb", "cityjsonseq"], terrain_margin_m=15)
+    config = Reconstruct(
+        outputs=["glb", "cityjsonseq"], terrain_margin_m=15, materials={"ground": "wet_ground"}
+    )
     exports.write(tmp_path, "out", results, LAMBERT, {}, config, land)
     scene = trimesh.load_scene(tmp_path / "out.glb")
     assert set(scene.geometry) == {"A/1", "a_1", "terrain"}
+    assert scene.geometry["terrain"].visual.material.name == "wet_ground"
     assert all(mesh.is_watertight and mesh.volume > 0 for mesh in scene.geometry.values())
     low, high = scene.geometry["terrain"].bounds
     # 70 m by 38 m, to the centres of the next cells
@@ -130,5 +170,5 @@ def test_a_file_that_cannot_be_written_leaves_the_others_whole(
     (tmp_path / "out.obj" / "in the way").touch()
     with pytest.raises(InputError, match=r"out\.obj: not written"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(outputs=["stl", "obj", "ply"]))
-    assert sorted(os.listdir(tmp_path)) == ["out.obj", "out.stl"]
+    assert sorted(os.listdir(tmp_path)) == ["out.mtl", "out.obj", "out.stl"]
     assert trimesh.load_mesh(tmp_path / "out.stl").is_watertight

@@ -101,7 +101,7 @@ def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
     results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", NETWORK_ALONE)
     path = tmp_path / "a.glb"
-    meshes = [exports.mesh(result) for result in results]
+    meshes = [exports.mesh(result, Reconstruct()) for result in results]
     path.write_bytes(glb(meshes, frame_around(meshes, "EPSG:2154"), {"code": "x"}))
     scene = trimesh.load_scene(path)
     (mesh,) = scene.geometry.values()
