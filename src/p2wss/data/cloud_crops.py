@@ -55,15 +55,32 @@ def ground_height(
     """z of the ground around each polygon, float64 (num_polygons,); NaN if the cloud has no ground there.
 
     It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it; if these are
-    fewer than five, at most 4, 16 or 64 m away (where one is enough). In a cloud without class 2, it is the 5 %
-    percentile of all these points. first_ring: the result of :func:`crop_points` for 1 m, if it is at hand.
+    fewer than five, at most 4, 16 or 64 m away (where one is enough). Without class 2 that near, it is the 5 %
+    percentile of all the points in the first of these rings that has as many. first_ring: the result of
+    :func:`crop_points` for 1 m, if it is at hand.
     """
     is_ground = cloud.classification == GROUND_CLASS
-    is_unclassified = not is_ground.any()
-    if is_unclassified:
-        is_ground = np.ones(len(cloud), bool)
     result = np.full(len(polygons), np.nan)
     pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
+    if is_ground.any():
+        pending = _fill_from_rings(result, pending, cloud, polygons, is_ground, first_ring)
+    # decided for each building, because the points that are read depend on the other buildings of a run
+    _fill_from_rings(result, pending, cloud, polygons, None, first_ring)
+    return result
+
+
+def _fill_from_rings(
+    result: np.ndarray,
+    pending: np.ndarray,
+    cloud: Cloud,
+    polygons: Polygons,
+    is_ground: np.ndarray | None,
+    first_ring: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
+) -> np.ndarray:
+    """Fill the ground of the polygons ``pending`` into ``result``, and return those that have no points either.
+
+    is_ground: bool (num_points,), the points whose median it is; None for the low percentile of all points.
+    """
     for distance_m in GROUND_RINGS_M:
         if not len(pending):
             break
@@ -73,15 +90,13 @@ def ground_height(
             point, inside, offset = crop_points(
                 cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, pending), distance_m, is_ground
             )
-        counts, median = ring_medians(cloud.z_m, is_ground, point, inside, offset)
-        is_last = distance_m == GROUND_RINGS_M[-1]
-        is_enough = counts >= (1 if is_last else _MIN_GROUND_POINTS)
-        if is_unclassified:
+        among = np.ones(len(cloud), bool) if is_ground is None else is_ground
+        counts, height_m = ring_medians(cloud.z_m, among, point, inside, offset)
+        is_enough = counts >= (1 if distance_m == GROUND_RINGS_M[-1] else _MIN_GROUND_POINTS)
+        if is_ground is None:
             for p in np.flatnonzero(is_enough):
                 pairs = slice(offset[p], offset[p + 1])
-                heights = cloud.z_m[point[pairs][~inside[pairs]]]
-                result[pending[p]] = np.percentile(heights, _LOW_PERCENTILE)
-        else:
-            result[pending[is_enough]] = median[is_enough]
+                height_m[p] = np.percentile(cloud.z_m[point[pairs][~inside[pairs]]], _LOW_PERCENTILE)
+        result[pending[is_enough]] = height_m[is_enough]
         pending = pending[~is_enough]
-    return result
+    return pending

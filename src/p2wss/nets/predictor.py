@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -23,10 +25,15 @@ from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, roll_index
 from p2wss.nets.weights import load_model
 
-# on a CPU the activations should fit into the cache: batches of 64 take a tenth longer
+# rows of labelled buildings at once: on a CPU the activations should fit into the cache
 BATCH_SIZE = {"cpu": 16, "cuda": 256}
-# longest over shortest ring of a batch
+# longest over shortest ring of such a batch
 MAX_LENGTH_RATIO = 1.25
+# numbers of vertices that rings are padded to on a GPU, where many buildings are predicted at once
+_VERTEX_STEP = 8
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 
 def load_predictor(path: Path, device: DeviceName = "auto") -> Predictor:
@@ -71,7 +78,14 @@ class _Prediction:
 
 
 class Predictor:
-    """A trained model. Memory does not grow with the number of buildings; results do not depend on their order."""
+    """A trained model. Memory does not grow with the number of buildings.
+
+    A building's prediction does not depend on the other buildings of a call, to the last bit. Matrix products round
+    differently for other sizes and other numbers of threads, and each sum over padded rows for other padding. So the
+    sizes of everything that is computed follow from the building itself: on a CPU it has a forward pass to itself,
+    without padding and on one thread (with several threads, several buildings are predicted at a time); on a GPU every
+    pass has the same number of rows, padded to the most points and to a multiple of eight vertices.
+    """
 
     def __init__(
         self,
@@ -90,6 +104,7 @@ class Predictor:
         self.dvae_config = dvae_config
         self._max_num_vertices = max_num_vertices
         self._batch_size = BATCH_SIZE[self.device.type]
+        self._rows_per_pass = 1 if self.device.type == "cpu" else BATCH_SIZE["cuda"]
 
     def with_num_views(self, num_views: int) -> Predictor:
         """The same network with ``num_views`` views of each building, whose probabilities are averaged."""
@@ -117,8 +132,7 @@ class Predictor:
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
         class_probability = [np.full((len(edges), 3), 1 / 3) for edges in angle]
         probability = [np.zeros(0)] * len(points_m)
-        for index, batch in self._batches(points_m, exterior):
-            prediction = self._decode(batch)
+        for index, prediction in self._for_each(points_m, exterior, self._decode):
             for row, i in enumerate(index):
                 num_edges = len(exterior[i])
                 height[i] = prediction.height_m[row]
@@ -147,12 +161,15 @@ class Predictor:
         height = np.full(len(points_m), np.nan)
         xy: list[np.ndarray] = [np.full(ring.shape, np.nan) for ring in exterior]
         angle: list[np.ndarray] = [np.full(len(ring), np.nan) for ring in exterior]
-        for index, batch in self._batches(points_m, exterior):
-            heights, vertices, angles = self._decode_all(batch, signs_visible)
+
+        def decode(batch: Batch) -> tuple[np.ndarray, ...]:
+            return *self._decode_all(batch, signs_visible), batch.xy[:, 0].numpy()
+
+        for index, (heights, vertices, angles, first) in self._for_each(points_m, exterior, decode):
             for row, i in enumerate(index):
                 num = len(exterior[i])
                 # the batch is centred
-                shift = exterior[i][0] - batch.xy[row, 0].numpy()
+                shift = exterior[i][0] - first[row]
                 height[i], angle[i], xy[i] = heights[row], angles[row, :num], vertices[row, :num] + shift
         return height, xy, angle
 
@@ -178,7 +195,7 @@ class Predictor:
         first = 0
         while first < len(order):
             too_long = int(np.searchsorted(vertices, MAX_LENGTH_RATIO * vertices[first], "right"))
-            end = min(too_long, first + self._batch_size)
+            end = min(too_long, first + max(self._batch_size // self.settings.num_rotations, 1))
             yield order[first:end]
             first = end
 
@@ -189,30 +206,48 @@ class Predictor:
             if not 3 <= len(ring) <= self._max_num_vertices:
                 raise ValueError(f"building {i} has {len(ring)} vertices, not 3 to {self._max_num_vertices}")
 
-    def _batches(
-        self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]
-    ) -> Iterator[tuple[np.ndarray, Batch]]:
-        """Centred batches of similar sizes, without the buildings that the number format cannot represent."""
-        for index in self._similar_size_batches(
-            np.array([*map(len, points_m)]), np.array([*map(len, exterior)])
-        ):
+    def _for_each(
+        self,
+        points_m: Sequence[np.ndarray],
+        exterior: Sequence[np.ndarray],
+        decode: Callable[[Batch], T],
+    ) -> Iterator[tuple[np.ndarray, T]]:
+        """The indices of each pass, which are the first rows of its centred batch, and what ``decode`` returns for it;
+        without the buildings that the number format cannot represent."""
+
+        def run(index: np.ndarray) -> tuple[np.ndarray, T] | None:
             batch = self._batch([points_m[i] for i in index], [exterior[i] for i in index])
             reach = batch.xy.norm(dim=-1).amax(1) * 10**self.tokenizer.coord_decimals
-            fits = reach.numpy() < self.tokenizer.max_coord
-            if fits.all():
-                yield index, batch
-            elif fits.any():
-                rows = torch.from_numpy(fits)
-                yield index[fits], batch[rows]
+            rows = np.flatnonzero(reach.numpy() < self.tokenizer.max_coord)
+            if not len(rows):
+                return None
+            if self._rows_per_pass > 1 or len(rows) < len(index):
+                batch = batch[torch.from_numpy(np.resize(rows, self._rows_per_pass))]
+            return index[rows], decode(batch)
+
+        passes: list[np.ndarray] = []
+        num_vertices = np.array([len(ring) for ring in exterior])
+        width = self._width(num_vertices)
+        for value in np.unique(width):
+            indices = np.flatnonzero(width == value)
+            passes += np.split(indices, range(self._rows_per_pass, len(indices), self._rows_per_pass))
+        results = _map_on_single_threads(run, passes) if self.device.type == "cpu" else map(run, passes)
+        yield from filter(None, results)
+
+    def _width(self, num_vertices: np.ndarray) -> np.ndarray:
+        """Numbers of vertices after padding."""
+        step = 1 if self._rows_per_pass == 1 else _VERTEX_STEP
+        return -(-num_vertices // step) * step
 
     def _batch(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> Batch:
+        """A centred batch, padded according to :meth:`_width` where a pass has several rows."""
         num_points = self.dvae_config.num_points
         clouds = [points[thin(len(points), num_points)] for points in points_m]
         num_vertices = np.array([len(ring) for ring in exterior])
-        width = max(map(len, clouds))
+        width = num_points if self._rows_per_pass > 1 else max(map(len, clouds))
         points = np.zeros((len(clouds), width, 3), np.float32)
         valid = np.zeros((len(clouds), width), bool)
-        xy = np.zeros((len(clouds), num_vertices.max(), 2), np.float32)
+        xy = np.zeros((len(clouds), self._width(num_vertices).max(), 2), np.float32)
         for row, (cloud, ring) in enumerate(zip(clouds, exterior, strict=True)):
             points[row, : len(cloud)] = cloud
             valid[row, : len(cloud)] = True
@@ -238,19 +273,17 @@ class Predictor:
         tokenizer, mode, num_views = self.tokenizer, self.settings.mode, self.settings.num_rotations
         batch = batch.to(self.device)
         patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        heights = angles = torch.zeros((), device=self.device)
+        views, view_patches = _views(batch, patches, num_views)
+        parameters, start = tokenizer.canonical(
+            tokenizer.quantise(views.height, views.xy, views.angle, views.num_vertices)
+        )
+        tokens, _ = tokenizer.mask_targets(parameters)
         positions = tokenizer.target_positions(batch.xy.shape[1]).to(self.device)
-        for view in range(num_views):
-            rotated, rotated_patches = _rotated(batch, patches, 2 * math.pi * view / num_views)
-            parameters, start = tokenizer.canonical(
-                tokenizer.quantise(rotated.height, rotated.xy, rotated.angle, rotated.num_vertices)
-            )
-            tokens, _ = tokenizer.mask_targets(parameters)
-            height, angle = self._distributions(self._logits(tokens, rotated, rotated_patches, positions))
-            heights = heights + height
-            back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
-            angles = angles + angle.gather(1, back[..., None].expand_as(angle))
-        heights = heights / num_views
+        heights, angles = self._distributions(self._logits(tokens, views, view_patches, positions))
+        back = roll_index(views.num_vertices - start, views.num_vertices, views.xy.shape[1])
+        angles = angles.gather(1, back[..., None].expand_as(angles))
+        heights = heights.unflatten(0, (num_views, -1)).mean(0)
+        angles = angles.unflatten(0, (num_views, -1)).mean(0)
         angles = decoding.constrain(angles, self._angle_support())
         height, angle = decoding.decode(heights, mode), decoding.decode(angles, mode)
         unit = 10.0 ** tokenizer.height_places[-1]
@@ -324,19 +357,37 @@ class Predictor:
         )
 
 
-def _rotated(batch: Batch, patches: Patches, theta: float) -> tuple[Batch, Patches]:
-    """A batch and its patches rotated by ``theta``, which does not change the points of a patch."""
-    if theta == 0:
+def _views(batch: Batch, patches: Patches, num_views: int) -> tuple[Batch, Patches]:
+    """``num_views`` rotations of a batch and of its patches, one after the other; the first is the batch itself.
+
+    A rotation does not change the points of a patch.
+    """
+    if num_views == 1:
         return batch, patches
-    matrix = batch.xy.new_tensor([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
+    theta = 2 * math.pi * torch.arange(num_views, dtype=torch.float64) / num_views
+    cos, sin = theta.cos(), theta.sin()
+    matrix = torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], -2).to(batch.xy)
+    rows = torch.arange(len(batch.xy), device=batch.xy.device).repeat(num_views)
 
     def rotate(points: Tensor) -> Tensor:
-        return torch.cat([points[..., :2] @ matrix, points[..., 2:]], -1)
+        xy = torch.einsum("b...i,vij->vb...j", points[..., :2], matrix).flatten(0, 1)
+        return torch.cat([xy, points[rows][..., 2:]], -1)
 
     return (
-        replace(batch, xy=batch.xy @ matrix),
-        Patches(rotate(patches.centre), rotate(patches.points), patches.valid),
+        replace(batch[rows], xy=rotate(batch.xy)),
+        Patches(rotate(patches.centre), rotate(patches.points), patches.valid[rows]),
     )
+
+
+def _map_on_single_threads(function: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+    """``function`` of each item, in order, by as many workers as torch has threads, each with one thread of torch."""
+    num_threads = torch.get_num_threads()
+    try:
+        with ThreadPoolExecutor(num_threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            yield from pool.map(function, items)
+    finally:
+        # the workers have set what new threads begin with
+        torch.set_num_threads(num_threads)
 
 
 def _courtyard_angle(exterior: np.ndarray) -> float:

@@ -81,7 +81,7 @@ def run(
         buildings = []
         rows = range(first, min(first + _BATCH, len(frame)))
         for i in rows:
-            point = cropped.of(i)
+            point = _in_order(cloud, cropped.of(i))
             xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
             buildings.append(
                 Building(
@@ -112,6 +112,13 @@ def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     values = pd.DataFrame(frame[columns]).astype(object)
     rows = values.where(values.notna(), None).to_dict("records")
     return [{str(name): value for name, value in row.items()} for row in rows]
+
+
+def _in_order(cloud: Cloud, point: np.ndarray) -> np.ndarray:
+    """The indices sorted by the coordinates of their points, so that a building's points have the same order whatever
+    else is in the cloud."""
+    keys = (cloud.classification, cloud.z_m, cloud.x_m, cloud.y_m)
+    return point[np.lexsort([values[point] for values in keys])]
 
 
 def _results(

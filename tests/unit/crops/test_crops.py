@@ -148,6 +148,9 @@ def test_ground_without_classes_is_low():
     ground = grid_cloud(lambda u, v: 0 * u + 20, (8, 22), (8, 22), classes=0)
     roofs = grid_cloud(lambda u, v: 0 * u + 29, (8, 14), (8, 22), classes=1)
     assert ground_height(join(ground, roofs), polygon_arrays.to_polygons([box])).tolist() == [20]
+    # ground elsewhere in the cloud, which another run of the same building may not read, changes nothing
+    far = grid_cloud(lambda u, v: 0 * u + 50, (90, 94), (12, 18))
+    assert ground_height(join(ground, roofs, far), polygon_arrays.to_polygons([box])).tolist() == [20]
 
 
 def scattered(count, seed=0, extent_m=4000):
