@@ -32,6 +32,7 @@ TOO_FEW_ROOF_POINTS = "too-few-roof-points"
 NO_HEIGHT = "no-height"
 NO_ROOF = "no-roof"
 NO_CLOSED_UNION = "no-closed-union"
+INVALID_SOLID = "invalid-solid"
 ROOFER_FAILED = "roofer-failed"
 ROOFER_TIMEOUT = "roofer-timeout"
 NO_ROOFER_MESH = "no-roofer-mesh"
@@ -58,6 +59,7 @@ MEANINGS: dict[str, str] = {
     NO_HEIGHT: "the method has no height for the building",
     NO_ROOF: "the fit has no roof for the points",
     NO_CLOSED_UNION: "the parts of the building have no closed union",
+    INVALID_SOLID: "the solid breaks a rule of ISO 19107, and so do simpler ones with a fitted roof",
     ROOFER_FAILED: "Roofer ended with an error; the log has it",
     ROOFER_TIMEOUT: "Roofer took longer than eval.roofer_timeout_s",
     NO_ROOFER_MESH: "Roofer gave no mesh",

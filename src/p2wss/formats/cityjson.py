@@ -14,11 +14,11 @@ from typing import Any
 import mapbox_earcut
 import numpy as np
 
+from p2wss.data.solids.faces import Surface
+from p2wss.data.solids.repair import SCALE_M, stored
 from p2wss.errors import InputError
 from p2wss.skeleton.types import FaceKind
 
-# coordinates are stored as integers of this size: finer than any plane's tolerance, as Roofer does
-SCALE_M = 1e-4
 SURFACE_TYPE = {
     FaceKind.GROUND: "GroundSurface",
     FaceKind.WALL: "WallSurface",
@@ -26,19 +26,6 @@ SURFACE_TYPE = {
     FaceKind.FLAT: "RoofSurface",
 }
 _KIND = {"GroundSurface": FaceKind.GROUND, "WallSurface": FaceKind.WALL, "RoofSurface": FaceKind.ROOF}
-
-
-@dataclass(frozen=True)
-class Surface:
-    """One planar polygon of a building.
-
-    kind: a ``FaceKind``. edge: the footprint edge or the plane it belongs to, or -1. rings: vertex indices, the
-    exterior first, counter-clockwise seen from outside; holes clockwise.
-    """
-
-    kind: int
-    edge: int
-    rings: Sequence[np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -114,19 +101,10 @@ def _header(translate: list[float], epsg: int | None) -> dict[str, Any]:
 
 
 def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
-    vertex = np.round((np.asarray(solid.vertex_m, float).reshape(-1, 3) - translate) / SCALE_M).astype(
-        np.int64
-    )
-    stored, index = np.unique(vertex, axis=0, return_inverse=True)
-    index = index.reshape(-1)
-    shell: list[list[list[int]]] = []
-    kinds = []
-    for surface in solid.surfaces:
-        rings = [_without_repeats(index[np.asarray(ring)]) for ring in surface.rings]
-        rings = [ring for ring in rings if len(ring) >= 3]
-        if rings:
-            shell.append(rings)
-            kinds.append(SURFACE_TYPE[FaceKind(surface.kind)])
+    grid, surfaces = stored(solid.vertex_m, solid.surfaces)
+    grid = grid - np.round(translate / SCALE_M).astype(np.int64)
+    shell = [[[int(vertex) for vertex in ring] for ring in surface.rings] for surface in surfaces]
+    kinds = [SURFACE_TYPE[FaceKind(surface.kind)] for surface in surfaces]
     # a vertex within a face is in no ring
     used = sorted({vertex for rings in shell for ring in rings for vertex in ring})
     number = {vertex: position for position, vertex in enumerate(used)}
@@ -149,13 +127,8 @@ def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
         "type": "CityJSONFeature",
         "id": solid.building_id,
         "CityObjects": {solid.building_id: building},
-        "vertices": stored[used].tolist(),
+        "vertices": grid[used].tolist(),
     }
-
-
-def _without_repeats(ring: np.ndarray) -> list[int]:
-    """The ring without consecutive equal vertices: vertices closer than the scale have become equal."""
-    return [int(v) for v, before in zip(ring, np.roll(ring, 1), strict=True) if v != before]
 
 
 def _compact(value: dict[str, Any]) -> str:

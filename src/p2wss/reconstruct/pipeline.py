@@ -21,13 +21,14 @@ from p2wss.data.cloud_crops import crop_cloud
 from p2wss.data.clouds import Cloud, horizontal
 from p2wss.data.cropping import seen_share
 from p2wss.data.points import on_millimetres
+from p2wss.data.solids.repair import surfaces_to_write
 from p2wss.errors import InputError
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Solid
-from p2wss.formats.polygons import planar_surfaces
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
+from p2wss.reconstruct.valid import labelled_mesh
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
@@ -263,7 +264,6 @@ def solid(result: Result) -> Solid:
     reconstruction = result.reconstruction
     if not reconstruction.has_mesh:
         return Solid(reconstruction.building_id, np.zeros((0, 3)), [], attributes(result))
-    surfaces = planar_surfaces(
-        reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, reconstruction.edge
-    )
-    return Solid(reconstruction.building_id, vertices_m(reconstruction), surfaces, attributes(result))
+    mesh = labelled_mesh(reconstruction)
+    surfaces, _ = surfaces_to_write(mesh)
+    return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, attributes(result))

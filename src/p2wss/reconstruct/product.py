@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import Predictor, reconstruct_with_network
+from p2wss.reconstruct.valid import simpler_fits, with_valid_solids
 
 # names of the methods, in files and reports
 NETWORK, FIT = "point2wss", fitting.METHOD
@@ -23,17 +24,24 @@ def reconstruct_buildings(
     The network's values from ``config.num_views`` views are fitted to the points. With ``config.fit`` off they are
     the result, from as many views as the model was trained for; without a predictor there is only the fit. Where
     these give no mesh, the result is a flat roof of the method ``lod1`` whose status has the reason
-    (:func:`p2wss.reconstruct.flat.with_fallback`).
+    (:func:`p2wss.reconstruct.flat.with_fallback`). All meshes are valid solids (:mod:`p2wss.reconstruct.valid`).
     """
     initial = None
     if predictor is not None:
         predictor = predictor.with_num_views(config.num_views) if config.fit else predictor
         initial = reconstruct_with_network(buildings, predictor, config, NETWORK)
+    method = method_name(predictor, config)
     if initial is None or config.fit:
-        reconstructions = fitting.fit(buildings, config, initial, method_name(predictor, config))
+        starts = [None] * len(buildings) if initial is None else initial
+
+        def simpler(row: int, invalid: Reconstruction) -> Iterator[Reconstruction]:
+            return simpler_fits(buildings[row], invalid, starts[row], method, config)
+
+        fits = fitting.fit(buildings, config, initial, method)
+        reconstructions = with_valid_solids(fits, buildings, simpler)
     else:
-        reconstructions = initial
-    return with_fallback(reconstructions, buildings, config)
+        reconstructions = with_valid_solids(initial, buildings)
+    return with_valid_solids(with_fallback(reconstructions, buildings, config), buildings)
 
 
 def method_name(predictor: Predictor | None, config: Reconstruct) -> str:

@@ -6,10 +6,10 @@ import shapely
 import trimesh
 from test_one_height import sample
 
+from p2wss.data.solids.faces import planar_surfaces
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.solid import is_closed, is_sound, union
-from p2wss.formats.polygons import planar_surfaces
 from p2wss.skeleton import FaceKind
 
 HOUSE = np.array([[0, 0], [9, 0], [9, 8], [0, 8.0]])

@@ -16,10 +16,10 @@ import trimesh
 from places import SHARED
 
 from p2wss import skeleton
+from p2wss.data.solids.faces import Surface, planar_surfaces
 from p2wss.errors import InputError
 from p2wss.formats import cityjson
-from p2wss.formats.cityjson import Solid, Surface
-from p2wss.formats.polygons import planar_surfaces
+from p2wss.formats.cityjson import Solid
 from p2wss.skeleton.types import FaceKind, Polygons
 
 DATA = SHARED / "data"

@@ -7,10 +7,27 @@ any geometric tolerance: triangles with equal labels that share a side are one f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
-from p2wss.formats.cityjson import Surface
 from p2wss.metrics.planarity import face_of_triangle
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One planar polygon of a building.
+
+    kind: a ``FaceKind``. edge: the footprint edge or the plane it belongs to, or -1. rings: vertex indices, the
+    exterior first, counter-clockwise seen from outside; holes clockwise. face: the number of the face that it is, or
+    is a piece of; pieces of one face have the same.
+    """
+
+    kind: int
+    edge: int
+    rings: Sequence[np.ndarray]
+    face: int = -1
 
 
 def planar_surfaces(
@@ -19,7 +36,8 @@ def planar_surfaces(
     """The faces of a closed mesh, in the order of their first triangles.
 
     vertex_m (v, 3), triangle (t, 3), kind and edge (t,). The exterior ring of a face comes first; every ring runs as
-    its triangles do. A vertex within a straight side is kept where a neighbour has a corner.
+    its triangles do. A vertex within a straight side is kept where a neighbour has a corner. A hole that touches the
+    exterior or another hole in a vertex is a ring of its own.
     """
     face = face_of_triangle(triangle, np.column_stack([kind, edge]))
     face_of_side: dict[tuple[int, int], int] = {}
@@ -34,16 +52,21 @@ def planar_surfaces(
             boundary[number][start, end] = None
     _, first = np.unique(face, return_index=True)
     return [
-        Surface(int(kind[t]), int(edge[t]), _exterior_first(np.asarray(vertex_m, float), _rings(sides, apex)))
-        for t, sides in zip(first, boundary, strict=True)
+        Surface(
+            int(kind[t]),
+            int(edge[t]),
+            _exterior_first(np.asarray(vertex_m, float), _rings(sides, apex)),
+            number,
+        )
+        for number, (t, sides) in enumerate(zip(first, boundary, strict=True))
     ]
 
 
 def _rings(boundary: dict[tuple[int, int], None], apex: dict[tuple[int, int], int]) -> list[np.ndarray]:
     """The boundary sides of one face, joined to rings of vertices.
 
-    From a side the next one is found by turning around their common vertex within the face, so that rings that
-    touch in a vertex stay apart.
+    From a side the next one is found by turning around their common vertex within the face. Where the exterior and a
+    hole touch in a vertex, that leads from the one to the other; such a ring is divided there.
     """
     pending = dict(boundary)
     rings = []
@@ -57,12 +80,32 @@ def _rings(boundary: dict[tuple[int, int], None], apex: dict[tuple[int, int], in
             while (end, following) not in boundary:
                 following = apex[following, end]
             start, end = end, following
-        rings.append(np.array(ring))
+        rings += _simple_rings(ring)
     return rings
+
+
+def _simple_rings(ring: list[int]) -> list[np.ndarray]:
+    """A ring as rings none of which visits a vertex twice."""
+    rings: list[np.ndarray] = []
+    path: list[int] = []
+    position: dict[int, int] = {}
+    for vertex in ring:
+        if vertex in position:
+            first = position[vertex]
+            rings.append(np.array(path[first:]))
+            for passed in path[first + 1 :]:
+                del position[passed]
+            del path[first + 1 :]
+        else:
+            position[vertex] = len(path)
+            path.append(vertex)
+    return [*rings, np.array(path)]
 
 
 def _exterior_first(vertex_m: np.ndarray, rings: list[np.ndarray]) -> list[np.ndarray]:
     """The rings of one face; only the exterior turns about the face's normal."""
+    if len(rings) == 1:
+        return rings
     area = []
     for ring in rings:
         # Newell's formula: the vector along the normal, twice as long as the ring's area
