@@ -62,6 +62,18 @@ def add_parser(stages: Parsers) -> None:
         help="materials in mesh files of buildings whose footprints state none, and of the terrain "
         "(default: reconstruct.materials of the config)",
     )
+    command.add_argument(
+        "--frequency-ghz",
+        type=float,
+        metavar="F",
+        help="frequency for which the materials of a Sionna scene are defined "
+        "(default: reconstruct.frequency_ghz of the config)",
+    )
+    command.add_argument(
+        "--split-materials",
+        action="store_true",
+        help="a shape per material in Sionna scenes; loses the diffracting edges between walls and roofs",
+    )
     add_threads(command)
     add_device(command)
 
@@ -91,6 +103,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
         log.info("note: %s", note)
     if terrain_crs is not None:
         exports.check_terrain(terrain_crs, crs, arguments.terrain)
+    for note in exports.notes(config.reconstruct, frame, terrain is not None):
+        log.info("note: %s", note)
     method = "fit to the points without a network" if weights is None else f"model {weights}"
     log.info("%d footprints, %d points around them; %s", len(frame), len(cloud), method)
     stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
@@ -123,6 +137,10 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
             )
     if arguments.per_building:
         options["per_building"] = True
+    if arguments.frequency_ghz is not None:
+        options["frequency_ghz"] = arguments.frequency_ghz
+    if arguments.split_materials:
+        options["split_materials"] = True
     if arguments.materials is not None:
         options["materials"] = _materials(arguments.materials)
     return load(arguments.config, {"reconstruct": options})

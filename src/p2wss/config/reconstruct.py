@@ -16,10 +16,11 @@ OUTPUT_SUFFIXES = {
     "obj": ".obj",
     "ply": ".ply",
     "stl": ".stl",
+    "sionna": "_sionna/scene.xml",
     "gpkg": ".gpkg",
     "geoparquet": ".parquet",
 }
-Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "gpkg", "geoparquet"]
+Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "gpkg", "geoparquet"]
 # explained in p2wss.data.materials
 MaterialName = Literal[
     "concrete",
@@ -107,6 +108,14 @@ class Reconstruct(Section):
         0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"
     )
     materials: Materials = Materials()
+    frequency_ghz: float = Field(
+        3.5, gt=0, le=1000, description="frequency for which the materials of a Sionna scene are defined"
+    )
+    split_materials: bool = Field(
+        False,
+        description="a shape per material in Sionna scenes, which loses the edges between walls and roofs; "
+        "false = a shape per building, with the material of its walls",
+    )
     terrain_tolerance_m: float = Field(
         0.2, gt=0, le=10, description="vertical tolerance of the triangulated terrain of --terrain"
     )

@@ -6,6 +6,7 @@ that is closed in memory is closed in the file.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -203,6 +204,23 @@ def stl(meshes: Sequence[Mesh], frame: Frame) -> bytes:
     # readers take a header that begins with "solid" for the text format
     header = f"p2wss metres z up origin_m {frame.origin} crs {frame.crs}".encode("ascii", "replace")[:80]
     return header.ljust(80) + len(face).to_bytes(4, "little") + face.tobytes()
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """File names that differ on every file system, also on those that ignore case.
+
+    >>> file_names(["A/1", "a_1", "..", "Ö 2"])
+    ['A_1', 'a_1-2', '_', 'Ö_2']
+    """
+    result: list[str] = []
+    used: set[str] = set()
+    for number, name in enumerate(names, 1):
+        plain = re.sub(r"[^\w.-]", "_", name).strip(".")[:100] or "_"
+        while plain.lower() in used:
+            plain = f"{plain}-{number}"
+        used.add(plain.lower())
+        result.append(plain)
+    return result
 
 
 def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -8,14 +8,18 @@ from typing import Any
 
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Frame, Mesh, mtl, obj, ply, stl
+from p2wss.formats.sionna import scene_files
 
 
 @dataclass(frozen=True)
 class FileOptions:
-    """What a writer needs besides meshes and frame. stem: of the names of the files. facts: provenance."""
+    """What a writer needs besides meshes and frame. stem: of the names of the files. facts: provenance. The others are
+    settings of the section ``reconstruct``."""
 
     stem: str
     facts: Mapping[str, Any] = field(default_factory=dict)
+    frequency_ghz: float = 3.5
+    split_materials: bool = False
 
 
 # contents by the names of the files, relative to the folder of the output and with "/", in the order of writing: the
@@ -31,6 +35,12 @@ MESH_WRITERS: dict[str, Writer] = {
     },
     "ply": lambda meshes, frame, options: {f"{options.stem}.ply": ply(meshes, frame)},
     "stl": lambda meshes, frame, options: {f"{options.stem}.stl": stl(meshes, frame)},
+    "sionna": lambda meshes, frame, options: {
+        f"{options.stem}_sionna/{name}": content
+        for name, content in scene_files(
+            meshes, frame, options.facts, options.frequency_ghz, options.split_materials
+        ).items()
+    },
 }
 # those that `--per-building` writes a file of per mesh
 SINGLE_FILES = ("glb", "obj", "ply", "stl")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
 import numpy as np
 import pyproj
 
@@ -18,11 +18,11 @@ from p2wss.data.clouds import same_crs
 from p2wss.data.materials import materials_of
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
-from p2wss.formats import gpkg
-from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, frame_around
+from p2wss.formats import gpkg, sionna
+from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import terrain_mesh
-from p2wss.reconstruct.pipeline import Result, city_json, table, vertices_m
+from p2wss.reconstruct.pipeline import Result, city_json, input_columns, table, vertices_m
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
@@ -48,6 +48,7 @@ def write(
         buildings = terrain_mesh.lowered_into(buildings, terrain)
     meshes = buildings if ground is None else [*buildings, ground]
     frame = frame_around(meshes, crs.to_string())
+    options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials)
     written = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
@@ -58,11 +59,11 @@ def write(
         elif output in ("cityjson", "cityjsonseq"):
             files.write_text(folder / name, city_json(results, crs, output))
         else:
-            write_meshes(folder, output, meshes, frame, FileOptions(stem, facts))
+            write_meshes(folder, output, meshes, frame, options)
         written.append(name)
         if config.per_building and output in SINGLE_FILES:
             for single, file in zip(meshes, file_names([mesh.name for mesh in meshes]), strict=True):
-                write_meshes(folder / stem, output, [single], frame, FileOptions(file, facts))
+                write_meshes(folder / stem, output, [single], frame, replace(options, stem=file))
             written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
     files.write_json(
         folder / f"{stem}.json",
@@ -70,7 +71,7 @@ def write(
             "p2wss": facts,
             "crs": frame.crs,
             "origin_m": frame.origin_m.tolist(),
-            "axes": {"obj, ply, stl": AXES, "glb": "y up, see the extras of its asset"},
+            "axes": {"obj, ply, stl, sionna": AXES, "glb": "y up, see the extras of its asset"},
             "files": written,
             "buildings": counts(results),
             "terrain": None if ground is None else {"mesh": ground.name, "triangles": len(ground.triangle)},
@@ -85,23 +86,6 @@ def write_meshes(
     """Write the files of one of the formats :data:`~p2wss.formats.outputs.MESH_WRITERS`."""
     for name, content in MESH_WRITERS[output](meshes, frame, options).items():
         files.write_bytes(folder / name, content)
-
-
-def file_names(names: Sequence[str]) -> list[str]:
-    """File names that differ on every file system, also on those that ignore case.
-
-    >>> file_names(["A/1", "a_1", "..", "Ö 2"])
-    ['A_1', 'a_1-2', '_', 'Ö_2']
-    """
-    result: list[str] = []
-    used: set[str] = set()
-    for number, name in enumerate(names, 1):
-        plain = re.sub(r"[^\w.-]", "_", name).strip(".")[:100] or "_"
-        while plain.lower() in used:
-            plain = f"{plain}-{number}"
-        used.add(plain.lower())
-        result.append(plain)
-    return result
 
 
 def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> Mesh | None:
@@ -141,6 +125,20 @@ def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
     return f"the terrain is {gap}: are both in the same height system?"
 
 
+def notes(config: Reconstruct, frame: gpd.GeoDataFrame, has_terrain: bool) -> list[str]:
+    """What a user should know of the outputs before the work. frame: cleaned footprints with the input's columns."""
+    if "sionna" not in config.outputs:
+        return []
+    rows = [surface_materials(columns, config) for columns in input_columns(frame)]
+    materials = [row["wall"] for row in rows]
+    if config.split_materials:
+        materials += [row["roof"] for row in rows]
+    if has_terrain:
+        materials.append(config.materials.ground)
+    is_mixed = any(row["wall"] != row["roof"] for row in rows)
+    return sionna.notes(materials, config.frequency_ghz, has_terrain, is_mixed, config.split_materials)
+
+
 def counts(results: Sequence[Result]) -> dict[str, Any]:
     """Numbers of buildings by status, reason and method."""
     return {
@@ -155,8 +153,12 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
 def mesh(result: Result, config: Reconstruct) -> Mesh:
     """The building's mesh in the CRS of the cloud, with the materials of its footprint or of ``config``."""
     row = result.reconstruction
-    materials: dict[str, str] = {"wall": config.materials.wall, "roof": config.materials.roof}
-    if config.materials.from_footprints:
-        materials |= materials_of(result.columns)
-    materials["ground"] = materials["wall"]
+    materials = surface_materials(result.columns, config)
     return Mesh.of_building(row.building_id, vertices_m(row), row.triangle, row.kind, materials)
+
+
+def surface_materials(columns: Mapping[str, Any], config: Reconstruct) -> dict[str, str]:
+    """The material of walls, roof and floor (``ground``) of a building whose footprint has these input columns."""
+    stated = materials_of(columns) if config.materials.from_footprints else {}
+    wall = stated.get("wall", config.materials.wall)
+    return {"wall": wall, "roof": stated.get("roof", config.materials.roof), "ground": wall}

@@ -10,6 +10,7 @@ import numpy as np
 import pyproj
 import pytest
 import shapely
+import sionna_scene
 import trimesh
 from oracle_network import Oracle
 
@@ -89,6 +90,34 @@ def test_materials_of_the_command_line(place: Path, capsys: pytest.CaptureFixtur
     for text, reason in (("wall=brik", "no such material"), ("window=glass", "wall=A,roof=B,ground=C")):
         assert run(place, "--materials", text) == 2
         assert f"--materials {text}: " in (message := capsys.readouterr().err) and reason in message
+
+
+def test_a_scene_for_sionna(place: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One building on terrain for a radar at 77 GHz: every file of the folder is read by a strict reader."""
+    land = Terrain(np.full((40, 40), 100.9, np.float32), 651985.0, 6861024.0, 1.0)
+    write_terrain(place / "dtm.tif", land, pyproj.CRS.from_epsg(2154), {})
+    codes = gpd.read_file(place / "footprints.gpkg").assign(
+        materiaux_des_murs="10", materiaux_de_la_toiture="20"
+    )
+    codes.to_file(place / "footprints.gpkg")
+    options = ["--model", "none", "--format", "sionna", "--terrain", str(place / "dtm.tif")]
+    with caplog.at_level("INFO"):
+        assert run(place, *options, "--frequency-ghz", "77") == 0
+    assert sorted(path.name for path in (place / "out").iterdir()) == ["cloud.json", "cloud_sionna"]
+    scene = sionna_scene.read(place / "out" / "cloud_sionna")
+    assert set(scene.shapes) == {"terrain", "A"}
+    for shape in scene.shapes.values():
+        solid = trimesh.Trimesh(shape.vertex_m, shape.triangle, process=False)
+        assert solid.is_watertight and solid.volume > 0
+    # 10 m by 8 m by 6 m above the ground of the cloud, and down to 0.5 m below the terrain
+    house = trimesh.Trimesh(scene.shapes["A"].vertex_m, scene.shapes["A"].triangle, process=False)
+    assert house.volume == pytest.approx(10 * 8 * (107 - 100.4), rel=0.01)
+    # walls of stone are marble to the recommendation, which ends at 60 GHz; the ground ends at 10 GHz
+    assert scene.shapes["A"].material == "mat-stone-77000-MHz"
+    assert scene.shapes["terrain"].material == "mat-medium_dry_ground-77000-MHz"
+    for about in ("marble from 1 to 60 GHz", "medium_dry_ground from 1 to 10 GHz", "material of its walls"):
+        assert about in caplog.text
+    assert run(place, *options, "--frequency-ghz", "0") == 2
 
 
 def test_neither_a_model_nor_a_fit_is_an_error(

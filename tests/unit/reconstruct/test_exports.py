@@ -13,6 +13,7 @@ import pandas as pd
 import pyproj
 import pytest
 import shapely
+import sionna_scene
 import trimesh
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
@@ -42,7 +43,10 @@ def results() -> list[reconstruct.Result]:
 def test_every_format_has_the_same_content(results: list[reconstruct.Result], tmp_path: Path) -> None:
     written = exports.write(tmp_path, "out", results, LAMBERT, {"code": "x"}, EVERYTHING)
     names = sorted(path.name for path in tmp_path.iterdir() if path.is_file())
-    assert names == sorted([f"out{suffix}" for suffix in OUTPUT_SUFFIXES.values()] + ["out.json", "out.mtl"])
+    suffixes = [suffix for suffix in OUTPUT_SUFFIXES.values() if "/" not in suffix]
+    assert names == sorted([f"out{suffix}" for suffix in suffixes] + ["out.json", "out.mtl"])
+    assert list(sionna_scene.read(tmp_path / "out_sionna").shapes) == ["A_1", "a_1-2"]
+    assert "out_sionna/scene.xml" in written
     assert set(names) - {"out.mtl"} <= set(written)
 
     summary = json.loads((tmp_path / "out.json").read_text())

@@ -1,0 +1,240 @@
+"""A scene for Sionna RT: a folder with Mitsuba XML, one plain PLY per shape, the top of the terrain, and a JSON.
+
+``sionna.rt.load_scene("STEM_sionna/scene.xml", merge_shapes=False)`` reads it. Sionna RT finds the edges at which waves
+are diffracted within one shape, and a shape has one material; so a shape is by default a whole solid.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pyproj
+
+from p2wss import __version__
+from p2wss.data.materials import MATERIALS
+from p2wss.formats.meshes import AXES, TERRAIN, Frame, Mesh, faces_of, file_names, material_names
+from p2wss.formats.radio_materials import Properties, properties
+
+_PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
+TERRAIN_TOP = "terrain_top.ply"
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A shape of the scene: name of a mesh or of a piece of it, and triangles of one material."""
+
+    name: str
+    buildings: list[str]
+    material: str
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+
+
+def scene_files(
+    meshes: Sequence[Mesh],
+    frame: Frame,
+    facts: Mapping[str, Any],
+    frequency_ghz: float,
+    split_materials: bool = False,
+) -> dict[str, bytes]:
+    """Contents by the names of the files, relative to the folder; ``scene.xml`` is the last.
+
+    split_materials: a shape for each material of a mesh. Otherwise a mesh is one shape of the material that most of its
+    wall area has.
+    """
+    terrain = [mesh for mesh in meshes if TERRAIN in mesh.kind]
+    others = [mesh for mesh in meshes if TERRAIN not in mesh.kind]
+    shapes = [shape for mesh in (*terrain, *others) for shape in _shapes(mesh, split_materials)]
+    # Mitsuba reserves the point in ids; Sionna RT reads the XML in the encoding of the system
+    ids = file_names([re.sub(r"[^A-Za-z0-9_-]", "_", shape.name) for shape in shapes])
+    materials = {
+        name: properties(MATERIALS[name].itu_type, frequency_ghz)
+        for name in dict.fromkeys(shape.material for shape in shapes)
+    }
+    files = {}
+    for shape, name in zip(shapes, ids, strict=True):
+        files[f"meshes/{name}.ply"] = _ply(shape.vertex_m - frame.origin_m, shape.triangle)
+    if terrain:
+        files[TERRAIN_TOP] = _top(terrain[0], frame)
+    latitude_deg, longitude_deg = _wgs84(frame)
+    is_mixed = any(len(material_names([mesh])) > 1 for mesh in others)
+    remarks = notes(materials, frequency_ghz, bool(terrain), is_mixed, split_materials)
+    document = {
+        "p2wss": dict(facts),
+        "crs": frame.crs,
+        "origin_m": frame.origin_m.tolist(),
+        "origin_wgs84": {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg},
+        "axes": AXES,
+        "frequency_ghz": frequency_ghz,
+        "materials": {name: _facts(name, values) for name, values in materials.items()},
+        "shapes": {
+            name: {
+                "file": f"meshes/{name}.ply",
+                "material": shape.material,
+                "buildings": shape.buildings,
+            }
+            for shape, name in zip(shapes, ids, strict=True)
+        },
+        "terrain_top": TERRAIN_TOP if terrain else None,
+        "notes": remarks,
+    }
+    files["scene.json"] = (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode()
+    comments = [
+        f"p2wss {__version__}; metres; x east, y north, z up",
+        f"crs {frame.crs}",
+        f"origin_m {frame.origin} (add it to every vertex)",
+        f"origin in WGS 84: latitude {latitude_deg}, longitude {longitude_deg}",
+        *remarks,
+    ]
+    lines = [f"<!-- {_comment(comment)} -->" for comment in comments]
+    lines.append('<scene version="2.1.0">')
+    for name, values in materials.items():
+        lines += _bsdf(name, values, frequency_ghz)
+    for shape, name in zip(shapes, ids, strict=True):
+        lines += [
+            f'    <shape type="ply" id={quoteattr(f"mesh-{name}")}>',
+            f'        <string name="filename" value={quoteattr(f"meshes/{name}.ply")}/>',
+            '        <boolean name="face_normals" value="true"/>',
+            f'        <ref id="{_bsdf_id(shape.material, materials[shape.material], frequency_ghz)}" name="bsdf"/>',
+            "    </shape>",
+        ]
+    lines.append("</scene>")
+    files["scene.xml"] = ("\n".join(lines) + "\n").encode("ascii", "xmlcharrefreplace")
+    return files
+
+
+def notes(
+    materials: Collection[str],
+    frequency_ghz: float,
+    has_terrain: bool,
+    is_mixed: bool,
+    split_materials: bool,
+) -> list[str]:
+    """What a user of the scene must know: materials that are not defined at the frequency, a missing ground, wedges.
+
+    materials: of the shapes. is_mixed: whether a building has several materials.
+    """
+    result = []
+    for itu_type in dict.fromkeys(MATERIALS[name].itu_type for name in materials):
+        values = properties(itu_type, frequency_ghz)
+        if values.held_from_ghz is not None:
+            low, high = values.valid_ghz
+            result.append(
+                f"ITU-R P.2040 defines {itu_type} from {low:g} to {high:g} GHz, not at {frequency_ghz:g} GHz"
+                f" (--frequency-ghz); the scene holds its permittivity of {values.held_from_ghz:g} GHz"
+            )
+    if not has_terrain:
+        result.append("the scene has no ground; --terrain adds it")
+    if is_mixed and split_materials:
+        result.append("shapes are split by material; Sionna RT finds no diffracting edge between two shapes")
+    elif is_mixed:
+        result.append(
+            "each shape has the material of its walls, because Sionna RT finds diffracting edges within one shape only;"
+            " --split-materials makes a shape per material"
+        )
+    return result
+
+
+def _shapes(mesh: Mesh, split_materials: bool) -> list[_Shape]:
+    faces = faces_of(mesh)
+    corner = mesh.vertex_m[mesh.triangle]
+    area_m2 = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    by_material: dict[str, list[np.ndarray]] = {}
+    wall_m2: dict[str, float] = {}
+    for piece in faces:
+        by_material.setdefault(piece.material, []).append(piece.triangle)
+        weight = area_m2[piece.triangle].sum() * (1.0 if piece.surface == "wall" else 1e-6)
+        wall_m2[piece.material] = wall_m2.get(piece.material, 0.0) + weight
+    buildings = [] if TERRAIN in mesh.kind else [ref.building_id for ref in mesh.buildings]
+    if not split_materials or len(by_material) == 1:
+        material = max(wall_m2, key=wall_m2.__getitem__)
+        return [_Shape(mesh.name, buildings, material, mesh.vertex_m, mesh.triangle)]
+    result = []
+    for material, rows in by_material.items():
+        used, triangle = np.unique(mesh.triangle[np.concatenate(rows)], return_inverse=True)
+        shape = _Shape(
+            f"{mesh.name}-{material}", buildings, material, mesh.vertex_m[used], triangle.reshape(-1, 3)
+        )
+        result.append(shape)
+    return result
+
+
+def _top(terrain: Mesh, frame: Frame) -> bytes:
+    """The upper side of the terrain's block."""
+    corner = terrain.vertex_m[terrain.triangle]
+    upwards = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 0
+    used, triangle = np.unique(terrain.triangle[upwards], return_inverse=True)
+    return _ply(terrain.vertex_m[used] - frame.origin_m, triangle.reshape(-1, 3))
+
+
+def _ply(vertex_m: np.ndarray, triangle: np.ndarray) -> bytes:
+    """Binary PLY with nothing but vertices and triangles: Mitsuba warns of every other property."""
+    face = np.zeros(len(triangle), _PLY_FACE)
+    face["count"], face["vertex"] = 3, triangle
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertex_m)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        f"element face {len(face)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    return ("\n".join(header) + "\n").encode() + vertex_m.astype("<f4").tobytes() + face.tobytes()
+
+
+def _bsdf_id(name: str, values: Properties, frequency_ghz: float) -> str:
+    """The id of a material. Sionna RT refuses names of ITU types for materials of constant properties."""
+    if values.held_from_ghz is None:
+        return f"mat-{name}"
+    return f"mat-{name}-{round(frequency_ghz * 1000)}-MHz"
+
+
+def _bsdf(name: str, values: Properties, frequency_ghz: float) -> list[str]:
+    material = MATERIALS[name]
+    color = ", ".join(f"{value / 255:.3f}" for value in material.colour)
+    if values.held_from_ghz is None:
+        kind, rows = "itu-radio-material", [f'<string name="type" value="{material.itu_type}"/>']
+    else:
+        kind = "radio-material"
+        rows = [
+            f'<float name="relative_permittivity" value="{values.relative_permittivity:.6g}"/>',
+            f'<float name="conductivity" value="{values.conductivity_s_per_m:.6g}"/>',
+        ]
+    rows += ['<float name="thickness" value="0.1"/>', f'<rgb name="color" value="{color}"/>']
+    return [
+        f'    <bsdf type="{kind}" id="{_bsdf_id(name, values, frequency_ghz)}">',
+        *(f"        {row}" for row in rows),
+        "    </bsdf>",
+    ]
+
+
+def _facts(name: str, values: Properties) -> dict[str, Any]:
+    return {
+        "itu_r_p2040": MATERIALS[name].itu_type,
+        "relative_permittivity": round(values.relative_permittivity, 6),
+        "conductivity_s_per_m": round(values.conductivity_s_per_m, 6),
+        "valid_ghz": list(values.valid_ghz),
+        "held_from_ghz": values.held_from_ghz,
+    }
+
+
+def _wgs84(frame: Frame) -> tuple[float | None, float | None]:
+    """Latitude and longitude of the origin in degrees, None where the CRS has no transformation."""
+    try:
+        to_wgs84 = pyproj.Transformer.from_crs(frame.crs, 4326, always_xy=True)
+        longitude, latitude = to_wgs84.transform(*frame.origin_m[:2], errcheck=True)
+    except pyproj.exceptions.ProjError:
+        return None, None
+    return round(latitude, 8), round(longitude, 8)
+
+
+def _comment(text: str) -> str:
+    """The text without what ends a comment of XML; an option loses its hyphens."""
+    return re.sub(r"--+", "-", re.sub(r"(?<=[ (])--", "", " ".join(text.split()))).rstrip("-")

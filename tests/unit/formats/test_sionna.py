@@ -1,0 +1,201 @@
+"""The folder for Sionna RT, read back by a strict reader."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sionna_scene
+import trimesh
+
+from p2wss import skeleton
+from p2wss.data.materials import MATERIALS
+from p2wss.data.terrain import Terrain
+from p2wss.formats.meshes import BuildingRef, Frame, Mesh, frame_around
+from p2wss.formats.radio_materials import ITU_TYPES, properties
+from p2wss.formats.sionna import scene_files
+from p2wss.reconstruct import terrain_mesh
+from p2wss.skeleton.types import FaceKind, Polygons
+
+X, Y = 84805.0, 447472.0
+BRICK = {"wall": "brick", "roof": "tile", "ground": "brick"}
+
+
+@pytest.fixture(scope="module")
+def meshes() -> list[Mesh]:
+    """Two gable houses, the second of brick with tiles, and their terrain, which is the last."""
+    ring = np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)
+    built = skeleton.build(
+        Polygons.from_rings([[ring]] * 2), np.array([35.0, 90, 35, 90] * 2), np.array([5.0, 5.0])
+    )
+    result = []
+    for i, name in enumerate(("NL.IMBAG.Pand.0503100000000001", "B 2")):
+        vertex, triangle, kind, _ = built.mesh(i)
+        position = np.array([X + 10 + 20 * i, Y + 10, 2])
+        result.append(Mesh.of_building(name, vertex + position, triangle, kind))
+    result[1] = replace(result[1], buildings=(BuildingRef("B 2", BRICK),))
+    heights = 2 + 0.05 * np.arange(60, dtype=np.float32)[None] + np.zeros((40, 1), np.float32)
+    land = Terrain(heights, X, Y + 40, 1.0)
+    return [*result, terrain_mesh.block(land, (X + 4, Y + 4, X + 50, Y + 30), 0.1)]
+
+
+def write(folder: Path, meshes: Sequence[Mesh], frequency_ghz: float = 3.5, **options: bool) -> Frame:
+    frame = frame_around(meshes, "EPSG:28992")
+    for name, content in scene_files(meshes, frame, {"code": "x"}, frequency_ghz, **options).items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    return frame
+
+
+def closed(shape: sionna_scene.Shape) -> trimesh.Trimesh:
+    solid = trimesh.Trimesh(shape.vertex_m, shape.triangle, process=False)
+    assert solid.is_watertight and solid.is_winding_consistent and solid.volume > 0
+    return solid
+
+
+def test_a_shape_per_building_and_the_terrain(meshes: list[Mesh], tmp_path: Path) -> None:
+    frame = write(tmp_path, meshes)
+    scene = sionna_scene.read(tmp_path)
+    assert list(scene.shapes) == ["terrain", "NL_IMBAG_Pand_0503100000000001", "B_2"]
+    for shape, mesh in zip(scene.shapes.values(), (meshes[2], *meshes[:2]), strict=True):
+        assert shape.vertex_m == pytest.approx(mesh.vertex_m - frame.origin_m, abs=1e-4)
+        assert (shape.triangle == mesh.triangle).all()
+        closed(shape)
+    assert [shape.material for shape in scene.shapes.values()] == [
+        "mat-medium_dry_ground",
+        "mat-concrete",
+        "mat-brick",
+    ]
+    assert [values["type"] for values in scene.materials.values()] == [
+        "medium_dry_ground",
+        "concrete",
+        "brick",
+    ]
+
+
+def test_place_and_contents_are_stated_in_comments_and_json(meshes: list[Mesh], tmp_path: Path) -> None:
+    frame = write(tmp_path, meshes)
+    scene = sionna_scene.read(tmp_path)
+    facts = scene.facts
+    assert facts["crs"] == "EPSG:28992" and facts["origin_m"] == frame.origin_m.tolist()
+    # the church of Delft, 2 km away, is at 52.012 N, 4.361 E
+    assert facts["origin_wgs84"]["latitude_deg"] == pytest.approx(52.0112, abs=1e-3)
+    assert facts["origin_wgs84"]["longitude_deg"] == pytest.approx(4.3647, abs=1e-3)
+    assert facts["shapes"]["NL_IMBAG_Pand_0503100000000001"] == {
+        "file": "meshes/NL_IMBAG_Pand_0503100000000001.ply",
+        "material": "concrete",
+        "buildings": ["NL.IMBAG.Pand.0503100000000001"],
+    }
+    assert facts["shapes"]["terrain"]["buildings"] == [] and facts["p2wss"] == {"code": "x"}
+    assert f"origin_m {frame.origin} (add it to every vertex)" in scene.comments
+    assert any(comment.startswith("origin in WGS 84: latitude 52.01") for comment in scene.comments)
+    # the roof of tiles is written as brick, the material of the walls, and a note says so
+    assert len(facts["notes"]) == 1 and "material of its walls" in facts["notes"][0]
+
+
+def test_the_map_surface_is_the_top_of_the_terrain(meshes: list[Mesh], tmp_path: Path) -> None:
+    frame = write(tmp_path, meshes)
+    vertex_m, triangle = sionna_scene.read_ply(tmp_path / "terrain_top.ply")
+    top = trimesh.Trimesh(vertex_m, triangle, process=False)
+    assert (top.face_normals[:, 2] > 0.5).all()
+    low, high = meshes[2].vertex_m.min(axis=0), meshes[2].vertex_m.max(axis=0)
+    plan = trimesh.Trimesh(vertex_m * [1, 1, 0], triangle, process=False)
+    assert plan.area == pytest.approx(np.prod((high - low)[:2]))
+    assert top.bounds[1, 2] == pytest.approx(high[2] - frame.origin_m[2], abs=1e-4)
+    assert top.bounds[0, 2] > low[2] - frame.origin_m[2] + 1
+
+
+def test_without_terrain_a_note_says_that_there_is_no_ground(meshes: list[Mesh], tmp_path: Path) -> None:
+    write(tmp_path, meshes[:1])
+    scene = sionna_scene.read(tmp_path)
+    assert scene.facts["terrain_top"] is None and list(scene.shapes) == ["NL_IMBAG_Pand_0503100000000001"]
+    assert scene.facts["notes"] == ["the scene has no ground; --terrain adds it"]
+    assert "the scene has no ground; terrain adds it" in scene.comments
+
+
+def test_split_materials(meshes: list[Mesh], tmp_path: Path) -> None:
+    write(tmp_path, meshes, split_materials=True)
+    scene = sionna_scene.read(tmp_path)
+    assert {name: shape.material for name, shape in scene.shapes.items()} == {
+        "terrain": "mat-medium_dry_ground",
+        "NL_IMBAG_Pand_0503100000000001": "mat-concrete",
+        "B_2-brick": "mat-brick",
+        "B_2-tile": "mat-tile",
+    }
+    assert scene.materials["mat-tile"]["type"] == "brick"
+    roof = np.isin(meshes[1].kind, (FaceKind.ROOF, FaceKind.FLAT)).sum()
+    assert len(scene.shapes["B_2-tile"].triangle) == roof
+    assert len(scene.shapes["B_2-brick"].triangle) == len(meshes[1].triangle) - roof
+    assert any("no diffracting edge between two shapes" in note for note in scene.facts["notes"])
+
+
+def test_a_skin_has_the_material_of_most_of_its_walls(meshes: list[Mesh], tmp_path: Path) -> None:
+    house = meshes[1]
+    corner = house.vertex_m[house.triangle]
+    # the two triangles of one long wall are of wood, and so is the whole roof
+    is_wood = (house.kind == FaceKind.WALL) & (np.ptp(corner[:, :, 1], axis=1) == 0) & (
+        corner[:, 0, 1] == Y + 10
+    ) | (house.kind == FaceKind.ROOF)
+    refs = (BuildingRef("a", BRICK), BuildingRef("b", {"wall": "wood", "roof": "wood"}))
+    skin = replace(house, name="block 1", building=is_wood.astype(np.int32), buildings=refs)
+    write(tmp_path, [skin])
+    scene = sionna_scene.read(tmp_path)
+    assert scene.shapes["block_1"].material == "mat-brick"
+    assert scene.facts["shapes"]["block_1"]["buildings"] == ["a", "b"]
+
+
+def test_ids_are_unique_and_plain(meshes: list[Mesh], tmp_path: Path) -> None:
+    names = ["a/1", "A_1", "Ö--2", "terrain", ' <"&> ', "."]
+    copies = [replace(meshes[0], name=name, buildings=(BuildingRef(name),)) for name in names]
+    write(tmp_path, [*copies, meshes[2]])
+    scene = sionna_scene.read(tmp_path)
+    assert len(scene.shapes) == 7
+    assert len({name.lower() for name in scene.shapes}) == 7
+    stated = [shape["buildings"] for shape in scene.facts["shapes"].values()]
+    assert stated == [[], *([name] for name in names)]
+    assert scene.shapes["terrain"].material == "mat-medium_dry_ground"
+
+
+@pytest.mark.parametrize(
+    ("frequency_ghz", "constant"),
+    [
+        (3.5, []),
+        (1.0, []),
+        (10.0, []),
+        (28.0, ["medium_dry_ground"]),
+        (77.0, ["medium_dry_ground", "brick"]),
+        (0.9, ["medium_dry_ground", "concrete", "brick"]),
+        (140.0, ["medium_dry_ground"]),
+    ],
+)
+def test_materials_at_a_frequency(
+    frequency_ghz: float, constant: list[str], meshes: list[Mesh], tmp_path: Path
+) -> None:
+    """Types that the recommendation does not define there become materials of constant properties, with a note."""
+    write(tmp_path, meshes, frequency_ghz)
+    scene = sionna_scene.read(tmp_path)
+    plain = [name for name, values in scene.materials.items() if values["kind"] == "itu-radio-material"]
+    suffix = f"-{round(frequency_ghz * 1000)}-MHz"
+    assert sorted(scene.materials) == sorted(plain + [f"mat-{name}{suffix}" for name in constant])
+    about = [note for note in scene.facts["notes"] if note.startswith("ITU-R P.2040 defines ")]
+    assert sorted(note.split()[3] for note in about) == sorted(constant)
+    assert scene.facts["frequency_ghz"] == frequency_ghz
+
+
+def test_properties_follow_the_recommendation() -> None:
+    """Values of ITU-R P.2040, table 3: a f^b and c f^d."""
+    assert {material.itu_type for material in MATERIALS.values()} <= set(ITU_TYPES)
+    assert set(ITU_TYPES) <= sionna_scene.ITU_TYPES
+    ground = properties("medium_dry_ground", 10.0)
+    assert ground.relative_permittivity == pytest.approx(15 * 10**-0.1)
+    assert ground.conductivity_s_per_m == pytest.approx(0.035 * 10**1.63) and ground.held_from_ghz is None
+    assert ground.valid_ghz == (1, 10)
+    radar = properties("medium_dry_ground", 77.0)
+    assert radar.held_from_ghz == 10 and radar.relative_permittivity == ground.relative_permittivity
+    # the imaginary part of the permittivity goes with the conductivity by the frequency
+    assert radar.conductivity_s_per_m / 77 == pytest.approx(ground.conductivity_s_per_m / 10)
+    assert properties("brick", 77.0).held_from_ghz == 110 and properties("brick", 50.0).held_from_ghz == 40
+    assert properties("concrete", 200.0).relative_permittivity == 5.17
