@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -35,6 +36,8 @@ def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Te
     indices, bool (b, num_centres), false once every valid point coincides with a chosen one, and the squared
     distances (b, num_centres, p) of all points from each chosen one, infinite for padding.
     """
+    if len(points) == 1 and points.device.type == "cpu" and valid.all():
+        return _farthest_points_of_cloud(points, num_centres)
     # contiguous copies per axis make each step a few fused passes
     x, y, z = points.masked_fill(~valid[..., None], torch.inf).permute(2, 0, 1).contiguous()
     to_nearest = torch.where(valid, torch.inf, -1.0).to(points.dtype)
@@ -48,6 +51,23 @@ def farthest_points(points: Tensor, valid: Tensor, num_centres: int) -> tuple[Te
         to_current += (z - z.gather(1, current)).square_()
         torch.minimum(to_nearest, to_current, out=to_nearest)
     return torch.cat(chosen, 1), torch.cat(distinct, 1), distance.transpose(0, 1)
+
+
+def _farthest_points_of_cloud(points: Tensor, num_centres: int) -> tuple[Tensor, Tensor, Tensor]:
+    """:func:`farthest_points` of one cloud (1, p, 3) without padding, to the bit; five times as fast, because numpy
+    takes less time to start an operation."""
+    xyz = np.ascontiguousarray(points[0].numpy().T)
+    to_nearest, difference = np.full(xyz.shape[1], np.inf, xyz.dtype), np.empty_like(xyz)
+    chosen, distinct = np.empty(num_centres, np.int64), np.empty(num_centres, bool)
+    distance = np.empty((num_centres, xyz.shape[1]), xyz.dtype)
+    for centre, to_current in enumerate(distance):
+        current = to_nearest.argmax()
+        chosen[centre], distinct[centre] = current, to_nearest[current] > 0
+        np.subtract(xyz, xyz[:, current, None], out=difference)
+        x, y, z = np.square(difference, out=difference)
+        np.add(np.add(x, y, out=to_current), z, out=to_current)
+        np.minimum(to_nearest, to_current, out=to_nearest)
+    return torch.from_numpy(chosen)[None], torch.from_numpy(distinct)[None], torch.from_numpy(distance)[None]
 
 
 def nearest_points(distance: Tensor, k: int) -> Tensor:
