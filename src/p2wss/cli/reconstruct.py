@@ -57,6 +57,14 @@ def add_parser(stages: Parsers) -> None:
         help="raster of terrain heights; meshes then stand on a closed block of terrain",
     )
     command.add_argument(
+        "--skin",
+        action="store_true",
+        help="join the buildings of a block into one closed skin without party walls, in mesh files",
+    )
+    command.add_argument(
+        "--wedges", action="store_true", help="also write the convex edges of the skin, as Parquet"
+    )
+    command.add_argument(
         "--materials",
         metavar="wall=A,roof=B,ground=C",
         help="materials in mesh files of buildings whose footprints state none, and of the terrain "
@@ -135,8 +143,9 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
             raise InputError(
                 f"--format {arguments.format}: {reason}; choose from {', '.join(OUTPUT_SUFFIXES)}"
             )
-    if arguments.per_building:
-        options["per_building"] = True
+    for name in ("per_building", "skin", "wedges"):
+        if getattr(arguments, name):
+            options[name] = True
     if arguments.frequency_ghz is not None:
         options["frequency_ghz"] = arguments.frequency_ghz
     if arguments.split_materials:

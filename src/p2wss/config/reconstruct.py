@@ -116,6 +116,17 @@ class Reconstruct(Section):
         description="a shape per material in Sionna scenes, which loses the edges between walls and roofs; "
         "false = a shape per building, with the material of its walls",
     )
+    skin: bool = Field(
+        False,
+        description="in mesh files, join the buildings of a block into one closed skin without party walls",
+    )
+    skin_step_m: float = Field(
+        0.1,
+        ge=0,
+        le=0.5,
+        description="with skin: roofs of neighbours that meet up to this far apart are joined without a step",
+    )
+    wedges: bool = Field(False, description="also write the convex edges of the skin, as Parquet")
     terrain_tolerance_m: float = Field(
         0.2, gt=0, le=10, description="vertical tolerance of the triangulated terrain of --terrain"
     )

@@ -16,16 +16,18 @@ from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data import files
 from p2wss.data.clouds import same_crs
 from p2wss.data.materials import materials_of
+from p2wss.data.schemas.wedges import WEDGES
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.formats import gpkg, sionna
 from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
-from p2wss.reconstruct import terrain_mesh
+from p2wss.reconstruct import blocks, terrain_mesh
 from p2wss.reconstruct.pipeline import Result, city_json, input_columns, table, vertices_m
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
+WEDGES_SUFFIX = ".wedges.parquet"
 
 
 def write(
@@ -39,13 +41,20 @@ def write(
 ) -> list[str]:
     """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the names.
 
-    With a terrain the meshes stand in a block of it (:mod:`p2wss.reconstruct.terrain_mesh`); CityJSON does not change.
+    With a terrain the meshes stand in a block of it (:mod:`p2wss.reconstruct.terrain_mesh`), and with ``config.skin``
+    those of touching buildings become one (:mod:`p2wss.reconstruct.skin`); CityJSON does not change.
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
     buildings = [mesh(result, config) for result in results if result.reconstruction.has_mesh]
     ground = None if terrain is None else block(buildings, terrain, config)
     if terrain is not None:
         buildings = terrain_mesh.lowered_into(buildings, terrain)
+    skins = []
+    if config.skin or config.wedges:
+        edges = [result.reconstruction.edge for result in results if result.reconstruction.has_mesh]
+        skins = blocks.joined(buildings, edges, config.skin_step_m)
+    if config.skin:
+        buildings = blocks.skin_meshes(skins, buildings)
     meshes = buildings if ground is None else [*buildings, ground]
     frame = frame_around(meshes, crs.to_string())
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials)
@@ -65,6 +74,9 @@ def write(
             for single, file in zip(meshes, file_names([mesh.name for mesh in meshes]), strict=True):
                 write_meshes(folder / stem, output, [single], frame, replace(options, stem=file))
             written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
+    if config.wedges:
+        files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", blocks.wedge_columns(skins), WEDGES, facts)
+        written.append(f"{stem}{WEDGES_SUFFIX}")
     files.write_json(
         folder / f"{stem}.json",
         {
@@ -74,6 +86,7 @@ def write(
             "axes": {"obj, ply, stl, sionna": AXES, "glb": "y up, see the extras of its asset"},
             "files": written,
             "buildings": counts(results),
+            "skin": blocks.counts(skins) if config.skin else None,
             "terrain": None if ground is None else {"mesh": ground.name, "triangles": len(ground.triangle)},
         },
     )

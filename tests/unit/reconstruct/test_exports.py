@@ -20,9 +20,10 @@ from toy_clouds import LAMBERT, cleaned, cloud_over
 from p2wss import reconstruct
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data import files
+from p2wss.data.schemas.wedges import WEDGES
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
-from p2wss.reconstruct import exports
+from p2wss.reconstruct import blocks, exports
 
 X, Y = 652000.0, 6861000.0
 EVERYTHING = Reconstruct(outputs=list(OUTPUT_SUFFIXES), per_building=True)
@@ -152,6 +153,41 @@ def test_meshes_stand_in_the_terrain(results: list[reconstruct.Result], tmp_path
     assert (tmp_path / "out.city.jsonl").read_text() == (
         tmp_path / "without_terrain" / "out.city.jsonl"
     ).read_text()
+
+
+def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
+    boxes = [shapely.box(X + 10 * i, Y, X + 10 * i + 10, Y + 8) for i in range(2)]
+    boxes.append(shapely.box(X + 40, Y, X + 50, Y + 8))
+    frame = gpd.GeoDataFrame({"building_id": ["b", "a", "alone"]}, geometry=boxes, crs=LAMBERT)
+    row = reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
+    config = Reconstruct(outputs=["ply", "cityjsonseq"], skin=True, wedges=True)
+    written = exports.write(tmp_path, "out", row, LAMBERT, {"code": "x"}, config)
+    pieces = trimesh.load_mesh(tmp_path / "out.ply").split()
+    assert len(pieces) == 2 and all(piece.is_volume for piece in pieces)
+    summary = json.loads((tmp_path / "out.json").read_text())
+    assert summary["skin"] == {"blocks": 1, "buildings_in_blocks": 2, "not_joined": 0}
+    meshes = [exports.mesh(result, config) for result in row]
+    skins = blocks.joined(meshes, [result.reconstruction.edge for result in row], config.skin_step_m)
+    block, alone = blocks.skin_meshes(skins, meshes)
+    assert (block.name, alone.name) == ("block_a", "alone")
+    assert [building.building_id for building in block.buildings] == ["a", "b"]
+    # a box of 20 m by 8 m, of which each building has one half
+    assert trimesh.Trimesh(block.vertex_m, block.triangle).volume == pytest.approx(2 * 80 * 6, rel=1e-3)
+    assert len(block.triangle) < 0.9 * sum(len(mesh.triangle) for mesh in meshes[:2])
+
+    assert "out.wedges.parquet" in written
+    assert files.read_metadata(tmp_path / "out.wedges.parquet") == {"code": "x"}
+    table = files.read_table(tmp_path / "out.wedges.parquet", WEDGES).to_pandas()
+    assert table["opening_angle_deg"].to_numpy() == pytest.approx(np.full(len(table), 90), abs=0.1)
+    of_block = table[table["skin"] == 0]
+    assert set(of_block["building_id_0"]) == {"a", "b"} and (table["skin"] == 1).sum() == 12
+    assert (of_block["building_id_0"] == of_block["building_id_1"]).all()
+    # in the CRS; nothing where the houses meet, x = 10
+    middle = (of_block["x0_m"] + of_block["x1_m"]) / 2 - X
+    assert ((middle - 10).abs() > 1).all()
+    # CityJSON keeps a solid per building
+    document = (tmp_path / "out.city.jsonl").read_text().splitlines()
+    assert [json.loads(line)["id"] for line in document[1:]] == ["b", "a", "alone"]
 
 
 def test_terrain_of_another_place_is_refused(results: list[reconstruct.Result], tmp_path: Path) -> None:

@@ -1,0 +1,87 @@
+"""Meshes of buildings that touch, joined into one skin per block, and their wedges as a table."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from p2wss.data.schemas.wedges import WEDGES
+from p2wss.formats.meshes import SURFACE_NAMES, Mesh
+from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.reconstruct.skin.wedges import wedges
+
+log = logging.getLogger("p2wss")
+
+
+def joined(buildings: Sequence[Mesh], edges: Sequence[np.ndarray], step_m: float) -> list[Skin]:
+    """The skins around ``buildings``, meshes of one building each, with a warning for those that stay apart.
+
+    edges: per building, int (t,), the label that separates the faces of one kind. step_m: see
+    :func:`p2wss.reconstruct.skin.skins`.
+    """
+    solids = [
+        Solid(mesh.name, mesh.vertex_m, mesh.triangle, mesh.kind, edge)
+        for mesh, edge in zip(buildings, edges, strict=True)
+    ]
+    result = skins(solids, step_m)
+    apart = [skin for skin in result if skin.failure is not None]
+    if apart:
+        example = f"{apart[0].building_ids[0]}: {apart[0].failure}"
+        log.warning(
+            "%d buildings stay single solids because they do not fit their neighbours (%s)",
+            len(apart),
+            example,
+        )
+    return result
+
+
+def skin_meshes(skin_list: Sequence[Skin], buildings: Sequence[Mesh]) -> list[Mesh]:
+    """A mesh per skin, named after its building or, as a block, after the first of its buildings."""
+    references = {mesh.name: mesh.buildings[0] for mesh in buildings}
+    return [
+        Mesh(
+            skin.building_ids[0] if len(skin.building_ids) == 1 else f"block_{skin.building_ids[0]}",
+            skin.vertex_m,
+            skin.triangle,
+            skin.kind,
+            skin.building,
+            tuple(references[name] for name in skin.building_ids),
+        )
+        for skin in skin_list
+    ]
+
+
+def counts(skin_list: Sequence[Skin]) -> dict[str, int]:
+    """Numbers of blocks, of the buildings in them, and of buildings that could not be joined with those they touch."""
+    blocks = [skin for skin in skin_list if len(skin.building_ids) > 1]
+    return {
+        "blocks": len(blocks),
+        "buildings_in_blocks": sum(len(skin.building_ids) for skin in blocks),
+        "not_joined": sum(skin.failure is not None for skin in skin_list),
+    }
+
+
+def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
+    """The columns of :data:`p2wss.data.schemas.wedges.WEDGES`, a row per wedge of the skins."""
+    kinds = np.array([SURFACE_NAMES.get(k, "") for k in range(max(SURFACE_NAMES) + 1)], dtype=object)
+    parts: list[dict[str, np.ndarray]] = []
+    for number, skin in enumerate(skin_list):
+        edges = wedges(skin)
+        # a triangle of each face tells its kind and building
+        faces, example = np.unique(skin.face, return_index=True)
+        triangle = example[np.searchsorted(faces, edges.face)]
+        names = np.array(skin.building_ids, dtype=object)
+        columns = {"skin": np.full(len(edges.face), number), "opening_angle_deg": edges.opening_angle_deg}
+        for side in (0, 1):
+            for axis, letter in enumerate("xyz"):
+                columns[f"{letter}{side}_m"] = edges.end_m[:, side, axis]
+            columns[f"face_{side}"] = edges.face[:, side]
+            columns[f"kind_{side}"] = kinds[skin.kind[triangle[:, side]]]
+            columns[f"building_id_{side}"] = names[skin.building[triangle[:, side]]]
+        parts.append(columns)
+    return {
+        name: np.concatenate([part[name] for part in parts]) if parts else np.zeros(0)
+        for name in WEDGES.names
+    }

@@ -1,0 +1,263 @@
+"""The solids that a skin is made from, as polygons over one list of points, and which of their walls touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from p2wss.data.solids.faces import planar_surfaces
+from p2wss.metrics.planarity import face_of_triangle
+from p2wss.skeleton.types import FaceKind
+
+# points this near, and points this near to a wall's line, are one place
+TOLERANCE_M = 2e-3
+# floors of touching buildings are lowered by at most this to be level with each other
+MAX_LOWERING_M = 0.5
+_UPRIGHT_NZ = 0.05
+_OPPOSITE = -0.999
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A closed building with vertical walls and one roof height at every place of its footprint.
+
+    vertex_m: float64 (v, 3). triangle: int (t, 3), counter-clockwise seen from outside. kind: (t,), a ``FaceKind``.
+    edge: (t,), the label that separates the faces of one kind.
+    """
+
+    building_id: str
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    edge: np.ndarray
+
+
+@dataclass
+class Face:
+    """A planar polygon of a building.
+
+    building: number of its solid. rings: numbers of points, the exterior first, counter-clockwise seen from outside.
+    triangles: int (t, 3), of points; None where the rings have changed since.
+    """
+
+    building: int
+    kind: int
+    edge: int
+    rings: list[list[int]]
+    triangles: np.ndarray | None = None
+
+
+def faces_of(solids: Sequence[Solid]) -> tuple[np.ndarray, list[Face]]:
+    """All points, float64 (p, 3), and all faces; each solid has points of its own."""
+    faces: list[Face] = []
+    first = 0
+    for number, solid in enumerate(solids):
+        labels = solid.kind, solid.edge
+        surfaces = planar_surfaces(solid.vertex_m, solid.triangle, *labels)
+        face_of = face_of_triangle(solid.triangle, np.column_stack(labels))
+        order = np.argsort(face_of, kind="stable")
+        ends = np.searchsorted(face_of[order], np.arange(1, len(surfaces) + 1))
+        triangles = np.split(np.asarray(solid.triangle, int)[order] + first, ends[:-1])
+        for surface, triangle in zip(surfaces, triangles, strict=True):
+            rings = [(np.asarray(ring) + first).tolist() for ring in surface.rings]
+            faces.append(Face(number, surface.kind, surface.edge, rings, triangle))
+        first += len(solid.vertex_m)
+    points = [np.asarray(solid.vertex_m, float).reshape(-1, 3) for solid in solids]
+    return np.concatenate([np.zeros((0, 3)), *points]), faces
+
+
+def on_common_floors(solids: Sequence[Solid], pairs: np.ndarray) -> list[Solid]:
+    """The solids with their floors lowered to those of the solids that they touch.
+
+    pairs: int (n, 2), solids that touch. Floors are joined, those of the smallest difference first, while no floor of a
+    set is more than :data:`MAX_LOWERING_M` above another.
+    """
+    floor = [float(s.vertex_m[s.triangle[s.kind == FaceKind.GROUND], 2].min(initial=np.inf)) for s in solids]
+    members = {k: [k] for k in range(len(solids))}
+    root = list(range(len(solids)))
+    names = [solid.building_id for solid in solids]
+    distinct = {(int(a), int(b)) for a, b in np.sort(pairs, axis=1)}
+    for a, b in sorted(
+        distinct, key=lambda p: (abs(floor[p[0]] - floor[p[1]]), *sorted((names[p[0]], names[p[1]])))
+    ):
+        a, b = root[a], root[b]
+        together = members[a] + members[b]
+        heights = [floor[k] for k in together]
+        if a != b and max(heights) - min(heights) <= MAX_LOWERING_M:
+            members[a] = together
+            for k in members.pop(b):
+                root[k] = a
+    result = []
+    for number, solid in enumerate(solids):
+        vertex_m = np.array(solid.vertex_m, float)
+        vertex_m[np.unique(solid.triangle[solid.kind == FaceKind.GROUND]), 2] = min(
+            floor[k] for k in members[root[number]]
+        )
+        result.append(replace(solid, vertex_m=vertex_m))
+    return result
+
+
+def area_vector(point: np.ndarray, rings: Iterable[Sequence[int]]) -> np.ndarray:
+    """The vector along a polygon's outward normal with the length of its area (Newell)."""
+    total = np.zeros(3)
+    for ring in rings:
+        corner = point[ring] - point[ring[0]]
+        following = np.concatenate([corner[1:], corner[:1]])
+        x, y, z = corner.T
+        u, v, w = following.T
+        total += ((y * w - z * v).sum(), (z * u - x * w).sum(), (x * v - y * u).sum())
+    return total / 2
+
+
+def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
+    """Pairs of walls of two buildings, int (n, 2) of faces, that face each other along a common stretch of a line."""
+    walls, segments, normals = [], [], []
+    for number, face in enumerate(faces):
+        if face.kind != FaceKind.WALL:
+            continue
+        area = area_vector(point, face.rings)
+        area /= max(float(np.linalg.norm(area)), 1e-12)
+        if abs(area[2]) > _UPRIGHT_NZ:
+            continue
+        plan = point[face.rings[0], :2]
+        along = plan @ (-area[1], area[0])
+        walls.append(number)
+        segments.append(plan[[along.argmin(), along.argmax()]])
+        normals.append(area[:2] / np.hypot(*area[:2]))
+    if not walls:
+        return np.zeros((0, 2), int)
+    segment, normal = np.array(segments), np.array(normals)
+    wall = np.array(walls)
+    building = np.array([faces[number].building for number in walls])
+    lines = np.asarray(shapely.linestrings(segment), object)
+    a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=TOLERANCE_M)
+    candidate = (building[a] < building[b]) & ((normal[a] * normal[b]).sum(axis=1) < _OPPOSITE)
+    a, b = a[candidate], b[candidate]
+    # the common stretch along the line of the first wall, and the distance of the second at both of its ends
+    origin, length = segment[a, 0], np.linalg.norm(segment[a, 1] - segment[a, 0], axis=1)
+    along = (segment[a, 1] - origin) / np.maximum(length, 1e-12)[:, None]
+    start, end = (((segment[b, k] - origin) * along).sum(axis=1) for k in (0, 1))
+    apart, apart_end = (((segment[b, k] - origin) * normal[a]).sum(axis=1) for k in (0, 1))
+    low, high = np.maximum(np.minimum(start, end), 0), np.minimum(np.maximum(start, end), length)
+    slope = (apart_end - apart) / np.where(end == start, 1, end - start)
+    near = [np.abs(apart + (place - start) * slope) <= TOLERANCE_M for place in (low, high)]
+    facing = (high - low > 2 * TOLERANCE_M) & near[0] & near[1]
+    return np.column_stack([wall[a[facing]], wall[b[facing]]])
+
+
+def groups(size: int, pairs: np.ndarray) -> np.ndarray:
+    """int (size,): equal numbers for what is linked by ``pairs`` (n, 2), directly or through others."""
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
+    return np.asarray(connected_components(links, directed=False)[1], int)
+
+
+def weld(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m: float = 0.0) -> np.ndarray:
+    """Points of ``walls`` at one place become one, and those over one place of the plan get its exact x and y.
+
+    step_m: points of different buildings up to this far apart are joined too, in their middle; corners of footprints
+    keep their x and y. Returns the points; the faces' rings name the first of each set. Faces whose rings lose a
+    point lose their triangles.
+    """
+    point = point.copy()
+    used = np.unique(np.array([v for wall in walls for ring in faces[wall].rings for v in ring], int))
+    if not len(used):
+        return point
+    # the lexicographically smallest stands for all, so that the order of the buildings has no effect
+    used = used[np.lexsort(point[used].T[::-1])]
+    place = groups(len(used), cKDTree(point[used, :2]).query_pairs(TOLERANCE_M, output_type="ndarray"))
+    _, first = np.unique(place, return_index=True)
+    point[used, :2] = point[used[first[place]], :2]
+    order = np.lexsort([point[used, 2], place])
+    z = point[used[order], 2]
+    is_new = np.ones(len(order), bool)
+    is_new[1:] = (np.diff(place[order]) != 0) | (np.diff(z) > TOLERANCE_M)
+    representative = np.arange(len(point))
+    representative[used[order]] = used[order][np.flatnonzero(is_new)[np.cumsum(is_new) - 1]]
+    if step_m > TOLERANCE_M:
+        point = _level(point, faces, used, place, representative, step_m)
+    for face in faces:
+        rings = [tidy(representative[ring].tolist()) for ring in face.rings]
+        changed = list(map(len, rings)) != list(map(len, face.rings))
+        if face.triangles is not None:
+            corner = face.triangles = representative[face.triangles]
+            if changed or (corner == np.roll(corner, 1, 1)).any():
+                face.triangles = None
+        face.rings = [ring for ring in rings if ring]
+    return point
+
+
+def _level(
+    point: np.ndarray,
+    faces: Sequence[Face],
+    used: np.ndarray,
+    place: np.ndarray,
+    representative: np.ndarray,
+    step_m: float,
+) -> np.ndarray:
+    """Join points of different buildings that are up to ``step_m`` apart, nearest first, at most one of each building.
+
+    Changes ``representative`` and returns the points.
+    """
+    buildings: dict[int, set[int]] = {}
+    is_ground: set[int] = set()
+    for face in faces:
+        for v in representative[[v for ring in face.rings for v in ring]].tolist():
+            buildings.setdefault(v, set()).add(face.building)
+            if face.kind == FaceKind.GROUND:
+                is_ground.add(v)
+    corner = {int(place[k]) for k, v in enumerate(used.tolist()) if int(representative[v]) in is_ground}
+    row = {v: k for k, v in enumerate(used.tolist())}
+    nodes = np.unique(representative[used])
+    pairs = cKDTree(point[nodes]).query_pairs(step_m, output_type="ndarray")
+    apart = np.linalg.norm(point[nodes[pairs[:, 0]]] - point[nodes[pairs[:, 1]]], axis=1)
+    members = {int(v): [int(v)] for v in nodes}
+    joined = {int(v): int(v) for v in nodes}
+    for a, b in nodes[pairs[np.argsort(apart, kind="stable")]].tolist():
+        a, b = joined[a], joined[b]
+        if a == b or buildings[a] & buildings[b]:
+            continue
+        together = members[a] + members[b]
+        corners = {int(place[row[v]]) for v in together} & corner
+        if len(corners) > 1 or np.ptp(point[together], axis=0).max() > step_m:
+            continue
+        members[a] = together
+        buildings[a] = buildings[a] | buildings[b]
+        for v in members.pop(b):
+            joined[v] = a
+    result = point.copy()
+    for v, together in members.items():
+        if len(together) > 1:
+            result[v] = point[together].mean(axis=0)
+            at_corner = [m for m in together if int(place[row[m]]) in corner]
+            if at_corner:
+                result[v, :2] = point[at_corner[0], :2]
+    for v in used.tolist():
+        representative[v] = joined[int(representative[v])]
+    return result
+
+
+def tidy(ring: list[int]) -> list[int]:
+    """The ring without repeated points and without spikes; empty if nothing is left.
+
+    >>> tidy([1, 1, 2, 3, 2, 4])
+    [1, 2, 4]
+    """
+    result: list[int] = []
+    for vertex in ring:
+        if result and result[-1] == vertex:
+            continue
+        if len(result) > 1 and result[-2] == vertex:
+            result.pop()
+        else:
+            result.append(vertex)
+    while len(result) > 1 and result[0] == result[-1]:
+        result.pop()
+        if len(result) > 2 and result[1] == result[-1]:
+            result = result[1:]
+    return result if len(result) > 2 else []

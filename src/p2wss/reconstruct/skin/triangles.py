@@ -1,0 +1,126 @@
+"""Triangles of a skin's faces, and an index of its own for every sheet of surface that meets in a point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+
+from p2wss.reconstruct.skin.party_walls import NotJoined
+from p2wss.reconstruct.skin.solids import Face, area_vector, groups
+
+# areas of triangles may add up to this much less or more than their face
+_AREA_M2 = 1e-3
+
+
+def triangulate(point: np.ndarray, faces: Sequence[Face]) -> None:
+    """Give triangles to the faces that have none: constrained Delaunay, with every point of the rings as a corner.
+
+    Raises :class:`NotJoined` if a face is no polygon.
+    """
+    pending = [face for face in faces if face.triangles is None]
+    polygons, places = [], []
+    for face in pending:
+        plane = _in_plane(point, face)
+        polygons.append(shapely.Polygon(*_coordinates(plane, face)))
+        places.append({place: v for v, place in plane.items()})
+        if len(places[-1]) < len(plane):
+            raise NotJoined("two points at one place of a face")
+    if not pending:
+        return
+    try:
+        pieces = shapely.constrained_delaunay_triangles(np.array(polygons))
+    except shapely.errors.GEOSException as error:
+        raise NotJoined(f"a face is no polygon: {error}") from error
+    for face, place, polygon, piece in zip(pending, places, polygons, pieces, strict=True):
+        corner = shapely.get_coordinates(piece).reshape(-1, 4, 2)[:, :3]
+        u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+        corner = np.where((area < 0)[:, None, None], corner[:, ::-1], corner)
+        if abs(np.abs(area).sum() / 2 - polygon.area) > _AREA_M2:
+            raise NotJoined("triangles do not make up their face")
+        face.triangles = np.array([[place[x, y] for x, y in rows] for rows in corner.tolist()], int).reshape(
+            -1, 3
+        )
+
+
+def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (v, 3) and triangles (t, 3) of a closed surface in which every edge has two triangles and every point is
+    surrounded by one fan of triangles.
+
+    Where two bodies meet in an edge or a point only, each gets points of its own there, at the same place. Raises
+    :class:`NotJoined` if the surface is not closed.
+    """
+    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
+    size = len(point)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.lexsort([start > end, low * size + high])
+    key = (low * size + high)[order]
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    forward = (start < end)[order]
+    balance = np.add.reduceat(np.where(forward, 1, -1), first)
+    if (balance != 0).any():
+        raise NotJoined("an edge without a second face")
+    twin = np.empty(len(start), int)
+    simple = first[count == 2]
+    twin[order[simple]], twin[order[simple + 1]] = order[simple + 1], order[simple]
+    for begin, number in zip(first[count > 2].tolist(), count[count > 2].tolist(), strict=True):
+        halves = order[begin : begin + number]
+        _pair_around(point, triangle, halves, twin)
+    # a corner is named like the half-edge that starts in it
+    following = np.arange(len(start)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    links = np.column_stack([np.arange(len(start)), following[twin]])
+    fan = groups(len(start), links)
+    fans, corner, renumbered = np.unique(fan, return_index=True, return_inverse=True)
+    # fans in the order of their points, so that the result does not depend on how they were found
+    position = np.argsort(start[corner], kind="stable")
+    rank = np.empty(len(fans), int)
+    rank[position] = np.arange(len(fans))
+    result = rank[renumbered].reshape(-1, 3)
+    sides = np.column_stack([result.ravel(), np.roll(result, -1, axis=1).ravel()])
+    if len(np.unique(sides, axis=0)) < len(sides):
+        raise NotJoined("an edge with more than two faces")
+    return point[start[corner[position]]], result
+
+
+def _pair_around(point: np.ndarray, triangle: np.ndarray, halves: np.ndarray, twin: np.ndarray) -> None:
+    """Twins of the half-edges of one edge with four or more triangles: the two that bound the same piece of solid."""
+    t, k = np.divmod(halves, 3)
+    start, end = triangle[t, k], triangle[t, (k + 1) % 3]
+    forward = start < end
+    a, b = point[min(start[0], end[0])], point[max(start[0], end[0])]
+    axis = (b - a) / np.linalg.norm(b - a)
+    across = point[triangle[t, (k + 2) % 3]] - a
+    across -= (across @ axis)[:, None] * axis
+    u = across[0] / np.linalg.norm(across[0])
+    angle = np.arctan2(across @ np.cross(axis, u), across @ u)
+    # counter-clockwise about the axis, solid lies between a triangle on the way back and the next on the way forth
+    around = np.lexsort([forward, angle])
+    turn = forward[around]
+    if (turn == np.roll(turn, 1)).any():
+        raise NotJoined("solids overlap at an edge")
+    if turn[0]:
+        around = np.roll(around, -1)
+    for back, forth in around.reshape(-1, 2):
+        twin[halves[back]], twin[halves[forth]] = halves[forth], halves[back]
+
+
+def _in_plane(point: np.ndarray, face: Face) -> dict[int, tuple[float, float]]:
+    """Coordinates of the points of a face in its plane, seen from outside."""
+    normal = area_vector(point, face.rings)
+    normal /= max(float(np.linalg.norm(normal)), 1e-12)
+    axis = np.eye(3)[int(np.abs(normal).argmin())]
+    u = np.cross(axis, normal)
+    u /= np.linalg.norm(u)
+    used = sorted({v for ring in face.rings for v in ring})
+    local = point[used] - point[used[0]]
+    plane = np.column_stack([local @ u, local @ np.cross(normal, u)]).tolist()
+    return {v: (x, y) for v, (x, y) in zip(used, plane, strict=True)}
+
+
+def _coordinates(
+    plane: dict[int, tuple[float, float]], face: Face
+) -> tuple[list[tuple[float, float]], list[list[tuple[float, float]]]]:
+    rings = [[plane[v] for v in ring] for ring in face.rings]
+    return rings[0], rings[1:]

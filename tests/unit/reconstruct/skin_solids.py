@@ -1,0 +1,81 @@
+"""Solids for tests of skins, and what must hold for every skin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import manifold3d
+import numpy as np
+import shapely
+
+from p2wss import skeleton
+from p2wss.reconstruct.skin import Skin, Solid
+from p2wss.skeleton import Polygons
+
+
+def solid(
+    name: str,
+    polygon: shapely.Polygon,
+    eave_m: float,
+    angle_deg: float | Sequence[float] = 0.0,
+    ground_z_m: float = 0.0,
+) -> Solid:
+    """The kernel's solid over a polygon, one angle for all edges or one per edge."""
+    polygon = shapely.orient_polygons(polygon)
+    rings = [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(polygon)]
+    count = sum(map(len, rings))
+    angles = np.broadcast_to(np.asarray(angle_deg, float), count)
+    meshes = skeleton.build(Polygons.from_rings([rings]), np.array(angles), np.array([eave_m]))
+    assert meshes.status[0] == skeleton.Status.OK
+    vertex, triangle, kind, edge = meshes.mesh(0)
+    return Solid(name, vertex + np.array([0, 0, ground_z_m]), triangle, kind, edge)
+
+
+def gable(name: str, box: tuple[float, float, float, float], eave_m: float, pitch_deg: float) -> Solid:
+    """A house over a box with its ridge along y: gables stand at the sides of least and greatest y."""
+    x0, y0, x1, y1 = box
+    polygon = shapely.Polygon([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+    return solid(name, polygon, eave_m, [90, pitch_deg, 90, pitch_deg])
+
+
+def volume(vertex_m: np.ndarray, triangle: np.ndarray) -> float:
+    corner = (vertex_m - vertex_m.mean(axis=0))[triangle]
+    return float(np.einsum("ti,ti->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6)
+
+
+def united(solids: Sequence[Solid]) -> manifold3d.Manifold:
+    """The union as an independent library computes it."""
+    return manifold3d.Manifold.batch_boolean(
+        [manifold3d.Manifold(manifold3d.Mesh64(s.vertex_m, s.triangle.astype(np.uint64))) for s in solids],
+        manifold3d.OpType.Add,
+    )
+
+
+def smallest_angles_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """The smallest angle of every triangle, (t,)."""
+    corner = vertex_m[triangle]
+    ahead, back = np.roll(corner, -1, axis=1) - corner, np.roll(corner, 1, axis=1) - corner
+    sine = np.linalg.norm(np.cross(ahead, back), axis=2)
+    return np.degrees(np.arctan2(sine, (ahead * back).sum(axis=2))).min(axis=1)
+
+
+def assert_closed(skin: Skin) -> None:
+    """Every edge has exactly two triangles, in opposite directions, and every vertex one fan of triangles."""
+    following: dict[int, dict[int, int]] = {}
+    for a, b, c in skin.triangle.tolist():
+        for here, ahead, behind in ((a, b, c), (b, c, a), (c, a, b)):
+            around = following.setdefault(here, {})
+            assert ahead not in around, "an edge with two triangles on one side"
+            around[ahead] = behind
+    assert sorted(following) == list(range(len(skin.vertex_m)))
+    for around in following.values():
+        start = next(iter(around))
+        vertex, steps = around[start], 1
+        while vertex != start:
+            vertex, steps = around[vertex], steps + 1
+        assert steps == len(around), "a vertex with two fans"
+    corner = skin.vertex_m[skin.triangle]
+    doubled = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    assert (doubled > 1e-9).all(), "a triangle without area"
+    assert volume(skin.vertex_m, skin.triangle) > 0
+    assert len(skin.triangle) == len(skin.kind) == len(skin.building) == len(skin.face)

@@ -1,0 +1,253 @@
+"""Skins of blocks: closed, as large as the union, without walls between buildings, every face with its building."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from skin_solids import assert_closed, gable, smallest_angles_deg, solid, united, volume
+
+from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
+from p2wss.reconstruct.skin.wedges import wedges
+from p2wss.skeleton.types import FaceKind
+
+
+def exact(solids: list[Solid]) -> list[Skin]:
+    """Skins that keep every step, checked against the union."""
+    result = skins(solids, step_m=0.0)
+    assert [skin.failure for skin in result] == [None] * len(result)
+    for skin in result:
+        assert_closed(skin)
+    assert sorted(name for skin in result for name in skin.building_ids) == sorted(
+        s.building_id for s in solids
+    )
+    total = sum(volume(skin.vertex_m, skin.triangle) for skin in result)
+    assert total == pytest.approx(united(solids).volume(), rel=1e-6)
+    return result
+
+
+def wall_area(skin: Skin, building: str | None = None) -> float:
+    corner = skin.vertex_m[skin.triangle]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+    mask = skin.kind == FaceKind.WALL
+    if building is not None:
+        mask &= skin.building == skin.building_ids.index(building)
+    return float(area[mask].sum())
+
+
+def test_a_building_alone_keeps_its_triangles() -> None:
+    alone = gable("a", (0, 0, 8, 10), 6, 40)
+    (skin,) = exact([alone])
+    assert np.array_equal(
+        np.sort(skin.vertex_m[skin.triangle].reshape(-1, 9), axis=0),
+        np.sort(alone.vertex_m[alone.triangle].reshape(-1, 9), axis=0),
+    )
+
+
+def test_a_step_between_roofs_belongs_to_the_higher_building() -> None:
+    low, high = solid("low", shapely.box(0, 0, 8, 10), 4), solid("high", shapely.box(8, 0, 15, 10), 7)
+    (skin,) = exact([high, low])
+    assert skin.building_ids == ("high", "low")
+    # three walls of the low house; of the high one three and the step of 3 m by 10 m
+    assert wall_area(skin, "low") == pytest.approx((8 + 10 + 8) * 4)
+    assert wall_area(skin, "high") == pytest.approx((7 + 10 + 7) * 7 + 3 * 10)
+    # nothing of the plane between them remains below the step
+    corner = skin.vertex_m[skin.triangle]
+    between = (np.abs(corner[:, :, 0] - 8) < 1e-9).all(axis=1)
+    assert corner[between][:, :, 2].min() == 4
+    assert len(skin.vertex_m) == 14
+
+
+def test_roofs_of_one_height_have_no_wall_between_them() -> None:
+    boxes = [shapely.box(6 * k, 0, 6 * k + 6, 9) for k in range(4)]
+    row = [solid(str(k), box, 5) for k, box in enumerate(boxes)]
+    (skin,) = exact(row)
+    assert wall_area(skin) == pytest.approx((24 + 9) * 2 * 5)
+    assert len(skin.triangle) <= 0.9 * sum(len(house.triangle) for house in row)
+    # an edge between coplanar roofs is no wedge: two at every ridge-less house front, four corners, and the floor's
+    assert len(wedges(skin).face) == 2 * (4 + 4) + 4 + 4
+
+
+@pytest.mark.parametrize("ground_z_m", [0.0, 0.7, -2.0])
+def test_a_row_against_a_long_house(ground_z_m: float) -> None:
+    """T-junctions: corners of the row lie within the long wall; some houses are higher than it, and floors differ."""
+    solids = [solid("long", shapely.box(0, 0, 30, 8), 6)]
+    solids += [
+        solid(f"row{k}", shapely.box(2 + 5 * k, 8, 7 + 5 * k, 20), height, 0.0, ground_z_m)
+        for k, height in enumerate((4.0, 7.5, 5.0, 6.0, 9.0))
+    ]
+    assert len(exact(solids)) == 1
+
+
+def test_floors_of_neighbours_become_level() -> None:
+    floors = [0.0, 0.2, 0.45, 0.6, 3.0]
+    solids = [solid(str(k), shapely.box(6 * k, 0, 6 * k + 6, 9), 5, 0.0, z) for k, z in enumerate(floors)]
+    (skin,) = skins(solids, step_m=0.0)
+    assert_closed(skin)
+    ground = skin.kind == FaceKind.GROUND
+    level = {
+        name: set(skin.vertex_m[skin.triangle[ground & (skin.building == k)], 2].ravel().tolist())
+        for k, name in enumerate(skin.building_ids)
+    }
+    assert all(len(heights) == 1 for heights in level.values())
+    lowered = np.array(floors) - [level[str(k)].pop() for k in range(5)]
+    assert (lowered >= 0).all() and lowered.max() <= MAX_LOWERING_M and lowered[4] == 0
+    assert (lowered > 0).sum() == 2
+
+
+def test_gables_of_different_pitch_cross() -> None:
+    first, second = gable("a", (0, 0, 8, 10), 5, 45), gable("b", (0, 10, 8, 18), 6, 30)
+    (skin,) = exact([first, second])
+    # a's ridge is higher, b's eaves are: two crossings, and a wall on either side of each
+    along = skin.vertex_m[np.abs(skin.vertex_m[:, 1] - 10) < 1e-9]
+    crossing_z = 5 + (1 / (1 - np.tan(np.pi / 6)))
+    assert (np.abs(along[:, 2] - crossing_z) < 1e-9).sum() == 2
+    assert wall_area(skin) < wall_area(skins([first])[0]) + wall_area(skins([second])[0]) - 2 * 8 * 5
+
+
+def test_houses_around_a_courtyard() -> None:
+    ring = shapely.box(0, 0, 20, 20) - shapely.box(6, 6, 14, 14)
+    pieces = [
+        ring & shapely.box(*box) for box in ((0, 0, 20, 6), (0, 6, 6, 20), (6, 14, 20, 20), (14, 6, 20, 14))
+    ]
+    solids = [solid(str(k), piece, 5 + k, 0) for k, piece in enumerate(pieces)]
+    (skin,) = exact(solids)
+    # one handle
+    assert len(skin.vertex_m) - len(skin.triangle) // 2 == 0
+
+
+def test_a_garage_within_a_wall() -> None:
+    """Neither its sides nor its top or floor reach the edges of the wall it stands at: a hole in that wall."""
+    house, garage = (
+        solid("house", shapely.box(0, 0, 12, 9), 7),
+        solid("shed", shapely.box(3, 9, 7, 12), 3, 0, 0.8),
+    )
+    (skin,) = exact([house, garage])
+    assert wall_area(skin, "house") == pytest.approx(2 * (12 + 9) * 7 - 4 * 3)
+
+
+def test_buildings_that_touch_in_a_corner_stay_apart() -> None:
+    solids = [solid("a", shapely.box(0, 0, 5, 5), 4), solid("b", shapely.box(5, 5, 9, 9), 6)]
+    assert [skin.building_ids for skin in exact(solids)] == [("a",), ("b",)]
+
+
+@pytest.mark.parametrize("heights", list(itertools.permutations((3.0, 4.0, 5.0, 6.0))))
+def test_four_houses_around_a_point(heights: tuple[float, ...]) -> None:
+    """Where two opposite ones are the higher, their sheets touch in an upright edge, each with vertices of its own."""
+    corners = ((0, 0), (5, 0), (5, 5), (0, 5))
+    solids = [
+        solid(str(k), shapely.box(x, y, x + 5, y + 5), z)
+        for k, ((x, y), z) in enumerate(zip(corners, heights, strict=True))
+    ]
+    (skin,) = exact(solids)
+    centre = skin.vertex_m[(np.abs(skin.vertex_m[:, :2] - 5) < 1e-9).all(axis=1)]
+    opposite = min(max(heights[0], heights[2]), max(heights[1], heights[3])) < max(
+        min(heights[0], heights[2]), min(heights[1], heights[3])
+    )
+    assert (len(np.unique(centre, axis=0)) < len(centre)) == opposite
+
+
+@given(
+    heights=st.lists(st.sampled_from([3.0, 3.04, 3.3, 4.0, 5.0]), min_size=12, max_size=12),
+    roofs=st.lists(st.sampled_from([0, 30, 45, 90]), min_size=12, max_size=12),
+    cuts=st.lists(st.floats(0.3, 2.7), min_size=6, max_size=6),
+    turn_deg=st.floats(0, 90),
+    step_m=st.sampled_from([0.0, 0.1]),
+    kept=st.sets(st.integers(0, 11), min_size=2),
+)
+@settings(max_examples=60, deadline=None)
+def test_any_coverage(
+    heights: list[float], roofs: list[int], cuts: list[float], turn_deg: float, step_m: float, kept: set[int]
+) -> None:
+    """Rows of houses with T-junctions between the rows, turned by any angle, some left out."""
+    place = np.array([652000.0, 6861000.0])
+    turn = np.radians(turn_deg)
+    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    solids = []
+    for row in range(2):
+        ends = np.cumsum([0.0, *(4 + cut for cut in np.roll(cuts, 3 * row)[:6])])
+        ends = np.round(ends / ends[-1] * 34, 3)
+        for k in range(6):
+            number = 6 * row + k
+            if number in kept:
+                corner = np.array(
+                    [
+                        (ends[k], 8 * row),
+                        (ends[k + 1], 8 * row),
+                        (ends[k + 1], 8 * row + 8),
+                        (ends[k], 8 * row + 8),
+                    ]
+                )
+                angles = (
+                    [roofs[number], 90, roofs[number], 90]
+                    if number % 2
+                    else [90, roofs[number], 90, roofs[number]]
+                )
+                polygon = shapely.Polygon(corner @ turned + place)
+                solids.append(solid(f"{number:02}", polygon, heights[number], angles))
+    if step_m == 0:
+        exact(solids)
+    for skin in skins(solids, step_m):
+        assert_closed(skin)
+        assert skin.failure is None
+
+
+def test_small_steps_are_joined() -> None:
+    solids = [solid(str(k), shapely.box(6 * k, 0, 6 * k + 6, 9), 5 + 0.03 * (k % 2)) for k in range(4)]
+    (skin,) = skins(solids, step_m=0.1)
+    assert_closed(skin)
+    assert wall_area(skin) == pytest.approx((24 + 9) * 2 * 5, rel=0.01)
+    assert smallest_angles_deg(skin.vertex_m, skin.triangle).min() > 10
+    (stepped,) = skins(solids, step_m=0.0)
+    assert smallest_angles_deg(stepped.vertex_m, stepped.triangle).min() < 1
+    moved = (
+        np.abs(skin.vertex_m[:, None] - np.concatenate([s.vertex_m for s in solids])).max(axis=2).min(axis=1)
+    )
+    assert moved.max() <= 0.1
+
+
+def test_overlapping_buildings_stay_apart_with_the_reason() -> None:
+    """Two walls of the long house's side lie in one place: the houses overlap."""
+    solids = [
+        solid("long", shapely.box(0, 0, 20, 8), 5),
+        solid("a", shapely.box(2, 8, 9, 15), 6),
+        solid("b", shapely.box(7, 8, 14, 15), 7),
+    ]
+    result = skins(solids)
+    assert [skin.building_ids for skin in result] == [("a",), ("b",), ("long",)]
+    assert all(skin.failure and "overlap" in skin.failure for skin in result)
+    for skin in result:
+        assert_closed(skin)
+
+
+def test_order_of_the_buildings_has_no_effect() -> None:
+    solids = [solid(f"r{k}", shapely.box(5 * k, 0, 5 * k + 5, 9), 5 + 0.04 * k, 30) for k in range(5)]
+    (first,), (second,) = skins(solids), skins(solids[::-1])
+    assert np.array_equal(first.vertex_m, second.vertex_m)
+    assert np.array_equal(first.triangle, second.triangle)
+
+
+def test_wedges_of_a_box_and_of_a_step() -> None:
+    low, high = solid("low", shapely.box(0, 0, 8, 10), 4), solid("high", shapely.box(8, 0, 15, 10), 7)
+    edges = wedges(skins([low])[0])
+    assert len(edges.face) == 12 and edges.opening_angle_deg == pytest.approx(np.full(12, 90))
+    length = np.linalg.norm(edges.end_m[:, 1] - edges.end_m[:, 0], axis=1)
+    assert sorted(length.round(6)) == [4] * 4 + [8] * 4 + [10] * 4
+    (skin,) = skins([low, high])
+    edges = wedges(skin)
+    ends = {tuple(sorted(map(tuple, np.round(end, 6).tolist()))) for end in edges.end_m}
+    # the top of the step is a wedge; its foot, where the low roof ends, is concave
+    assert ((8.0, 0.0, 7.0), (8.0, 10.0, 7.0)) in ends and ((8.0, 0.0, 4.0), (8.0, 10.0, 4.0)) not in ends
+    assert ((8.0, 0.0, 4.0), (8.0, 0.0, 7.0)) in ends and ((8.0, 0.0, 0.0), (8.0, 0.0, 4.0)) not in ends
+    assert edges.opening_angle_deg == pytest.approx(np.full(len(ends), 90))
+
+
+def test_wedge_of_a_ridge() -> None:
+    edges = wedges(skins([gable("a", (0, 0, 8, 10), 5, 40)])[0])
+    ridge = (edges.end_m[:, :, 2] > 8).all(axis=1)
+    assert edges.opening_angle_deg[ridge] == pytest.approx([100]) and len(edges.face) == 4 + 4 + 2 + 4 + 1
