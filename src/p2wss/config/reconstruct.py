@@ -116,6 +116,12 @@ class Reconstruct(Section):
         description="a shape per material in Sionna scenes, which loses the edges between walls and roofs; "
         "false = a shape per building, with the material of its walls",
     )
+    map_cell_m: float = Field(
+        2.0,
+        gt=0,
+        le=100,
+        description="cell of the terrain's top in Sionna scenes, the surface for radio maps",
+    )
     skin: bool = Field(
         False,
         description="in mesh files, join the buildings of a block into one closed skin without party walls",

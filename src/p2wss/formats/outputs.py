@@ -20,6 +20,7 @@ class FileOptions:
     facts: Mapping[str, Any] = field(default_factory=dict)
     frequency_ghz: float = 3.5
     split_materials: bool = False
+    map_cell_m: float = 2.0
 
 
 # contents by the names of the files, relative to the folder of the output and with "/", in the order of writing: the
@@ -38,7 +39,12 @@ MESH_WRITERS: dict[str, Writer] = {
     "sionna": lambda meshes, frame, options: {
         f"{options.stem}_sionna/{name}": content
         for name, content in scene_files(
-            meshes, frame, options.facts, options.frequency_ghz, options.split_materials
+            meshes,
+            frame,
+            options.facts,
+            options.frequency_ghz,
+            options.split_materials,
+            options.map_cell_m,
         ).items()
     },
 }

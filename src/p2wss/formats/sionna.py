@@ -15,11 +15,14 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pyproj
+import shapely
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from p2wss import __version__
 from p2wss.data.materials import MATERIALS
 from p2wss.formats.meshes import AXES, TERRAIN, Frame, Mesh, faces_of, file_names, material_names
 from p2wss.formats.radio_materials import Properties, properties
+from p2wss.skeleton.types import FaceKind
 
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
 TERRAIN_TOP = "terrain_top.ply"
@@ -42,11 +45,12 @@ def scene_files(
     facts: Mapping[str, Any],
     frequency_ghz: float,
     split_materials: bool = False,
+    map_cell_m: float = 2.0,
 ) -> dict[str, bytes]:
     """Contents by the names of the files, relative to the folder; ``scene.xml`` is the last.
 
     split_materials: a shape for each material of a mesh. Otherwise a mesh is one shape of the material that most of its
-    wall area has.
+    wall area has. map_cell_m: size of the squares of the terrain's top.
     """
     terrain = [mesh for mesh in meshes if TERRAIN in mesh.kind]
     others = [mesh for mesh in meshes if TERRAIN not in mesh.kind]
@@ -61,7 +65,7 @@ def scene_files(
     for shape, name in zip(shapes, ids, strict=True):
         files[f"meshes/{name}.ply"] = _ply(shape.vertex_m - frame.origin_m, shape.triangle)
     if terrain:
-        files[TERRAIN_TOP] = _top(terrain[0], frame)
+        files[TERRAIN_TOP] = _top(terrain[0], others, frame, map_cell_m)
     latitude_deg, longitude_deg = _wgs84(frame)
     is_mixed = any(len(material_names([mesh])) > 1 for mesh in others)
     remarks = notes(materials, frequency_ghz, bool(terrain), is_mixed, split_materials)
@@ -165,12 +169,42 @@ def _shapes(mesh: Mesh, split_materials: bool) -> list[_Shape]:
     return result
 
 
-def _top(terrain: Mesh, frame: Frame) -> bytes:
-    """The upper side of the terrain's block."""
-    corner = terrain.vertex_m[terrain.triangle]
+def _top(terrain: Mesh, buildings: Sequence[Mesh], frame: Frame, cell_m: float) -> bytes:
+    """The upper side of the terrain as squares of ``cell_m``, two triangles each, without those whose centre is in a
+    building. A radio map has a value per triangle."""
+    local = terrain.vertex_m - frame.origin_m
+    corner = local[terrain.triangle]
     upwards = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 0
-    used, triangle = np.unique(terrain.triangle[upwards], return_inverse=True)
-    return _ply(terrain.vertex_m[used] - frame.origin_m, triangle.reshape(-1, 3))
+    top = local[np.unique(terrain.triangle[upwards])]
+    low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
+    counts = np.maximum(np.floor((high - low) / cell_m).astype(int), 1)
+    x, y = (start + cell_m * np.arange(count + 1) for start, count in zip(low, counts, strict=True))
+    node = np.column_stack([values.ravel() for values in np.meshgrid(x, y)])
+    height = LinearNDInterpolator(top[:, :2], top[:, 2])(node)
+    # rounding puts nodes of the border outside
+    outside = np.isnan(height)
+    height[outside] = NearestNDInterpolator(top[:, :2], top[:, 2])(node[outside])
+    number = np.arange(len(node)).reshape(len(y), len(x))
+    a, b, c, d = (
+        corners.ravel() for corners in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])
+    )
+    is_free = ~_are_covered((node[a] + node[c]) / 2, buildings, frame)
+    triangle = np.column_stack([a, b, c, a, c, d])[is_free].reshape(-1, 3)
+    used, triangle = np.unique(triangle, return_inverse=True)
+    return _ply(np.column_stack([node, height])[used], triangle.reshape(-1, 3))
+
+
+def _are_covered(point_m: np.ndarray, buildings: Sequence[Mesh], frame: Frame) -> np.ndarray:
+    """Which of the points (n, 2) are above or below the floor of a building, bool (n,)."""
+    floors = [
+        mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.GROUND]][:, :, :2] - frame.origin_m[:2]
+        for mesh in buildings
+    ]
+    covered = np.zeros(len(point_m), bool)
+    if floors:
+        tree = shapely.STRtree(np.asarray(shapely.polygons(np.concatenate(floors))))
+        covered[tree.query(shapely.points(point_m), predicate="intersects")[0]] = True
+    return covered
 
 
 def _ply(vertex_m: np.ndarray, triangle: np.ndarray) -> bytes:

@@ -57,7 +57,7 @@ def write(
         buildings = blocks.skin_meshes(skins, buildings)
     meshes = buildings if ground is None else [*buildings, ground]
     frame = frame_around(meshes, crs.to_string())
-    options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials)
+    options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
     written = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"

@@ -101,11 +101,33 @@ def test_the_map_surface_is_the_top_of_the_terrain(meshes: list[Mesh], tmp_path:
     vertex_m, triangle = sionna_scene.read_ply(tmp_path / "terrain_top.ply")
     top = trimesh.Trimesh(vertex_m, triangle, process=False)
     assert (top.face_normals[:, 2] > 0.5).all()
-    low, high = meshes[2].vertex_m.min(axis=0), meshes[2].vertex_m.max(axis=0)
+    # half squares of 2 m, and none whose square has its centre in a house of 10 m by 8 m
+    size = np.floor(np.ptp(meshes[2].vertex_m[:, :2], axis=0) / 2) * 2
     plan = trimesh.Trimesh(vertex_m * [1, 1, 0], triangle, process=False)
-    assert plan.area == pytest.approx(np.prod((high - low)[:2]))
-    assert top.bounds[1, 2] == pytest.approx(high[2] - frame.origin_m[2], abs=1e-4)
-    assert top.bounds[0, 2] > low[2] - frame.origin_m[2] + 1
+    assert plan.area_faces == pytest.approx(2.0, rel=1e-5)
+    assert size.prod() - plan.area == pytest.approx(2 * 10 * 8, abs=2 * 10)
+    centre = plan.triangles[:, :, :2].reshape(-1, 6, 2).mean(axis=1) + frame.origin_m[:2]
+    for house in meshes[:2]:
+        low, high = house.vertex_m[:, :2].min(axis=0), house.vertex_m[:, :2].max(axis=0)
+        assert not ((centre > low) & (centre < high)).all(axis=1).any()
+    # on the plane of the terrain, which rises by 5 cm a metre
+    x_m = vertex_m[:, 0] + frame.origin_m[0] - X
+    assert vertex_m[:, 2] + frame.origin_m[2] == pytest.approx(2 + 0.05 * (x_m - 0.5), abs=1e-3)
+
+
+def test_a_map_of_another_cell(meshes: list[Mesh], tmp_path: Path) -> None:
+    frame = frame_around(meshes, "EPSG:28992")
+    areas = []
+    for cell_m in (0.5, 1.0):
+        files = scene_files([meshes[2]], frame, {}, 3.5, map_cell_m=cell_m)
+        (tmp_path / "top.ply").write_bytes(files["terrain_top.ply"])
+        vertex_m, triangle = sionna_scene.read_ply(tmp_path / "top.ply")
+        plan = trimesh.Trimesh(vertex_m * [1, 1, 0], triangle, process=False)
+        assert plan.area_faces == pytest.approx(cell_m**2 / 2, rel=1e-3)
+        areas.append(plan.area)
+    assert (
+        areas[0] == pytest.approx(areas[1]) == pytest.approx(np.ptp(meshes[2].vertex_m[:, :2], axis=0).prod())
+    )
 
 
 def test_without_terrain_a_note_says_that_there_is_no_ground(meshes: list[Mesh], tmp_path: Path) -> None:
