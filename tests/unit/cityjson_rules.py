@@ -25,7 +25,7 @@ def assert_document(document: dict[str, Any]) -> int:
     assert set(transform) == {"scale", "translate"} and all(len(v) == 3 for v in transform.values())
     assert all(scale > 0 for scale in transform["scale"])
     metadata = document.get("metadata", {})
-    assert set(metadata) <= {"referenceSystem", "geographicalExtent"}
+    assert set(metadata) <= {"referenceSystem", "geographicalExtent", "title", "referenceDate"}
     if "referenceSystem" in metadata:
         assert metadata["referenceSystem"].startswith("https://www.opengis.net/def/crs/EPSG/0/")
     used = assert_objects(document["CityObjects"], document["vertices"], transform)
@@ -61,11 +61,13 @@ def assert_objects(objects: dict[str, Any], vertices: list[list[int]], transform
             assert value is None or isinstance(value, str | bool | int | float)
         for geometry in city_object.get("geometry", []):
             assert set(geometry) == {"type", "lod", "boundaries", "semantics"}
-            assert (geometry["type"], geometry["lod"]) == ("Solid", "2.0")
+            assert geometry["type"] == "Solid" and geometry["lod"] in ("1.2", "2.0")
             (shell,) = geometry["boundaries"]
             (values,) = geometry["semantics"]["values"]
             kinds = [surface["type"] for surface in geometry["semantics"]["surfaces"]]
             assert len(values) == len(shell) and set(values) == set(range(len(kinds)))
+            for surface in geometry["semantics"]["surfaces"]:
+                assert_semantics(surface)
             faces = [[np.array(ring) for ring in rings] for rings in shell]
             indices = {int(v) for rings in faces for ring in rings for v in ring}
             assert min(indices) >= 0 and max(indices) < len(vertices)
@@ -76,6 +78,17 @@ def assert_objects(objects: dict[str, Any], vertices: list[list[int]], transform
             solids += 1
     assert used == set(range(len(vertices)))
     return solids
+
+
+def assert_semantics(surface: dict[str, Any]) -> None:
+    """Walls and ground have a type alone; a roof surface is one plane with its slope, direction and area."""
+    if surface["type"] != "RoofSurface":
+        assert set(surface) == {"type"}
+        return
+    assert set(surface) - {"azimuth_deg"} == {"type", "slope_deg", "area_m2"}
+    assert ("azimuth_deg" in surface) == (surface["slope_deg"] >= 0.1)
+    assert 0 <= surface["slope_deg"] < 90 and surface["area_m2"] > 0
+    assert 0 <= surface.get("azimuth_deg", 0) < 360
 
 
 def assert_solid(vertex_m: np.ndarray, shell: list[list[np.ndarray]], kinds: list[str]) -> None:

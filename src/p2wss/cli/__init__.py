@@ -13,6 +13,7 @@ import sys
 from p2wss import __version__
 from p2wss.cli import (
     buildings,
+    check,
     crops,
     dvae,
     fetch,
@@ -42,23 +43,24 @@ COMMANDS = (
     reconstruct,
     plan,
     inspect,
+    check,
     warm_up,
 )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one command. Returns the exit status: 0, or 2 for an error that the user can fix."""
+    """Run one command. Returns the exit status: that of the command, 0 unless it says otherwise, or 2 for an error that
+    the user can fix."""
     parsed = _parser().parse_args(arguments)
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("pyogrio").setLevel(logging.WARNING)  # pyogrio reports every file that it writes
     try:
-        parsed.run(parsed)
+        return parsed.run(parsed) or 0
     except InputError as error:
         print(f"p2wss: error: {error}", file=sys.stderr)
         return 2
-    return 0
 
 
 def _parser() -> argparse.ArgumentParser:

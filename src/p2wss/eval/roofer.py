@@ -25,8 +25,8 @@ from p2wss.data.schemas.crops import REAL
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.roofer_command import Roofer
-from p2wss.formats import cityjson
-from p2wss.formats.cityjson import ReadSolid
+from p2wss.formats import cityjson_read
+from p2wss.formats.cityjson_read import ReadSolid
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"
@@ -73,7 +73,7 @@ def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, st
     """
     solids: dict[str, ReadSolid] = {}
     for path in paths:
-        for solid in cityjson.read(path, LOD):
+        for solid in cityjson_read.read(path, LOD):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
     real = [case for case in cases if case.dataset == REAL]
     if not any(case.building.building_id in solids for case in real):
@@ -143,7 +143,7 @@ def _run_tile(
         return {}, reasons.ROOFER_FAILED
     solids = {}
     for path in _outputs(folder):
-        for solid in cityjson.read(path, LOD):
+        for solid in cityjson_read.read(path, LOD):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
     return solids, None
 

@@ -6,17 +6,15 @@ Specifications: https://www.cityjson.org/specs/2.0.1/ and https://www.cityjson.o
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
-import mapbox_earcut
 import numpy as np
 
 from p2wss.data.solids.faces import Surface
 from p2wss.data.solids.repair import SCALE_M, stored
-from p2wss.errors import InputError
 from p2wss.skeleton.types import FaceKind
 
 SURFACE_TYPE = {
@@ -25,20 +23,39 @@ SURFACE_TYPE = {
     FaceKind.ROOF: "RoofSurface",
     FaceKind.FLAT: "RoofSurface",
 }
-_KIND = {"GroundSurface": FaceKind.GROUND, "WallSurface": FaceKind.WALL, "RoofSurface": FaceKind.ROOF}
+
+
+# planes with less slope have no azimuth
+_LEVEL_DEG = 0.1
 
 
 @dataclass(frozen=True)
 class Solid:
     """A building to write: vertex_m float64 (v, 3) in the CRS, surfaces, and attributes of JSON types.
 
-    Without surfaces it becomes a Building without geometry.
+    Without surfaces it becomes a Building without geometry. block: the same building as a block with a flat roof, of
+    LoD 1.2: surfaces of vertices in ``block_vertex_m``; none to leave it out.
     """
 
     building_id: str
     vertex_m: np.ndarray
     surfaces: Sequence[Surface]
     attributes: dict[str, Any] = field(default_factory=dict)
+    block_vertex_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    block: Sequence[Surface] = ()
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What the header of a file states. epsg: of the CRS, with heights where that is known. title: of the file.
+    reference_date: the day whose state the data show, as ``2021-03-31``. slope, azimuth: names of the attributes of
+    roof surfaces."""
+
+    epsg: int | None = None
+    title: str | None = None
+    reference_date: str | None = None
+    slope: str = "slope_deg"
+    azimuth: str = "azimuth_deg"
 
 
 def reference_system(epsg: int) -> str:
@@ -50,24 +67,29 @@ def reference_system(epsg: int) -> str:
     return f"https://www.opengis.net/def/crs/EPSG/0/{epsg}"
 
 
-def lines(solids: Iterable[Solid], epsg: int | None, lod: str = "2.0") -> Iterator[str]:
-    """The lines of a CityJSONSeq, header first, without line ends. The first solid defines the local origin."""
-    translate = [0.0, 0.0, 0.0]
+def lines(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[str]:
+    """The lines of a CityJSONSeq, header first, without line ends. The first solid defines the local origin.
+
+    metadata: of the header; a number is the EPSG code alone.
+    """
+    if not isinstance(metadata, Metadata):
+        metadata = Metadata(metadata)
+    translate = np.zeros(3)
     started = False
     for solid in solids:
         if not started:
             if len(solid.vertex_m):
-                translate = [float(v) for v in np.floor(np.asarray(solid.vertex_m).min(axis=0))]
-            yield _compact(_header(translate, epsg))
+                translate = np.floor(np.asarray(solid.vertex_m).min(axis=0))
+            yield _compact(_header(translate, metadata))
             started = True
-        yield _compact(_feature(solid, np.array(translate), lod))
+        yield _compact(_feature(solid, translate, metadata))
     if not started:
-        yield _compact(_header(translate, epsg))
+        yield _compact(_header(translate, metadata))
 
 
-def document(solids: Sequence[Solid], epsg: int | None, lod: str = "2.0") -> str:
+def document(solids: Sequence[Solid], metadata: Metadata | int | None) -> str:
     """The same content as :func:`lines`, as a single CityJSON object."""
-    texts = map(json.loads, lines(solids, epsg, lod))
+    texts = map(json.loads, lines(solids, metadata))
     city = next(texts)
     vertices: list[list[int]] = city["vertices"]
     for feature in texts:
@@ -87,158 +109,100 @@ def document(solids: Sequence[Solid], epsg: int | None, lod: str = "2.0") -> str
     return _compact(city)
 
 
-def _header(translate: list[float], epsg: int | None) -> dict[str, Any]:
+def _header(translate: np.ndarray, metadata: Metadata) -> dict[str, Any]:
     header: dict[str, Any] = {
         "type": "CityJSON",
         "version": "2.0",
-        "transform": {"scale": [SCALE_M] * 3, "translate": translate},
+        "transform": {"scale": [SCALE_M] * 3, "translate": translate.tolist()},
         "CityObjects": {},
         "vertices": [],
     }
-    if epsg is not None:
-        header["metadata"] = {"referenceSystem": reference_system(epsg)}
-    return header
+    stated = {
+        "title": metadata.title,
+        "referenceDate": metadata.reference_date,
+        "referenceSystem": None if metadata.epsg is None else reference_system(metadata.epsg),
+    }
+    stated = {name: value for name, value in stated.items() if value is not None}
+    return header | ({"metadata": stated} if stated else {})
 
 
-def _feature(solid: Solid, translate: np.ndarray, lod: str) -> dict[str, Any]:
-    grid, surfaces = stored(solid.vertex_m, solid.surfaces)
-    grid = grid - np.round(translate / SCALE_M).astype(np.int64)
-    shell = [[[int(vertex) for vertex in ring] for ring in surface.rings] for surface in surfaces]
-    kinds = [SURFACE_TYPE[FaceKind(surface.kind)] for surface in surfaces]
-    # a vertex within a face is in no ring
-    used = sorted({vertex for rings in shell for ring in rings for vertex in ring})
-    number = {vertex: position for position, vertex in enumerate(used)}
-    shell = [[[number[vertex] for vertex in ring] for ring in rings] for rings in shell]
+def _feature(solid: Solid, translate: np.ndarray, metadata: Metadata) -> dict[str, Any]:
+    vertices: list[list[int]] = []
+    geometries = [
+        _geometry("1.2", solid.block_vertex_m, solid.block, translate, vertices, metadata),
+        _geometry("2.0", solid.vertex_m, solid.surfaces, translate, vertices, metadata),
+    ]
     building: dict[str, Any] = {"type": "Building", "attributes": solid.attributes}
-    if shell:
-        types = sorted(set(kinds))
-        building["geometry"] = [
-            {
-                "type": "Solid",
-                "lod": lod,
-                "boundaries": [shell],
-                "semantics": {
-                    "surfaces": [{"type": name} for name in types],
-                    "values": [[types.index(kind) for kind in kinds]],
-                },
-            }
-        ]
+    if any(geometries):
+        building["geometry"] = [geometry for geometry in geometries if geometry]
     return {
         "type": "CityJSONFeature",
         "id": solid.building_id,
         "CityObjects": {solid.building_id: building},
-        "vertices": grid[used].tolist(),
+        "vertices": vertices,
     }
+
+
+def _geometry(
+    lod: str,
+    vertex_m: np.ndarray,
+    surfaces: Sequence[Surface],
+    translate: np.ndarray,
+    vertices: list[list[int]],
+    metadata: Metadata,
+) -> dict[str, Any] | None:
+    """A solid, whose vertices are added to ``vertices``; None without surfaces.
+
+    Ground and walls have one semantic surface each, a roof one per plane.
+    """
+    grid, surfaces = stored(vertex_m, surfaces)
+    if not surfaces:
+        return None
+    grid = grid - np.round(translate / SCALE_M).astype(np.int64)
+    # a vertex within a face is in no ring
+    used = sorted({int(vertex) for surface in surfaces for ring in surface.rings for vertex in ring})
+    known = {tuple(vertex): position for position, vertex in enumerate(vertices)}
+    number = {}
+    for vertex in used:
+        place = grid[vertex].tolist()
+        number[vertex] = known.setdefault(tuple(place), len(vertices))
+        if number[vertex] == len(vertices):
+            vertices.append(place)
+    faces: dict[tuple[str, int], list[int]] = {}
+    for i, surface in enumerate(surfaces):
+        name = SURFACE_TYPE[FaceKind(surface.kind)]
+        face = -1 if name != "RoofSurface" else surface.face if surface.face >= 0 else len(surfaces) + i
+        faces.setdefault((name, face), []).append(i)
+    semantics: list[dict[str, Any]] = []
+    values = [0] * len(surfaces)
+    for (name, face), members in sorted(faces.items()):
+        for i in members:
+            values[i] = len(semantics)
+        semantics.append({"type": name})
+        if face >= 0:
+            semantics[-1] |= _plane(grid, [surfaces[i] for i in members], metadata)
+    return {
+        "type": "Solid",
+        "lod": lod,
+        "boundaries": [[[[number[int(v)] for v in ring] for ring in surface.rings] for surface in surfaces]],
+        "semantics": {"surfaces": semantics, "values": [values]},
+    }
+
+
+def _plane(grid: np.ndarray, surfaces: Sequence[Surface], metadata: Metadata) -> dict[str, Any]:
+    """Slope from the horizontal; azimuth of the way down, clockwise from grid north, none of a level plane; area."""
+    vector_m2 = np.zeros(3)
+    for surface in surfaces:
+        for ring in surface.rings:
+            local = (grid[ring] - grid[ring[0]]) * SCALE_M
+            vector_m2 += np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0) / 2
+    x, y, z = vector_m2.tolist()
+    slope_deg = math.degrees(math.atan2(math.hypot(x, y), z))
+    attributes = {metadata.slope: round(slope_deg, 2)}
+    if slope_deg >= _LEVEL_DEG:
+        attributes[metadata.azimuth] = round(math.degrees(math.atan2(x, y)) % 360, 2)
+    return attributes | {"area_m2": round(math.hypot(x, y, z), 3)}
 
 
 def _compact(value: dict[str, Any]) -> str:
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
-
-
-@dataclass(frozen=True)
-class ReadSolid:
-    """A building from a file, triangulated.
-
-    vertex_m: float64 (v, 3) in the CRS. triangle: int (t, 3). kind: uint8 (t,), a ``FaceKind``. surface: int (t,), the
-    number of the polygon that a triangle is part of. All are empty if the building has no geometry of the level of
-    detail.
-    """
-
-    building_id: str
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    surface: np.ndarray
-    attributes: dict[str, Any]
-
-
-def read(path: str | Path, lod: str) -> list[ReadSolid]:
-    """Every Building of a CityJSON file or CityJSONSeq with its solids of one level of detail, parts joined.
-
-    Raises :class:`InputError` if the file is missing or not CityJSON.
-    """
-    try:
-        text = Path(path).read_text()
-        documents = [json.loads(line) for line in text.splitlines() if line.strip()]
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except json.JSONDecodeError:
-        documents = [_whole(path, text)]
-    if not documents or documents[0].get("type") != "CityJSON":
-        raise InputError(f"{path}: not CityJSON: the first object must have the type CityJSON")
-    transform = documents[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
-    scale, translate = np.array(transform["scale"]), np.array(transform["translate"])
-    solids: list[ReadSolid] = []
-    for document in documents:
-        if document.get("vertices"):
-            vertex = np.array(document["vertices"], float) * scale + translate
-        else:
-            vertex = np.zeros((0, 3))
-        solids += _buildings(document["CityObjects"], vertex, lod)
-    return solids
-
-
-def _whole(path: str | Path, text: str) -> dict[str, Any]:
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not CityJSON: {error}") from error
-
-
-def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[ReadSolid]:
-    solids = []
-    for name, building in objects.items():
-        if building["type"] != "Building":
-            continue
-        members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
-        triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
-        for geometry in (g for member in members for g in member.get("geometry", [])):
-            if str(geometry.get("lod")) == lod and geometry["type"] == "Solid":
-                for triangle, kind in _triangulated(geometry, vertex_m):
-                    triangles.append(triangle)
-                    kinds.append(np.full(len(triangle), kind, np.uint8))
-        triangle = np.concatenate(triangles)
-        surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
-        used, local = np.unique(triangle, return_inverse=True)
-        solids.append(
-            ReadSolid(
-                name,
-                vertex_m[used],
-                local.reshape(-1, 3),
-                np.concatenate(kinds),
-                surface,
-                building.get("attributes", {}),
-            )
-        )
-    return solids
-
-
-def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
-    semantics = geometry.get("semantics", {"surfaces": [], "values": None})
-    for s, shell in enumerate(geometry["boundaries"]):
-        for p, rings in enumerate(shell):
-            values = semantics["values"][s] if semantics["values"] else None
-            surface = values[p] if values else None
-            kind = FaceKind.WALL if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
-            yield (
-                triangulate(vertex_m, [np.array(ring) for ring in rings]),
-                FaceKind.WALL if kind is None else kind,
-            )
-
-
-def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:
-    """Triangles, int (t, 3), of one planar polygon of vertex indices, in the orientation of the polygon."""
-    exterior = vertex_m[rings[0]]
-    # Newell's normal: exact for a planar ring, an average for a slightly bent one
-    normal = np.cross(exterior - exterior[0], np.roll(exterior, -1, axis=0) - exterior[0]).sum(axis=0)
-    drop = int(np.abs(normal).argmax())
-    axes = [axis for axis in range(3) if axis != drop]
-    index = np.concatenate(rings)
-    plane = np.ascontiguousarray(vertex_m[index][:, axes])
-    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
-    triangle = index[mapbox_earcut.triangulate_float64(plane, ends).reshape(-1, 3)]
-    if not len(triangle):
-        return triangle.reshape(-1, 3).astype(int)
-    corner = vertex_m[triangle]
-    sense = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0) @ normal
-    return triangle if sense >= 0 else triangle[:, ::-1]

@@ -271,6 +271,22 @@ def closest_vertices(vertex_m, within_m):
 
 
 @entry
+def merged_vertices(vertex_m, within_m):
+    """int64 (v,): for each vertex the first one within ``within_m`` of it that is not merged with another itself."""
+    result = np.arange(len(vertex_m))
+    for i in range(len(vertex_m)):
+        for j in range(i):
+            dx = vertex_m[i, 0] - vertex_m[j, 0]
+            if abs(dx) > within_m or result[j] != j:
+                continue
+            dy, dz = vertex_m[i, 1] - vertex_m[j, 1], vertex_m[i, 2] - vertex_m[j, 2]
+            if dx * dx + dy * dy + dz * dz <= within_m * within_m:
+                result[i] = j
+                break
+    return result
+
+
+@entry
 def make_delaunay(plane_m, triangle):
     """Flip the diagonals of the triangles (t, 3) of one face, in place, until each is Delaunay: the constrained
     triangulation that validators use. plane_m: (k, 2), counter-clockwise triangles index it."""

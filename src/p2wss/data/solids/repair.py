@@ -57,7 +57,7 @@ def surfaces_to_write(mesh: LabelledMesh) -> tuple[list[Surface], list[Breach]]:
     """
     surfaces = planar_surfaces(*mesh)
     found = _stored_breaches(mesh.vertex_m, surfaces)
-    broken = {surface for _, surface in found if surface >= 0}
+    broken = {surface for breach, surface in found if surface >= 0 and breach.code > 102}
     if not broken:
         return surfaces, [breach for breach, _ in found]
     divided = []

@@ -18,7 +18,7 @@ from p2wss.data.solids.faces import Surface
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
-    102: "vertices are nearer to each other than the tolerance of merging them",
+    102: "consecutive vertices of a ring are the same, within the tolerance of merging them",
     104: "a ring touches or crosses itself",
     201: "two rings of a face cross or touch",
     202: "two rings of a face are the same",
@@ -62,14 +62,18 @@ class Breach:
 
 
 def breaches(
-    vertex_m: np.ndarray, surfaces: Sequence[Surface], tolerances: Tolerances = VAL3DITY
+    vertex_m: np.ndarray,
+    surfaces: Sequence[Surface],
+    tolerances: Tolerances = VAL3DITY,
+    is_outer: bool = True,
 ) -> list[Breach]:
     """The rules that a shell of planar polygons breaks, none for a valid one.
 
-    As validators do, rules of the shell are tested only if all its faces are valid, and whether faces cross only if
-    the shell is closed. vertex_m: float64 (v, 3), no two of them equal; coordinates as a file stores them.
+    Vertices within ``snap_m`` of each other are one. As validators do, rules of the shell are tested only if all its
+    faces are valid, and whether faces cross only if the shell is closed. vertex_m: float64 (v, 3), coordinates as a
+    file stores them. is_outer: false for the shell of a hollow, whose faces look inwards.
     """
-    faces = _Faces.of(vertex_m, surfaces)
+    faces = _Faces.of(vertex_m, surfaces, tolerances.snap_m)
     result = faces.breaches(tolerances)
     if not result and len(surfaces) < 4:
         result = [Breach(301)]
@@ -82,7 +86,7 @@ def breaches(
     if code == 0:
         corner = faces.vertex_m[triangle]
         volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
-        code = 0 if volume > 0 else 405
+        code = 0 if (volume > 0) == is_outer else 405
     return [Breach(code)] if code else []
 
 
@@ -98,7 +102,7 @@ class _Faces:
     triangles: list[np.ndarray]
 
     @classmethod
-    def of(cls, vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> _Faces:
+    def of(cls, vertex_m: np.ndarray, surfaces: Sequence[Surface], snap_m: float) -> _Faces:
         rings = [ring for surface in surfaces for ring in surface.rings]
         corner = np.concatenate([np.zeros(0, np.int64), *rings]).astype(np.int64)
         ring_offset = np.cumsum([0, *map(len, rings)], dtype=np.int64)
@@ -107,10 +111,11 @@ class _Faces:
         near = np.ascontiguousarray(np.asarray(vertex_m, float).reshape(-1, 3)[used])
         if len(near):
             near = near - near.min(axis=0)
-        return cls(near, local.reshape(-1).astype(np.int64), ring_offset, face_ring, [])
+        merged = polygon_kernels.merged_vertices(near, snap_m)
+        return cls(near, merged[local.reshape(-1)], ring_offset, face_ring, [])
 
     def breaches(self, tolerances: Tolerances) -> list[Breach]:
-        """Rules of single faces, and of vertices that are merged."""
+        """Rules of single faces."""
         num_faces = len(self.face_ring) - 1
         normal, off_plane_m = np.zeros((num_faces, 3)), np.zeros(num_faces)
         plane_m = polygon_kernels.project(
@@ -121,8 +126,6 @@ class _Faces:
         # three vertices are in a plane
         codes[(size > 3) & (off_plane_m > tolerances.planar_m) & ((codes > 102) | (codes == 0))] = 203
         result = [Breach(int(codes[f]), f) for f in np.flatnonzero(codes).tolist()]
-        if polygon_kernels.closest_vertices(self.vertex_m, tolerances.snap_m)[0] >= 0:
-            result.append(Breach(102))
         if result:
             return result
         for f in range(num_faces):

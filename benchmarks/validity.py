@@ -1,0 +1,121 @@
+"""Whether what is written is valid: 20,000 solids on real outlines, tested by rules implemented apart from ours.
+
+    python benchmarks/validity.py [--num 20000] [--footprints FILE]
+
+Outlines: BD TOPO of Olemps (default: ../shared/data/olemps_bdtopo), or any vector file with polygons. Roofs: as scenes
+draw them, as the paper draws them, and angles from 0 to 90 degrees; the same with courtyards cut out; parts with
+cuts, and boxes on the roof. Each goes the way of the product (tests, repair, simpler roof) and is written to
+CityJSON; the text is then tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
+product. The last line is JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "unit"))
+import random_solids  # noqa: E402
+from figures import Figures  # noqa: E402
+from random_solids import REGIMES, Rings  # noqa: E402
+
+from p2wss.config import Scenes  # noqa: E402
+from p2wss.data import polygon_arrays  # noqa: E402
+from p2wss.data.building import Reconstruction  # noqa: E402
+from p2wss.data.footprints import clean_footprints, read_footprints  # noqa: E402
+from p2wss.data.solids.repair import surfaces_to_write  # noqa: E402
+from p2wss.reconstruct.valid import labelled_mesh  # noqa: E402
+
+OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo" / "BATIMENT.shp"
+
+
+def outlines(path: Path) -> list[Rings]:
+    """Cleaned outlines around the origin, as the product meshes them."""
+    frame = clean_footprints(read_footprints(path), Scenes())
+    frame = frame[frame["status"] == "ok"]
+    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+    origins = polygon_arrays.origins(polygons)
+    return [[ring - origin for ring in polygons.rings(i)] for i, origin in enumerate(origins)]
+
+
+def solids(rings: list[Rings], num: int) -> Iterator[tuple[str, Reconstruction | None]]:
+    """(kind, building or None where it has no solid), in turns, so that any number has all kinds."""
+    kinds = [*REGIMES, "courtyards", "parts", *REGIMES, "boxes", *REGIMES]
+    draw, count = 0, 0
+    while count < num:
+        for i, kind in enumerate(kinds):
+            # each turn begins elsewhere, so that all outlines have all kinds in the end
+            for k in range(draw * 50, draw * 50 + 50):
+                name = f"{kind} {i} {k}"
+                outline = rings[(k + 211 * i) % len(rings)]
+                yield kind, _solid(kind, name, outline, k)
+                count += 1
+        draw += 1
+
+
+def _solid(kind: str, name: str, outline: Rings, seed: int) -> Reconstruction | None:
+    rng = np.random.default_rng([seed, *name.encode()])
+    if kind in ("parts", "boxes"):
+        return random_solids.with_parts(name, outline, seed, 3 if kind == "boxes" else 0)
+    regime = kind
+    if kind == "courtyards":
+        outline = random_solids.courtyard(outline, rng) or outline
+        regime = str(rng.choice(REGIMES))
+    angle_deg = random_solids.angles(outline, regime, name, seed)
+    return random_solids.reconstruction(name, outline, float(rng.uniform(2.5, 9)), angle_deg)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--num", type=int, default=20_000)
+    parser.add_argument("--footprints", type=Path, default=OLEMPS)
+    arguments = parser.parse_args()
+    rings = outlines(arguments.footprints)
+    print(f"{len(rings)} outlines of {arguments.footprints.name}", flush=True)
+    counts: dict[str, Counter[str]] = {}
+    invalid, seconds, num_checked = [], 0.0, 0
+    for number, (kind, building) in enumerate(solids(rings, arguments.num), 1):
+        count = counts.setdefault(kind, Counter())
+        if building is None:
+            count["no solid"] += 1
+            continue
+        start = time.process_time()
+        found = surfaces_to_write(labelled_mesh(building))[1]
+        seconds, num_checked = seconds + time.process_time() - start, num_checked + 1
+        for breach in found[:1]:
+            count[f"before: {breach.code}"] += 1
+        ((before, after, codes),) = random_solids.validated([building])
+        count["solids"] += 1
+        if not after.has_mesh:
+            count["no mesh"] += 1
+        elif after is not before:
+            count[
+                "mended" if len(after.triangle) != 0 and after.num_parts == before.num_parts else "flat"
+            ] += 1
+        if codes:
+            invalid.append(f"{building.building_id}: {codes}")
+            print("invalid:", invalid[-1], flush=True)
+        if number % 1000 == 0:
+            print(number, {k: dict(v) for k, v in counts.items()}, flush=True)
+    for kind, count in counts.items():
+        print(f"{kind:12}", ", ".join(f"{name} {value}" for name, value in count.most_common()))
+    figures = Figures()
+    figures.at_most("invalid", len(invalid), 0)
+    figures.at_least("solids", sum(count["solids"] for count in counts.values()), 0.9 * arguments.num)
+    figures.at_most("ms_per_building", 1e3 * seconds / num_checked, 2.0)
+    for kind, count in counts.items():
+        figures.row(kind, count)
+    return figures.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,167 @@
+"""Reading CityJSON: the solids of buildings as triangles, for measures, and as they are, for tests."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mapbox_earcut
+import numpy as np
+
+from p2wss.data.solids.faces import Surface
+from p2wss.errors import InputError
+from p2wss.skeleton.types import FaceKind
+
+_KIND = {"GroundSurface": FaceKind.GROUND, "WallSurface": FaceKind.WALL, "RoofSurface": FaceKind.ROOF}
+
+
+@dataclass(frozen=True)
+class ReadSolid:
+    """A building from a file, triangulated.
+
+    vertex_m: float64 (v, 3) in the CRS. triangle: int (t, 3). kind: uint8 (t,), a ``FaceKind``. surface: int (t,), the
+    number of the polygon that a triangle is part of. All are empty if the building has no geometry of the level of
+    detail.
+    """
+
+    building_id: str
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    surface: np.ndarray
+    attributes: dict[str, Any]
+
+
+def read(path: str | Path, lod: str) -> list[ReadSolid]:
+    """Every Building of a CityJSON file or CityJSONSeq with its solids of one level of detail, parts joined.
+
+    Raises :class:`InputError` if the file is missing or not CityJSON.
+    """
+    documents, scale, translate = _documents(path)
+    solids: list[ReadSolid] = []
+    for document in documents:
+        solids += _buildings(document["CityObjects"], _vertices(document, scale, translate), lod)
+    return solids
+
+
+@dataclass(frozen=True)
+class Shell:
+    """A shell of a solid in a file. name: of the city object. number: of the shell; 0 is the outer one. vertex_m:
+    float64 (v, 3). surfaces: its polygons."""
+
+    name: str
+    lod: str
+    number: int
+    vertex_m: np.ndarray
+    surfaces: Sequence[Surface]
+
+
+def shells(path: str | Path) -> Iterator[Shell]:
+    """The shells of all solids of a CityJSON file or CityJSONSeq, whatever object they belong to.
+
+    Raises :class:`InputError` if the file is missing or not CityJSON.
+    """
+    documents, scale, translate = _documents(path)
+    for document in documents:
+        vertex_m = _vertices(document, scale, translate)
+        for name, city_object in document["CityObjects"].items():
+            for geometry in city_object.get("geometry", []):
+                boundaries = geometry.get("boundaries", [])
+                solids = {"Solid": [boundaries], "MultiSolid": boundaries, "CompositeSolid": boundaries}
+                for solid in solids.get(geometry["type"], []):
+                    for number, shell in enumerate(solid):
+                        surfaces = [
+                            Surface(FaceKind.WALL, -1, [np.array(ring, np.int64) for ring in rings])
+                            for rings in shell
+                        ]
+                        yield Shell(name, str(geometry.get("lod", "")), number, vertex_m, surfaces)
+
+
+def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.ndarray]:
+    """(the objects of a file, scale and translation of their vertices)."""
+    try:
+        text = Path(path).read_text()
+        documents = [json.loads(line) for line in text.splitlines() if line.strip()]
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not CityJSON: {error}") from error
+    except json.JSONDecodeError:
+        documents = [_whole(path, text)]
+    if not documents or not isinstance(documents[0], dict) or documents[0].get("type") != "CityJSON":
+        raise InputError(f"{path}: not CityJSON: the first object must have the type CityJSON")
+    transform = documents[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
+    return documents, np.array(transform["scale"], float), np.array(transform["translate"], float)
+
+
+def _vertices(document: dict[str, Any], scale: np.ndarray, translate: np.ndarray) -> np.ndarray:
+    return np.array(document.get("vertices", []), float).reshape(-1, 3) * scale + translate
+
+
+def _whole(path: str | Path, text: str) -> dict[str, Any]:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}: not CityJSON: {error}") from error
+
+
+def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[ReadSolid]:
+    solids = []
+    for name, building in objects.items():
+        if building["type"] != "Building":
+            continue
+        members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
+        triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
+        for geometry in (g for member in members for g in member.get("geometry", [])):
+            if str(geometry.get("lod")) == lod and geometry["type"] == "Solid":
+                for triangle, kind in _triangulated(geometry, vertex_m):
+                    triangles.append(triangle)
+                    kinds.append(np.full(len(triangle), kind, np.uint8))
+        triangle = np.concatenate(triangles)
+        surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
+        used, local = np.unique(triangle, return_inverse=True)
+        solids.append(
+            ReadSolid(
+                name,
+                vertex_m[used],
+                local.reshape(-1, 3),
+                np.concatenate(kinds),
+                surface,
+                building.get("attributes", {}),
+            )
+        )
+    return solids
+
+
+def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
+    semantics = geometry.get("semantics", {"surfaces": [], "values": None})
+    for s, shell in enumerate(geometry["boundaries"]):
+        for p, rings in enumerate(shell):
+            values = semantics["values"][s] if semantics["values"] else None
+            surface = values[p] if values else None
+            kind = FaceKind.WALL if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
+            yield (
+                triangulate(vertex_m, [np.array(ring) for ring in rings]),
+                FaceKind.WALL if kind is None else kind,
+            )
+
+
+def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:
+    """Triangles, int (t, 3), of one planar polygon of vertex indices, in the orientation of the polygon."""
+    exterior = vertex_m[rings[0]]
+    # Newell's normal: exact for a planar ring, an average for a slightly bent one
+    normal = np.cross(exterior - exterior[0], np.roll(exterior, -1, axis=0) - exterior[0]).sum(axis=0)
+    drop = int(np.abs(normal).argmax())
+    axes = [axis for axis in range(3) if axis != drop]
+    index = np.concatenate(rings)
+    plane = np.ascontiguousarray(vertex_m[index][:, axes])
+    ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
+    triangle = index[mapbox_earcut.triangulate_float64(plane, ends).reshape(-1, 3)]
+    if not len(triangle):
+        return triangle.reshape(-1, 3).astype(int)
+    corner = vertex_m[triangle]
+    sense = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0) @ normal
+    return triangle if sense >= 0 else triangle[:, ::-1]

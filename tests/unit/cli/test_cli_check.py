@@ -1,0 +1,120 @@
+"""``p2wss check``: valid and invalid files, and the report of val3dity."""
+
+from __future__ import annotations
+
+import json
+import stat
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from p2wss import cli, skeleton
+from p2wss.data.solids.faces import planar_surfaces
+from p2wss.formats import cityjson
+from p2wss.skeleton.types import Polygons
+
+
+@pytest.fixture
+def city(tmp_path: Path) -> Path:
+    """Two hip roofs as one document."""
+    ring = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
+    meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(4, 40.0), np.array([5.0]))
+    vertex, *labels = meshes.mesh(0)
+    solids = [
+        cityjson.Solid(name, vertex + np.array([x, 0, 0]), planar_surfaces(vertex, *labels))
+        for name, x in (("a", 0), ("b", 20))
+    ]
+    path = tmp_path / "city.city.json"
+    path.write_text(cityjson.document(solids, 2154))
+    return path
+
+
+def broken(path: Path) -> Path:
+    """The file with the roof of building b turned round."""
+    document: dict[str, Any] = json.loads(path.read_text())
+    shell = document["CityObjects"]["b"]["geometry"][0]["boundaries"][0]
+    shell[0][0] = shell[0][0][::-1]
+    other = path.with_name("broken.city.json")
+    other.write_text(json.dumps(document))
+    return other
+
+
+def test_a_valid_file(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["check", str(city)]) == 0
+    assert capsys.readouterr().out == f"{city}: 2 solids, 0 invalid\n"
+
+
+def test_an_invalid_file_has_a_line_per_solid(city: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = broken(city)
+    assert cli.main(["check", str(city), str(path)]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"{city}: 2 solids, 0 invalid"
+    assert lines[1].startswith(f"{path}: b (LoD 2.0): 307 faces of the shell")
+    assert lines[2] == f"{path}: 2 solids, 1 invalid"
+
+
+def test_a_sequence_is_read_too(city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = json.loads(broken(city).read_text())
+    header = {**document, "CityObjects": {}, "vertices": []}
+    features = [
+        {
+            "type": "CityJSONFeature",
+            "id": name,
+            "CityObjects": {name: value},
+            "vertices": document["vertices"],
+        }
+        for name, value in document["CityObjects"].items()
+    ]
+    path = tmp_path / "a.city.jsonl"
+    path.write_text("\n".join(map(json.dumps, [header, *features])))
+    assert cli.main(["check", str(path)]) == 1
+    assert capsys.readouterr().out.count("307") == 1
+
+
+def test_files_without_solids_are_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "empty.json"
+    path.write_text(cityjson.document([], 2154))
+    assert cli.main(["check", str(path)]) == 2
+    assert "has no solids" in capsys.readouterr().err
+    assert cli.main(["check", str(tmp_path / "missing")]) == 2
+
+
+def program(folder: Path, body: str) -> str:
+    path = folder / "val3dity"
+    path.write_text(f"#!{sys.executable}\nimport json, sys\n{body}\n")
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return str(path)
+
+
+def test_the_report_of_val3dity_is_merged(
+    city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = {
+        "features": [
+            {"id": "a", "validity": True, "errors": [], "primitives": [{"id": "0", "errors": []}]},
+            {
+                "id": "b",
+                "validity": False,
+                "errors": [],
+                "primitives": [{"errors": [{"code": 306, "description": "SHELL_SELF_INTERSECTION"}] * 2}],
+            },
+        ]
+    }
+    val3dity = program(
+        tmp_path, f"open(sys.argv[sys.argv.index('--report') + 1], 'w').write(json.dumps({report!r}))"
+    )
+    assert cli.main(["check", "--val3dity", val3dity, str(city)]) == 1
+    assert f"{city}: b: val3dity: 306 SHELL_SELF_INTERSECTION\n" in capsys.readouterr().out
+
+
+def test_a_val3dity_that_fails_is_an_error(
+    city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["check", "--val3dity", str(tmp_path / "none"), str(city)]) == 2
+    assert "cannot be run" in capsys.readouterr().err
+    val3dity = program(tmp_path, "sys.exit('unknown option')")
+    assert cli.main(["check", "--val3dity", val3dity, str(city)]) == 2
+    assert "unknown option" in capsys.readouterr().err
