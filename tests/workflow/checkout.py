@@ -14,6 +14,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PARTS = ["Snakefile", "workflow", "profiles", "config", "envs", "models", "src", "tests/mini"]
 
+# a folder that a shell would take apart, and whose command it would run
+ODD_NAME = 'the town\'s "données" $(touch executed) `touch executed`; touch executed &'
+
 # Processes that start with these libraries imported and without p2wss, which each takes from its own project
 _PROCESSES = multiprocessing.get_context("forkserver")
 _PROCESSES.set_forkserver_preload(

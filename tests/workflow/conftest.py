@@ -1,7 +1,12 @@
 """Fixtures: the project in a folder of its own, and the finished reduced miniature."""
 
+import csv
+import shutil
+from pathlib import Path
+
 import pytest
-from checkout import REDUCED, Project
+import yaml
+from checkout import ODD_NAME, REDUCED, Project
 
 
 @pytest.fixture
@@ -18,7 +23,31 @@ def fresh(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def done(tmp_path_factory):
-    """The reduced miniature after ``snakemake eval_report``; tests share it and change nothing in it."""
+    """The reduced miniature after ``snakemake eval_report``, from a folder with a name that a shell would take apart;
+    tests share it and change nothing in it."""
     project = Project(tmp_path_factory.mktemp("mini"))
+    inputs = project.folder / ODD_NAME
+    for name in ("bdtopo", "rgealti", "lidar"):
+        shutil.copytree(project.folder / "tests/mini" / name, inputs / name)
+    config = project.folder / "tests/mini/reduced.yaml"
+    settings = yaml.safe_load(config.read_text())
+    settings["fetch"] = settings.get("fetch", {}) | {
+        "folder": {
+            "footprints": f"{ODD_NAME}/bdtopo",
+            "dtm": f"{ODD_NAME}/rgealti",
+            "lidar": f"{ODD_NAME}/lidar",
+        }
+    }
+    config.write_text(yaml.safe_dump(settings, allow_unicode=True))
+    _say_what_is_in(inputs.name, project.folder / "config/sources.csv")
     project.snakemake("eval_report", *REDUCED)
+    assert not (project.folder / "executed").exists(), "a command in the name of a folder was run"
     return project
+
+
+def _say_what_is_in(folder: str, sources: Path) -> None:
+    """The products of the miniature, copied to another folder, in the table of sources."""
+    with sources.open(newline="") as file:
+        rows = [[value.replace("tests/mini", folder) for value in row] for row in csv.reader(file)]
+    with sources.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)

@@ -134,3 +134,17 @@ def test_settings_of_roofer_change_the_command_of_its_baseline_only(fresh):
     changed = [command for command in after if command not in before]
     roofer = ["eval", "baseline", "--name", "roofer"]
     assert [command[:4] == roofer for command in changed if command[:2] != ["eval", "report"]] == [True]
+
+
+def test_every_value_in_a_shell_command_is_quoted():
+    """A name of a file may hold a space, a quote or ``$(command)``; only numbers of the rule itself need no quoting."""
+    texts = [file.read_text() for file in sorted((ROOT / "workflow/rules").glob("*.smk"))]
+    commands = [
+        command
+        for text in texts
+        for command in re.findall(r"^    shell:\n((?: {8}.*\n?)+)", text, re.MULTILINE)
+    ]
+    assert len(commands) == sum(text.count("    shell:\n") for text in texts) > 15
+    values = [value for command in commands for value in re.findall(r"\{([^{}]*)\}", command)]
+    assert len(values) > 100
+    assert {value for value in values if not value.endswith(":q")} == {"threads"}

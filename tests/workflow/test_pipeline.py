@@ -2,12 +2,14 @@
 
 import csv
 import json
+import os
 import shutil
 import zipfile
 
 import pyarrow.parquet as pq
 import pytest
-from checkout import REDUCED, Project, rules_to_run
+import yaml
+from checkout import ODD_NAME, REDUCED, Project, rules_to_run
 
 NOTHING = "Nothing to be done"
 SCANS_AND_WHAT_FOLLOWS = {
@@ -110,6 +112,35 @@ def test_a_value_of_the_config_reruns_what_reads_it(again):
     again.edit("tests/mini/reduced.yaml", "num_resamples: 100", "num_resamples: 101")
     jobs = set(planned(again))
     assert "eval_report" in jobs and not {"model", "cast_scan"} & jobs
+
+
+def test_a_replaced_input_reruns_what_was_made_of_it(again):
+    """The user's own files: a newer one, and an older one of another size."""
+    inputs = again.folder / ODD_NAME
+    footprints = next((inputs / "bdtopo").glob("*.gpkg"))
+    footprints.write_bytes(footprints.read_bytes() + b" ")
+    jobs = planned(again)
+    assert jobs["fetch_footprints"] == 1 and "fetch_dtm" not in jobs and "fetch_lidar" not in jobs
+
+    cloud = next((inputs / "lidar").glob("*.laz"))
+    cloud.write_bytes(cloud.read_bytes() + b" ")
+    os.utime(cloud, (0, 0))
+    assert planned(again)["fetch_lidar"] == 1
+
+    grid = next((inputs / "rgealti").glob("*0653_6861*"))
+    grid.write_text(grid.read_text() + " ")
+    # a neighbour, into which the margin of the tile reaches
+    assert planned(again)["fetch_dtm"] == 1
+
+
+def test_weights_in_a_folder_with_an_odd_name_are_used(again):
+    weights = f"{ODD_NAME}/point2wss.safetensors"
+    shutil.copy(again.folder / "models/point2wss.safetensors", again.folder / weights)
+    target = "results/mini/eval/parts/0000/point2wss.parquet"
+    (again.folder / "weights.yaml").write_text(yaml.safe_dump({"model": {"weights": weights}}))
+    again.snakemake(target, *REDUCED, "weights.yaml")
+    assert (again.folder / target).stat().st_mtime > (again.folder / weights).stat().st_mtime
+    assert not (again.folder / "executed").exists()
 
 
 def test_one_stage_can_be_redone_by_name(done):

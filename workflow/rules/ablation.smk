@@ -30,9 +30,9 @@ rule ablation_model:
         folder=subpath(output.weights, parent=True),
         program=program,
     shell:
-        "{params.program} model --manifest {input.manifest} --dvae {input.dvae} --out {output.weights} --out-metrics {output.metrics}"
-        " --checkpoints {params.folder}/checkpoints"
-        " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"
+        "{params.program:q} model --manifest {input.manifest:q} --dvae {input.dvae:q} --out {output.weights:q} --out-metrics {output.metrics:q}"
+        " --checkpoints {params.folder:q}/checkpoints"
+        " --threads {threads} --config {params.config:q} 2>&1 | tee {log:q}"
 
 
 rule ablation:
@@ -59,5 +59,5 @@ rule ablation:
         config=section("ablation"),
         code=fingerprint("eval.ablation"),
     shell:
-        "p2wss eval ablation --manifest {input.manifest} --models {input.models} --out-csv {output.csv} --out-markdown {output.markdown}"
-        " --threads {threads} --config {params.config:q} 2> {log}"
+        "p2wss eval ablation --manifest {input.manifest:q} --models {input.models:q} --out-csv {output.csv:q} --out-markdown {output.markdown:q}"
+        " --threads {threads} --config {params.config:q} 2> {log:q}"

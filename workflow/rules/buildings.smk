@@ -22,7 +22,7 @@ rule build_roofs:
         config=section("buildings"),
         code=fingerprint("buildings"),
     shell:
-        "p2wss buildings --scene {input.scene} --out {output.buildings} --config {params.config:q} 2> {log}"
+        "p2wss buildings --scene {input.scene:q} --out {output.buildings:q} --config {params.config:q} 2> {log:q}"
 
 
 rule buildings:

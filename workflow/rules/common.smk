@@ -46,12 +46,12 @@ RULE_ONLY = ("compute.num_gpus",)
 
 
 def program(wildcards, resources):
-    """The command p2wss, or torchrun that starts it in as many processes as the job has GPUs.
+    """The words of the command p2wss, or of torchrun that starts it in as many processes as the job has GPUs.
 
     What depends on resources is not tracked: the number of GPUs reruns nothing.
     """
-    torchrun = f"torchrun --standalone --nproc-per-node {resources.gpu} -m p2wss.cli"
-    return torchrun if resources.gpu > 1 else "p2wss"
+    torchrun = ["torchrun", "--standalone", "--nproc-per-node", resources.gpu, "-m", "p2wss.cli"]
+    return torchrun if resources.gpu > 1 else ["p2wss"]
 
 
 def variant_section(wildcards):

@@ -29,7 +29,7 @@ rule crop_simulated:
         config=section("crops"),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops simulated --buildings {input.buildings} --scan {input.scan} --out {output.shard} --config {params.config:q} 2> {log}"
+        "p2wss crops simulated --buildings {input.buildings:q} --scan {input.scan:q} --out {output.shard:q} --config {params.config:q} 2> {log:q}"
 
 
 rule crop_real:
@@ -50,8 +50,8 @@ rule crop_real:
         config=section("region", "scenes", "crops"),
         code=fingerprint("crops", "data.footprints"),
     shell:
-        "p2wss crops real --tile {wildcards.tile} --place={wildcards.place} --footprints {input.footprints} --clouds {input.clouds} --out {output.shard}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss crops real --tile {wildcards.tile:q} --place={wildcards.place:q} --footprints {input.footprints:q} --clouds {input.clouds:q} --out {output.shard:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule crops:
@@ -73,5 +73,5 @@ rule crops:
         config=section("dataset", "crops"),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops manifest --out {output.manifest} --simulated {input.simulated} --real {input.real}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss crops manifest --out {output.manifest:q} --simulated {input.simulated:q} --real {input.real:q}"
+        " --config {params.config:q} 2> {log:q}"

@@ -29,6 +29,6 @@ rule dvae:
         folder=subpath(output.weights, parent=True),
         program=program,
     shell:
-        "{params.program} dvae --manifest {input.manifest} --out {output.weights} --out-metrics {output.metrics}"
-        " --checkpoints {params.folder}/checkpoints"
-        " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"
+        "{params.program:q} dvae --manifest {input.manifest:q} --out {output.weights:q} --out-metrics {output.metrics:q}"
+        " --checkpoints {params.folder:q}/checkpoints"
+        " --threads {threads} --config {params.config:q} 2>&1 | tee {log:q}"

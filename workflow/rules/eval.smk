@@ -7,8 +7,6 @@ Out: <results>/eval/parts/{group}/ per group of eval.shards_per_job shards: {met
      methods.json (status, CPU time); report.html and its tables as CSV and LaTeX.
 """
 
-from shlex import quote
-
 # our methods; each file of reconstructions is named after its method
 OURS = ["point2wss", "point2wss+fit", "fit"]
 METHODS = [*OURS, *settings.eval.baselines]
@@ -37,7 +35,7 @@ rule medians:
     params:
         code=fingerprint("eval.cases"),
     shell:
-        "p2wss eval medians --manifest {input.manifest} --out {output.medians} 2> {log}"
+        "p2wss eval medians --manifest {input.manifest:q} --out {output.medians:q} 2> {log:q}"
 
 
 rule predict:
@@ -64,9 +62,9 @@ rule predict:
         config=section("eval", "reconstruct", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.predict", "eval.parameters", "nets.predictor"),
     shell:
-        "p2wss eval predict --manifest {input.manifest} --shards {input.shards} --model {input.model:q} --medians {input.medians}"
-        " --out {output.reconstructions} --out-errors {output.errors} --out-cpu {output.cpu}"
-        " --threads {threads} --config {params.config:q} 2> {log}"
+        "p2wss eval predict --manifest {input.manifest:q} --shards {input.shards:q} --model {input.model:q} --medians {input.medians:q}"
+        " --out {output.reconstructions:q} --out-errors {output.errors:q} --out-cpu {output.cpu:q}"
+        " --threads {threads} --config {params.config:q} 2> {log:q}"
 
 
 rule fit:
@@ -90,10 +88,10 @@ rule fit:
     params:
         config=section("eval", "reconstruct", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.predict", "nets.predictor"),
-        model=lambda wildcards, input: f"--model {quote(str(input.model))}" if input.model else "",
+        model=lambda wildcards, input: ["--model", input.model] if input.model else [],
     shell:
-        "p2wss eval fit --manifest {input.manifest} --shards {input.shards} --out {output.reconstructions} --out-cpu {output.cpu} {params.model}"
-        " --threads {threads} --config {params.config:q} 2> {log}"
+        "p2wss eval fit --manifest {input.manifest:q} --shards {input.shards:q} --out {output.reconstructions:q} --out-cpu {output.cpu:q} {params.model:q}"
+        " --threads {threads} --config {params.config:q} 2> {log:q}"
 
 
 rule baseline:
@@ -121,11 +119,11 @@ rule baseline:
         config=baseline_section,
         code=fingerprint("eval.baselines"),
         state=baseline_state,
-        medians=lambda wildcards, input: f"--medians {input.medians}" if input.medians else "",
+        medians=lambda wildcards, input: ["--medians", input.medians] if input.medians else [],
     shell:
-        "p2wss eval baseline --name {wildcards.baseline} --manifest {input.manifest} --shards {input.shards} {params.medians}"
-        " --out {output.reconstructions} --out-cpu {output.cpu}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss eval baseline --name {wildcards.baseline:q} --manifest {input.manifest:q} --shards {input.shards:q} {params.medians:q}"
+        " --out {output.reconstructions:q} --out-cpu {output.cpu:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule measure:
@@ -148,9 +146,9 @@ rule measure:
         config=section("eval", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.measure"),
     shell:
-        "p2wss eval measure --manifest {input.manifest} --shards {input.shards} --reconstructions {input.reconstructions}"
-        " --out {output.measures} --out-errors {output.errors}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss eval measure --manifest {input.manifest:q} --shards {input.shards:q} --reconstructions {input.reconstructions:q}"
+        " --out {output.measures:q} --out-errors {output.errors:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule merge:
@@ -178,9 +176,9 @@ rule merge:
         parts=folders_of("measures"),
         methods=METHODS,
     shell:
-        "p2wss eval merge --parts {params.parts} --methods {params.methods} --out-measures {output.measures}"
-        " --out-parameters {output.parameters} --out-methods {output.methods}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss eval merge --parts {params.parts:q} --methods {params.methods:q} --out-measures {output.measures:q}"
+        " --out-parameters {output.parameters:q} --out-methods {output.methods:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule eval_report:
@@ -233,7 +231,7 @@ rule eval_report:
         parts=folders_of("reconstructions"),
         folder=subpath(output.report, parent=True),
     shell:
-        "p2wss eval report --out {params.folder} --manifest {input.manifest} --measures {input.measures}"
-        " --parameters {input.parameters} --methods {input.methods} --parts {params.parts}"
-        " --metrics {input.metrics} --scans {input.scans}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss eval report --out {params.folder:q} --manifest {input.manifest:q} --measures {input.measures:q}"
+        " --parameters {input.parameters:q} --methods {input.methods:q} --parts {params.parts:q}"
+        " --metrics {input.metrics:q} --scans {input.scans:q}"
+        " --config {params.config:q} 2> {log:q}"

@@ -1,6 +1,6 @@
 """Fetch: footprints, terrain and LiDAR, from a service or from folders, in one form.
 
-In:  what the section fetch of the config names; the town of rule draw_town, if it names one.
+In:  what the section fetch of the config names: your files, each of which is tracked, or the town of rule draw_town.
 Out: <results>/fetch/{place}footprints.gpkg, resources/ign/{vintage}/dtm/{tile}.tif, .../lidar/{tile}.laz as delivered,
      and <results>/fetch/lidar/{place}{tile}.laz with a class for the ground.
 
@@ -21,7 +21,7 @@ localrules:
 
 rule fetch_footprints:
     input:
-        lambda wildcards: local(drawn_town(wildcards.place, "footprints")),
+        source_files("footprints"),
     output:
         footprints="<results>/fetch/{place}footprints.gpkg",
     log:
@@ -40,14 +40,15 @@ rule fetch_footprints:
         config=section("region", "fetch", without=("prepare", "sources", "offline")),
         code=fingerprint("fetch"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
+        sizes=source_sizes("footprints"),
     shell:
-        "p2wss fetch footprints --out {output.footprints} --downloads {params.downloads} --offline {resources.offline}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss fetch footprints --out {output.footprints:q} --downloads {params.downloads:q} --offline {resources.offline:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule fetch_dtm:
     input:
-        lambda wildcards: local(drawn_town(source_of_tile(wildcards), "dtm")),
+        source_files("dtm", source_of_tile),
     output:
         dtm="resources/ign/{vintage}/dtm/{tile}.tif",
     log:
@@ -65,12 +66,15 @@ rule fetch_dtm:
         config=source_section,
         code=fingerprint("fetch"),
         downloads="resources/ign/{vintage}/downloads",
+        sizes=source_sizes("dtm", source_of_tile),
     shell:
-        "p2wss fetch dtm --tile {wildcards.tile} --out {output.dtm} --downloads {params.downloads} --offline {resources.offline}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss fetch dtm --tile {wildcards.tile:q} --out {output.dtm:q} --downloads {params.downloads:q} --offline {resources.offline:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule fetch_lidar:
+    input:
+        source_files("lidar", source_of_tile),
     output:
         lidar="resources/ign/{vintage}/lidar/{tile}.laz",
     log:
@@ -88,9 +92,10 @@ rule fetch_lidar:
         config=source_section,
         code=fingerprint("fetch"),
         downloads="resources/ign/{vintage}/downloads",
+        sizes=source_sizes("lidar", source_of_tile),
     shell:
-        "p2wss fetch lidar --tile {wildcards.tile} --out {output.lidar} --downloads {params.downloads} --offline {resources.offline}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss fetch lidar --tile {wildcards.tile:q} --out {output.lidar:q} --downloads {params.downloads:q} --offline {resources.offline:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule prepare_lidar:
@@ -111,7 +116,7 @@ rule prepare_lidar:
         config=section("region", "fetch", without=("geoplateforme", "sources", "offline")),
         code=fingerprint("fetch"),
     shell:
-        "p2wss fetch prepare --tile {wildcards.tile} --clouds {input.clouds} --out {output.lidar} --config {params.config:q} 2> {log}"
+        "p2wss fetch prepare --tile {wildcards.tile:q} --clouds {input.clouds:q} --out {output.lidar:q} --config {params.config:q} 2> {log:q}"
 
 
 rule fetch:

@@ -30,6 +30,6 @@ rule model:
         folder=subpath(output.weights, parent=True),
         program=program,
     shell:
-        "{params.program} model --manifest {input.manifest} --dvae {input.dvae} --out {output.weights} --out-metrics {output.metrics}"
-        " --checkpoints {params.folder}/checkpoints"
-        " --threads {threads} --config {params.config:q} 2>&1 | tee {log}"
+        "{params.program:q} model --manifest {input.manifest:q} --dvae {input.dvae:q} --out {output.weights:q} --out-metrics {output.metrics:q}"
+        " --checkpoints {params.folder:q}/checkpoints"
+        " --threads {threads} --config {params.config:q} 2>&1 | tee {log:q}"

@@ -4,6 +4,7 @@ A place (wildcard {place}, p2wss.config.places) stands before each tile: "" with
 "paris/2/" for its second draw.
 """
 
+from p2wss.data import listing
 from p2wss.data.tiling import neighbours, tile_bounds, tiles_of_bounds
 
 MEMBERS = configs.member_places(settings)
@@ -93,10 +94,55 @@ def source_section(wildcards):
     return configs.section_json(at(source_of_tile(wildcards)), "region", "fetch", without=without)
 
 
-def drawn_town(place, kind):
-    """The footprints or the terrain of a place, if they are of a town that rule draw_town draws."""
-    path = getattr(at(place).fetch.folder, kind)
-    return path if at(place).fetch.source == "folder" and path.startswith("resources/towns/") else []
+# what the files of a source folder are read for, and the endings of their names
+SOURCE_SUFFIXES = {"footprints": listing.VECTOR, "dtm": listing.RASTER, "lidar": listing.CLOUD}
+
+
+@cache
+def files_of_folder(location, kind):
+    """The files of a source folder; none if there are none, which the command then says better."""
+    try:
+        return listing.list_files(location, SOURCE_SUFFIXES[kind], "")
+    except InputError:
+        return []
+
+
+def source_files(kind, place_of=lambda wildcards: wildcards.place):
+    """An input function: the user's files that the footprints of a place, or the dtm or the lidar of a tile, are read from.
+
+    So a replaced file reruns what follows. A town that rule draw_town draws is its output.
+    """
+
+    def paths(wildcards):
+        place = place_of(wildcards)
+        fetch, region = at(place).fetch, at(place).region
+        if fetch.source != "folder":
+            return []
+        location = getattr(fetch.folder, kind)
+        if kind != "lidar" and location.startswith("resources/towns/"):
+            return [local(location)]
+        files = files_of_folder(location, kind)
+        in_other_crs = kind == "lidar" and fetch.folder.lidar_crs not in ("", region.crs)
+        if kind != "footprints" and not in_other_crs:
+            bounds = tile_bounds(wildcards.tile, region.tile_size_m, fetch.margin_m)
+            files = [file for file in files if listing.may_overlap(file, bounds)]
+        return [local(str(part)) for file in files for part in listing.with_companions(file)]
+
+    return paths
+
+
+def source_sizes(kind, place_of=lambda wildcards: wildcards.place):
+    """A parameter: sizes of the same files, by which a file that an older one replaced is noticed.
+
+    It depends on the wildcards alone: Snakemake does not track parameters that depend on the input.
+    """
+
+    def sizes(wildcards):
+        files = [str(file) for file in source_files(kind, place_of)(wildcards)]
+        delivered = [file for file in files if not file.startswith("resources/towns/")]
+        return [os.path.getsize(file) for file in delivered if os.path.isfile(file)]
+
+    return sizes
 
 
 @cache

@@ -32,8 +32,8 @@ rule reconstruct_tile:
         code=fingerprint("reconstruct", "nets.predictor"),
         folder=subpath(output.summary, parent=True),
     shell:
-        "p2wss reconstruct {input.clouds} {input.footprints} {params.folder} --model {input.model:q}"
-        " --tile {wildcards.tile} --threads {threads} --config {params.config:q} 2> {log}"
+        "p2wss reconstruct {input.clouds:q} {input.footprints:q} {params.folder:q} --model {input.model:q}"
+        " --tile {wildcards.tile:q} --threads {threads} --config {params.config:q} 2> {log:q}"
 
 
 rule reconstruct:

@@ -26,9 +26,9 @@ rule cast_scan:
         config=section("scans"),
         code=fingerprint("scans"),
     shell:
-        "p2wss scans --scene {input.scene} --dtm {input.dtm} --buildings {input.buildings} --out {output.scan}"
-        " --out-survey {output.survey}"
-        " --picture {output.picture} --threads {threads} --config {params.config:q} 2> {log}"
+        "p2wss scans --scene {input.scene:q} --dtm {input.dtm:q} --buildings {input.buildings:q} --out {output.scan:q}"
+        " --out-survey {output.survey:q}"
+        " --picture {output.picture:q} --threads {threads} --config {params.config:q} 2> {log:q}"
 
 
 rule scans:

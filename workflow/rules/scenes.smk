@@ -23,7 +23,7 @@ checkpoint index_scenes:
         config=section("region", "dataset", "scenes"),
         code=fingerprint("scenes"),
     shell:
-        "p2wss scenes index --footprints {input.footprints} --out {output.index} --config {params.config:q} 2> {log}"
+        "p2wss scenes index --footprints {input.footprints:q} --out {output.index:q} --config {params.config:q} 2> {log:q}"
 
 
 rule cut_scene:
@@ -45,9 +45,9 @@ rule cut_scene:
         config=section("region", "scenes"),
         code=fingerprint("scenes"),
     shell:
-        "p2wss scenes cut --tile {wildcards.tile} --place={wildcards.place} --footprints {input.footprints} --dtm {input.dtm} --out {output.scene}"
-        " --out-dtm {output.dtm}"
-        " --config {params.config:q} 2> {log}"
+        "p2wss scenes cut --tile {wildcards.tile:q} --place={wildcards.place:q} --footprints {input.footprints:q} --dtm {input.dtm:q} --out {output.scene:q}"
+        " --out-dtm {output.dtm:q}"
+        " --config {params.config:q} 2> {log:q}"
 
 
 rule scenes:

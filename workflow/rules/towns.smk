@@ -28,4 +28,4 @@ rule draw_town:
         code=fingerprint("towns"),
         folder=subpath(output.dtm, parent=True),
     shell:
-        "p2wss towns --seed {wildcards.seed} --out {params.folder} 2> {log}"
+        "p2wss towns --seed {wildcards.seed:q} --out {params.folder:q} 2> {log:q}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import lzma
 import os
 import re
@@ -13,6 +14,7 @@ import multivolumefile
 import py7zr
 
 from p2wss.data import files
+from p2wss.data.listing import with_companions
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
@@ -23,6 +25,17 @@ _CORNER = re.compile(r"_(\d{4})_(\d{4})_.*\.asc$", re.IGNORECASE)
 def is_archive(path: Path) -> bool:
     """Whether ``path`` is a 7z archive, or the first part of a split one."""
     return path.name.lower().endswith((".7z", ".7z.001"))
+
+
+def unpacked_folder(archive: Path, folder: Path) -> Path:
+    """The folder below ``folder`` for the grids of an archive.
+
+    Its name ends in a digest of the sizes and times of the archive's parts: an archive that replaces another under the
+    same name is unpacked anew.
+    """
+    state = [(part.name, part.stat().st_size, part.stat().st_mtime_ns) for part in with_companions(archive)]
+    digest = hashlib.blake2b(repr(state).encode(), digest_size=4).hexdigest()
+    return folder / f"{archive.name.split('.7z')[0]}-{digest}"
 
 
 def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:

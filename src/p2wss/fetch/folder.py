@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from glob import glob
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,9 @@ from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
 from p2wss.config import Folder
-from p2wss.data.archives import is_archive, unpack
+from p2wss.data.archives import is_archive, unpack, unpacked_folder
 from p2wss.data.clouds import same_crs
+from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
@@ -28,9 +28,6 @@ from p2wss.fetch import geoparquet
 from p2wss.fetch.cloud import read_header
 
 log = logging.getLogger(__name__)
-VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
-RASTER = (".asc", ".tif", ".tiff", ".vrt", ".7z", ".7z.001")
-CLOUD = (".laz", ".las")
 
 
 class FolderSource:
@@ -43,7 +40,7 @@ class FolderSource:
         self.unpacked = unpacked
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
-        files = _list_files(self.config.footprints, VECTOR, "fetch.folder.footprints")
+        files = list_files(self.config.footprints, VECTOR, "fetch.folder.footprints")
         return pd.concat(
             [read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files],
             ignore_index=True,
@@ -51,15 +48,15 @@ class FolderSource:
 
     def dtm(self, bounds: Bounds) -> Terrain:
         files = []
-        for path in _list_files(self.config.dtm, RASTER, "fetch.folder.dtm"):
+        for path in list_files(self.config.dtm, RASTER, "fetch.folder.dtm"):
             if is_archive(path):
-                files += unpack(path, bounds, self.unpacked / path.name.split(".7z")[0])
+                files += unpack(path, bounds, unpacked_folder(path, self.unpacked))
             else:
                 files.append(path)
         return mosaic(files, bounds, self.crs, self.config.dtm)
 
     def lidar(self, bounds: Bounds) -> list[Path]:
-        files = _list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
+        files = list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
         window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
         paths = [path for path in files if _overlaps(path, window)]
         if not paths:
@@ -206,20 +203,3 @@ def _overlaps(path: Path, bounds: Bounds) -> bool:
         and min(high[0], bounds[2]) - max(low[0], bounds[0]) > 0.5
         and min(high[1], bounds[3]) - max(low[1], bounds[1]) > 0.5
     )
-
-
-def _list_files(location: str, suffixes: tuple[str, ...], key: str) -> list[Path]:
-    """The files at a path, in a folder and its subfolders, or that match a pattern, sorted by path.
-
-    key: the config key of ``location``, used in messages.
-    """
-    path = Path(location)
-    if path.is_dir():
-        paths = [file for file in path.rglob("*") if file.name.lower().endswith(suffixes) and file.is_file()]
-    else:
-        paths = [Path(name) for name in glob(location, recursive=True) if Path(name).is_file()]
-    if not paths:
-        raise InputError(
-            f"{key}: {location}: no such file, and no folder or pattern with files {', '.join(suffixes)}"
-        )
-    return sorted(paths)

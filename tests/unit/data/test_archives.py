@@ -50,6 +50,22 @@ def test_only_grids_in_the_window_are_unpacked_and_only_once(tmp_path, part_byte
     assert unpack(archive, WINDOW, tmp_path / "grids") == grids
 
 
+def test_an_archive_that_replaces_another_is_unpacked_anew(tmp_path):
+    (tmp_path / "in").mkdir()
+    archive = pack(tmp_path / "in" / "RGEALTI.7z")
+    source = FolderSource(Folder(dtm=str(tmp_path / "in")), "EPSG:2154", tmp_path / "out")
+    before = source.dtm(WINDOW).height_m
+    raised = tmp_path / "raised"
+    raised.mkdir()
+    for grid in GRIDS.glob("*.asc"):
+        header, rows = grid.read_text().split("\n", 6)[:6], np.loadtxt(grid, skiprows=6)
+        np.savetxt(raised / grid.name, rows + 100, "%.2f", header="\n".join(header), comments="")
+    with py7zr.SevenZipFile(archive, "w") as content:
+        for grid in sorted(raised.iterdir()):
+            content.write(grid, f"{INSIDE.format(1)}/{grid.name}")
+    assert np.allclose(source.dtm(WINDOW).height_m, before + 100)
+
+
 def test_a_window_at_a_corner_needs_four_grids(tmp_path):
     archive = pack(tmp_path / "a.7z")
     grids = unpack(archive, (652990.0, 6860990.0, 653010.0, 6861010.0), tmp_path / "grids")
