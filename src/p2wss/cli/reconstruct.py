@@ -82,6 +82,12 @@ def add_parser(stages: Parsers) -> None:
         action="store_true",
         help="a shape per material in Sionna scenes; loses the diffracting edges between walls and roofs",
     )
+    command.add_argument(
+        "--register",
+        choices=["on", "off"],
+        help="whether to move footprints to where the clouds show the buildings "
+        "(default: reconstruct.registration of the config)",
+    )
     add_threads(command)
     add_device(command)
 
@@ -102,15 +108,18 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     terrain, terrain_crs = (None, None) if arguments.terrain is None else read_terrain(arguments.terrain)
     features = footprints.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = footprints.clean_footprints(features, config.scenes)
-    if arguments.tile is not None:
-        frame = reconstruct.of_tile(frame, arguments.tile, config.region.tile_size_m)
-    cloud = clouds.read_clouds(arguments.clouds, reconstruct.window(frame))
+    tile = (arguments.tile, config.region.tile_size_m)
+    around = frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
+    cloud = clouds.read_clouds(arguments.clouds, reconstruct.window(around))
     names = (str(arguments.clouds[0]), str(arguments.footprints))
     crs, note = reconstruct.common_crs(cloud.crs, frame.crs, arguments.crs, names)
     if note:
         log.info("note: %s", note)
     if terrain_crs is not None:
         exports.check_terrain(terrain_crs, crs, arguments.terrain)
+    if config.reconstruct.registration:
+        around = reconstruct.register(around, cloud)
+    frame = around if arguments.tile is None else reconstruct.of_tile(around, *tile)
     for note in exports.notes(config.reconstruct, frame, terrain is not None):
         log.info("note: %s", note)
     method = "fit to the points without a network" if weights is None else f"model {weights}"
@@ -150,6 +159,8 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
         options["frequency_ghz"] = arguments.frequency_ghz
     if arguments.split_materials:
         options["split_materials"] = True
+    if arguments.register is not None:
+        options["registration"] = arguments.register == "on"
     if arguments.materials is not None:
         options["materials"] = _materials(arguments.materials)
     return load(arguments.config, {"reconstruct": options})

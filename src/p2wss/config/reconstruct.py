@@ -68,6 +68,10 @@ class Reconstruct(Section):
         False,
         description="also write one glb, obj, ply and stl file per building, for those formats among outputs",
     )
+    registration: bool = Field(
+        True,
+        description="move blocks of footprints, by at most 3 m, to where the points clearly show the buildings",
+    )
     buffer_m: float = Field(
         1, ge=0, le=20, description="distance from the footprint within which points belong to a building"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,15 @@ import geopandas as gpd
 from p2wss.data import files
 
 
-def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str = "buildings") -> None:
-    """Write one layer, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``.
+def write(
+    path: Path,
+    frame: gpd.GeoDataFrame,
+    facts: dict[str, Any],
+    layer: str = "buildings",
+    more: Mapping[str, gpd.GeoDataFrame] | None = None,
+) -> None:
+    """Write a layer, with ``facts`` as JSON in the metadata of the file, under the key ``p2wss``, and after it those
+    of ``more`` by their names.
 
     Raises :class:`InputError` that names ``path`` if it cannot be written.
     """
@@ -27,5 +35,7 @@ def write(path: Path, frame: gpd.GeoDataFrame, facts: dict[str, Any], layer: str
                 engine="pyogrio",
                 dataset_metadata={"p2wss": json.dumps(facts, sort_keys=True)},
             )
+            for name, rows in (more or {}).items():
+                rows.to_file(temporary, driver="GPKG", layer=name, engine="pyogrio", mode="a")
         except RuntimeError as error:  # pyogrio's errors, a full disk among them, are not OSErrors
             raise OSError(str(error)) from error

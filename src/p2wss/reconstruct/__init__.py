@@ -1,11 +1,20 @@
 """Stage reconstruct: closed buildings from footprints and LiDAR (paper, section 5.4)."""
 
-from p2wss.reconstruct.inputs import common_crs, of_tile, output_stem, shipped_model, weights_to_use, window
+from p2wss.reconstruct.inputs import (
+    around_tile,
+    common_crs,
+    of_tile,
+    output_stem,
+    shipped_model,
+    weights_to_use,
+    window,
+)
 from p2wss.reconstruct.pipeline import (
     Result,
     attributes,
     check_overlap,
     city_json,
+    input_footprints,
     run,
     solid,
     summary,
@@ -13,17 +22,22 @@ from p2wss.reconstruct.pipeline import (
     vertices_m,
 )
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
+from p2wss.reconstruct.registration import Registration, register
 
 __all__ = [
+    "Registration",
     "Result",
+    "around_tile",
     "attributes",
     "check_overlap",
     "city_json",
     "common_crs",
+    "input_footprints",
     "method_name",
     "of_tile",
     "output_stem",
     "reconstruct_buildings",
+    "register",
     "run",
     "shipped_model",
     "solid",

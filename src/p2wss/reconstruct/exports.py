@@ -23,7 +23,14 @@ from p2wss.formats import gpkg, sionna
 from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import blocks, terrain_mesh
-from p2wss.reconstruct.pipeline import Result, city_json, input_columns, table, vertices_m
+from p2wss.reconstruct.pipeline import (
+    Result,
+    city_json,
+    input_columns,
+    input_footprints,
+    table,
+    vertices_m,
+)
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
@@ -58,13 +65,18 @@ def write(
     meshes = buildings if ground is None else [*buildings, ground]
     frame = frame_around(meshes, crs.to_string())
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
+    before = input_footprints(results, crs)
     written = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "gpkg":
-            gpkg.write(folder / name, table(results, crs), facts)
+            more = {} if before is None else {"input_footprints": before}
+            gpkg.write(folder / name, table(results, crs), facts, more=more)
         elif output == "geoparquet":
-            files.write_geoparquet(folder / name, table(results, crs), facts)
+            rows = table(results, crs)
+            if before is not None:
+                rows["input_geometry"] = before.geometry
+            files.write_geoparquet(folder / name, rows, facts)
         elif output in ("cityjson", "cityjsonseq"):
             files.write_text(folder / name, city_json(results, crs, output))
         else:

@@ -14,6 +14,7 @@ from p2wss.data.cloud_crops import GROUND_RINGS_M
 from p2wss.data.clouds import horizontal, same_crs
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.errors import InputError
+from p2wss.reconstruct.registration import context
 
 # in place of a file of weights: no network
 NO_NETWORK = "none"
@@ -96,6 +97,19 @@ def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDa
     frame = frame[np.isfinite(frame["centre_x_m"])]
     in_tile = tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile
     return frame[in_tile].reset_index(drop=True)
+
+
+def around_tile(
+    frame: gpd.GeoDataFrame, tile: str, tile_size_m: float, config: Reconstruct
+) -> gpd.GeoDataFrame:
+    """The footprints of :func:`of_tile`, and those on which their registration depends."""
+    is_in_tile = np.zeros(len(frame), bool)
+    is_known = np.isfinite(frame["centre_x_m"]).to_numpy()
+    centre = frame.loc[is_known, ["centre_x_m", "centre_y_m"]].to_numpy()
+    is_in_tile[is_known] = tiles_of_points(centre[:, 0], centre[:, 1], tile_size_m) == tile
+    if config.registration:
+        is_in_tile = context(frame, is_in_tile)
+    return frame[is_in_tile].reset_index(drop=True)
 
 
 def output_stem(cloud: Path) -> str:

@@ -28,12 +28,13 @@ from p2wss.formats.cityjson import Solid
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
+from p2wss.reconstruct.registration import COLUMN, Registration
 from p2wss.reconstruct.valid import labelled_mesh
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
 # columns that reading and cleaning add to the input's own
-_ADDED_COLUMNS = ("building_id", "status", "centre_x_m", "centre_y_m")
+_ADDED_COLUMNS = ("building_id", "status", "centre_x_m", "centre_y_m", COLUMN)
 # number of buildings between two reports of progress
 _BATCH = 256
 
@@ -46,7 +47,7 @@ class Result:
     residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: share of the
     footprint's 1 m cells that have a point on the building. not_representable: the building was fitted, but the
     residual is more than ``not_representable_m``. columns: values of the footprint's input columns by their names, None
-    where there is no value.
+    where there is no value. registration: how the footprint was moved, None without a registration.
     """
 
     reconstruction: Reconstruction
@@ -57,6 +58,7 @@ class Result:
     visible_share: float
     not_representable: bool
     columns: Mapping[str, Any] = field(default_factory=dict)
+    registration: Registration | None = None
 
 
 def run(
@@ -69,7 +71,8 @@ def run(
 ) -> list[Result]:
     """One result per row of ``frame``, in its order.
 
-    frame: what :func:`p2wss.data.footprints.clean_footprints` returns. With a network its values are fitted to the
+    frame: what :func:`p2wss.data.footprints.clean_footprints` or :func:`p2wss.reconstruct.registration.register`
+    returns. With a network its values are fitted to the
     points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
     time with the number of rows that are done.
     """
@@ -97,9 +100,10 @@ def run(
             )
         results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
         progress(len(results))
+    registrations = frame[COLUMN] if COLUMN in frame else [None] * len(frame)
     return [
-        replace(result, columns=columns)
-        for result, columns in zip(results, input_columns(frame), strict=True)
+        replace(result, columns=columns, registration=registration)
+        for result, columns, registration in zip(results, input_columns(frame), registrations, strict=True)
     ]
 
 
@@ -216,6 +220,16 @@ def table(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
 
 
+def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame | None:
+    """A row per footprint with its cleaned polygon before the registration; None without a registration."""
+    rows = [(result.reconstruction.building_id, result.registration) for result in results]
+    if not any(registration for _, registration in rows):
+        return None
+    names = [name for name, _ in rows]
+    shapes = [None if row is None or row.input_polygon.is_empty else row.input_polygon for _, row in rows]
+    return gpd.GeoDataFrame({"building_id": names}, geometry=shapes, crs=horizontal(crs))
+
+
 def attributes(result: Result) -> dict[str, Any]:
     """The attributes of a building, the same in every output format; None where a value is unknown."""
     reconstruction = result.reconstruction
@@ -236,6 +250,19 @@ def attributes(result: Result) -> dict[str, Any]:
         "num_points": result.num_points,
         "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,
         "num_triangles": len(reconstruction.triangle),
+        **_registration_attributes(result.registration),
+    }
+
+
+def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
+    if registration is None:
+        return dict.fromkeys(("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source"))
+    return {
+        "shift_x_m": _rounded(registration.shift_m[0]),
+        "shift_y_m": _rounded(registration.shift_m[1]),
+        "shift_sd_m": _rounded(registration.shift_sd_m),
+        "rotation_deg": _rounded(registration.rotation_deg),
+        "shift_source": registration.source,
     }
 
 

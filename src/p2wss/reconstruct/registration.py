@@ -1,0 +1,326 @@
+"""Registration: footprints moved to where the cloud shows the buildings, block by block.
+
+Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruct.shifts`). It is used only where the
+points speak for it clearly; where they speak weakly, it is drawn towards the shift of the blocks around; where they do
+not speak, the block stays. A block's shift depends only on blocks and points up to ``NEIGHBOURHOOD_M`` (and a few
+metres) away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from p2wss.data import polygon_arrays
+from p2wss.data.clouds import Cloud
+from p2wss.data.cropping import crop_points
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.reconstruct.footprint_blocks import Blocks, connected, find_blocks
+from p2wss.reconstruct.shifts import (
+    MAX_SHIFT_M,
+    WINDOW_M,
+    Estimate,
+    edge_steps,
+    search_shift,
+    solve_shift,
+)
+from p2wss.skeleton.types import Polygons
+
+# blocks whose centres are nearer form a neighbourhood
+NEIGHBOURHOOD_M = 100.0
+# points this far from a block matter to it
+REACH_M = MAX_SHIFT_M + WINDOW_M + 0.25
+# a point that is neither on a building nor on the ground is half a sign that there is no building
+_OTHER_WEIGHT = -0.5
+# rounds of the search, in which the other blocks are where the last round put them, and of steps after each
+_ROUNDS, _STEP_ROUNDS = 2, 2
+# each of these looks at the places of the next blocks once
+_HOPS = _ROUNDS * (1 + _STEP_ROUNDS) + 1
+
+# evidence is clear with this many edges with steps, on this share of the length, with a standard deviation of at most
+# this, with this share of points on buildings inside, and with this gain
+_MIN_STEPS, _MIN_STEP_SHARE, _MAX_SD_M, _MIN_BUILDING_SHARE, _MIN_GAIN = 3, 0.5, 0.25, 0.6, -0.1
+# a shift is used from this length, and from this many standard deviations
+_MIN_SHIFT_M, _MIN_SIGMAS = 0.25, 3.0
+# a neighbourhood speaks with this many blocks that agree so far; else weak evidence is drawn to zero
+_MIN_NEIGHBOURS, _MAX_SPREAD_M, _MIN_SPREAD_M, _ALONE_SD_M = 3, 0.4, 0.15, 0.5
+# blocks from this size rotate too, where that moves their ends by this much, and by this many standard deviations
+_MIN_ROTATED_M, _MIN_ROTATION_M, _MIN_ROTATION_SIGMAS = 25.0, 0.25, 4.0
+
+EDGES, NEIGHBOURS, NOTHING = "edges", "neighbours", "none"
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """The movement of n blocks.
+
+    shift_m: (n, 2). sd_m: (n,), the larger standard deviation of the shift; NaN without evidence. rotation_rad: (n,),
+    counter-clockwise around the centre of the block. source: object (n,), of :data:`EDGES`, :data:`NEIGHBOURS` and
+    :data:`NOTHING`. overhang_m: (n,), how far roofs reach beyond the footprints, NaN without evidence.
+    """
+
+    shift_m: np.ndarray
+    sd_m: np.ndarray
+    rotation_rad: np.ndarray
+    source: np.ndarray
+    overhang_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What registration did to a footprint.
+
+    input_polygon: the footprint before. shift_m, rotation_deg: its movement; the rotation is counter-clockwise around
+    the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
+    source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`.
+    """
+
+    input_polygon: shapely.Polygon
+    shift_m: tuple[float, float]
+    shift_sd_m: float | None
+    rotation_deg: float
+    source: str
+
+
+# the column with a Registration per row
+COLUMN = "p2wss_registration"
+
+
+def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
+    """``frame`` with its footprints where the cloud shows the buildings, and with the column :data:`COLUMN`.
+
+    frame: what :func:`p2wss.data.footprints.clean_footprints` returns, with all footprints of :func:`context`.
+    """
+    shapes = frame.geometry.to_numpy()
+    blocks = find_blocks(shapes)
+    shifts = block_shifts(blocks, cloud)
+    polygons = polygon_arrays.to_polygons(shapes)
+    of_vertex = np.repeat(blocks.of_footprint, np.diff(polygons.vertex_offset))
+    xy_m = moved(polygons.xy_m, of_vertex, blocks, shifts.shift_m, shifts.rotation_rad)
+    moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
+    geometries = polygon_arrays.to_geometries(moved_polygons)
+    result = frame.set_geometry(gpd.GeoSeries(geometries, index=frame.index, crs=frame.crs))
+    rows = [
+        Registration(shape, (0.0, 0.0), None, 0.0, NOTHING)
+        if block < 0
+        else Registration(
+            shape,
+            (float(shifts.shift_m[block, 0]), float(shifts.shift_m[block, 1])),
+            float(shifts.sd_m[block]) if np.isfinite(shifts.sd_m[block]) else None,
+            float(np.rad2deg(shifts.rotation_rad[block])),
+            str(shifts.source[block]),
+        )
+        for shape, block in zip(shapes, blocks.of_footprint, strict=True)
+    ]
+    result[COLUMN] = np.array([*rows, None], dtype=object)[:-1]
+    return result
+
+
+def context(frame: gpd.GeoDataFrame, is_chosen: np.ndarray) -> np.ndarray:
+    """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
+
+    These are all footprints of their blocks, of the blocks up to ``NEIGHBOURHOOD_M`` away, and of those beyond with
+    which these compete for points.
+    """
+    shapes = frame.geometry.to_numpy()
+    present = np.flatnonzero(~shapely.is_empty(shapes))
+    of_present = connected(shapes[present])
+    count = int(of_present.max(initial=-1)) + 1
+    bounds = np.full((count, 4), np.inf)
+    corners = shapely.bounds(shapes[present]) * [1, 1, -1, -1]
+    np.minimum.at(bounds, of_present, corners)
+    box = shapely.box(*(bounds * [1, 1, -1, -1]).T)
+    tree = shapely.STRtree(box)
+    blocks = np.unique(of_present[is_chosen[present]])
+    for distance_m in (NEIGHBOURHOOD_M, *[2 * REACH_M] * _HOPS):
+        blocks = np.unique(tree.query(box[blocks], predicate="dwithin", distance=distance_m)[1])
+    result = is_chosen.copy()
+    result[present[np.isin(of_present, blocks)]] = True
+    return result
+
+
+def moved(
+    xy_m: np.ndarray, of_vertex: np.ndarray, blocks: Blocks, shift_m: np.ndarray, rotation_rad: np.ndarray
+) -> np.ndarray:
+    """Vertices (v, 2) of blocks, moved; equal vertices of a block stay equal to the bit."""
+    if not len(blocks):
+        return xy_m
+    result = xy_m + shift_m[of_vertex]
+    rotates = rotation_rad[of_vertex] != 0
+    block = of_vertex[rotates]
+    cosine, sine = np.cos(rotation_rad[block]), np.sin(rotation_rad[block])
+    x, y = (xy_m[rotates] - blocks.centre_m[block]).T
+    turned = np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
+    result[rotates] = blocks.centre_m[block] + turned + shift_m[block]
+    return result
+
+
+def block_shifts(blocks: Blocks, cloud: Cloud) -> Shifts:
+    """The movement of every block."""
+    near = _Near(blocks, cloud)
+    return decide(blocks.centre_m, near.extent_m, *near.estimates())
+
+
+class _Near:
+    """The points near blocks, and the blocks where they are assumed to be."""
+
+    def __init__(self, blocks: Blocks, cloud: Cloud) -> None:
+        self.blocks = blocks
+        point, _, offset = crop_points(cloud.x_m, cloud.y_m, blocks.outline, REACH_M)
+        used = np.zeros(len(cloud), bool)
+        used[point] = True
+        number = np.cumsum(used) - 1
+        self.x_m, self.y_m = cloud.x_m[used], cloud.y_m[used]
+        classes = cloud.classification[used]
+        self.weight = np.full(len(classes), _OTHER_WEIGHT)
+        self.weight[np.isin(classes, (GROUND_CLASS, WATER_CLASS))] = -1.0
+        self.weight[classes == BUILDING_CLASS] = 1.0
+        point = number[point]
+        first = np.searchsorted(blocks.of_outline, np.arange(len(blocks) + 1))
+        self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]
+        for block in np.flatnonzero(np.diff(first) > 1).tolist():
+            self.points[block] = np.unique(self.points[block])
+        self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
+        areas = shapely.area(polygon_arrays.to_geometries(blocks.outline))
+        self.area_m2 = np.bincount(blocks.of_outline, areas, len(blocks))
+        self.extent_m = np.zeros(len(blocks))
+        for block in range(len(blocks)):
+            corner = blocks.edge[self.edges[block] : self.edges[block + 1]].reshape(-1, 2)
+            self.extent_m[block] = np.linalg.norm(np.ptp(corner, axis=0))
+
+    def block_of_points(self, shift_m: np.ndarray, rotation_rad: np.ndarray) -> np.ndarray:
+        """The block in whose outline each point is when the blocks are moved so, -1 for none."""
+        outline = self.blocks.outline
+        of_vertex = np.repeat(self.blocks.of_outline, np.diff(outline.vertex_offset))
+        xy_m = moved(outline.xy_m, of_vertex, self.blocks, shift_m, rotation_rad)
+        polygons = Polygons(xy_m, outline.ring_offset, outline.polygon_offset)
+        point, inside, offset = crop_points(self.x_m, self.y_m, polygons, 0.0)
+        of_pair = np.repeat(self.blocks.of_outline, np.diff(offset))
+        result = np.full(len(self.x_m), -1, np.int64)
+        # in an overlap, a point is of the first block
+        result[point[inside][::-1]] = of_pair[inside][::-1]
+        return result
+
+    def estimates(self) -> tuple[list[Estimate], np.ndarray, np.ndarray]:
+        """The estimate of every block, the share of points on buildings inside it there, and the gain: by how much the
+        weights inside rise with the shift, as a share of what they would if all swept points were on buildings in
+        front and on the ground behind."""
+        blocks, count = self.blocks, len(self.blocks)
+        shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
+        inside = self.block_of_points(shift_m, rotation_rad)
+        estimates: list[Estimate] = []
+        for _ in range(_ROUNDS):
+            shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
+            for block in range(count):
+                point = self.points[block]
+                point = point[(inside[point] == block) | (inside[point] < 0)]
+                xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
+                edge = blocks.edge[self.edges[block] : self.edges[block + 1]]
+                shift_m[block] = search_shift(edge, xy_m, self.weight[point])
+            for _ in range(_STEP_ROUNDS):
+                inside = self.block_of_points(shift_m, rotation_rad)
+                estimates = self._solved(shift_m, rotation_rad, inside)
+                shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
+                length_m = np.linalg.norm(shift_m, axis=1, keepdims=True)
+                shift_m *= np.minimum(1, (REACH_M - 0.5) / np.maximum(length_m, 1e-9))
+                rotation_rad = np.array([each.rotation_rad for each in estimates])
+            inside = self.block_of_points(shift_m, rotation_rad)
+        before, _ = self._sums(self.block_of_points(np.zeros((count, 2)), np.zeros(count)))
+        after, on_building = self._sums(inside)
+        share = on_building / np.maximum(2 * on_building - after, 1)
+        gain = np.zeros(count)
+        for block, each in enumerate(estimates):
+            ends = blocks.edge[self.edges[block] : self.edges[block + 1]].reshape(-1, 2)
+            swept_m2 = float(np.ptp(ends @ [-each.shift_m[1], each.shift_m[0]]))
+            area_m2 = self.area_m2[block]
+            gain[block] = (after - before)[block] * area_m2 / max(2 * on_building[block] * swept_m2, 1e-9)
+        return estimates, share, gain
+
+    def _sums(self, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The sum of the weights inside each block, and the number of points on buildings there."""
+        used = inside >= 0
+        sums = np.bincount(inside[used], self.weight[used], len(self.blocks))
+        return sums, np.bincount(inside[used], self.weight[used] > 0, len(self.blocks))
+
+    def _solved(self, shift_m: np.ndarray, rotation_rad: np.ndarray, inside: np.ndarray) -> list[Estimate]:
+        blocks = self.blocks
+        ends = blocks.edge.reshape(-1, 2)
+        edge = moved(ends, np.repeat(blocks.of_edge, 2), blocks, shift_m, rotation_rad).reshape(-1, 4)
+        steps = edge_steps(edge, blocks.of_edge, self.x_m, self.y_m, self.weight, inside)
+        return [
+            solve_shift(
+                edge[first:last],
+                steps.of(slice(first, last)),
+                shift_m[block],
+                rotation_rad[block],
+                blocks.centre_m[block] + shift_m[block],
+                bool(self.extent_m[block] >= _MIN_ROTATED_M),
+            )
+            for block, (first, last) in enumerate(pairwise(self.edges))
+        ]
+
+
+def decide(
+    centre_m: np.ndarray,
+    extent_m: np.ndarray,
+    estimates: list[Estimate],
+    building_share: np.ndarray,
+    gain: np.ndarray,
+) -> Shifts:
+    """The movements that are used: the rule of the evidence."""
+    count = len(estimates)
+    clear, weak = np.zeros(count, bool), np.zeros(count, bool)
+    found_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
+    for block, each in enumerate(estimates):
+        if not each.num_steps or building_share[block] < _MIN_BUILDING_SHARE:
+            continue
+        if not np.linalg.norm(each.shift_m) <= MAX_SHIFT_M or each.step_share < _MIN_STEP_SHARE:
+            continue
+        sd_m = _standard_deviations(each.information)
+        clear[block] = each.num_steps >= _MIN_STEPS and sd_m.max() <= _MAX_SD_M
+        weak[block] = not clear[block] and sd_m.min() <= _MAX_SD_M
+    shift_m, sd_m = np.zeros((count, 2)), np.full(count, np.nan)
+    source = np.full(count, NOTHING, dtype=object)
+    rotation_rad, overhang_m = np.zeros(count), np.full(count, np.nan)
+    tree = cKDTree(centre_m[clear]) if clear.any() else None
+    for block in np.flatnonzero(clear | weak).tolist():
+        each = estimates[block]
+        information, mean_m = each.information, each.shift_m
+        source[block] = EDGES
+        if weak[block]:
+            prior_m, prior_sd_m = np.zeros(2), _ALONE_SD_M
+            around = [] if tree is None else sorted(tree.query_ball_point(centre_m[block], NEIGHBOURHOOD_M))
+            if len(around) >= _MIN_NEIGHBOURS:
+                of_neighbours = found_m[clear][around]
+                middle_m = np.median(of_neighbours, axis=0)
+                spread_m = 1.48 * np.median(np.linalg.norm(of_neighbours - middle_m, axis=1))
+                if spread_m <= _MAX_SPREAD_M:
+                    prior_m, prior_sd_m = middle_m, max(spread_m, _MIN_SPREAD_M)
+                    source[block] = NEIGHBOURS
+            prior = np.eye(2) / prior_sd_m**2
+            mean_m = np.linalg.solve(information + prior, information @ mean_m + prior @ prior_m)
+            information = information + prior
+        sd_m[block] = _standard_deviations(information).max()
+        overhang_m[block] = each.overhang_m
+        is_significant = mean_m @ information @ mean_m >= _MIN_SIGMAS**2
+        is_significant &= gain[block] >= _MIN_GAIN
+        if is_significant and np.linalg.norm(mean_m) >= _MIN_SHIFT_M:
+            shift_m[block] = np.round(mean_m, 3)
+        lever_m = extent_m[block] / 2 if clear[block] and extent_m[block] >= _MIN_ROTATED_M else 0.0
+        angle_rad = each.rotation_rad
+        if (
+            abs(angle_rad) * lever_m >= _MIN_ROTATION_M
+            and abs(angle_rad) >= _MIN_ROTATION_SIGMAS * each.rotation_sd_rad
+        ):
+            rotation_rad[block] = np.deg2rad(np.round(np.rad2deg(angle_rad), 4))
+    return Shifts(shift_m, sd_m, rotation_rad, source, overhang_m)
+
+
+def _standard_deviations(information: np.ndarray) -> np.ndarray:
+    """The two principal standard deviations of an information matrix; infinite where it has none."""
+    return 1 / np.sqrt(np.maximum(np.linalg.eigvalsh(information), 1e-12))

@@ -1,0 +1,243 @@
+"""Where a block of footprints lies in the cloud: arrays only, all blocks of a run at once.
+
+The points of class building are inside a block, all others outside. A search over whole shifts finds the place where
+this holds best (:func:`search_shift`); around it, each free edge has a step along its normal from building to ground
+(:func:`edge_steps`), and the shift follows from all steps of the block (:func:`solve_shift`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+import scipy.ndimage
+
+from p2wss.data.cropping import crop_points
+from p2wss.skeleton.types import Polygons
+
+# the search: largest shift and its step
+MAX_SHIFT_M = 3.0
+_CELL_M = 0.25
+_MAX_CELLS = 1 << 18
+# of two places, the nearer one is taken unless the other has this many points more for each square metre of its shift
+_POINTS_PER_M2 = 1.0
+# the steps: depth of the strip on either side of an edge, part of the edge at either end that is not used, and the
+# shortest edge that is used
+WINDOW_M = 1.25
+_END_M = 0.3
+_MIN_EDGE_M = 1.0
+_MIN_POINTS = 6
+
+
+@dataclass(frozen=True)
+class Steps:
+    """The step of each of e edges: NaN where the points show none.
+
+    offset_m: where the building ends, along the outward normal from the edge, (e,). sd_m: its standard deviation, (e,).
+    is_missing: bool (e,), whether there are points enough for a step, but no building inside.
+    """
+
+    offset_m: np.ndarray
+    sd_m: np.ndarray
+    is_missing: np.ndarray
+
+    def of(self, rows: np.ndarray | slice) -> Steps:
+        """The steps of some of the edges."""
+        return Steps(self.offset_m[rows], self.sd_m[rows], self.is_missing[rows])
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The shift of a block as its own edges show it.
+
+    shift_m: (2,). information: (2, 2), the inverse covariance of the shift from the edges alone, after overhang and
+    rotation; zero without any. rotation_rad: counter-clockwise around the centre of the block. overhang_m: how far the
+    roof reaches beyond the edges. num_steps: edges with a step. step_share: their share of the length of these and
+    of the edges that show no building.
+    """
+
+    shift_m: np.ndarray
+    information: np.ndarray
+    rotation_rad: float
+    rotation_sd_rad: float
+    overhang_m: float
+    num_steps: int
+    step_share: float
+
+
+def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """The shift of a polygon under which the weights inside it have the largest sum.
+
+    edge: (e, 4), ends of all edges of the polygon. xy_m: (n, 2), points up to ``MAX_SHIFT_M`` around it. weight: (n,).
+    Returns the centre of the shifts whose sum is nearly the largest, (2,).
+    """
+    low = edge.reshape(-1, 2).min(axis=0) - MAX_SHIFT_M
+    extent = edge.reshape(-1, 2).max(axis=0) + MAX_SHIFT_M - low
+    cell_m = max(_CELL_M, float(np.sqrt(extent.prod() / _MAX_CELLS)))
+    reach = int(MAX_SHIFT_M / cell_m)
+    columns, rows = (np.ceil(extent / cell_m).astype(int) + 1).tolist()
+    cell = np.floor((xy_m - low) / cell_m).astype(np.int64)
+    keep = ((cell >= 0) & (cell < [columns, rows])).all(axis=1)
+    index = cell[keep, 1] * columns + cell[keep, 0]
+    weights = np.bincount(index, weight[keep], rows * columns).reshape(rows, columns)
+    inside = _rasterised((edge - np.tile(low, 2)) / cell_m, rows, columns)
+    shape = [scipy.fft.next_fast_len(rows + reach, True), scipy.fft.next_fast_len(columns + reach, True)]
+    spectrum = scipy.fft.rfft2(weights, shape) * np.conj(scipy.fft.rfft2(inside, shape))
+    total = scipy.fft.irfft2(spectrum, shape)
+    steps = np.arange(-reach, reach + 1)
+    # the weights are halves; the transform is not exact
+    total = np.round(2 * total[np.ix_(steps, steps)]) / 2
+    dy, dx = np.meshgrid(steps * cell_m, steps * cell_m, indexing="ij")
+    distance2 = dx**2 + dy**2
+    total = np.where(distance2 <= MAX_SHIFT_M**2, total - _POINTS_PER_M2 * distance2, -np.inf)
+    best = np.unravel_index(np.argmax(total), total.shape)
+    # with an overhang, all shifts up to its length are as good
+    as_good = total >= total[best] - max(2.0, 0.005 * float(np.abs(weight[keep]).sum()))
+    number, _ = scipy.ndimage.label(as_good)
+    near_best = number == number[best]
+    return np.array([dx[near_best].mean(), dy[near_best].mean()])
+
+
+def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Cells whose centre is inside the polygon with these edges (even-odd rule), float64 (rows, columns)."""
+    x0, y0, x1, y1 = edge.T - 0.5
+    first = np.ceil(np.minimum(y0, y1)).astype(np.int64)
+    count = np.ceil(np.maximum(y0, y1)).astype(np.int64) - first
+    of_edge = np.repeat(np.arange(len(edge)), count)
+    row = np.arange(len(of_edge)) - np.repeat(np.cumsum(count) - count, count) + first[of_edge]
+    slope = (x1 - x0) / np.where(y1 == y0, 1.0, y1 - y0)
+    column = np.ceil(x0[of_edge] + (row - y0[of_edge]) * slope[of_edge]).astype(np.int64)
+    crossings = np.bincount(row * (columns + 1) + np.clip(column, 0, columns), minlength=rows * (columns + 1))
+    return (np.cumsum(crossings.reshape(rows, columns + 1), axis=1)[:, :columns] & 1).astype(float)
+
+
+def strips(edge: np.ndarray) -> Polygons:
+    """A rectangle over each edge (e, 4), ``WINDOW_M`` to either side; empty for an edge that is too short."""
+    start, end = edge[:, :2], edge[:, 2:]
+    length = np.linalg.norm(end - start, axis=1)
+    is_long = np.flatnonzero(length >= _MIN_EDGE_M)
+    along = (end - start)[is_long] / length[is_long, None]
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) * WINDOW_M
+    first, last = start[is_long] + _END_M * along, end[is_long] - _END_M * along
+    corner = np.stack([first + normal, last + normal, last - normal, first - normal], axis=1)
+    num_rings = np.zeros(len(edge) + 1, np.int64)
+    num_rings[is_long + 1] = 1
+    return Polygons(corner.reshape(-1, 2), np.arange(len(is_long) + 1) * 4, np.cumsum(num_rings))
+
+
+def edge_steps(
+    edge: np.ndarray,
+    block: np.ndarray,
+    x_m: np.ndarray,
+    y_m: np.ndarray,
+    weight: np.ndarray,
+    block_of_point: np.ndarray,
+) -> Steps:
+    """The step of each edge (e, 4) from the points in the strip over it.
+
+    edge: counter-clockwise around the block, so that the outside is on the right. block: (e,), the block of each edge.
+    weight: (n,), 1 for a point on a building and less than 0 for any other. block_of_point: (n,), the block in whose
+    outline a point is, -1 for none.
+    """
+    point, _, offset = crop_points(x_m, y_m, strips(edge), 0.0)
+    of_edge = np.repeat(np.arange(len(edge)), np.diff(offset))
+    along = edge[:, 2:] - edge[:, :2]
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
+    distance = (x_m[point] - edge[of_edge, 0]) * along[of_edge, 1]
+    distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
+    own = block_of_point[point] == block[of_edge]
+    other = (block_of_point[point] >= 0) & ~own
+    # another part of the block across a narrow yard, the ground behind a narrow part, and other blocks
+    keep = ~other & ~(own & (distance > 0.3)) & ~(~own & (distance < -0.3))
+    of_edge, distance, value = of_edge[keep], distance[keep], weight[point[keep]]
+    order = np.lexsort([value, distance, of_edge])
+    return _steps(of_edge[order], distance[order], value[order], edge)
+
+
+def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: np.ndarray) -> Steps:
+    """The steps from points sorted by edge and distance."""
+    count = np.bincount(of_edge, minlength=len(edge))
+    offset_m, sd_m = np.full(len(edge), np.nan), np.full(len(edge), np.nan)
+    start = np.cumsum(count) - count
+    running = np.cumsum(value)
+    before = np.concatenate([[0.0], running])[start]
+    score = running - before[of_edge]  # of a step just behind each point
+    some = np.flatnonzero(count > 0)
+    if not len(some):
+        return Steps(offset_m, sd_m, count > 0)
+    best = np.full(len(edge), -np.inf)
+    best[some] = np.maximum.reduceat(score, start[some])
+    total = np.zeros(len(edge))
+    total[some] = score[start[some] + count[some] - 1]
+    index = np.arange(len(score))
+    at_best = np.where(score >= best[of_edge] - 1e-9, index, len(score))
+    last = np.zeros(len(edge), np.int64)
+    last[some] = np.minimum.reduceat(at_best, start[some])
+    nearly = np.where(score >= best[of_edge] - 3.0, index, len(score))
+    nearly_first = np.zeros(len(edge), np.int64)
+    nearly_first[some] = np.minimum.reduceat(nearly, start[some])
+    gain = np.minimum(best, best - total)
+    positive = np.bincount(of_edge, np.maximum(value, 0), len(edge))
+    negative = np.bincount(of_edge, np.maximum(-value, 0), len(edge))
+    clear = (gain >= 4) & (gain >= 0.5 * np.minimum(positive, negative))
+    rows = np.flatnonzero(clear)
+    lower = distance[last[rows]]
+    beyond = np.minimum(last[rows] + 1, len(distance) - 1)
+    upper = np.where(of_edge[beyond] == rows, distance[beyond], WINDOW_M)
+    length = np.linalg.norm(edge[rows, 2:] - edge[rows, :2], axis=1) - 2 * _END_M
+    spacing = 1.0 / np.maximum(count[rows] / (2 * WINDOW_M), 1.0)
+    offset_m[rows] = lower + np.minimum((upper - lower) / 2, spacing)
+    spread = lower - distance[np.minimum(nearly_first[rows], len(distance) - 1)]
+    sd_m[rows] = np.sqrt(0.1**2 * (1 + 3 / np.maximum(length, 0.4)) + (spread / 2) ** 2)
+    is_missing = ~clear & (count >= _MIN_POINTS) & (positive < negative)
+    return Steps(offset_m, sd_m, is_missing)
+
+
+def solve_shift(
+    edge: np.ndarray,
+    steps: Steps,
+    start_m: np.ndarray,
+    start_rad: float,
+    centre_m: np.ndarray,
+    with_rotation: bool,
+) -> Estimate:
+    """The shift of one block from the steps of its edges, by robust least squares.
+
+    The step of an edge is the shift along its normal, plus an overhang that all edges share. edge: with the shift
+    ``start_m`` and the rotation ``start_rad`` already, (e, 4).
+    """
+    rows = np.flatnonzero(np.isfinite(steps.offset_m))
+    if not len(rows):
+        return Estimate(start_m, np.zeros((2, 2)), start_rad, np.inf, 0.0, 0, 0.0)
+    along = edge[:, 2:] - edge[:, :2]
+    length = np.linalg.norm(along, axis=1)
+    step_share = length[rows].sum() / (length[rows].sum() + length[steps.is_missing].sum())
+    along, length = along[rows], length[rows]
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
+    middle = (edge[rows, 2:] + edge[rows, :2]) / 2 - centre_m
+    design = np.column_stack(
+        [normal, np.ones(len(rows)), normal[:, 1] * middle[:, 0] - normal[:, 0] * middle[:, 1]]
+    )
+    prior = np.diag([1.0, 1.0, 1 / 0.3**2, 1 / np.deg2rad(1.0) ** 2 if with_rotation else 1e12])
+    towards = np.array([0.0, 0.0, 0.1, 0.0])
+    target, weight = steps.offset_m[rows], 1 / steps.sd_m[rows] ** 2
+    robust = np.ones(len(rows))
+    value = np.zeros(4)
+    for _ in range(8):
+        normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
+        value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ towards)
+        residual = target - design @ value
+        robust = 1 / (1 + (residual / 0.25) ** 2) ** 2
+    scale = max(1.0, float((weight * robust * residual**2).sum() / max((robust).sum() - 2, 1.0)))
+    from_edges = normal_matrix - np.diag([1.0 - 1e-6, 1.0 - 1e-6, 0.0, 0.0])
+    covariance = np.linalg.inv(from_edges / scale)
+    return Estimate(
+        start_m + value[:2],
+        np.linalg.inv(covariance[:2, :2]),
+        start_rad + float(value[3]),
+        float(np.sqrt(covariance[3, 3])),
+        float(value[2]),
+        len(rows),
+        float(step_share),
+    )

@@ -1,0 +1,266 @@
+"""Footprints are moved to where the points clearly show the buildings, and stay where they do not."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+from toy_clouds import LAMBERT
+
+from p2wss import reconstruct
+from p2wss.config import Reconstruct
+from p2wss.data.clouds import Cloud
+from p2wss.reconstruct import registration
+from p2wss.reconstruct.footprint_blocks import find_blocks
+from p2wss.reconstruct.registration import COLUMN, NEIGHBOURS, NOTHING, block_shifts, decide, register
+from p2wss.reconstruct.shifts import Estimate
+
+POINTS_PER_M2 = 10
+ORIGIN = np.array([652_000.0, 6_862_000.0])
+# two houses of a row and an annex that share walls
+BLOCK = [
+    shapely.Polygon([(0, 0), (7, 0), (7, 11), (0, 11)]),
+    shapely.Polygon([(7, 0), (14, 0), (14, 9), (7, 9)]),
+    shapely.Polygon([(14, 0), (18, 0), (18, 5), (14, 5)]),
+]
+AROUND = shapely.box(-14, -14, 32, 26)
+
+
+def frame_of(shapes: list[shapely.Polygon], shift: tuple[float, float] = (0, 0)) -> gpd.GeoDataFrame:
+    """The footprints, moved, as the cleaning returns them."""
+    placed = [affinity.translate(shape, *(ORIGIN + shift)) for shape in shapes]
+    names = [f"b{k}" for k in range(len(placed))]
+    frame = gpd.GeoDataFrame(
+        {"building_id": names, "status": ["ok"] * len(placed)}, geometry=placed, crs=LAMBERT
+    )
+    return frame.assign(
+        **dict(
+            zip(("centre_x_m", "centre_y_m"), np.array([p.centroid.coords[0] for p in placed]).T, strict=True)
+        )
+    )
+
+
+def cloud_of(
+    roof: shapely.Geometry,
+    trees: shapely.Geometry | None = None,
+    around: shapely.Geometry = AROUND,
+    roof_class: int = 6,
+    seed: int = 0,
+) -> Cloud:
+    """Points of the roof class at 6 m, of trees (class 5) at 4 m over ground and roofs, and ground elsewhere."""
+    draw = np.random.default_rng(seed)
+    x_min, y_min, x_max, y_max = around.bounds
+    count = int(POINTS_PER_M2 * (x_max - x_min) * (y_max - y_min))
+    x, y = draw.uniform(x_min, x_max, count), draw.uniform(y_min, y_max, count)
+    classes = np.where(shapely.contains_xy(roof, x, y), roof_class, 2).astype(np.uint8)
+    if trees is not None:
+        classes[shapely.contains_xy(trees, x, y) & (draw.uniform(size=count) < 0.8)] = 5
+    z = np.select([classes == 2, classes == 5], [0.0, 4.0], 6.0)
+    return Cloud(x + ORIGIN[0], y + ORIGIN[1], z, classes, LAMBERT)
+
+
+def shift_of(frame: gpd.GeoDataFrame, row: int = 0) -> np.ndarray:
+    return np.array(frame[COLUMN].iloc[row].shift_m)
+
+
+def roofs(overhang: float = 0.0) -> shapely.Geometry:
+    return shapely.union_all(BLOCK).buffer(overhang, join_style="mitre")
+
+
+@pytest.mark.parametrize("overhang", [0.0, 0.5])
+@pytest.mark.parametrize("shift", [(1.2, -0.7), (-0.5, 0.0), (1.9, 1.9), (0.0, -2.6)])
+def test_a_moved_block_comes_back(shift: tuple[float, float], overhang: float) -> None:
+    result = register(frame_of(BLOCK, shift), cloud_of(roofs(overhang)))
+    for row in range(len(BLOCK)):
+        assert np.linalg.norm(shift_of(result, row) + shift) < 0.1
+        assert 0 < result[COLUMN].iloc[row].shift_sd_m < 0.2
+
+
+def test_a_block_moves_as_one_and_keeps_what_it_was() -> None:
+    frame = frame_of(BLOCK, (1.2, -0.7))
+    result = register(frame, cloud_of(roofs()))
+    before, after = frame.geometry.to_numpy(), result.geometry.to_numpy()
+    # shared walls stay equal to the bit: every vertex has moved by the same addition
+    for shape, moved, row in zip(before, after, result[COLUMN], strict=True):
+        expected = shapely.get_coordinates(shape) + row.shift_m
+        assert np.array_equal(shapely.get_coordinates(moved), expected)
+        assert row.input_polygon.equals(shape)
+    assert frame.geometry.geom_equals_exact(frame_of(BLOCK, (1.2, -0.7)).geometry, 0).all()
+
+
+@pytest.mark.parametrize("overhang", [0.0, 0.3, 0.8])
+def test_overhang_on_all_sides_is_no_shift(overhang: float) -> None:
+    cloud = cloud_of(roofs(overhang))
+    frame = frame_of(BLOCK)
+    result = register(frame, cloud)
+    assert result.geometry.geom_equals_exact(frame.geometry, 0).all()
+    assert block_shifts(find_blocks(frame.geometry.to_numpy()), cloud).overhang_m[0] == pytest.approx(
+        overhang, abs=0.1
+    )
+
+
+def test_a_tree_over_one_side_is_no_shift() -> None:
+    tree = shapely.Point(0, 5).buffer(4)
+    for shift in ((0.0, 0.0), (0.9, 0.9)):
+        result = register(frame_of(BLOCK, shift), cloud_of(roofs(), tree))
+        assert np.linalg.norm(shift_of(result) + shift) < 0.15
+
+
+@pytest.mark.parametrize("roof_class", [1, 2, 5])
+def test_without_points_on_buildings_nothing_moves(roof_class: int) -> None:
+    frame = frame_of(BLOCK, (1.0, 0.5))
+    result = register(frame, cloud_of(roofs(), roof_class=roof_class))
+    assert result.geometry.geom_equals_exact(frame.geometry, 0).all()
+    assert [row.source for row in result[COLUMN]] == [NOTHING] * 3
+    assert all(row.shift_sd_m is None for row in result[COLUMN])
+
+
+def test_a_shed_under_a_tree_beside_a_house_stays() -> None:
+    shed = shapely.box(21, 0, 24, 3)
+    tree = shapely.Point(22.5, 1.5).buffer(3.2)
+    result = register(frame_of([*BLOCK, shed]), cloud_of(roofs(), tree))
+    assert result[COLUMN].iloc[3].shift_m == (0.0, 0.0)
+    assert result[COLUMN].iloc[3].source == NOTHING
+
+
+def test_a_shed_beside_a_roof_that_has_no_footprint_stays() -> None:
+    roof = shapely.box(20, -10, 30, 20)
+    for x in np.arange(16.5, 18.0, 0.5):
+        shed = shapely.box(x, 2, x + 2.5, 4.5)
+        assert np.array_equal(shift_of(register(frame_of([shed]), cloud_of(roof))), [0, 0])
+
+
+def test_long_blocks_turn_back_and_keep_shared_walls() -> None:
+    row = [shapely.box(7 * k, 0, 7 * k + 7, 10) for k in range(6)]
+    cloud = cloud_of(shapely.union_all(row), around=shapely.box(-14, -14, 56, 26))
+    turned = [affinity.rotate(shape, 1.5, origin=(21, 5)) for shape in row]
+    result = register(frame_of(turned, (0.8, 0.3)), cloud)
+    after = result.geometry.to_numpy()
+    wanted = frame_of(row).geometry.to_numpy()
+    assert max(shapely.hausdorff_distance(after, wanted)) < 0.15
+    assert result[COLUMN].iloc[0].rotation_deg == pytest.approx(-1.5, abs=0.3)
+    for first, second in pairwise(after):
+        shared = {*map(tuple, shapely.get_coordinates(first))} & {
+            *map(tuple, shapely.get_coordinates(second))
+        }
+        assert len(shared) == 2
+
+
+def test_blocks_are_footprints_that_share_walls() -> None:
+    corner, apart, across = (
+        shapely.box(18, 5, 22, 9),
+        shapely.box(18.3, 0, 22, 4),
+        shapely.box(-3, -3, 0.5, 4),
+    )
+    blocks = find_blocks(np.array([*BLOCK, corner, apart, across, shapely.Polygon()], dtype=object))
+    assert blocks.of_footprint.tolist() == [0, 0, 0, 1, 2, 3, -1]
+    # party walls are no edges of a block
+    assert shapely.union_all(BLOCK).length == pytest.approx(
+        np.linalg.norm(blocks.edge[blocks.of_edge == 0] @ [[1, 0], [0, 1], [-1, 0], [0, -1]], axis=1).sum()
+    )
+
+
+def estimate(shift: tuple[float, float], sd: tuple[float, float], num_steps: int = 4) -> Estimate:
+    return Estimate(np.array(shift), np.diag(1 / np.square(sd)), 0.0, np.inf, 0.1, num_steps, 1.0)
+
+
+def decided(estimates: list[Estimate], gain: float = 0.5, share: float = 0.9) -> registration.Shifts:
+    count = len(estimates)
+    centre = np.column_stack([30.0 * np.arange(count), np.zeros(count)])
+    return decide(centre, np.full(count, 10.0), estimates, np.full(count, share), np.full(count, gain))
+
+
+def test_only_clear_evidence_moves_a_block() -> None:
+    good = estimate((1.0, 0.5), (0.1, 0.1))
+    assert decided([good]).shift_m[0] == pytest.approx([1.0, 0.5])
+    assert (decided([good], gain=-0.3).shift_m == 0).all()
+    assert (decided([good], share=0.4).shift_m == 0).all()
+    # below a quarter of a metre, footprints and roofs say the same
+    assert (decided([estimate((0.2, 0.1), (0.05, 0.05))]).shift_m == 0).all()
+    assert (decided([estimate((3.2, 0.0), (0.1, 0.1))]).shift_m == 0).all()
+    assert (decided([estimate((1.0, 0.0), (0.6, 0.6))]).shift_m == 0).all()
+
+
+def test_weak_evidence_is_drawn_to_the_neighbours_that_agree() -> None:
+    # the edges say something in y alone
+    weak = estimate((0.0, 0.5), (50.0, 0.1), num_steps=2)
+    around = [estimate((1.0 + 0.05 * k, 0.4), (0.1, 0.1)) for k in range(3)]
+    together = decided([weak, *around])
+    assert together.source[0] == NEIGHBOURS
+    assert together.shift_m[0] == pytest.approx([1.05, 0.47], abs=0.03)
+    # alone it moves in y alone, and less; so it does where the neighbours differ, or are too few
+    alone = decided([weak])
+    assert alone.shift_m[0, 0] == pytest.approx(0, abs=1e-3) and 0.4 < alone.shift_m[0, 1] < 0.5
+    apart = [estimate((x, 0.4), (0.1, 0.1)) for x in (-1.0, 1.0, 0.0)]
+    assert decided([weak, *apart]).shift_m[0] == pytest.approx(alone.shift_m[0])
+    assert decided([weak, *around[:2]]).shift_m[0] == pytest.approx(alone.shift_m[0])
+    # a clear block follows its own edges
+    odd = estimate((-1.0, 0.0), (0.1, 0.1))
+    assert decided([odd, *around]).shift_m[0] == pytest.approx([-1.0, 0.0])
+
+
+def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
+    """Far blocks, their order and the points elsewhere change nothing, to the bit."""
+    shapes, parts = [], []
+    for k in range(8):
+        for row in (0, 1):
+            moved = [affinity.translate(shape, 60 * k, 45 * row) for shape in BLOCK]
+            shapes += moved
+            parts.append(cloud_of(roofs(0.2), seed=2 * k + row))
+            parts[-1] = Cloud(
+                parts[-1].x_m + 60 * k,
+                parts[-1].y_m + 45 * row,
+                parts[-1].z_m,
+                parts[-1].classification,
+                LAMBERT,
+            )
+    draw = np.random.default_rng(1)
+    by_block = np.repeat(draw.uniform(-1.2, 1.2, (16, 2)), 3, axis=0)
+    shapes = [affinity.translate(shape, *shift) for shape, shift in zip(shapes, by_block, strict=True)]
+    frame = frame_of(shapes)
+    columns = [
+        np.concatenate(c) for c in zip(*((p.x_m, p.y_m, p.z_m, p.classification) for p in parts), strict=True)
+    ]
+    cloud = Cloud(columns[0], columns[1], columns[2], columns[3], LAMBERT)
+    whole = register(frame, cloud)
+    assert np.median([np.linalg.norm(shift_of(whole, k) + by_block[k]) for k in range(48)]) < 0.1
+    is_chosen = np.zeros(48, bool)
+    is_chosen[1] = True
+    rows = registration.context(frame, is_chosen)
+    assert 6 < rows.sum() < 48
+    subset = frame[rows].reset_index(drop=True)
+    x_min, y_min, x_max, y_max = subset.total_bounds
+    near = (
+        (cloud.x_m > x_min - 10)
+        & (cloud.x_m < x_max + 10)
+        & (cloud.y_m > y_min - 10)
+        & (cloud.y_m < y_max + 10)
+    )
+    order = draw.permutation(np.flatnonzero(near))
+    window = Cloud(cloud.x_m[order], cloud.y_m[order], cloud.z_m[order], cloud.classification[order], LAMBERT)
+    part = register(subset, window)
+    row = subset.index[subset["building_id"] == "b1"][0]
+    assert part[COLUMN].iloc[row] == whole[COLUMN].iloc[1]
+    assert part.geometry.iloc[row].equals_exact(whole.geometry.iloc[1], 0)
+
+
+def test_the_outputs_say_what_was_moved() -> None:
+    frame = frame_of(BLOCK, (1.2, -0.7))
+    cloud = cloud_of(roofs())
+    results = reconstruct.run(register(frame, cloud), cloud, None, "tile", Reconstruct())
+    table = reconstruct.table(results, LAMBERT)
+    assert table["shift_x_m"].to_numpy() == pytest.approx(-1.2, abs=0.1)
+    assert table["shift_y_m"].to_numpy() == pytest.approx(0.7, abs=0.1)
+    assert (table["shift_source"] == "edges").all() and (table["shift_sd_m"] < 0.2).all()
+    before = reconstruct.input_footprints(results, LAMBERT)
+    assert before is not None
+    assert before.geometry.geom_equals_exact(frame.geometry, 0.002).all()
+    assert not table.geometry.geom_equals_exact(frame.geometry, 0.5).any()
+    # without a registration nothing is said about one
+    plain = reconstruct.run(frame, cloud, None, "tile", Reconstruct())
+    assert reconstruct.input_footprints(plain, LAMBERT) is None
+    assert reconstruct.table(plain, LAMBERT)["shift_x_m"].isna().all()
