@@ -77,7 +77,7 @@ def _joined(solids: Sequence[Solid], origin: np.ndarray, step_m: float) -> list[
     """The skin around solids that touch, or one around each."""
     failure = None
     if len(solids) > 1:
-        for step in dict.fromkeys((step_m, 0.0)):
+        for step in dict.fromkeys((step_m, step_m / 2, step_m / 4, 0.0)):
             try:
                 return [_skin(solids, *_block(solids, step), origin)]
             except NotJoined as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 
 import numpy as np
 import shapely
@@ -16,26 +16,39 @@ _MAX_ROUNDS = 12
 _PARALLEL = 1e-9
 
 Edge = tuple[int, int]
+# a segment, the way along it in metres, how far above or below it a point is, the point
+Contact = tuple[int, float, float, int]
 
 
 def node(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m: float = 0.0) -> np.ndarray:
     """Split the edges of ``walls`` at points that lie on them and where they cross, in all faces that have the edge.
 
-    Returns the points with those at crossings appended. An edge that is split stays within the tolerance of its line.
+    step_m: an edge also takes in the points of other buildings that it passes up to this far above or below. Returns
+    the points with those at crossings appended. Otherwise an edge stays within the tolerance of its line.
     """
     chain: dict[Edge, list[int]] = {}
+    owners: dict[Edge, set[int]] = {}
+    of_point: dict[int, set[int]] = {}
     for wall in walls:
         for ring in faces[wall].rings:
             for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
                 key = (a, b) if a < b else (b, a)
                 chain[key] = [*key]
+                owners.setdefault(key, set()).add(faces[wall].building)
+                of_point.setdefault(a, set()).add(faces[wall].building)
     for _ in range(_MAX_ROUNDS):
-        segments = {(a, b) if a < b else (b, a) for line in chain.values() for a, b in pairwise(line)}
+        segments: dict[Edge, set[int]] = {}
+        for key, line in chain.items():
+            for a, b in pairwise(line):
+                segments.setdefault((a, b) if a < b else (b, a), set()).update(owners[key])
         if not segments:
             break
-        inserted, point = _insertions(point, np.array(sorted(segments)), max(step_m, TOLERANCE_M))
+        inserted, point = _insertions(point, segments, of_point, step_m)
         if not inserted:
             break
+        for edge, vertices in inserted.items():
+            for vertex in vertices:
+                of_point.setdefault(vertex, set()).update(segments[edge])
         chain = {key: _extended(line, inserted) for key, line in chain.items()}
     split = {key: line for key, line in chain.items() if len(line) > 2}
     if split:
@@ -45,40 +58,56 @@ def node(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m:
 
 
 def _insertions(
-    point: np.ndarray, segment: np.ndarray, step_m: float
+    point: np.ndarray, segments: dict[Edge, set[int]], of_point: dict[int, set[int]], step_m: float
 ) -> tuple[dict[Edge, list[int]], np.ndarray]:
-    """The points to insert in each segment, in order from its first end, and all points."""
+    """The points to insert in each segment, in order from its first end, and all points. segments, of_point: the buildings
+    of each."""
+    segment = np.array(sorted(segments))
     ends = point[segment]
-    low, high = ends.min(axis=1) - step_m, ends.max(axis=1) + step_m
+    reach = max(step_m, TOLERANCE_M)
+    low, high = ends.min(axis=1) - reach, ends.max(axis=1) + reach
     boxes = shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
     i, j = shapely.STRtree(boxes).query(boxes, predicate="intersects")
     near = (i < j) & (low[i, 2] <= high[j, 2]) & (low[j, 2] <= high[i, 2])
     i, j = i[near], j[near]
-    on: list[tuple[int, float, int]] = []
+    on: list[Contact] = []
     has_point = np.zeros(len(i), bool)
     for first, second in ((i, j), (j, i)):
         for end in (0, 1):
             vertex = segment[first, end]
-            share, apart = _to_line(point[vertex], ends[second, 0], ends[second, 1], step_m)
+            at, rest, aside, above = _to_line(point[vertex], ends[second, 0], ends[second, 1])
             outside = (vertex != segment[second, 0]) & (vertex != segment[second, 1])
-            hit = outside & (share > 0) & (share < 1) & (apart <= TOLERANCE_M)
+            # over an end of the edge there is no point of the edge to join
+            within = (at > 0) & (rest > 0) & ((np.minimum(at, rest) > TOLERANCE_M) | (above <= TOLERANCE_M))
+            hit = outside & within & (aside <= TOLERANCE_M) & (above <= reach)
+            for k in np.flatnonzero(hit & (above > TOLERANCE_M)).tolist():
+                # a building keeps its own steps
+                edge = (int(segment[second[k], 0]), int(segment[second[k], 1]))
+                hit[k] = not of_point[int(vertex[k])] & segments[edge]
             has_point |= hit
-            on += zip(second[hit].tolist(), share[hit].tolist(), vertex[hit].tolist(), strict=True)
+            columns = (second[hit], at[hit], above[hit], vertex[hit])
+            on += zip(*(column.tolist() for column in columns), strict=True)
     if not on:
         separate = (segment[i][:, :, None] != segment[j][:, None, :]).all(axis=(1, 2)) & ~has_point
         on, point = _crossings(point, segment, i[separate], j[separate])
     result: dict[Edge, list[int]] = {}
-    for number, _, vertex in sorted(set(on)):
-        line = result.setdefault((int(segment[number, 0]), int(segment[number, 1])), [])
-        if vertex not in line:
-            line.append(vertex)
+    for number, contacts in groupby(sorted(set(on)), key=lambda contact: contact[0]):
+        # of points over one place, the edge goes through the nearest
+        nearest: list[Contact] = []
+        for contact in contacts:
+            if nearest and contact[1] - nearest[-1][1] <= TOLERANCE_M:
+                nearest[-1] = min(nearest[-1], contact, key=lambda c: (c[2], c[3]))
+            else:
+                nearest.append(contact)
+        edge = (int(segment[number, 0]), int(segment[number, 1]))
+        result[edge] = list(dict.fromkeys(contact[3] for contact in nearest))
     return result, point
 
 
 def _crossings(
     point: np.ndarray, segment: np.ndarray, i: np.ndarray, j: np.ndarray
-) -> tuple[list[tuple[int, float, int]], np.ndarray]:
-    """Where segments cross between their ends: (segment, share of its length, point), and all points."""
+) -> tuple[list[Contact], np.ndarray]:
+    """Where segments cross between their ends, and all points."""
     p, q = point[segment[i, 0]], point[segment[j, 0]]
     u, v = point[segment[i, 1]] - p, point[segment[j, 1]] - q
     w = q - p
@@ -113,24 +142,31 @@ def _crossings(
             number[k] = len(point) + len(extra)
             extra.append(place[k])
     on = [
-        *zip(i[crossing].tolist(), s[crossing].tolist(), number.tolist(), strict=True),
-        *zip(j[crossing].tolist(), t[crossing].tolist(), number.tolist(), strict=True),
+        (segment_number, at, 0.0, vertex)
+        for numbers, shares, lengths in ((i, s, uu), (j, t, vv))
+        for segment_number, at, vertex in zip(
+            numbers[crossing].tolist(),
+            (shares * np.sqrt(lengths))[crossing].tolist(),
+            number.tolist(),
+            strict=True,
+        )
     ]
-    on = [entry for entry in on if entry[2] not in segment[entry[0]]]
+    on = [contact for contact in on if contact[3] not in segment[contact[0]]]
     return on, np.concatenate([point, *(place[None] for place in extra)])
 
 
 def _to_line(
-    place: np.ndarray, start: np.ndarray, end: np.ndarray, step_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where lines pass points in plan, upright ones in height: the share of the way from start to end, and the distance
-    there, of which a height of ``step_m`` counts as the tolerance."""
+    place: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where lines pass points in plan, or upright lines in height: the way there from the start and on to the end, and
+    the distance of the point, aside and in height."""
     along = end - start
     upright = np.hypot(along[:, 0], along[:, 1]) <= TOLERANCE_M
     along_plan = np.where(upright[:, None], along, along * (1, 1, 0))
-    share = ((place - start) * along_plan).sum(axis=1) / np.maximum((along_plan**2).sum(axis=1), 1e-18)
+    length = np.maximum(np.linalg.norm(along_plan, axis=1), 1e-9)
+    share = ((place - start) * along_plan).sum(axis=1) / length**2
     apart = place - start - share[:, None] * along
-    return share, np.maximum(np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2]) * TOLERANCE_M / step_m)
+    return share * length, (1 - share) * length, np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])
 
 
 def _extended(line: list[int], inserted: dict[Edge, list[int]]) -> list[int]:
