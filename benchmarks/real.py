@@ -5,8 +5,8 @@
     .. --simulated results/mini/crops/manifest.json      # also on the labelled test split
     .. --sensitivity --simulated results/mini/crops/manifest.json    # only the effect of the thresholds
 
-``--data`` holds ``delft_ahn3`` and ``bresse_ign``. The judge is a separate script that shares no code with this
-package. Halves A and B: every second building of Delft by id.
+``--data`` holds ``delft_ahn3``, ``bresse_ign`` and ``lidarhd_crops``. The judge is a separate script that shares no
+code with this package. Halves A and B: every second building of Delft by id.
 """
 
 from __future__ import annotations
@@ -37,24 +37,35 @@ from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.reconstruct.product import NETWORK
 
-SETS = {"delft": ("delft_ahn3", "ahn3.laz", 28992), "bresse": ("bresse_ign", "lidar.laz", 2154)}
+_CROPS = ("77050_627755", "77050_627760", "77055_627755")
+# folder, clouds, EPSG code
+SETS = {
+    "delft": ("delft_ahn3", ["ahn3.laz"], 28992),
+    "bresse": ("bresse_ign", ["lidar.laz"], 2154),
+    "blocks": ("lidarhd_crops", [f"{tile}_LA93_IGN69.laz" for tile in _CROPS], 2154),
+}
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh", "tri": "triangles"}
 TIMES = {"cpu_ms": "CPU ms each", "fit_cpu_ms": "of which fit and mesh"}
-BARS = {
-    "one height": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
-    "parts": {"cd": 0.90, "roof": 0.30, "p2m": 0.15, "tri": 44, "cpu_ms": 18},
-    "parts and dormers": {"cd": 0.88, "roof": 0.25, "p2m": 0.12, "tri": 50},
-    "parts, 10 % of the points": {"roof": 0.6},
+# by data set and variant; "default" has no option
+BARS: dict[str, dict[str, dict[str, float]]] = {
+    "delft": {
+        "one height": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
+        "no dormers": {"cd": 0.90, "roof": 0.30, "p2m": 0.15, "tri": 44},
+        "default": {"cd": 0.88, "roof": 0.24, "p2m": 0.117, "tri": 45, "cpu_ms": 18},
+        "10 % of the points": {"roof": 0.33, "p2m": 0.17},
+    },
+    "bresse": {"default": {"cd": 0.83, "roof": 0.14, "p2m": 0.065, "tri": 42}},
+    "blocks": {"default": {"cd": 0.97, "roof": 0.49, "p2m": 0.19, "tri": 75, "cpu_ms": 150}},
 }
 FEW = (10, 20, 40, 80, 200)
 
 
 def read(folder: Path, name: str, config: Config) -> list[Building]:
     """The buildings of a data set, clean footprints with their points."""
-    place, cloud_file, _ = SETS[name]
+    place, cloud_files, _ = SETS[name]
     frame = scenes.read_footprints(folder / place / "footprints.gpkg", None, needs_crs=False)
     frame = scenes.clean_footprints(frame, config.scenes)
-    cloud = clouds.read_clouds([folder / place / cloud_file], reconstruct.window(frame))
+    cloud = clouds.read_clouds([folder / place / file for file in cloud_files], reconstruct.window(frame))
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)
     origin = polygon_arrays.origins(polygons)
@@ -102,7 +113,7 @@ def judged(
     reconstructions: list[Reconstruction], name: str, arguments: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """The judge's rows, one per building."""
-    place, cloud_file, epsg = SETS[name]
+    place, cloud_files, epsg = SETS[name]
     results = [reconstruct.Result(row, "ok", None, 0, np.nan, np.nan, False) for row in reconstructions]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "reconstructions.city.jsonl"
@@ -113,7 +124,7 @@ def judged(
             arguments.judge,
             path,
             data / "footprints.gpkg",
-            data / cloud_file,
+            *(data / file for file in cloud_files),
             "--json",
         ]
         completed = subprocess.run(
@@ -152,32 +163,28 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
     for name in SETS:
         buildings = read(arguments.data, name, Config())
         ids = sorted(building.building_id for building in buildings)
+        one_height = config.model_copy(update={"max_parts": 1, "dormers": False})
         variants = {
-            "one height": (buildings, 1),
-            "parts": (buildings, config.max_parts),
-            "parts and dormers": (buildings, config.max_parts),
+            "one height": (buildings, one_height),
+            "no dormers": (buildings, config.model_copy(update={"dormers": False})),
+            "default": (buildings, config),
         }
         if name == "delft":
             tenth = [thinned(b, max(1, round(len(b.point_m) * 0.1))) for b in buildings]
-            variants["parts, 10 % of the points"] = (tenth, config.max_parts)
+            variants["10 % of the points"] = (tenth, config)
             for count in FEW:
-                variants[f"parts, {count} points"] = (
-                    [thinned(b, count) for b in buildings],
-                    config.max_parts,
-                )
+                variants[f"{count} points"] = ([thinned(b, count) for b in buildings], config)
         for network in [None] if predictor is None else [None, predictor]:
             fitted(
                 buildings, config, network
             )  # warm-up: compiles and loads also the code that few buildings need
-            for variant, (thinned_buildings, max_parts) in variants.items():
-                dormers = variant == "parts and dormers"
-                settings = config.model_copy(update={"max_parts": max_parts, "dormers": dormers})
+            for variant, (thinned_buildings, settings) in variants.items():
                 reconstructions, cpu_ms = fitted(thinned_buildings, settings, network)
                 rows = judged(reconstructions, name, arguments)
-                bars = BARS.get(variant, {}) if name == "delft" else {}
+                bars = BARS[name].get(variant, {})
                 title = f"{name}, {variant}" + (", with the network" if network else "")
                 figures[title] = report(title, rows, bars, cpu_ms)
-                if variant in BARS and name == "delft":
+                if variant in BARS[name] and name == "delft":
                     for half, members in (("A", set(ids[::2])), ("B", set(ids[1::2]))):
                         of_half = f"{title}, half {half}"
                         half_rows = [row for row in rows if row["id"] in members]
@@ -190,12 +197,11 @@ def against_bars(rows: dict[str, dict[str, Any]]) -> Figures:
     figures = Figures()
     for title, row in rows.items():
         figures.row(title, row)
-        variant = title.removeprefix("delft, ").partition(", with")[0].partition(", half")[0]
-        bars = labelled.BARS if title.startswith("simulated") else {}
-        if title.startswith("delft"):
+        name, _, variant = title.partition(", with")[0].partition(", half")[0].partition(", ")
+        bars = labelled.BARS if name == "simulated" else BARS[name].get(variant, {})
+        if name != "simulated":
             figures.at_least(f"{title}, closed", row["watertight"], 1.0)
             figures.at_least(f"{title}, meshes", row["meshes"], row["buildings"])
-            bars = BARS.get(variant, {})
         for key, limit in bars.items():
             # the bars of the network alone are those of the training
             if key in row and title != f"simulated, {NETWORK}":

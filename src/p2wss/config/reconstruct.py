@@ -100,13 +100,13 @@ class Reconstruct(Section):
         description="number of rotated views for the network before a fit; without a fit: model.decoding.num_rotations",
     )
     max_parts: int = Field(
-        4,
+        12,
         ge=1,
-        le=16,
+        le=64,
         description="largest number of parts with their own eave height per building; 1 = the paper's model",
     )
     dormers: bool = Field(
-        False, description="also fit dormers and small boxes on fitted roofs, up to four of each per building"
+        True, description="also fit box dormers and other small boxes that rise out of a fitted roof"
     )
     not_representable_m: float = Field(
         0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"

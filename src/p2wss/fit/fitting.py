@@ -172,6 +172,10 @@ class _FitTask:
                 if new_cost < cost:
                     candidates.insert(0, (*refit, new_boxes))
         for candidate, candidate_fit, candidate_boxes in candidates:
+            if not candidate_boxes:
+                if candidate is reconstruction or _is_sound(candidate):
+                    return candidate
+                continue
             mesh = _union_with_boxes(candidate_fit.parts, candidate_boxes, candidate.ground_z_m, self.config)
             if mesh is not None:
                 vertex_m = parts_fit.in_building_frame(mesh.vertex_m)
@@ -273,14 +277,19 @@ def _mesh_single_parts(
     return result
 
 
+def _is_sound(reconstruction: Reconstruction) -> bool:
+    """Whether the mesh of a reconstruction is :func:`p2wss.fit.solid.is_sound`."""
+    return is_sound(
+        Mesh(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, reconstruction.edge)
+    )
+
+
 def _union_with_boxes(
     parts: Sequence[FittedRoof], boxes: Sequence[FittedRoof], ground_z_m: float, config: Reconstruct
 ) -> Mesh | None:
     """The union of the parts with all boxes or, if that is not sound, with those that can be added one after the
     other without making it unsound; None if there is no such box."""
     heights = (ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
-    if not boxes:
-        return None
     mesh = union([*parts, *boxes], *heights)
     if mesh is not None and is_sound(mesh):
         return mesh

@@ -29,8 +29,8 @@ class Cutting(Gain):
     min_points: of a part.
     """
 
-    max_parts: int = 4
-    gain_share: float = 0.1
+    max_parts: int = 12
+    gain_share: float = 0.03
     min_points: int = 6
 
 

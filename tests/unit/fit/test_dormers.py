@@ -1,4 +1,4 @@
-"""Boxes on a roof: detected where they are and only there, one closed solid with the roof, off by default."""
+"""Boxes on a roof: detected where they are and only there, one closed solid with the roof, on by default."""
 
 import numpy as np
 import pytest
@@ -85,12 +85,12 @@ def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
     assert (house(chimney).point_m[:, 2] > 9.5).any()
 
 
-def test_off_by_default() -> None:
-    assert not Reconstruct().dormers
+def test_on_by_default() -> None:
+    assert Reconstruct().dormers
     building = house(AT_WALL, WITHIN)
     (default,) = fit([building], Reconstruct(max_parts=1))
-    assert default.vertex_m.tobytes() == fit_one(building, dormers=False).vertex_m.tobytes()
-    assert len(default.triangle) < len(fit_one(building, dormers=True).triangle)
+    assert default.vertex_m.tobytes() == fit_one(building, dormers=True).vertex_m.tobytes()
+    assert len(default.triangle) > len(fit_one(building, dormers=False).triangle)
 
 
 def test_height_over_a_mesh() -> None:
