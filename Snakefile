@@ -35,8 +35,9 @@ include: "workflow/rules/eval.smk"
 include: "workflow/rules/ablation.smk"
 
 
-# without a target: the report (the default target must stand in this file)
+# without a target: every stage (the default target must stand in this file)
 rule all:
     default_target: True
     input:
         rules.eval_report.output,
+        every_lidar_tile("<results>/reconstruct/{place}{tile}.json"),

@@ -24,7 +24,8 @@ def test_a_profile_names_rules_and_groups_that_exist(name):
     assert profile["executor"] == name and profile["retries"] >= 1
     named = {*profile["groups"], *profile.get("set-resources", {})}
     assert named <= set(rules()), named - set(rules())
-    assert set(profile["group-components"]) <= set(profile["groups"].values())
+    # Snakemake 9.27 adds tiles to a group that runs when a checkpoint ends, and the run breaks off
+    assert "group-components" not in profile
     # a stage of simulated tiles that is missing here would be a job of seconds for each tile
     assert {"cut_scene", "build_roofs", "cast_scan", "crop_simulated"} <= set(profile["groups"])
 

@@ -23,7 +23,7 @@ def fresh(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def done(tmp_path_factory):
-    """The reduced miniature after ``snakemake eval_report``, from a folder with a name that a shell would take apart;
+    """The reduced miniature after all stages, from a folder with a name that a shell would take apart;
     tests share it and change nothing in it."""
     project = Project(tmp_path_factory.mktemp("mini"))
     inputs = project.folder / ODD_NAME
@@ -40,7 +40,7 @@ def done(tmp_path_factory):
     }
     config.write_text(yaml.safe_dump(settings, allow_unicode=True))
     _say_what_is_in(inputs.name, project.folder / "config/sources.csv")
-    project.snakemake("eval_report", *REDUCED)
+    project.snakemake(*REDUCED)
     assert not (project.folder / "executed").exists(), "a command in the name of a folder was run"
     return project
 

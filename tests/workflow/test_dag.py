@@ -19,13 +19,22 @@ def test_the_miniature_plans_every_rule(fresh):
     assert set(with_output) <= set(jobs), set(with_output) - set(jobs)
 
 
+# a list may be as long as the data set is large: the shell hands it over as a file
+LISTED = re.compile(r"@<\(printf '%s\\n' ?(.*?)\)(?= --| 2>|$)")
+
+
+def output_of(run):
+    return run.stdout + run.stderr
+
+
 def commands_of(dry_run):
     """The words of every command that a dry run prints, up to where its output goes."""
     lines = (dry_run.stdout + dry_run.stderr).splitlines()
     commands = [
         line.removeprefix("Shell command: ") for line in lines if line.startswith("Shell command: p2wss")
     ]
-    return [shlex.split(re.split(r" 2>|2>&1", command)[0])[1:] for command in commands]
+    commands = [LISTED.sub(r"\1", re.split(r" 2>|2>&1", command)[0]) for command in commands]
+    return [shlex.split(command)[1:] for command in commands]
 
 
 def test_every_printed_command_can_be_run_by_hand(fresh):
@@ -97,6 +106,26 @@ def test_all_tiles_are_planned_without_the_checkpoint(fresh):
     everything = "region={tiles: [all], lidar_tiles: [all], bounds_m: [652000, 6860000, 654000, 6862000]}"
     jobs = rules_to_run(fresh.dry_run("--config", everything))
     assert jobs["cut_scene"] == jobs["prepare_lidar"] == jobs["crop_real"] == 4
+
+
+def test_no_command_grows_with_the_number_of_tiles(fresh):
+    """9 or 36 tiles, all named in the config: lists of all of them reach a command as a file."""
+
+    def longest(side):
+        tiles = [f"{500 + column:04d}_{6600 + row:04d}" for column in range(side) for row in range(side)]
+        member = {"name": "square", "region": {"tiles": tiles, "lidar_tiles": tiles}}
+        lists = ["eval={shards_per_job: 2}", f"dataset={json.dumps({'name': 'd', 'members': [member]})}"]
+        lengths = {}
+        for line in output_of(fresh.dry_run("--config", *lists)).splitlines():
+            if line.startswith("Shell command: p2wss"):
+                command = LISTED.sub("", line)
+                name = " ".join(word for word in command.split()[3:5] if "/" not in word)
+                lengths[name] = max(len(command), lengths.get(name, 0))
+        return lengths
+
+    few, many = longest(3), longest(6)
+    assert {"scenes index", "scenes cut", "crops manifest", "eval merge", "eval report"} <= set(few)
+    assert many == few
 
 
 def test_every_config_plans(fresh):

@@ -13,9 +13,9 @@ TOWN, MINI, LIDAR = "0652500_6861500", "0653000_6861500", "0653250_6861000"
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The data set after ``snakemake eval_report``; not to be changed."""
+    """The data set after ``snakemake``; not to be changed."""
     project = Project(tmp_path_factory.mktemp("dataset"))
-    project.snakemake("eval_report", *DATASET)
+    project.snakemake(*DATASET)
     return project
 
 
@@ -95,7 +95,7 @@ def test_the_report_is_of_the_data_set_and_shows_each_draw(results):
 
 
 def test_a_second_run_has_nothing_to_do(finished):
-    run = finished.dry_run("eval_report", *DATASET)
+    run = finished.dry_run(*DATASET)
     assert rules_to_run(run) == {} and "Nothing to be done" in run.stdout + run.stderr
 
 

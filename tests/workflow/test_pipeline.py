@@ -39,7 +39,7 @@ def again(done, tmp_path):
 
 
 def planned(project: Project, *arguments: str) -> dict[str, int]:
-    run = project.dry_run(*(arguments or ("eval_report",)), *REDUCED)
+    run = project.dry_run(*(arguments or ("all",)), *REDUCED)
     jobs = rules_to_run(run)
     assert jobs or NOTHING in run.stdout + run.stderr
     return jobs
@@ -144,7 +144,7 @@ def test_weights_in_a_folder_with_an_odd_name_are_used(again):
 
 
 def test_one_stage_can_be_redone_by_name(done):
-    jobs = planned(done, "eval_report", "-R", "cast_scan")
+    jobs = planned(done, "all", "-R", "cast_scan")
     assert set(jobs) - {"all"} == SCANS_AND_WHAT_FOLLOWS
     assert set(planned(done, "-f", "results/mini/scans/0653_6862.laz")) == {"cast_scan"}
 

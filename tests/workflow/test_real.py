@@ -14,11 +14,13 @@ import pytest
 import yaml
 from checkout import ROOT, rules_to_run
 
+from p2wss.skeleton import Status
+
 DATA = ROOT.parent / "shared" / "data"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="no real data beside the checkout")
 
 # reasons that blame a footprint's courtyards, which the bar of rejected buildings leaves aside
-COURTYARD_REASONS = {"courtyard-outside", "courtyards-cross"}
+COURTYARD_REASONS = {Status.COURTYARD_OUTSIDE.reason}
 
 
 def test_real_footprints_from_fetch_to_crops(project):

@@ -59,6 +59,10 @@ def variant_section(wildcards):
     return configs.section_json(configs.ablated(settings, wildcards.variant), "model", without=RULE_ONLY)
 
 
+# no tile depends on which other tiles are processed: neither its rules run again when a tile is added, nor are
+# thousands of names part of each command
+TILE_LISTS = configs.TILE_LISTS
+EVERY_TILE_LIST = (*TILE_LISTS, *(f"members.*.region.{name}" for name in TILE_LISTS))
 # settings that only the report or the rules read: no mesh depends on them
 REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst", "shards_per_job")
 # settings that only the baseline roofer reads

@@ -47,7 +47,7 @@ rule crop_real:
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
-        config=section("region", "scenes", "crops"),
+        config=section("region", "scenes", "crops", without=TILE_LISTS),
         code=fingerprint("crops", "data.footprints"),
     shell:
         "p2wss crops real --tile {wildcards.tile:q} --place={wildcards.place:q} --footprints {input.footprints:q} --clouds {input.clouds:q} --out {output.shard:q}"
@@ -70,8 +70,9 @@ rule crops:
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        config=section("dataset", "crops"),
+        config=section("dataset", "crops", without=("members",)),
         code=fingerprint("crops"),
     shell:
-        "p2wss crops manifest --out {output.manifest:q} --simulated {input.simulated:q} --real {input.real:q}"
+        "p2wss crops manifest --out {output.manifest:q} --simulated @<(printf '%s\\n' {input.simulated:q})"
+        " --real @<(printf '%s\\n' {input.real:q})"
         " --config {params.config:q} 2> {log:q}"

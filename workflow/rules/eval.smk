@@ -176,7 +176,7 @@ rule merge:
         parts=folders_of("measures"),
         methods=METHODS,
     shell:
-        "p2wss eval merge --parts {params.parts:q} --methods {params.methods:q} --out-measures {output.measures:q}"
+        "p2wss eval merge --parts @<(printf '%s\\n' {params.parts:q}) --methods {params.methods:q} --out-measures {output.measures:q}"
         " --out-parameters {output.parameters:q} --out-methods {output.methods:q}"
         " --config {params.config:q} 2> {log:q}"
 
@@ -199,7 +199,6 @@ rule eval_report:
         ),
         # pictures of the first few: a report of a whole city stays small
         scans=lambda wildcards: every_tile("<results>/scans/{place}{tile}.png")(wildcards)[:3],
-        tables=every_lidar_tile("<results>/reconstruct/{place}{tile}.json"),
         sources=local(settings.fetch.sources),
     output:
         report=report("<results>/eval/report.html", caption="../report/report.rst", category="Evaluation"),
@@ -232,6 +231,6 @@ rule eval_report:
         folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report --out {params.folder:q} --manifest {input.manifest:q} --measures {input.measures:q}"
-        " --parameters {input.parameters:q} --methods {input.methods:q} --parts {params.parts:q}"
+        " --parameters {input.parameters:q} --methods {input.methods:q} --parts @<(printf '%s\\n' {params.parts:q})"
         " --metrics {input.metrics:q} --scans {input.scans:q}"
-        " --config {params.config:q} 2> {log:q}"
+        " --config @<(printf '%s\\n' {params.config:q}) 2> {log:q}"

@@ -37,7 +37,7 @@ rule fetch_footprints:
         offline=int(settings.fetch.offline),
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        config=section("region", "fetch", without=("prepare", "sources", "offline")),
+        config=section("region", "fetch", without=(*TILE_LISTS, "prepare", "sources", "offline")),
         code=fingerprint("fetch"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
         sizes=source_sizes("footprints"),
@@ -113,7 +113,7 @@ rule prepare_lidar:
     resources:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
-        config=section("region", "fetch", without=("geoplateforme", "sources", "offline")),
+        config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme", "sources", "offline")),
         code=fingerprint("fetch"),
     shell:
         "p2wss fetch prepare --tile {wildcards.tile:q} --clouds {input.clouds:q} --out {output.lidar:q} --config {params.config:q} 2> {log:q}"

@@ -28,7 +28,7 @@ rule reconstruct_tile:
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
-        config=section("region", "scenes", "crops", "reconstruct"),
+        config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
         code=fingerprint("reconstruct", "nets.predictor"),
         folder=subpath(output.summary, parent=True),
     shell:

@@ -63,11 +63,20 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that reads arguments from files too: Linux starts no program with more than 2 MB of arguments."""
+
+    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
+        return [arg_line] if arg_line else []
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="p2wss",
         description="Watertight LoD2 buildings from building footprints and aerial LiDAR.",
-        epilog="p2wss COMMAND --help describes a command; the Snakemake workflow runs them in order.",
+        epilog="p2wss COMMAND --help describes a command; the Snakemake workflow runs them in order. "
+        "@FILE stands for arguments that are listed in a file, one per line.",
+        fromfile_prefix_chars="@",
     )
     parser.add_argument("--version", action="version", version=f"p2wss {__version__}")
     commands = parser.add_subparsers(

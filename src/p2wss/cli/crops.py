@@ -18,7 +18,7 @@ from p2wss.cli.common import (
     log_status_counts,
     read_config,
 )
-from p2wss.config import section_json
+from p2wss.config import TILE_LISTS, section_json
 from p2wss.data import files
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
@@ -100,7 +100,7 @@ def crops_real(arguments: argparse.Namespace) -> None:
     )
     tile = arguments.place + arguments.tile
     columns["tile"] = [tile] * len(columns["num_points"])
-    settings = section_json(config, "region", "scenes", "crops")
+    settings = section_json(config, "region", "scenes", "crops", without=TILE_LISTS)
     _write_crops(arguments.out, columns, num_excluded, tile, config.region.crs, settings)
 
 
@@ -132,6 +132,7 @@ def crops_manifest(arguments: argparse.Namespace) -> None:
                     f"{dataset}, {purpose}: only {chosen['num_buildings']} of {chosen['num_wanted']} buildings; "
                     "add members, tiles or draws to section dataset"
                 )
-    provenance = files.provenance(config=section_json(config, "dataset", "crops"), code=fingerprint("crops"))
+    settings = section_json(config, "dataset", "crops", without=("members",))
+    provenance = files.provenance(config=settings, code=fingerprint("crops"))
     files.write_json(arguments.out, manifest | provenance)
     log.info(f"{arguments.out.name}: {manifest['num_rows']} buildings, {manifest['splits']}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from p2wss.cli.common import Parsers, add_command, add_tile, bounds_of_tile, log, read_config
-from p2wss.config import Config, load, section_json
+from p2wss.config import TILE_LISTS, Config, load, section_json
 from p2wss.data import files
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
@@ -159,7 +159,7 @@ def _provenance(config: Config) -> dict[str, Any]:
     return files.provenance(
         vintage=config.region.vintage,
         crs=config.region.crs,
-        config=section_json(config, "region", "fetch"),
+        config=section_json(config, "region", "fetch", without=TILE_LISTS),
         code=fingerprint("fetch"),
     )
 

@@ -17,7 +17,7 @@ from p2wss.cli.common import (
     log_status_counts,
     read_config,
 )
-from p2wss.config import member_places, place_config, section_json
+from p2wss.config import TILE_LISTS, member_places, place_config, section_json
 from p2wss.data import files
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.errors import InputError
@@ -91,12 +91,13 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
             f"{arguments.dtm}: is in {dtm_crs.name}, but {arguments.footprints} is in {frame.crs.name}; "
             "reproject one of them"
         )
+    window = terrain.cut(bounds_of_tile(tile, config, margin_m))
+    if not window.height_m.size:
+        raise InputError(f"{arguments.dtm}: does not cover tile {tile}")
     scene = cut_scene(frame, terrain, tile, tile_size_m, config.scenes)
     scene["tile"] = arguments.place + scene["tile"]
     if not scene["in_tile"].any():
-        raise InputError(
-            f"{arguments.footprints}: has no building in tile {tile}; remove the tile from region.tiles"
-        )
+        log.warning(f"{arguments.footprints}: has no building in tile {tile}: an empty scene")
     log_status_counts(arguments.out, scene["status"][scene["in_tile"]])
     failed = failed_fraction(scene)
     if failed > config.scenes.max_failed_fraction:
@@ -110,10 +111,9 @@ def scenes_cut(arguments: argparse.Namespace) -> None:
         tile_size_m=tile_size_m,
         margin_m=margin_m,
         crs=config.region.crs,
-        config=section_json(config, "region", "scenes"),
+        config=section_json(config, "region", "scenes", without=TILE_LISTS),
         code=fingerprint("scenes"),
         num_by_status=dict(sorted(Counter(scene["status"][scene["in_tile"]]).items())),
     )
-    window = terrain.cut(bounds_of_tile(tile, config, margin_m))
     write_terrain(arguments.out_dtm, window, config.region.crs, metadata)
     write_scene(arguments.out, scene, metadata)

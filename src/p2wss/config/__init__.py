@@ -24,7 +24,7 @@ from p2wss.config.places import (
 )
 from p2wss.config.plan import Plan
 from p2wss.config.reconstruct import OUTPUT_SUFFIXES, Output, Reconstruct
-from p2wss.config.region import ALL, Region
+from p2wss.config.region import ALL, TILE_LISTS, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
 from p2wss.config.sections import Config, ablated
@@ -34,6 +34,7 @@ __all__ = [
     "ALL",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",
+    "TILE_LISTS",
     "Ablation",
     "Augmentation",
     "Buildings",

@@ -35,11 +35,14 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
 
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
     """The named sections as one line of JSON, readable by :func:`load`. without: keys to leave out, ``a.b`` in a
-    nested section."""
+    nested section, ``a.*.b`` in each item of a list."""
     exclude: dict[str, Any] = {}
     for key in without:
-        outer, _, inner = key.partition(".")
-        exclude[outer] = {inner} if inner else True
+        *outer, last = key.replace("*", "__all__").split(".")
+        level = exclude
+        for name in outer:
+            level = level.setdefault(name, {})
+        level[last] = True
     sections = {name: getattr(config, name).model_dump(mode="json", exclude=exclude) for name in names}
     return json.dumps(sections, sort_keys=True)
 

@@ -11,7 +11,7 @@ from zlib import crc32
 
 from p2wss.config.base import merge
 from p2wss.config.dataset import Member
-from p2wss.config.region import ALL
+from p2wss.config.region import ALL, TILE_LISTS
 from p2wss.config.sections import Config
 
 PLACE_PATTERN = r"([A-Za-z0-9_-]+/)*"
@@ -56,7 +56,7 @@ def place_config(config: Config, place: str) -> Config:
         return config
     member = _member(config, place)
     sections = config.model_dump(mode="json", exclude={"dataset"})
-    for name in ("tiles", "lidar_tiles"):
+    for name in TILE_LISTS:
         # names of tiles are of one region (the defaults of the miniature); "all" is of any
         if sections["region"][name] != [ALL]:
             sections["region"][name] = []

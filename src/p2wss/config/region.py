@@ -10,6 +10,8 @@ from p2wss.config.base import Section
 
 # in place of the names of tiles
 ALL = "all"
+# what no tile depends on: which other tiles are processed
+TILE_LISTS = ("tiles", "lidar_tiles")
 
 
 class Region(Section):

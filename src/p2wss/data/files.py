@@ -82,7 +82,11 @@ class TableWriter:
     def append(self, columns: Mapping[str, Any]) -> None:
         """Write rows, one array or list of values per column of the schema."""
         schema = self._writer.schema
-        arrays = {field.name: pa.array(columns[field.name], type=field.type) for field in schema}
+        # an array without a value may be of any type: of a tile without buildings, for instance
+        arrays = {
+            field.name: pa.array(columns[field.name] if len(columns[field.name]) else [], type=field.type)
+            for field in schema
+        }
         self.append_table(pa.table(arrays, schema=schema))
 
     def append_table(self, table: pa.Table) -> None:

@@ -170,7 +170,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 @pytest.mark.parametrize(
     ("tile", "config", "message"),
     [
-        ("0700_6600", "{}", "no building in tile 0700_6600"),
+        ("0700_6600", "{}", "does not cover tile 0700_6600"),
         ("nowhere", "{}", "'nowhere' is not a tile name"),
         (
             "0652_6862",

@@ -1,0 +1,102 @@
+"""A tile without buildings, which ``region.tiles: [all]`` plans too: every stage writes a file without rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import shapely
+
+from p2wss.cli import main
+from p2wss.data.terrain import Terrain, write_terrain
+
+TILE, NEIGHBOUR, SIZE_M = "0652000_6862000", "0652200_6862000", 100
+REGION = {"crs": "EPSG:2154", "tile_size_m": SIZE_M}
+SECTIONS = {
+    "region": REGION,
+    "scenes": {"margin_m": 20},
+    "scans": {"density_per_m2": 2},
+    "crops": {"split": "test", "guard_m": 2},
+    "eval": {"num_samples": 64},
+}
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words: object) -> None:
+        config = json.dumps(SECTIONS)
+        assert main([*map(str, words), "--config", config]) == 0, words
+
+    houses = shapely.box([652220, 652240, 652260], 6861940, [652230, 652252, 652270], 6861952)
+    frame = gpd.GeoDataFrame(
+        {"building_id": ["a", "b", "c"], "hauteur_m": 6.0}, geometry=houses, crs="EPSG:2154"
+    )
+    frame.to_file("footprints.gpkg", driver="GPKG")
+    flat = Terrain(np.full((240, 400), 40, np.float32), 651900, 6862100, 1.0)
+    write_terrain(Path("dtm.tif"), flat, "EPSG:2154", {})
+    return call
+
+
+def simulate(run, tile: str) -> None:
+    run(
+        *("scenes", "cut", "--tile", tile, "--footprints", "footprints.gpkg", "--dtm", "dtm.tif"),
+        *("--out", f"{tile}.scene.parquet", "--out-dtm", f"{tile}.tif"),
+    )
+    run("buildings", "--scene", f"{tile}.scene.parquet", "--out", f"{tile}.buildings.parquet")
+    run(
+        *("scans", "--scene", f"{tile}.scene.parquet", "--dtm", f"{tile}.tif"),
+        *("--buildings", f"{tile}.buildings.parquet", "--out", f"{tile}.laz"),
+        *("--out-survey", f"{tile}.json", "--picture", f"{tile}.png"),
+    )
+    simulated = ["--buildings", f"{tile}.buildings.parquet", "--scan", f"{tile}.laz"]
+    run("crops", "simulated", *simulated, "--out", f"{tile}.simulated.parquet")
+    real = ["--tile", tile, "--footprints", "footprints.gpkg", "--clouds", f"{tile}.laz"]
+    run("crops", "real", *real, "--out", f"{tile}.real.parquet")
+
+
+def rows(name: str) -> int:
+    return pq.read_metadata(name).num_rows
+
+
+def test_a_tile_without_buildings_goes_through_all_stages(run):
+    for tile in (TILE, NEIGHBOUR):
+        simulate(run, tile)
+    counts = [rows(f"{tile}.{name}.parquet") for tile in (TILE, NEIGHBOUR) for name in ("simulated", "real")]
+    assert counts == [0, 0, 3, 3]
+    assert rows(f"{TILE}.scene.parquet") == rows(f"{TILE}.buildings.parquet") == 0
+    shards = {
+        name: [f"{tile}.{name}.parquet" for tile in (TILE, NEIGHBOUR)] for name in ("simulated", "real")
+    }
+    run(
+        "crops", "manifest", "--simulated", *shards["simulated"], "--real", *shards["real"], "--out", "m.json"
+    )
+    assert json.loads(Path("m.json").read_text())["num_rows"] == 6
+
+    def evaluate(tile: str) -> None:
+        group = ["--manifest", "m.json", "--shards", f"{tile}.simulated.parquet", f"{tile}.real.parquet"]
+        for name in ("lod1", "constant"):
+            outputs = ["--out", f"{tile}/{name}.parquet", "--out-cpu", f"{tile}/cpu/{name}.json"]
+            run("eval", "baseline", "--name", name, *group, *outputs)
+        outputs = ["--out", f"{tile}/fit.parquet", "--out-cpu", f"{tile}/cpu/fit.json"]
+        run("eval", "fit", *group, *outputs)
+        run(
+            *("eval", "measure", *group, "--reconstructions"),
+            *(f"{tile}/{name}.parquet" for name in ("lod1", "constant", "fit")),
+            *("--out", f"{tile}/measures.parquet", "--out-errors", f"{tile}/variant_errors.json"),
+        )
+
+    for tile in (TILE, NEIGHBOUR):
+        evaluate(tile)
+    assert rows(f"{TILE}/measures.parquet") == 0 and rows(f"{NEIGHBOUR}/measures.parquet") == 18
+    run(
+        *("reconstruct", f"{TILE}.laz", "footprints.gpkg", "out", "--tile", TILE, "--model", "none"),
+        *("--format", "cityjsonseq,cityjson,glb,obj,ply,stl,gpkg,geoparquet"),
+    )
+    summary = json.loads(Path(f"out/{TILE}.json").read_text())
+    assert summary["buildings"]["total"] == 0
