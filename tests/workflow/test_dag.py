@@ -138,7 +138,10 @@ def test_every_config_plans(fresh):
     ("override", "message"),
     [
         ("scans={sede: 1}", "config: scans.sede: unknown key (did you mean seed?)"),
-        ("region={tile_size_m: 0}", "config: region.tile_size_m: Input should be greater than 0"),
+        (
+            "region={tile_size_m: 0}",
+            "config: region.tile_size_m: Input should be greater than or equal to 10",
+        ),
         ("eval={roofer_recorded: gone.jsonl}", "config: eval.roofer_recorded: gone.jsonl: no such file"),
         ("model={weights: gone.safetensors}", "config: model.weights: gone.safetensors: no such file"),
     ],

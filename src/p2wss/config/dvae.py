@@ -13,18 +13,24 @@ class Dvae(Section):
 
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
     num_points: int = Field(
-        768, ge=64, description="number of points used per cloud; larger clouds are thinned"
+        768, ge=64, le=1_000_000, description="number of points used per cloud; larger clouds are thinned"
     )
     min_points: int = Field(64, ge=1, description="clouds with fewer points are not used for training")
     num_patches: int = Field(
-        32, ge=4, description="number of patches per cloud, centred by farthest point sampling"
+        32, ge=4, le=4096, description="number of patches per cloud, centred by farthest point sampling"
     )
     patch_size: int = Field(
-        16, ge=4, multiple_of=4, description="number of points per patch (nearest neighbours of its centre)"
+        16,
+        ge=4,
+        le=4096,
+        multiple_of=4,
+        description="number of points per patch (nearest neighbours of its centre)",
     )
-    patch_dim: int = Field(32, ge=8, multiple_of=8, description="width of a patch embedding")
-    token_dim: int = Field(32, ge=8, multiple_of=8, description="width of a codebook entry and of the DGCNN")
-    num_tokens: int = Field(128, ge=8, multiple_of=4, description="number of codebook entries")
+    patch_dim: int = Field(32, ge=8, le=4096, multiple_of=8, description="width of a patch embedding")
+    token_dim: int = Field(
+        32, ge=8, le=4096, multiple_of=8, description="width of a codebook entry and of the DGCNN"
+    )
+    num_tokens: int = Field(128, ge=8, le=65536, multiple_of=4, description="number of codebook entries")
     temperature_end: float = Field(
         0.0625,
         gt=0,

@@ -75,7 +75,7 @@ class ModelOptimiser(Optimiser):
     """AdamW with a cosine warm-up and a cosine decay of the learning rate."""
 
     num_steps: int = Field(800, ge=1, description="number of training steps (batches)")
-    batch_size: int = Field(32, ge=2, description="number of buildings per batch")
+    batch_size: int = Field(32, ge=2, le=65536, description="number of buildings per batch")
 
 
 class Model(Section):
@@ -90,16 +90,18 @@ class Model(Section):
     hundreds: bool = Field(
         False, description="encode heights and coordinates up to 999 m; false = below 100 m"
     )
-    dim: int = Field(64, ge=8, multiple_of=8, description="width of the transformer")
-    num_heads: int = Field(4, ge=1, description="number of attention heads; must divide dim")
-    mlp_ratio: float = Field(4.0, gt=0, description="hidden width of the MLPs, as a multiple of dim")
+    dim: int = Field(64, ge=8, le=4096, multiple_of=8, description="width of the transformer")
+    num_heads: int = Field(4, ge=1, le=256, description="number of attention heads; must divide dim")
+    mlp_ratio: float = Field(4.0, gt=0, le=64, description="hidden width of the MLPs, as a multiple of dim")
     drop_path: Share = Field(
         0.0, description="rate of stochastic depth at the last block, less in earlier blocks"
     )
-    cloud_depth: int = Field(2, ge=1, description="number of blocks of the point cloud encoder")
-    sequence_depth: int = Field(1, ge=1, description="number of blocks of the parameter encoder")
-    cross_depth: int = Field(2, ge=1, description="number of blocks of each cross-modality encoder")
-    align_dim: int = Field(64, ge=1, description="width of the space in which both modalities are aligned")
+    cloud_depth: int = Field(2, ge=1, le=128, description="number of blocks of the point cloud encoder")
+    sequence_depth: int = Field(1, ge=1, le=128, description="number of blocks of the parameter encoder")
+    cross_depth: int = Field(2, ge=1, le=128, description="number of blocks of each cross-modality encoder")
+    align_dim: int = Field(
+        64, ge=1, le=4096, description="width of the space in which both modalities are aligned"
+    )
     auxiliary_share: float = Field(
         0.25,
         gt=0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Self
 
 from pydantic import Field, field_validator, model_validator
@@ -12,6 +13,10 @@ from p2wss.config.base import Section
 ALL = "all"
 # what no tile depends on: which other tiles are processed
 TILE_LISTS = ("tiles", "lidar_tiles")
+# France in tiles of 1 km fills a square of about a million
+_MAX_TILES = 2_000_000
+# the farthest coordinate of any projected CRS on Earth
+_FARTHEST_M = 1e8
 
 
 class Region(Section):
@@ -22,7 +27,7 @@ class Region(Section):
     )
     vintage: str = Field(
         "mini",
-        pattern=r"^[A-Za-z0-9_.-]+$",
+        pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]*$",
         description="edition of the source data; they are kept in resources/ign/<vintage>",
     )
     crs: str = Field(
@@ -32,7 +37,7 @@ class Region(Section):
         (652000, 6860000, 654000, 6862000), description="x_min, y_min, x_max, y_max of the region in the CRS"
     )
     tile_size_m: float = Field(
-        1000, gt=0, le=10000, description="edge length of the square tiles; one scene per tile"
+        1000, ge=10, le=10000, description="edge length of the square tiles; one scene per tile"
     )
     tiles: list[str] = Field(
         ["0652_6862", "0653_6862", "0652_6861"],
@@ -55,4 +60,14 @@ class Region(Section):
         x_min, y_min, x_max, y_max = self.bounds_m
         if x_min >= x_max or y_min >= y_max:
             raise ValueError("bounds_m must be x_min, y_min, x_max, y_max")
+        if not all(abs(value) < _FARTHEST_M for value in self.bounds_m):
+            raise ValueError("bounds_m must be metres in the CRS of the region")
+        num_tiles = math.ceil((x_max - x_min) / self.tile_size_m) * math.ceil(
+            (y_max - y_min) / self.tile_size_m
+        )
+        if num_tiles > _MAX_TILES:
+            raise ValueError(
+                f"bounds_m hold {num_tiles:,} tiles of tile_size_m {self.tile_size_m:g}; the largest number is"
+                f" {_MAX_TILES:,}"
+            )
         return self

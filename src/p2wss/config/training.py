@@ -13,7 +13,7 @@ class Optimiser(Section):
     """AdamW with a cosine warm-up and a cosine decay of the learning rate."""
 
     num_steps: int = Field(200, ge=1, description="number of training steps (batches)")
-    batch_size: int = Field(64, ge=2, description="number of buildings per batch")
+    batch_size: int = Field(64, ge=2, le=65536, description="number of buildings per batch")
     learning_rate: float = Field(2e-3, gt=0, description="peak learning rate, after the warm-up")
     learning_rate_end: float = Field(1e-6, ge=0, description="learning rate at the last step")
     warmup_share: Share = Field(

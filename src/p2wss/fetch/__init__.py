@@ -11,6 +11,7 @@ from typing import Protocol
 
 import geopandas as gpd
 import numpy as np
+import pyproj
 
 from p2wss.config import Fetch, Region
 from p2wss.data.terrain import Terrain
@@ -51,8 +52,17 @@ class Source(Protocol):
 def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     """Open the source that the config names.
 
-    downloads: folder for downloaded and unpacked files, which later runs reuse.
+    downloads: folder for downloaded and unpacked files, which later runs reuse. Raises :class:`InputError` if a CRS of
+    the config does not exist.
     """
+    for key, crs in (
+        ("region.crs", region.crs),
+        ("fetch.folder.lidar_crs", config.folder.lidar_crs or region.crs),
+    ):
+        try:
+            pyproj.CRS.from_user_input(crs)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"config: {key}: {crs}: no such CRS; state one such as EPSG:2154") from error
     if config.source == "folder":
         from p2wss.fetch.folder import FolderSource
 

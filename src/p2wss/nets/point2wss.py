@@ -133,7 +133,7 @@ def numerical_encoding(value: Tensor, dim: int) -> Tensor:
 
     v is the token's ``value`` (vocabulary,), scaled to at most 10.
     """
-    even = value[:, None] * (10 / value.max()) / (2 * torch.arange((dim + 1) // 2) + 1)
+    even = value[:, None] * (10 / value.max()) / (2 * torch.arange((dim + 1) // 2, device=value.device) + 1)
     return torch.stack([even, -even], -1).flatten(1)[:, :dim]
 
 

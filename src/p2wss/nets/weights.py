@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
+from torch.nn import Module
 
 from p2wss import __version__
 from p2wss.config import Dvae as DvaeConfig
@@ -37,6 +39,7 @@ def load_dvae(path: Path) -> tuple[DiscreteVae, DvaeConfig]:
     state, metadata = read_weights(path, "dvae")
     with _compatible(path, metadata):
         config = DvaeConfig.model_validate(metadata["config"])
+        _check_sizes(lambda: build_dvae(config), state)
         module = build_dvae(config)
         module.load_state_dict(state)
     return module.eval().requires_grad_(False), config
@@ -69,6 +72,7 @@ def load_model(path: Path) -> tuple[Point2Wss, ModelConfig, DvaeConfig]:
         tokenizer = build_tokenizer(config)
         if tuple(metadata["vocabulary"]) != tokenizer.vocabulary:
             raise ValueError("another vocabulary")
+        _check_sizes(lambda: build_model(config, dvae_config, tokenizer), state)
         module = build_model(config, dvae_config, tokenizer)
         module.load_state_dict(state, strict=False)
         missing = set(inference_weights(module.state_dict())) - set(state)
@@ -104,6 +108,18 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
     if metadata.get("kind") != kind:
         raise InputError(f"{path}: not a {kind} of p2wss")
     return state, {_RENAMED_KEYS.get(name, name): value for name, value in metadata.items()}
+
+
+def _check_sizes(build: Callable[[], Module], state: dict[str, Tensor]) -> None:
+    """Raise ValueError if the network that the config describes has other sizes than the file's tensors.
+
+    It is built without memory first, so that a config that does not belong to the weights cannot take all of it.
+    """
+    with torch.device("meta"):
+        shapes = {name: value.shape for name, value in build().state_dict().items()}
+    for name, value in state.items():
+        if shapes.get(name) != value.shape:
+            raise ValueError(f"{name} has another size")
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 
 import pytest
@@ -66,3 +67,15 @@ def test_weights_that_this_version_does_not_support_are_one_clear_line(
     write_weights(path, state, metadata | change)
     with pytest.raises(InputError, match=r"written by p2wss .* does not support; train it again"):
         load_model(path)
+
+
+def test_a_config_that_does_not_belong_to_the_weights_takes_no_memory(tmp_path: Path) -> None:
+    """The largest network that a config may describe has thousands of times the weights of the file."""
+    state, metadata = read_weights(SHIPPED, "model")
+    metadata["config"] |= {"dim": 4096, "num_heads": 1, "mlp_ratio": 64.0, "cloud_depth": 64}
+    write_weights(tmp_path / "large.safetensors", state, metadata)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match="does not support; train it again"):
+        load_model(tmp_path / "large.safetensors")
+    num_new_bytes = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    assert num_new_bytes < 300e6, "one layer alone would have 4 GB"
