@@ -64,7 +64,7 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
     """The buildings of a data set, clean footprints with their points."""
     place, cloud_files, _ = SETS[name]
     frame = scenes.read_footprints(folder / place / "footprints.gpkg", None, needs_crs=False)
-    frame = scenes.clean_footprints(frame, config.scenes)
+    frame = scenes.clean_footprints(frame, reconstruct.footprint_settings(config))
     cloud = clouds.read_clouds([folder / place / file for file in cloud_files], reconstruct.window(frame))
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)

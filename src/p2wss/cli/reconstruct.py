@@ -107,7 +107,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     predictor = None if weights is None else load_predictor(weights, arguments.device)
     terrain, terrain_crs = (None, None) if arguments.terrain is None else read_terrain(arguments.terrain)
     features = footprints.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
-    frame = footprints.clean_footprints(features, config.scenes)
+    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
     tile = (arguments.tile, config.region.tile_size_m)
     around = frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
     cloud = clouds.read_clouds(arguments.clouds, reconstruct.window(around))

@@ -82,7 +82,7 @@ class Reconstruct(Section):
         0.3,
         ge=0,
         le=5,
-        description="Douglas-Peucker tolerance for simplifying footprints; 0 = no simplification",
+        description="replaces scenes.simplify_m for the footprints to reconstruct; 0 = no simplification",
     )
     min_eave_height_m: float = Field(
         1, gt=0, description="lower predicted eave heights are raised to this value"

@@ -37,11 +37,26 @@ class Scenes(Section):
         ge=0,
         description="width of the margin whose buildings are also in the scene, because they occlude the tile",
     )
-    simplify_tolerance_m: float = Field(
+    snap_m: float = Field(
+        0.1,
+        ge=0,
+        le=0.5,
+        description="gaps and overlaps of neighbouring footprints up to this width are closed; 0 = none",
+    )
+    simplify_m: float = Field(
         0.2,
         ge=0,
         le=5,
         description="Douglas-Peucker tolerance for simplifying footprints; 0 = no simplification",
+    )
+    parallel_deg: float = Field(
+        2.5,
+        ge=0,
+        le=10,
+        description="footprint edges parallel to within this angle become exactly parallel; 0 = no straightening",
+    )
+    max_shift_m: float = Field(
+        0.05, ge=0, le=1, description="no footprint corner moves further than this to straighten edges"
     )
     min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter footprint edges are removed")
     min_area_m2: float = Field(

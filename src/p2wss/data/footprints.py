@@ -14,6 +14,7 @@ import shapely
 from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
+from p2wss.data.coverage import Cleaning, blocks, clean_block
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
@@ -25,6 +26,8 @@ _TYPES_WITH_POLYGONS = [
 ]
 # footprints that touch themselves are cut apart with a gap of this width; cleaning would close a smaller one
 _OPENING_M = 0.15
+# options of the kernel's cleaning for which it removes only vertices that are within an edge to a micrometre
+_ONLY_WITHIN_EDGES = {"min_edge_m": 1e-3, "min_turn_deg": 0.0, "min_offset_m": 1e-6, "parallel_deg": 0.0}
 
 
 def read_footprints(
@@ -150,34 +153,42 @@ def _box_centres(shapes: np.ndarray) -> np.ndarray:
 def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFrame:
     """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
 
-    The steps are :func:`split_parts`, Douglas-Peucker (``simplify_tolerance_m``) and
-    :func:`p2wss.skeleton.clean`. A footprint that then touches itself is cut apart where it does, and cleaned
-    again. Every footprint keeps a row: ``status`` is "ok" or the reason for exclusion, and an excluded footprint
-    has an empty polygon.
+    After :func:`split_parts`, footprints that touch, overlap or are at most ``snap_m`` apart are cleaned together, as
+    one coverage (:func:`p2wss.data.coverage.clean_block`), so that they keep the walls that they share. Any other
+    footprint is simplified (Douglas-Peucker, ``simplify_m``) and cleaned by :func:`p2wss.skeleton.clean`. A footprint
+    that then touches itself is cut apart where it does, and cleaned again by itself. Every footprint keeps a row:
+    ``status`` is "ok" or the reason for exclusion, and an excluded footprint has an empty polygon.
+
+    The result of a footprint depends on those of its block only, and not on the order of the rows.
     """
     result = split_parts(frame, config.min_area_m2)
     shapes = result.geometry.to_numpy().copy()
     status = result["status"].to_numpy(dtype=object).copy()
-    pending = np.flatnonzero(status == "ok")
     codes = np.full(len(shapes), int(skeleton.Status.EMPTY))
-    for attempt in range(2):
-        footprints = shapes[pending] if attempt == 0 else _cut_apart(shapes[pending])
-        if config.simplify_tolerance_m:
-            footprints = shapely.simplify(footprints, config.simplify_tolerance_m)
+    touches = [skeleton.Status.NOT_SIMPLE, skeleton.Status.COURTYARD_OUTSIDE]
+
+    def clean(rows: np.ndarray, footprints: np.ndarray, **options: float) -> np.ndarray:
+        """Clean the footprints of these rows, and return the rows of those that touch themselves."""
         cleaned = skeleton.clean(
-            polygon_arrays.to_polygons(footprints),
-            min_edge_m=config.min_edge_m,
-            min_area_m2=config.min_area_m2,
+            polygon_arrays.to_polygons(footprints), min_area_m2=config.min_area_m2, **options
         )
-        codes[pending] = cleaned.status
+        codes[rows] = cleaned.status
         is_clean = cleaned.status == skeleton.Status.OK
-        shapes[pending[is_clean]] = polygon_arrays.to_geometries(
-            polygon_arrays.take(cleaned.polygons, is_clean)
-        )
-        touches = [skeleton.Status.NOT_SIMPLE, skeleton.Status.COURTYARD_OUTSIDE]
-        pending = pending[np.isin(cleaned.status, touches)]
-        if not len(pending):
-            break
+        shapes[rows[is_clean]] = polygon_arrays.to_geometries(polygon_arrays.take(cleaned.polygons, is_clean))
+        return rows[np.isin(cleaned.status, touches)]
+
+    coverage_rows, footprints = _clean_blocks(shapes, np.flatnonzero(status == "ok"), config)
+    # of a coverage only vertices within an edge may go, as all others may be shared
+    broken = clean(coverage_rows, footprints, **_ONLY_WITHIN_EDGES)
+    pending = np.union1d(np.setdiff1d(np.flatnonzero(status == "ok"), coverage_rows), broken)
+    alone = {
+        "min_edge_m": config.min_edge_m,
+        "parallel_deg": config.parallel_deg,
+        "max_shift_m": config.max_shift_m,
+    }
+    pending = clean(pending, _simplified(shapes[pending], config.simplify_m), **alone)
+    clean(pending, _simplified(_cut_apart(shapes[pending]), config.simplify_m), **alone)
+
     has_code = status == "ok"
     status[has_code] = [skeleton.Status(code).reason if code else "ok" for code in codes[has_code]]
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
@@ -185,6 +196,30 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     shapes[status != "ok"] = shapely.Polygon()
     result["status"] = status
     return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
+
+
+def _clean_blocks(shapes: np.ndarray, rows: np.ndarray, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, clean polygons) of the footprints that share walls with others, among those of ``rows``."""
+    rows = rows[shapely.area(shapes[rows]) >= config.min_area_m2]
+    block = blocks(shapes[rows], config.snap_m)
+    order = np.argsort(block, kind="stable")
+    cleaning = Cleaning(
+        config.snap_m,
+        config.simplify_m,
+        config.min_edge_m,
+        parallel_deg=config.parallel_deg,
+        max_shift_m=config.max_shift_m,
+    )
+    result = np.full(len(rows), None, dtype=object)
+    for members in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+        if len(members) > 1:
+            result[members] = clean_block(shapes[rows[members]], cleaning)
+    found = ~shapely.is_missing(result)
+    return rows[found], result[found]
+
+
+def _simplified(shapes: np.ndarray, tolerance_m: float) -> np.ndarray:
+    return shapely.simplify(shapes, tolerance_m) if tolerance_m else shapes
 
 
 def _cut_apart(shapes: np.ndarray) -> np.ndarray:

@@ -20,12 +20,12 @@ Method = Callable[[Sequence[Building], Reconstruct], list[Reconstruction]]
 def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
     """The settings for a data set.
 
-    Simulated buildings keep the footprint to which their labels belong, and have a single eave height and no
-    dormers. For real buildings the settings of the product are used as they are.
+    Simulated buildings have a single eave height and no dormers. For real buildings the settings of the product are
+    used as they are.
     """
     if dataset != SIMULATED:
         return config
-    return config.model_copy(update={"simplify_m": 0.0, "max_parts": 1, "dormers": False})
+    return config.model_copy(update={"max_parts": 1, "dormers": False})
 
 
 def predict(

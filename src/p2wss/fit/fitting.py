@@ -13,7 +13,7 @@ from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Boxes, find_boxes, is_over_boxes
-from p2wss.fit.mesh import build_meshes, mesh_footprint, transfer_angles
+from p2wss.fit.mesh import build_meshes, transfer_angles
 from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.points import roof_points
@@ -110,7 +110,7 @@ class _FitTask:
         """At most ``max_parts`` parts, fitted to the points that are not over ``boxes``."""
         building, config, initial, effort = self.building, self.config, self.initial, self.thresholds.effort
         cutting = replace(self.thresholds.cutting, max_parts=max_parts)
-        rings = mesh_footprint(building, config)
+        rings = list(building.rings)
         rotation = main_frame(rings)
         if not len(building.point_m):
             return _PartsFit(rings, rotation, [], reasons.NO_POINTS)

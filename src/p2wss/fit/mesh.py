@@ -124,16 +124,6 @@ def build_meshes(
     return result
 
 
-def mesh_footprint(building: Building, config: Reconstruct) -> list[np.ndarray]:
-    """The rings of the mesh: the footprint's, simplified unless that gives no valid polygon."""
-    if config.simplify_m == 0:
-        return list(building.rings)
-    simple = building.polygon.simplify(config.simplify_m, preserve_topology=True)
-    if not isinstance(simple, shapely.Polygon) or not simple.is_valid or simple.is_empty:
-        return list(building.rings)
-    return _rings(shapely.orient_polygons(simple, exterior_cw=False))
-
-
 def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:
     return [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
 

@@ -3,6 +3,7 @@
 from p2wss.reconstruct.inputs import (
     around_tile,
     common_crs,
+    footprint_settings,
     of_tile,
     output_stem,
     shipped_model,
@@ -32,6 +33,7 @@ __all__ = [
     "check_overlap",
     "city_json",
     "common_crs",
+    "footprint_settings",
     "input_footprints",
     "method_name",
     "of_tile",

@@ -10,7 +10,7 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
-from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint
+from p2wss.fit.mesh import build_meshes, kernel_angles
 
 
 def with_fallback(
@@ -45,7 +45,7 @@ def constant(
 ) -> list[Reconstruction]:
     """Buildings with given heights (b,) and the same angle at every edge; NaN for a building without a height, which
     gets no mesh, for ``reason``."""
-    rings = [mesh_footprint(building, config) for building in buildings]
+    rings = [building.rings for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
     ground = [building.ground_z_m for building in buildings]
     unknown = np.full(len(buildings), np.nan)

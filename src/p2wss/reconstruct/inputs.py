@@ -9,7 +9,7 @@ import geopandas as gpd
 import numpy as np
 import pyproj
 
-from p2wss.config import Reconstruct
+from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data.cloud_crops import GROUND_RINGS_M
 from p2wss.data.clouds import horizontal, same_crs
 from p2wss.data.tiling import Bounds, tiles_of_points
@@ -40,6 +40,12 @@ def shipped_model() -> Path | None:
     """The weights that came with the package; None in a package without."""
     path = Path(str(files("p2wss"))) / "weights" / "point2wss.safetensors"
     return path if path.is_file() else None
+
+
+def footprint_settings(config: Config) -> Scenes:
+    """The settings with which :func:`p2wss.data.footprints.clean_footprints` cleans the user's footprints: those of the
+    section scenes, but with ``reconstruct.simplify_m``."""
+    return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
 
 
 def common_crs(

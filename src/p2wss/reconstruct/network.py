@@ -11,7 +11,7 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
-from p2wss.fit.mesh import build_meshes, kernel_angles, mesh_footprint, simplify_exterior, transfer_angles
+from p2wss.fit.mesh import build_meshes, kernel_angles, simplify_exterior, transfer_angles
 
 
 class Parameters(Protocol):
@@ -61,7 +61,7 @@ def reconstruct_with_network(
     A building with fewer than ``min_num_points`` points, or whose mesh the kernel rejects, has a status and no mesh;
     :func:`p2wss.reconstruct.flat.with_fallback` replaces it by a flat roof.
     """
-    mesh_rings = [mesh_footprint(building, config) for building in buildings]
+    mesh_rings = [building.rings for building in buildings]
     network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
     ground = [building.ground_z_m for building in buildings]
     height = np.full(len(buildings), np.nan)

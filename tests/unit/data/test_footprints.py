@@ -97,9 +97,7 @@ def test_a_courtyard_that_touches_the_exterior_is_cut_apart() -> None:
     ],
 )
 def test_an_excluded_footprint_keeps_its_row(shape: object, reason: str) -> None:
-    result = clean_footprints(
-        frame(shapely.box(0, 0, 9, 9), shape), Scenes(simplify_tolerance_m=0, max_edges=40)
-    )
+    result = clean_footprints(frame(shapely.box(0, 0, 9, 9), shape), Scenes(simplify_m=0, max_edges=40))
     assert list(result["building_id"]) == ["B0", "B1"]
     assert list(result["status"]) == ["ok", reason]
     assert result.geometry.iloc[1].is_empty

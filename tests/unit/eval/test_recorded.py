@@ -154,7 +154,7 @@ def test_the_state_changes_when_roofer_is_installed_or_updated(
 def test_height_rmse_and_far_share_of_flat_roofs_on_delft(delft: list[cases.Case]) -> None:
     """The heights over a flat roof are differences from a single number."""
     few = delft[:8]
-    for case, flat in zip(few, lod1([c.building for c in few], Reconstruct(simplify_m=0)), strict=True):
+    for case, flat in zip(few, lod1([c.building for c in few], Reconstruct()), strict=True):
         row = measure.measure_building(case, flat, Eval(num_samples=64))
         assert flat.eave_height_m is not None
         z = case.building.point_m[case.building.is_on_building][:, 2]

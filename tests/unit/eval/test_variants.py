@@ -83,11 +83,11 @@ def test_each_variant_does_what_its_name_says(hamlet_cases: list[cases.Case], re
         assert (network.eave_height_m or 0) - case.eave_height_m == pytest.approx(0.4, abs=1e-5)
 
 
-def test_real_buildings_may_have_parts_and_simpler_footprints() -> None:
+def test_only_real_buildings_may_have_parts_and_dormers() -> None:
     real = predict.for_dataset(RECONSTRUCT, REAL)
     simulated = predict.for_dataset(RECONSTRUCT, SIMULATED)
-    assert (real.max_parts, real.simplify_m) == (RECONSTRUCT.max_parts, RECONSTRUCT.simplify_m)
-    assert (simulated.max_parts, simulated.simplify_m) == (1, 0.0) and real.max_parts > 1
+    assert real == RECONSTRUCT and real.max_parts > 1
+    assert simulated == RECONSTRUCT.model_copy(update={"max_parts": 1, "dormers": False})
 
 
 def test_the_clock_counts_every_building_and_no_warm_up(hamlet_cases: list[cases.Case]) -> None:
@@ -402,9 +402,7 @@ def test_small_faces_overshoot_and_bent_faces_are_counted() -> None:
     for cut, expected in ((0.04, 0), (0.03, 1)):
         ring = np.array([[0.0, 0], [10, 0], [10, 10 - cut], [10 - cut, 10], [0, 10]])
         building = replace(case.building, rings=[ring])
-        (flat_roof,) = constant(
-            [building], np.array([5.0]), 0.0, RECONSTRUCT.model_copy(update={"simplify_m": 0})
-        )
+        (flat_roof,) = constant([building], np.array([5.0]), 0.0, RECONSTRUCT)
         row = measure.measure_building(replace(case, building=building), flat_roof, CONFIG)
         assert (row["num_small_faces"], row["num_mesh_vertices"]) == (expected, 10)
 

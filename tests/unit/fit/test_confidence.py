@@ -18,7 +18,7 @@ from p2wss.skeleton import roof_points as roof
 HOUSE = np.array([[0, 0], [12, 0], [12, 8], [0, 8.0]])
 ELL = np.array([[0, 0], [14, 0], [14, 6], [6, 6], [6, 12], [0, 12.0]])
 GABLE = np.array([40, 90, 40, 90.0])
-CONFIG = Reconstruct(max_parts=1, simplify_m=0)
+CONFIG = Reconstruct(max_parts=1)
 EAVE_M = 5.0
 
 

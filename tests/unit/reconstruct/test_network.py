@@ -19,7 +19,7 @@ from p2wss.fit.mesh import kernel_angles, simplify_exterior, transfer_angles
 from p2wss.reconstruct.flat import flat_height_m, lod1, with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
 
-CONFIG = Reconstruct(simplify_m=0)
+CONFIG = Reconstruct()
 RECTANGLE = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
 YARD = np.array([[5, 3], [5, 5], [7, 5], [7, 3]], float)
 
@@ -79,15 +79,11 @@ def test_courtyards_stay_when_the_exterior_is_simplified_for_the_network() -> No
     assert mesh.is_watertight and mesh.euler_number == 0  # one hole through
 
 
-def test_simplify_is_for_real_footprints_only_as_configured() -> None:
+def test_a_mesh_has_the_footprint_to_the_bit() -> None:
     notched = np.array([[0, 0], [6, 0], [6, 0.1], [6.1, 0.1], [6.1, 0], [12, 0], [12, 8], [0, 8]], float)
-    (as_is,) = lod1([building([notched])], CONFIG)
-    (simple,) = lod1([building([notched])], replace_config(simplify_m=0.3))
-    assert len(as_is.rings[0]) == 8 and len(simple.rings[0]) == 4
-
-
-def replace_config(**changes: float) -> Reconstruct:
-    return CONFIG.model_copy(update=changes)
+    (flat,) = lod1([building([notched])], CONFIG)
+    assert np.array_equal(flat.rings[0], notched)
+    assert np.array_equal(np.unique(flat.vertex_m[:, :2], axis=0), np.unique(notched, axis=0))
 
 
 def test_flat_height_prefers_class_6_and_ignores_what_is_outside() -> None:
