@@ -23,7 +23,6 @@ from p2wss.data.cropping import seen_share
 from p2wss.data.points import on_millimetres
 from p2wss.data.solids.repair import surfaces_to_write
 from p2wss.errors import InputError
-from p2wss.fit.points import even_order
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Solid
 from p2wss.metrics.surface import distance_to_mesh
@@ -88,17 +87,14 @@ def run(
         for i in rows:
             point = _in_order(cloud, cropped.of(i))
             xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
-            xyz_m = on_millimetres(xyz_m, origin_xy_m[i])
-            # an order that does not depend on the other buildings of the run
-            order = even_order(xyz_m) if len(xyz_m) else np.zeros(0, np.int64)
             buildings.append(
                 Building(
                     str(names[i]),
                     tile,
                     (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
                     [ring - origin_xy_m[i] for ring in polygons.rings(i)],
-                    xyz_m[order],
-                    cloud.classification[point][order],
+                    on_millimetres(xyz_m, origin_xy_m[i]),
+                    cloud.classification[point],
                     float(cropped.ground_z_m[i]),
                 )
             )
