@@ -139,8 +139,8 @@ def notes(
         result.append("shapes are split by material; Sionna RT finds no diffracting edge between two shapes")
     elif is_mixed:
         result.append(
-            "each shape has the material of its walls, because Sionna RT finds diffracting edges within one shape only;"
-            " --split-materials makes a shape per material"
+            "each shape has the material of most of its walls, because Sionna RT finds diffracting edges within one"
+            " shape only; --split-materials makes a shape per material"
         )
     return result
 
