@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from p2wss.config import Config, load
+from p2wss.data import files
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.errors import InputError
 
@@ -68,6 +69,11 @@ def add_device(command: argparse.ArgumentParser) -> None:
 
 def add_training(command: argparse.ArgumentParser) -> None:
     """Add the options of a training run."""
+    command.add_argument("--manifest", type=Path, required=True, help="JSON written by p2wss crops manifest")
+    command.add_argument("--out", type=Path, required=True, help="safetensors file to write: the weights")
+    command.add_argument(
+        "--out-metrics", type=Path, required=True, help="JSON lines to write: losses during training"
+    )
     command.add_argument(
         "--checkpoints",
         type=Path,
@@ -103,6 +109,23 @@ def read_training_config(arguments: argparse.Namespace, stage: str) -> Config:
     """The config of ``--config``, with the device of ``--device`` for the training of ``stage``."""
     device = {} if arguments.device is None else {stage: {"compute": {"device": arguments.device}}}
     return load(arguments.config, device)
+
+
+def write_trained(arguments: argparse.Namespace, save: Callable[[str], None]) -> None:
+    """At the end of a training: the metrics, the weights by ``save(metrics)``, and no checkpoints any more.
+
+    Of several processes the first writes.
+    """
+    from p2wss.nets import distributed
+    from p2wss.nets.metrics_log import read_metrics
+    from p2wss.nets.training_state import remove_checkpoints
+
+    if not distributed.is_main_process():
+        return
+    metrics = read_metrics(arguments.checkpoints)
+    files.write_text(arguments.out_metrics, metrics)
+    save(metrics)
+    remove_checkpoints(arguments.checkpoints)
 
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:

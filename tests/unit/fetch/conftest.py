@@ -1,4 +1,4 @@
-"""Fixtures: clouds of known points, and an installed PDAL."""
+"""Fixtures: clouds of known points, an installed PDAL, and IGN's services on a local server."""
 
 from __future__ import annotations
 
@@ -6,12 +6,18 @@ import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
 import pyproj
 import pytest
 from places import ROOT
+from pytest_httpserver import HTTPServer
+
+from p2wss.config import Geoplateforme
+from p2wss.fetch.geoplateforme import GeoplateformeSource
+from p2wss.fetch.http import Client
 
 
 @pytest.fixture(scope="session")
@@ -49,3 +55,20 @@ def write_points(tmp_path: Path) -> WriteCloud:
         return path
 
     return write
+
+
+@pytest.fixture
+def source(httpserver: HTTPServer, tmp_path: Path) -> Any:
+    """Creates sources that use the local server and share one folder of downloads."""
+
+    def make(offline: bool = False, crs: str = "EPSG:2154", **settings: Any) -> GeoplateformeSource:
+        config = Geoplateforme(
+            wfs_url=httpserver.url_for("/wfs/ows"),
+            wms_url=httpserver.url_for("/wms-r"),
+            requests_per_s=1e6,
+            **settings,
+        )
+        client = Client(config, sleep=lambda seconds: None)
+        return GeoplateformeSource(config, crs, tmp_path / "downloads", offline, client)
+
+    return make

@@ -19,7 +19,7 @@ from p2wss.config import load
 from p2wss.errors import InputError
 from p2wss.fetch.plan import download, estimate_downloads, format_estimates, region_yaml
 
-from .test_geoplateforme import building, laz, serve_features, serve_terrain, tile_feature
+from .service import building, laz, serve_features, serve_terrain, tile_feature
 
 REGIONS = sorted((ROOT / "config" / "regions").glob("*.yaml"))
 
