@@ -92,9 +92,8 @@ def crops_real(arguments: argparse.Namespace) -> None:
     config = read_config(arguments)
     tile_size_m = config.region.tile_size_m
     bounds = bounds_of_tile(arguments.tile, config)
-    frame = footprints.clean_footprints(
-        footprints.read_footprints(arguments.footprints, bounds=bounds), config.scenes
-    )
+    features = footprints.read_whole_blocks(arguments.footprints, bounds, config.scenes.snap_m)
+    frame = footprints.clean_footprints(features, config.scenes)
     columns, num_excluded = crops.crop_real(
         frame, arguments.clouds, arguments.tile, tile_size_m, config.crops
     )

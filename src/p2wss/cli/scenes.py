@@ -75,16 +75,15 @@ def scenes_index(arguments: argparse.Namespace) -> None:
 def scenes_cut(arguments: argparse.Namespace) -> None:
     """Write the scene of a tile and its terrain."""
     from p2wss.data.clouds import same_crs
-    from p2wss.data.footprints import read_footprints
+    from p2wss.data.footprints import read_whole_blocks
     from p2wss.data.schemas.scene import write_scene
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.scenes import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
 
     config = read_config(arguments)
     tile, tile_size_m, margin_m = arguments.tile, config.region.tile_size_m, config.scenes.margin_m
-    frame = read_footprints(
-        arguments.footprints, bounds=bounds_of_tile(tile, config, margin_m + NEIGHBOUR_DISTANCE_M)
-    )
+    bounds = bounds_of_tile(tile, config, margin_m + NEIGHBOUR_DISTANCE_M)
+    frame = read_whole_blocks(arguments.footprints, bounds, config.scenes.snap_m)
     terrain, dtm_crs = read_terrain(arguments.dtm)
     if not same_crs(dtm_crs, frame.crs):
         raise InputError(

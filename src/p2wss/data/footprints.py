@@ -15,7 +15,7 @@ from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.coverage import Cleaning, blocks, clean_block
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, grown
 from p2wss.errors import InputError
 
 ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
@@ -69,6 +69,28 @@ def read_footprints(
     return frame
 
 
+def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.GeoDataFrame:
+    """The features that intersect a window, and all others of their blocks (:func:`p2wss.data.coverage.blocks`), on
+    which their cleaning depends: what :func:`clean_footprints` makes of a footprint is then the same for any window.
+
+    Otherwise as :func:`read_footprints`.
+    """
+    # a window in which no block of the features continues beyond the border
+    reach, window = grown(bounds, snap_m), grown(bounds, snap_m)
+    while True:
+        frame = read_footprints(path, bounds=window)
+        shapes = _valid(shapely.force_2d(frame.geometry.to_numpy()))
+        block = blocks(shapes, snap_m)
+        is_member = np.isin(block, block[shapely.intersects(shapes, shapely.box(*bounds))])
+        if not is_member.any():
+            return frame[is_member]
+        low_x, low_y, high_x, high_y = grown(shapely.total_bounds(shapes[is_member]).tolist(), snap_m)
+        reach = (min(reach[0], low_x), min(reach[1], low_y), max(reach[2], high_x), max(reach[3], high_y))
+        if reach == window:
+            return frame[is_member].reset_index(drop=True)
+        window = reach
+
+
 def _ids(frame: gpd.GeoDataFrame, id_field: str | None, path: str | Path) -> pd.Series:
     if id_field is not None:
         if id_field not in frame.columns:
@@ -111,9 +133,7 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
     xy, row = shapely.get_coordinates(shapes, return_index=True)
     status[np.unique(row[~np.isfinite(xy).all(axis=1)])] = reasons.NON_FINITE
     shapes[status != "ok"] = shapely.Polygon()
-    invalid = ~shapely.is_valid(shapes)
-    shapes[invalid] = shapely.make_valid(shapes[invalid], method="structure", keep_collapsed=False)
-
+    shapes = _valid(shapes)
     parts, row = shapely.get_parts(shapes, return_index=True)
     is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
     parts, row = parts[is_polygon], row[is_polygon]
@@ -142,6 +162,16 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
         np.isfinite(part_centre), part_centre, centre[row]
     ).T
     return result
+
+
+def _valid(shapes: np.ndarray) -> np.ndarray:
+    """The geometries, invalid ones repaired, and those without finite coordinates empty."""
+    shapes = shapes.copy()
+    xy, row = shapely.get_coordinates(shapes, return_index=True)
+    shapes[np.unique(row[~np.isfinite(xy).all(axis=1)])] = shapely.Polygon()
+    invalid = ~shapely.is_missing(shapes) & ~shapely.is_valid(shapes)
+    shapes[invalid] = shapely.make_valid(shapes[invalid], method="structure", keep_collapsed=False)
+    return shapes
 
 
 def _box_centres(shapes: np.ndarray) -> np.ndarray:

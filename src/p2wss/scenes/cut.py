@@ -40,7 +40,8 @@ def cut_scene(
 ) -> gpd.GeoDataFrame:
     """The scene of a tile: the columns of :data:`p2wss.data.schemas.scene.SCENE` and a geometry, sorted by id.
 
-    frame: footprints that intersect the tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
+    frame: whole blocks of footprints (:func:`p2wss.data.footprints.read_whole_blocks`) of which some intersect the
+    tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
     ``building_id`` and the height columns of the stage fetch. terrain: of the tile and its margin, in the same
     CRS. A building belongs to the tile that contains the centre of its bounding box before cleaning; a
     building whose centre is in the margin has ``in_tile`` False. An excluded building keeps its row, with the

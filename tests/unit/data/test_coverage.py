@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations, pairwise
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
@@ -16,7 +17,7 @@ from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.data.coverage import Cleaning, blocks, clean_block
-from p2wss.data.footprints import clean_footprints, read_footprints
+from p2wss.data.footprints import clean_footprints, read_footprints, read_whole_blocks
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
 OLEMPS = SHARED / "data" / "olemps_bdtopo" / "BATIMENT.shp"
@@ -268,3 +269,38 @@ def test_a_footprint_of_olemps_depends_on_its_block_only() -> None:
     polygons = polygon_arrays.to_polygons(usable.geometry.to_numpy())
     assert (skeleton.clean(polygons).status == skeleton.Status.OK).all()
     assert shapely.is_valid(usable.geometry.to_numpy()).all()
+
+
+def test_whole_blocks_are_read_around_a_window(tmp_path: Path) -> None:
+    """A row that leaves the window is read to its end, also where it comes back; what lies beside it is not."""
+    row = [shapely.box(x, 0, x + 10.05, 9) for x in range(0, 300, 10)]
+    hook = [shapely.box(290, 9.05, 300, 30), shapely.box(200, 30, 300, 39)]
+    beside = [shapely.box(150, 12, 160, 20), shapely.box(150, -20, 160, -9)]
+    frame = gpd.GeoDataFrame(
+        {"building_id": [f"B{i}" for i in range(34)]}, geometry=[*row, *hook, *beside], crs="EPSG:2154"
+    )
+    path = tmp_path / "footprints.gpkg"
+    frame.to_file(path)
+    read = read_whole_blocks(path, (-5, -5, 25, 5), 0.1)
+    assert list(read["building_id"]) == [f"B{i}" for i in range(32)]
+    assert list(read_whole_blocks(path, (140, -30, 170, -8), 0.1)["building_id"]) == ["B33"]
+    assert len(read_whole_blocks(path, (900, 0, 950, 50), 0.1)) == 0
+
+
+@pytest.mark.skipif(not OLEMPS.exists(), reason="no shared/data/olemps_bdtopo")
+@pytest.mark.parametrize("tile_size_m", [150.0, 330.0])
+def test_any_tiling_of_olemps_gives_the_same_footprints(tile_size_m: float) -> None:
+    everything = clean_footprints(read_footprints(OLEMPS), DEFAULTS).set_index("building_id")
+    centre = everything[["centre_x_m", "centre_y_m"]].median()
+    count, reached = 0, 0
+    for column in range(-2, 2):
+        x_min, y_min = centre + np.array([column, -0.5]) * tile_size_m
+        window = (x_min, y_min, x_min + tile_size_m, y_min + tile_size_m)
+        features = read_whole_blocks(OLEMPS, window, DEFAULTS.snap_m)
+        inside = shapely.intersects(features.geometry.to_numpy(), shapely.box(*window))
+        reached += int((~inside).sum())
+        for row in clean_footprints(features, DEFAULTS).itertuples():
+            whole = everything.loc[row.building_id]
+            assert row.status == whole.status and row.geometry.wkb == whole.geometry.wkb
+            count += 1
+    assert count > 60 and reached > 0, "some blocks continue beyond their window"
