@@ -49,6 +49,16 @@ def add_parser(stages: Parsers) -> None:
         help=f"formats to write, from {', '.join(OUTPUT_SUFFIXES)} (default: reconstruct.outputs of the config)",
     )
     command.add_argument(
+        "--attributes",
+        choices=("p2wss", "3dbag"),
+        help="names of attributes: ours, or those of 3DBAG where it has a name (default: p2wss)",
+    )
+    command.add_argument(
+        "--lod",
+        metavar="A,B",
+        help="levels of detail in CityJSON, from 1.2 and 2.0 (default: 2.0)",
+    )
+    command.add_argument(
         "--per-building", action="store_true", help="also write one mesh file per building, in a subfolder"
     )
     command.add_argument(
@@ -134,6 +144,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     settings = section_json(config, "scenes", "reconstruct")
     code = fingerprint("reconstruct")
     facts = files.provenance(config=settings, code=code, crs=crs.to_string(), model=weights and weights.name)
+    facts["clouds"] = [path.name for path in arguments.clouds]
     outputs = exports.write(arguments.out, stem, results, crs, facts, config.reconstruct, terrain)
     log.info("%s: %s", arguments.out, ", ".join(outputs))
     log.info("%s", reconstruct.summary(results))
@@ -152,6 +163,12 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
             raise InputError(
                 f"--format {arguments.format}: {reason}; choose from {', '.join(OUTPUT_SUFFIXES)}"
             )
+    if arguments.attributes is not None:
+        options["attribute_names"] = arguments.attributes
+    if arguments.lod is not None:
+        options["lods"] = [name.strip() for name in arguments.lod.split(",")]
+        if not set(options["lods"]) <= {"1.2", "2.0"}:
+            raise InputError(f"--lod {arguments.lod}: choose from 1.2, 2.0")
     for name in ("per_building", "skin", "wedges"):
         if getattr(arguments, name):
             options[name] = True

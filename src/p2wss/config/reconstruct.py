@@ -64,6 +64,14 @@ class Reconstruct(Section):
         min_length=1,
         description="formats to write, besides a summary in JSON",
     )
+    attribute_names: Literal["p2wss", "3dbag"] = Field(
+        "p2wss", description="names of attributes: ours, or those of 3DBAG where it has a name"
+    )
+    lods: list[Literal["1.2", "2.0"]] = Field(
+        ["2.0"],
+        min_length=1,
+        description="levels of detail in CityJSON; 1.2 = a block as high as 70 % of the roof",
+    )
     per_building: bool = Field(
         False,
         description="also write one glb, obj, ply and stl file per building, for those formats among outputs",

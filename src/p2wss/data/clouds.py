@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 import laspy
@@ -15,7 +16,10 @@ from p2wss.data.las_classes import NOISE_CLASSES
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
+# days of points count from here
+GPS_EPOCH = date(1980, 1, 6)
 _CHUNK_POINTS = 2_000_000
+_WEEK_S = 604_800
 _BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, RuntimeError, OSError)
 
 
@@ -24,7 +28,8 @@ class Cloud:
     """Points in a projected CRS.
 
     x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. strip: the
-    flight line (point source ID), uint16 (n,), None if unknown.
+    flight line (point source ID), uint16 (n,), None if unknown. day: on which the point was taken or, where its time
+    does not tell, its file was created: uint16 (n,), days since :data:`GPS_EPOCH`, 0 or None if unknown.
     """
 
     x_m: np.ndarray
@@ -33,6 +38,7 @@ class Cloud:
     classification: np.ndarray
     crs: pyproj.CRS | None
     strip: np.ndarray | None = None
+    day: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.x_m)
@@ -50,7 +56,7 @@ def read_clouds(
     Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
     parts: list[tuple[np.ndarray, ...]] = [
-        (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), np.zeros(0, np.uint16))
+        (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), *[np.zeros(0, np.uint16)] * 2)
     ]
     crs: pyproj.CRS | None = None
     crs_path: str | Path = ""
@@ -67,13 +73,13 @@ def read_clouds(
                             "reproject one of them"
                         )
                     crs, crs_path = crs or file_crs, crs_path or path
-                parts.append(_filter(points, bounds))
+                parts.append(_filter(points, bounds, header))
         except _BROKEN as error:
             raise InputError(
                 f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
             ) from error
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4])
+    return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4], columns[5])
 
 
 def _chunks(
@@ -108,6 +114,7 @@ def _chunks(
 def _filter(
     points: laspy.ScaleAwarePointRecord,
     bounds: Bounds | None,
+    header: laspy.LasHeader,
 ) -> tuple[np.ndarray, ...]:
     x, y = np.asarray(points.x), np.asarray(points.y)
     classification = np.asarray(points.classification).astype(np.uint8)
@@ -116,7 +123,31 @@ def _filter(
         x_min, y_min, x_max, y_max = bounds
         keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
     strip = np.asarray(points.point_source_id)[keep]
-    return x[keep], y[keep], np.asarray(points.z)[keep], classification[keep], strip
+    return (
+        x[keep],
+        y[keep],
+        np.asarray(points.z)[keep],
+        classification[keep],
+        strip,
+        _days(points, header)[keep],
+    )
+
+
+def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.ndarray:
+    """The days of points, as in :class:`Cloud`.
+
+    Times are seconds since the epoch, less 1e9 (LAS 1.4, "adjusted standard GPS time"), or seconds of an unknown week.
+    Files say which, but not all are right: no week has more than 604,800 seconds.
+    """
+    created = header.creation_date
+    day = np.full(len(points), 0 if created is None else max((created - GPS_EPOCH).days, 0), np.uint16)
+    if "gps_time" not in points.point_format.dimension_names:
+        return day
+    time_s = np.asarray(points.gps_time)
+    from_time = np.floor((time_s + 1e9) / 86_400)
+    is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < 2**16)
+    day[is_date] = from_time[is_date]
+    return day
 
 
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:

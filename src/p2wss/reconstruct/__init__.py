@@ -1,5 +1,7 @@
 """Stage reconstruct: closed buildings from footprints and LiDAR (paper, section 5.4)."""
 
+from p2wss.reconstruct.attributes import TO_3DBAG, attributes, input_footprints, table
+from p2wss.reconstruct.city import city_json, solid
 from p2wss.reconstruct.inputs import (
     around_tile,
     common_crs,
@@ -12,20 +14,16 @@ from p2wss.reconstruct.inputs import (
 )
 from p2wss.reconstruct.pipeline import (
     Result,
-    attributes,
     check_overlap,
-    city_json,
-    input_footprints,
     run,
-    solid,
     summary,
-    table,
     vertices_m,
 )
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration, register
 
 __all__ = [
+    "TO_3DBAG",
     "Registration",
     "Result",
     "around_tile",

@@ -23,14 +23,9 @@ from p2wss.formats import gpkg, sionna
 from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import blocks, terrain_mesh
-from p2wss.reconstruct.pipeline import (
-    Result,
-    city_json,
-    input_columns,
-    input_footprints,
-    table,
-    vertices_m,
-)
+from p2wss.reconstruct.attributes import input_footprints, table
+from p2wss.reconstruct.city import city_json
+from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
@@ -71,14 +66,16 @@ def write(
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "gpkg":
             more = {} if before is None else {"input_footprints": before}
-            gpkg.write(folder / name, table(results, crs), facts, more=more)
+            rows = table(results, crs, facts, config.attribute_names)
+            gpkg.write(folder / name, rows, facts, more=more)
         elif output == "geoparquet":
-            rows = table(results, crs)
+            rows = table(results, crs, facts, config.attribute_names)
             if before is not None:
                 rows["input_geometry"] = before.geometry
             files.write_geoparquet(folder / name, rows, facts)
         elif output in ("cityjson", "cityjsonseq"):
-            files.write_text(folder / name, city_json(results, crs, output))
+            text = city_json(results, crs, output, facts, config.lods, config.attribute_names)
+            files.write_text(folder / name, text)
         else:
             write_meshes(folder, output, meshes, frame, options)
         written.append(name)

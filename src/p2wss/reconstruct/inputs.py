@@ -66,7 +66,8 @@ def common_crs(
             raise InputError(
                 f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; leave --crs out"
             )
-        cloud = cloud or stated_crs
+        # heights that the user states are part of the CRS
+        cloud = stated_crs if cloud is None or not cloud.is_compound else cloud
     if cloud is not None and frame is not None and not same_crs(cloud, frame):
         source = "" if stated is None else " according to --crs"
         raise InputError(

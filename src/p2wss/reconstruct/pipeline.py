@@ -5,27 +5,24 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import date, timedelta
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyproj
-import shapely
 
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.cloud_crops import crop_cloud
-from p2wss.data.clouds import Cloud, horizontal
+from p2wss.data.clouds import GPS_EPOCH, Cloud
 from p2wss.data.cropping import seen_share
 from p2wss.data.points import on_millimetres
-from p2wss.data.solids.repair import surfaces_to_write
 from p2wss.errors import InputError
-from p2wss.formats import cityjson
-from p2wss.formats.cityjson import Solid
 from p2wss.metrics.surface import distance_to_mesh
+from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import COLUMN, Registration
@@ -33,6 +30,8 @@ from p2wss.reconstruct.valid import labelled_mesh
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
+# of the share of points near the mesh
+_NEAR_M = 0.2
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "status", "centre_x_m", "centre_y_m", COLUMN)
 # number of buildings between two reports of progress
@@ -47,7 +46,10 @@ class Result:
     residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: share of the
     footprint's 1 m cells that have a point on the building. not_representable: the building was fitted, but the
     residual is more than ``not_representable_m``. columns: values of the footprint's input columns by their names, None
-    where there is no value. registration: how the footprint was moved, None without a registration.
+    where there is no value. registration: how the footprint was moved, None without a registration. rmse_m,
+    share_within_20cm: of the same distances as the residual. is_reliable: a reconstruction that the points support.
+    party_wall_area_m2: of the walls that stand against other buildings of the run. dates: the first and the last day of
+    its points; None if unknown.
     """
 
     reconstruction: Reconstruction
@@ -59,6 +61,11 @@ class Result:
     not_representable: bool
     columns: Mapping[str, Any] = field(default_factory=dict)
     registration: Registration | None = None
+    rmse_m: float = float("nan")
+    share_within_20cm: float = float("nan")
+    is_reliable: bool = False
+    party_wall_area_m2: float = 0.0
+    dates: tuple[date, date] | None = None
 
 
 def run(
@@ -81,11 +88,13 @@ def run(
     origin_xy_m = polygon_arrays.origins(polygons)
     names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
     results: list[Result] = []
+    dates: list[tuple[date, date] | None] = []
     for first in range(0, len(frame), _BATCH):
         buildings = []
         rows = range(first, min(first + _BATCH, len(frame)))
         for i in rows:
             point = _in_order(cloud, cropped.of(i))
+            dates.append(_dates(cloud, point))
             xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
             buildings.append(
                 Building(
@@ -101,9 +110,18 @@ def run(
         results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
         progress(len(results))
     registrations = frame[COLUMN] if COLUMN in frame else [None] * len(frame)
+    party_wall_area_m2 = party_wall_areas_m2([labelled_mesh(result.reconstruction) for result in results])
     return [
-        replace(result, columns=columns, registration=registration)
-        for result, columns, registration in zip(results, input_columns(frame), registrations, strict=True)
+        replace(
+            result,
+            columns=columns,
+            registration=registration,
+            party_wall_area_m2=float(area_m2),
+            dates=of_points,
+        )
+        for result, columns, registration, area_m2, of_points in zip(
+            results, input_columns(frame), registrations, party_wall_area_m2, dates, strict=True
+        )
     ]
 
 
@@ -117,6 +135,14 @@ def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     values = pd.DataFrame(frame[columns]).astype(object)
     rows = values.where(values.notna(), None).to_dict("records")
     return [{str(name): value for name, value in row.items()} for row in rows]
+
+
+def _dates(cloud: Cloud, point: np.ndarray) -> tuple[date, date] | None:
+    day = np.zeros(0, np.uint16) if cloud.day is None else cloud.day[point]
+    day = day[day > 0]
+    if not len(day):
+        return None
+    return GPS_EPOCH + timedelta(int(day.min())), GPS_EPOCH + timedelta(int(day.max()))
 
 
 def _in_order(cloud: Cloud, point: np.ndarray) -> np.ndarray:
@@ -146,6 +172,11 @@ def _results(
     return results
 
 
+def vertices_m(reconstruction: Reconstruction) -> np.ndarray:
+    """Mesh vertices in the CRS of the cloud, (v, 3)."""
+    return labelled_mesh(reconstruction).vertex_m
+
+
 def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
     """Raise :class:`InputError` if not one building has a point."""
     if not any(result.num_points for result in results):
@@ -159,21 +190,37 @@ def _result(building: Building, reconstruction: Reconstruction, config: Reconstr
     reason = None if reconstruction.status == "ok" else reconstruction.status
     status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
     on_building = building.is_on_building
-    residual_m = _residual_m(building.point_m[on_building], reconstruction)
+    distance_m = _distances_m(building.point_m[on_building], reconstruction)
+    residual_m = rmse_m = share_within_20cm = float("nan")
+    if len(distance_m):
+        residual_m, rmse_m = float(distance_m.mean()), float(np.sqrt((distance_m**2).mean()))
+        share_within_20cm = float((distance_m <= _NEAR_M).mean())
     is_fitted = config.fit or reconstruction.method == FIT
-    not_representable = is_fitted and status == "ok" and residual_m > config.not_representable_m
-    share = _visible_share(building, on_building)
-    return Result(reconstruction, status, reason, len(building.point_m), residual_m, share, not_representable)
+    is_far = residual_m > config.not_representable_m
+    visible_share = _visible_share(building, on_building)
+    return Result(
+        reconstruction,
+        status,
+        reason,
+        len(building.point_m),
+        residual_m,
+        visible_share,
+        is_fitted and status == "ok" and is_far,
+        rmse_m=rmse_m,
+        share_within_20cm=share_within_20cm,
+        is_reliable=status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5,
+    )
 
 
-def _residual_m(point_m: np.ndarray, reconstruction: Reconstruction) -> float:
+def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
+    """Distances of points on the building to its mesh; none without both."""
     if not reconstruction.has_mesh or not len(point_m):
-        return float("nan")
+        return np.zeros(0)
     # every k-th point, so that no random draw is needed
     point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array(
         [0, 0, reconstruction.ground_z_m]
     )
-    return float(distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle).mean())
+    return distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle)
 
 
 def _visible_share(building: Building, on_building: np.ndarray) -> float:
@@ -203,94 +250,3 @@ def summary(results: Sequence[Result]) -> str:
     num_flagged = sum(result.not_representable for result in results)
     flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
     return f"{len(results)} buildings: " + ", ".join(parts) + flagged
-
-
-def table(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame:
-    """A row per footprint: the cleaned geometry (none if it was rejected) and the :func:`attributes`.
-
-    ``angle_deg`` is text with one number per edge; edge i begins at vertex i of the geometry, rings in order.
-    """
-    rows: list[dict[str, Any]] = []
-    shapes: list[shapely.Polygon | None] = []
-    for result in results:
-        reconstruction = result.reconstruction
-        rows.append({"building_id": reconstruction.building_id, **attributes(result)})
-        rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
-        shapes.append(shapely.Polygon(rings[0], rings[1:]) if rings else None)
-    return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
-
-
-def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame | None:
-    """A row per footprint with its cleaned polygon before the registration; None without a registration."""
-    rows = [(result.reconstruction.building_id, result.registration) for result in results]
-    if not any(registration for _, registration in rows):
-        return None
-    names = [name for name, _ in rows]
-    shapes = [None if row is None or row.input_polygon.is_empty else row.input_polygon for _, row in rows]
-    return gpd.GeoDataFrame({"building_id": names}, geometry=shapes, crs=horizontal(crs))
-
-
-def attributes(result: Result) -> dict[str, Any]:
-    """The attributes of a building, the same in every output format; None where a value is unknown."""
-    reconstruction = result.reconstruction
-    angles = None
-    if reconstruction.angle_deg is not None:
-        angles = " ".join(f"{angle:g}" for angle in np.round(reconstruction.angle_deg, 2))
-    return {
-        "status": result.status,
-        "reason": result.reason,
-        "method": reconstruction.method if reconstruction.has_mesh else None,
-        "eave_height_m": _rounded(reconstruction.eave_height_m),
-        "angle_deg": angles,
-        "ground_z_m": _rounded(reconstruction.ground_z_m),
-        "confidence": _rounded(reconstruction.confidence),
-        "residual_m": _rounded(result.residual_m),
-        "not_representable": result.not_representable,
-        "visible_share": _rounded(result.visible_share),
-        "num_points": result.num_points,
-        "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,
-        "num_triangles": len(reconstruction.triangle),
-        **_registration_attributes(result.registration),
-    }
-
-
-def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
-    if registration is None:
-        return dict.fromkeys(("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source"))
-    return {
-        "shift_x_m": _rounded(registration.shift_m[0]),
-        "shift_y_m": _rounded(registration.shift_m[1]),
-        "shift_sd_m": _rounded(registration.shift_sd_m),
-        "rotation_deg": _rounded(registration.rotation_deg),
-        "shift_source": registration.source,
-    }
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else round(float(value), 3)
-
-
-def city_json(results: Sequence[Result], crs: pyproj.CRS, output: str = "cityjsonseq") -> str:
-    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``. A building without a
-    mesh has no geometry."""
-    epsg = crs.to_epsg() or horizontal(crs).to_epsg()
-    ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
-    solids = [solid(result) for result in ordered]
-    if output == "cityjson":
-        return cityjson.document(solids, epsg) + "\n"
-    return "\n".join(cityjson.lines(solids, epsg)) + "\n"
-
-
-def vertices_m(reconstruction: Reconstruction) -> np.ndarray:
-    """Mesh vertices in the CRS of the cloud, (v, 3)."""
-    return reconstruction.vertex_m + np.array([*reconstruction.origin_xy_m, reconstruction.ground_z_m])
-
-
-def solid(result: Result) -> Solid:
-    """The building for CityJSON, its triangles merged into planar polygons."""
-    reconstruction = result.reconstruction
-    if not reconstruction.has_mesh:
-        return Solid(reconstruction.building_id, np.zeros((0, 3)), [], attributes(result))
-    mesh = labelled_mesh(reconstruction)
-    surfaces, _ = surfaces_to_write(mesh)
-    return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, attributes(result))

@@ -1,0 +1,201 @@
+"""The attributes of buildings, the same in every output format that has attributes.
+
+`docs/manual/attributes.md` defines them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import date, datetime
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyproj
+import shapely
+
+from p2wss.data import reasons
+from p2wss.data.clouds import horizontal
+from p2wss.reconstruct import measures
+from p2wss.reconstruct.pipeline import Result
+from p2wss.reconstruct.registration import Registration
+from p2wss.reconstruct.valid import labelled_mesh
+
+P2WSS, NAMES_3DBAG = "p2wss", "3dbag"
+# names of 3DBAG (https://docs.3dbag.nl/en/schema/attributes) for ours
+TO_3DBAG = {
+    "ground_z_m": "b3_h_maaiveld",
+    "roof_z_min_m": "b3_h_dak_min",
+    "roof_z_p50_m": "b3_h_dak_50p",
+    "roof_z_p70_m": "b3_h_dak_70p",
+    "roof_z_max_m": "b3_h_dak_max",
+    "ridge_z_m": "b3_h_nok",
+    "roof_type": "b3_dak_type",
+    "volume_m3": "b3_volume_lod22",
+    "ground_area_m2": "b3_opp_grond",
+    "flat_roof_area_m2": "b3_opp_dak_plat",
+    "sloped_roof_area_m2": "b3_opp_dak_schuin",
+    "outer_wall_area_m2": "b3_opp_buitenmuur",
+    "party_wall_area_m2": "b3_opp_scheidingsmuur",
+    "rmse_m": "b3_rmse_lod22",
+    "is_reliable": "b3_kwaliteitsindicator",
+    "points_date": "b3_pw_datum",
+    "slope_deg": "b3_hellingshoek",
+    "azimuth_deg": "b3_azimut",
+}
+_ROOF_TYPES_3DBAG = {
+    measures.FLAT: "horizontal",
+    measures.FLATS: "multiple horizontal",
+    measures.SLOPE: "slanted",
+    measures.SLOPES: "slanted",
+}
+
+
+def attributes(result: Result, facts: Mapping[str, Any] | None = None, names: str = P2WSS) -> dict[str, Any]:
+    """The attributes of a building: the columns of its footprint, then ours; None where a value is unknown.
+
+    A column of the input with the name of one of ours, in upper or lower case, gets the prefix ``input_``. names:
+    ``p2wss``, or ``3dbag`` for the names of 3DBAG where it has a name. facts: of the run; its ``clouds`` are an
+    attribute of 3DBAG.
+    """
+    ours = _attributes(result)
+    if names == NAMES_3DBAG:
+        ours = _as_in_3dbag(ours, result, (facts or {}).get("clouds", []))
+    reserved = {name.lower() for name in (*ours, "building_id", "geometry", "fid")}
+    columns = {
+        f"input_{name}" if name.lower() in reserved else name: _plain(value)
+        for name, value in result.columns.items()
+    }
+    return columns | ours
+
+
+def _attributes(result: Result) -> dict[str, Any]:
+    reconstruction = result.reconstruction
+    angles = None
+    if reconstruction.angle_deg is not None:
+        angles = " ".join(f"{angle:g}" for angle in np.round(reconstruction.angle_deg, 2))
+    return {
+        "status": result.status,
+        "reason": result.reason,
+        "method": reconstruction.method if reconstruction.has_mesh else None,
+        "eave_height_m": _rounded(reconstruction.eave_height_m),
+        "angle_deg": angles,
+        "ground_z_m": _rounded(reconstruction.ground_z_m),
+        "confidence": _rounded(reconstruction.confidence),
+        "residual_m": _rounded(result.residual_m),
+        "rmse_m": _rounded(result.rmse_m),
+        "share_within_20cm": _rounded(result.share_within_20cm),
+        "not_representable": result.not_representable,
+        "is_reliable": result.is_reliable,
+        "visible_share": _rounded(result.visible_share),
+        "num_points": result.num_points,
+        "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,
+        "num_triangles": len(reconstruction.triangle),
+        **_mesh_attributes(result),
+        **_registration_attributes(result.registration),
+        "points_date": None if result.dates is None else result.dates[1].isoformat(),
+    }
+
+
+def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
+    if registration is None:
+        return dict.fromkeys(("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source"))
+    return {
+        "shift_x_m": _rounded(registration.shift_m[0]),
+        "shift_y_m": _rounded(registration.shift_m[1]),
+        "shift_sd_m": _rounded(registration.shift_sd_m),
+        "rotation_deg": _rounded(registration.rotation_deg),
+        "shift_source": registration.source,
+    }
+
+
+_MESH_ATTRIBUTES = (
+    "roof_type",
+    "roof_z_min_m",
+    "roof_z_p50_m",
+    "roof_z_p70_m",
+    "roof_z_max_m",
+    "ridge_z_m",
+    "volume_m3",
+    "ground_area_m2",
+    "flat_roof_area_m2",
+    "sloped_roof_area_m2",
+    "outer_wall_area_m2",
+    "party_wall_area_m2",
+)
+
+
+def _mesh_attributes(result: Result) -> dict[str, Any]:
+    if not result.reconstruction.has_mesh:
+        return dict.fromkeys(_MESH_ATTRIBUTES)
+    measured = measures.measure(labelled_mesh(result.reconstruction))
+    values = vars(measured) | {
+        "party_wall_area_m2": result.party_wall_area_m2,
+        "outer_wall_area_m2": max(measured.wall_area_m2 - result.party_wall_area_m2, 0.0),
+    }
+    return {
+        name: values[name] if name == "roof_type" else _rounded(values[name]) for name in _MESH_ATTRIBUTES
+    }
+
+
+def _as_in_3dbag(ours: dict[str, Any], result: Result, clouds: Sequence[str]) -> dict[str, Any]:
+    values = dict(ours)
+    if result.status == "ok":
+        values["roof_type"] = _ROOF_TYPES_3DBAG[ours["roof_type"]]
+    else:
+        values["roof_type"] = "no points" if result.reason == reasons.NO_POINTS else "no planes"
+    values["points_date"] = None if result.dates is None else result.dates[1].year
+    renamed = {TO_3DBAG.get(name, name): value for name, value in values.items()}
+    # a list of error codes as text; all that is written is valid
+    return renamed | {
+        "b3_val3dity_lod22": "[]" if result.reconstruction.has_mesh else None,
+        "b3_pw_bron": ", ".join(clouds) or None,
+    }
+
+
+def _plain(value: Any) -> Any:
+    """A value of a column as JSON has it."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if isinstance(value, datetime | date):
+        return value.isoformat()
+    return str(value)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 3)
+
+
+def table(
+    results: Sequence[Result],
+    crs: pyproj.CRS,
+    facts: Mapping[str, Any] | None = None,
+    names: str = P2WSS,
+) -> gpd.GeoDataFrame:
+    """A row per footprint: the cleaned geometry (none if it was rejected) and the :func:`attributes`.
+
+    ``angle_deg`` is text with one number per edge; edge i begins at vertex i of the geometry, rings in order.
+    """
+    rows: list[dict[str, Any]] = []
+    shapes: list[shapely.Polygon | None] = []
+    for result in results:
+        reconstruction = result.reconstruction
+        rows.append({"building_id": reconstruction.building_id, **attributes(result, facts, names)})
+        rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
+        shapes.append(shapely.Polygon(rings[0], rings[1:]) if rings else None)
+    return gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=horizontal(crs))
+
+
+def input_footprints(results: Sequence[Result], crs: pyproj.CRS) -> gpd.GeoDataFrame | None:
+    """A row per footprint with its cleaned polygon before the registration; None without a registration."""
+    rows = [(result.reconstruction.building_id, result.registration) for result in results]
+    if not any(registration for _, registration in rows):
+        return None
+    names = [name for name, _ in rows]
+    shapes = [None if row is None or row.input_polygon.is_empty else row.input_polygon for _, row in rows]
+    return gpd.GeoDataFrame({"building_id": names}, geometry=shapes, crs=horizontal(crs))

@@ -1,0 +1,122 @@
+"""The CityJSON output of ``p2wss reconstruct``: solids, blocks of LoD 1.2, metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyproj
+from pyproj.database import query_crs_info
+from pyproj.enums import PJType
+
+from p2wss import __version__, skeleton
+from p2wss.data.clouds import horizontal
+from p2wss.data.solids.repair import LabelledMesh, repaired, surfaces_to_write
+from p2wss.formats import cityjson
+from p2wss.formats.cityjson import Metadata, Solid
+from p2wss.reconstruct import measures
+from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
+from p2wss.reconstruct.pipeline import Result
+from p2wss.reconstruct.valid import labelled_mesh
+from p2wss.skeleton.types import Polygons
+
+# as many clouds are named in the title
+_MAX_CLOUDS = 3
+
+
+def city_json(
+    results: Sequence[Result],
+    crs: pyproj.CRS,
+    output: str = "cityjsonseq",
+    facts: Mapping[str, Any] | None = None,
+    lods: Sequence[str] = ("2.0",),
+    names: str = P2WSS,
+) -> str:
+    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``. A building without a
+    mesh has no geometry.
+
+    facts: of the run, for attributes and metadata. lods: levels of detail, from 1.2 and 2.0. names: of attributes.
+    """
+    facts = facts or {}
+    ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
+    solids = [solid(result, facts, lods, names) for result in ordered]
+    metadata = _metadata(results, crs, facts, names)
+    if output == "cityjson":
+        return cityjson.document(solids, metadata) + "\n"
+    return "\n".join(cityjson.lines(solids, metadata)) + "\n"
+
+
+def _metadata(results: Sequence[Result], crs: pyproj.CRS, facts: Mapping[str, Any], names: str) -> Metadata:
+    """Title and reference date name version and sources: CityJSON has no other place for them."""
+    title = f"Buildings by p2wss {__version__}"
+    clouds = facts.get("clouds", [])
+    if clouds:
+        more = len(clouds) - _MAX_CLOUDS
+        title += f" from {', '.join(clouds[:_MAX_CLOUDS])}" + (f" and {more} more" if more > 0 else "")
+    days = sorted({day.isoformat() for result in results for day in result.dates or ()})
+    if days:
+        title += f", points of {days[0]}" + (f" to {days[-1]}" if len(days) > 1 else "")
+    own = {"slope": "slope_deg", "azimuth": "azimuth_deg"}
+    if names == NAMES_3DBAG:
+        own = {key: TO_3DBAG[name] for key, name in own.items()}
+    return Metadata(epsg_of(crs), title, days[-1] if days else None, **own)
+
+
+def epsg_of(crs: pyproj.CRS) -> int | None:
+    """The EPSG code of a CRS; of a horizontal and a vertical one that of the two together, if there is one, else the
+    horizontal one's. None if that has none.
+
+    >>> epsg_of(pyproj.CRS("EPSG:28992+5709")), epsg_of(pyproj.CRS("EPSG:2154+5720")), epsg_of(pyproj.CRS("EPSG:2154"))
+    (7415, 5698, 2154)
+    """
+    code = crs.to_epsg()
+    if code is not None or not crs.is_compound:
+        return code
+    parts = [part.to_epsg() for part in crs.sub_crs_list]
+    names = " + ".join(pyproj.CRS(part).name for part in parts if part is not None)
+    for info in query_crs_info("EPSG", PJType.COMPOUND_CRS) if None not in parts else []:
+        if info.name == names:
+            return int(info.code)
+    return horizontal(crs).to_epsg()
+
+
+def solid(
+    result: Result,
+    facts: Mapping[str, Any] | None = None,
+    lods: Sequence[str] = ("2.0",),
+    names: str = P2WSS,
+) -> Solid:
+    """The building for CityJSON, its triangles merged into planar polygons."""
+    reconstruction = result.reconstruction
+    values = attributes(result, facts, names)
+    if not reconstruction.has_mesh:
+        return Solid(reconstruction.building_id, np.zeros((0, 3)), [], values)
+    mesh = labelled_mesh(reconstruction)
+    surfaces = surfaces_to_write(mesh)[0] if "2.0" in lods else []
+    block = _block(result, mesh) if "1.2" in lods else None
+    if block is None:
+        return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values)
+    return Solid(
+        reconstruction.building_id,
+        mesh.vertex_m,
+        surfaces,
+        values,
+        block.vertex_m,
+        surfaces_to_write(block)[0],
+    )
+
+
+def _block(result: Result, mesh: LabelledMesh) -> LabelledMesh | None:
+    """The footprint as a block whose flat roof is as high as 70 % of the building's; None if that is not valid."""
+    reconstruction = result.reconstruction
+    height_m = measures.measure(mesh).roof_z_p70_m - reconstruction.ground_z_m
+    rings = list(reconstruction.rings)
+    meshes = skeleton.build(
+        Polygons.from_rings([rings]), np.zeros(sum(map(len, rings))), np.array([height_m])
+    )
+    if meshes.status[0] != skeleton.Status.OK:
+        return None
+    vertex_m, *labels = meshes.mesh(0)
+    position = np.array([*reconstruction.origin_xy_m, reconstruction.ground_z_m])
+    return repaired(LabelledMesh(vertex_m + position, *labels))

@@ -1,0 +1,164 @@
+"""Measures of the meshes of buildings: heights and areas of roofs and walls, volume, party walls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from p2wss.data.solids.repair import LabelledMesh
+from p2wss.metrics.planarity import face_of_triangle
+from p2wss.skeleton.types import FaceKind
+
+# planes with less slope are flat
+FLAT_DEG = 3.0
+FLAT, FLATS, SLOPE, SLOPES = "flat", "several-flats", "single-slope", "several-slopes"
+# walls within this distance of each other, and with directions up to this angle apart, stand against each other
+_PARTY_M, _PARTY_COSINE = 0.1, -np.cos(np.radians(5))
+_BISECTIONS = 40
+
+
+@dataclass(frozen=True)
+class MeshMeasures:
+    """Measures of a building's mesh; heights in the height system of the cloud.
+
+    roof_type: ``flat`` (one level plane), ``several-flats``, ``single-slope`` (one plane with a slope and no other), or
+    ``several-slopes``; planes below 3 degrees are level. roof_z_min_m, roof_z_max_m: of all roof planes. roof_z_p50_m,
+    roof_z_p70_m: height below which 50 and 70 % of the roof lie, by area in plan. ridge_z_m: highest point where two
+    sloped planes of the roof meet in a convex edge; None without one. wall_area_m2: party walls included.
+    """
+
+    roof_type: str
+    roof_z_min_m: float
+    roof_z_p50_m: float
+    roof_z_p70_m: float
+    roof_z_max_m: float
+    ridge_z_m: float | None
+    volume_m3: float
+    ground_area_m2: float
+    flat_roof_area_m2: float
+    sloped_roof_area_m2: float
+    wall_area_m2: float
+
+
+def measure(mesh: LabelledMesh) -> MeshMeasures:
+    """The measures of a closed mesh."""
+    corner = mesh.vertex_m[mesh.triangle] - mesh.vertex_m.min(axis=0)
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    area = np.linalg.norm(cross, axis=1) / 2
+    is_roof = (mesh.kind == FaceKind.ROOF) | (mesh.kind == FaceKind.FLAT)
+    face = face_of_triangle(mesh.triangle, np.column_stack([mesh.kind, mesh.edge]))
+    # of a face, not of its triangles, among which may be slivers
+    total = np.zeros((int(face.max()) + 1, 3))
+    np.add.at(total, face, cross)
+    slope_deg = np.degrees(np.arctan2(np.hypot(total[:, 0], total[:, 1]), total[:, 2]))[face]
+    is_sloped = is_roof & (slope_deg >= FLAT_DEG)
+    num_sloped, num_level = len(np.unique(face[is_sloped])), len(np.unique(face[is_roof & ~is_sloped]))
+    if num_sloped:
+        roof_type = SLOPE if num_sloped == 1 and num_level == 0 else SLOPES
+    else:
+        roof_type = FLATS if num_level > 1 else FLAT
+    base_z = float(mesh.vertex_m[:, 2].min())
+    z = np.sort(corner[is_roof, :, 2], axis=1)
+    p50, p70 = _height_quantiles(z, np.abs(cross[is_roof, 2]), np.array([0.5, 0.7]))
+    ridge = _ridge_z(mesh, face, cross, is_sloped)
+    return MeshMeasures(
+        roof_type,
+        base_z + float(z.min()),
+        base_z + p50,
+        base_z + p70,
+        base_z + float(z.max()),
+        ridge,
+        float(np.einsum("ij,ij->", corner[:, 0], cross) / 6),
+        float(area[mesh.kind == FaceKind.GROUND].sum()),
+        float(area[is_roof & ~is_sloped].sum()),
+        float(area[is_sloped].sum()),
+        float(area[mesh.kind == FaceKind.WALL].sum()),
+    )
+
+
+def _height_quantiles(z: np.ndarray, weight: np.ndarray, share: np.ndarray) -> tuple[float, ...]:
+    """Heights below which shares of triangles lie. z: heights of their corners, ascending, (t, 3). weight: (t,), areas
+    in plan."""
+    low, middle, high = z.T[:, :, None]
+    low_end = np.full(len(share), z.min())
+    high_end = np.full(len(share), z.max())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(_BISECTIONS):
+            at = (low_end + high_end) / 2
+            rising = (at - low) ** 2 / ((middle - low) * (high - low))
+            falling = 1 - (high - at) ** 2 / ((high - low) * (high - middle))
+            below = np.where(
+                at >= high, 1.0, np.where(at <= low, 0.0, np.where(at <= middle, rising, falling))
+            )
+            is_below = weight @ below < share * weight.sum()
+            low_end, high_end = np.where(is_below, at, low_end), np.where(is_below, high_end, at)
+    return tuple(high_end.tolist())
+
+
+def _ridge_z(mesh: LabelledMesh, face: np.ndarray, cross: np.ndarray, is_sloped: np.ndarray) -> float | None:
+    triangle = mesh.triangle[is_sloped].astype(np.int64)
+    if not len(triangle):
+        return None
+    size = len(mesh.vertex_m)
+    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
+    forward, back = start * size + end, end * size + start
+    _, first, second = np.intersect1d(forward, back, return_indices=True)
+    of_face, normal = face[is_sloped], cross[is_sloped]
+    # the corner of the second triangle that is not on the edge is below the first one's plane
+    apex = np.roll(triangle, -2, axis=1).ravel()[second]
+    height = np.einsum("ij,ij->i", mesh.vertex_m[apex] - mesh.vertex_m[start[first]], normal[first // 3])
+    is_ridge = (of_face[first // 3] != of_face[second // 3]) & (height < 0)
+    if not is_ridge.any():
+        return None
+    return float(mesh.vertex_m[[start[first[is_ridge]], end[first[is_ridge]]], 2].max())
+
+
+def party_wall_areas_m2(meshes: Sequence[LabelledMesh]) -> np.ndarray:
+    """(b,) areas of the walls of each building that stand against walls of other buildings of ``meshes``: within
+    0.1 m, and facing each other up to 5 degrees."""
+    result = np.zeros(len(meshes))
+    usable = [i for i, mesh in enumerate(meshes) if len(mesh.triangle)]
+    boxes = shapely.box(
+        *np.array([[*meshes[i].vertex_m[:, :2].min(0), *meshes[i].vertex_m[:, :2].max(0)] for i in usable])
+        .reshape(-1, 4)
+        .T
+    )
+    first, second = shapely.STRtree(boxes).query(boxes, predicate="dwithin", distance=_PARTY_M)
+    walls = {i: _walls(meshes[i]) for i in usable}
+    for a, b in zip(first.tolist(), second.tolist(), strict=True):
+        if a < b:
+            area = _common_area_m2(walls[usable[a]], walls[usable[b]])
+            result[[usable[a], usable[b]]] += area
+    return result
+
+
+def _walls(mesh: LabelledMesh) -> tuple[np.ndarray, np.ndarray]:
+    """(corners (t, 3, 3), unit normals in plan (t, 2)) of the triangles of walls."""
+    corner = mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.WALL]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, :2]
+    length = np.linalg.norm(normal, axis=1)
+    is_upright = length > 1e-6
+    return corner[is_upright], normal[is_upright] / length[is_upright, None]
+
+
+def _common_area_m2(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> float:
+    (corner_a, normal_a), (corner_b, normal_b) = one, other
+    near = (corner_a[:, :, :2].min((0, 1)) - _PARTY_M, corner_a[:, :, :2].max((0, 1)) + _PARTY_M)
+    is_near = ((corner_b[:, :, :2].max(1) >= near[0]) & (corner_b[:, :, :2].min(1) <= near[1])).all(axis=1)
+    corner_b, normal_b = corner_b[is_near], normal_b[is_near]
+    i, j = np.nonzero(normal_a @ normal_b.T < _PARTY_COSINE)
+    if not len(i):
+        return 0.0
+    offset = np.einsum("pkd,pd->pk", corner_b[j, :, :2] - corner_a[i, :1, :2], normal_a[i])
+    # a triangle may be longer than the wall that it faces: some of it near is enough
+    i, j = i[is_close := np.abs(offset).min(axis=1) <= _PARTY_M], j[is_close]
+    along = np.column_stack([-normal_a[i, 1], normal_a[i, 0]])
+
+    def in_plane(corner: np.ndarray) -> np.ndarray:
+        s = np.einsum("pkd,pd->pk", corner[:, :, :2] - corner_a[i, :1, :2], along)
+        return np.asarray(shapely.polygons(np.stack([s, corner[:, :, 2]], axis=-1)))
+
+    return float(shapely.area(shapely.intersection(in_plane(corner_a[i]), in_plane(corner_b[j]))).sum())
