@@ -144,6 +144,11 @@ class Reconstruct(Section):
         le=0.5,
         description="with skin: roofs of neighbours that meet up to this far apart are joined without a step",
     )
+    skin_terrain: Literal["cut", "overlap"] = Field(
+        "cut",
+        description="with skin and a terrain: cut = walls end on the terrain, which has a hole below buildings; "
+        "overlap = all are closed solids, and walls reach into the terrain",
+    )
     wedges: bool = Field(False, description="also write the convex edges of the skin, as Parquet")
     terrain_tolerance_m: float = Field(
         0.2, gt=0, le=10, description="vertical tolerance of the triangulated terrain of --terrain"

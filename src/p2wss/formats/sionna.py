@@ -195,14 +195,15 @@ def _top(terrain: Mesh, buildings: Sequence[Mesh], frame: Frame, cell_m: float) 
 
 
 def _are_covered(point_m: np.ndarray, buildings: Sequence[Mesh], frame: Frame) -> np.ndarray:
-    """Which of the points (n, 2) are above or below the floor of a building, bool (n,)."""
-    floors = [
-        mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.GROUND]][:, :, :2] - frame.origin_m[:2]
+    """Which of the points (n, 2) are in the footprint of a building, bool (n,)."""
+    # by its roofs, as a skin that ends on the terrain has no floor
+    surfaces = [
+        mesh.vertex_m[mesh.triangle[mesh.kind != FaceKind.WALL]][:, :, :2] - frame.origin_m[:2]
         for mesh in buildings
     ]
     covered = np.zeros(len(point_m), bool)
-    if floors:
-        tree = shapely.STRtree(np.asarray(shapely.polygons(np.concatenate(floors))))
+    if surfaces:
+        tree = shapely.STRtree(np.asarray(shapely.polygons(np.concatenate(surfaces))))
         covered[tree.query(shapely.points(point_m), predicate="intersects")[0]] = True
     return covered
 

@@ -10,22 +10,30 @@ import numpy as np
 from p2wss.data.schemas.wedges import WEDGES
 from p2wss.formats.meshes import SURFACE_NAMES, Mesh
 from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.reconstruct.skin.on_terrain import cut
+from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
+from p2wss.skeleton.types import FaceKind
 
 log = logging.getLogger("p2wss")
 
 
-def joined(buildings: Sequence[Mesh], edges: Sequence[np.ndarray], step_m: float) -> list[Skin]:
+def joined(
+    buildings: Sequence[Mesh],
+    edges: Sequence[np.ndarray],
+    step_m: float,
+    max_lowering_m: float = MAX_LOWERING_M,
+) -> list[Skin]:
     """The skins around ``buildings``, meshes of one building each, with a warning for those that stay apart.
 
-    edges: per building, int (t,), the label that separates the faces of one kind. step_m: see
+    edges: per building, int (t,), the label that separates the faces of one kind. step_m, max_lowering_m: see
     :func:`p2wss.reconstruct.skin.skins`.
     """
     solids = [
         Solid(mesh.name, mesh.vertex_m, mesh.triangle, mesh.kind, edge)
         for mesh, edge in zip(buildings, edges, strict=True)
     ]
-    result = skins(solids, step_m)
+    result = skins(solids, step_m, max_lowering_m)
     apart = [skin for skin in result if skin.failure is not None]
     if apart:
         example = f"{apart[0].building_ids[0]}: {apart[0].failure}"
@@ -35,6 +43,15 @@ def joined(buildings: Sequence[Mesh], edges: Sequence[np.ndarray], step_m: float
             example,
         )
     return result
+
+
+def on_terrain(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
+    """The skins down to the terrain, and the terrain outside them, with a warning for those that stay solids in it."""
+    result, with_holes = cut(skin_list, terrain)
+    whole = sum((skin.kind == FaceKind.GROUND).any() for skin in result)
+    if whole:
+        log.warning("%d skins overlap the terrain, which is not cut there", whole)
+    return result, with_holes
 
 
 def skin_meshes(skin_list: Sequence[Skin], buildings: Sequence[Mesh]) -> list[Mesh]:
@@ -54,12 +71,14 @@ def skin_meshes(skin_list: Sequence[Skin], buildings: Sequence[Mesh]) -> list[Me
 
 
 def counts(skin_list: Sequence[Skin]) -> dict[str, int]:
-    """Numbers of blocks, of the buildings in them, and of buildings that could not be joined with those they touch."""
+    """Numbers of blocks, of the buildings in them, of buildings that could not be joined with those they touch, and of
+    skins that end on the terrain."""
     blocks = [skin for skin in skin_list if len(skin.building_ids) > 1]
     return {
         "blocks": len(blocks),
         "buildings_in_blocks": sum(len(skin.building_ids) for skin in blocks),
         "not_joined": sum(skin.failure is not None for skin in skin_list),
+        "cut_from_terrain": sum(not (skin.kind == FaceKind.GROUND).any() for skin in skin_list),
     }
 
 

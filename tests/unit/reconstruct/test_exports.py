@@ -165,7 +165,7 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     pieces = trimesh.load_mesh(tmp_path / "out.ply").split()
     assert len(pieces) == 2 and all(piece.is_volume for piece in pieces)
     summary = json.loads((tmp_path / "out.json").read_text())
-    assert summary["skin"] == {"blocks": 1, "buildings_in_blocks": 2, "not_joined": 0}
+    assert summary["skin"] == {"blocks": 1, "buildings_in_blocks": 2, "not_joined": 0, "cut_from_terrain": 0}
     meshes = [exports.mesh(result, config) for result in row]
     skins = blocks.joined(meshes, [result.reconstruction.edge for result in row], config.skin_step_m)
     block, alone = blocks.skin_meshes(skins, meshes)
@@ -185,6 +185,17 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     # in the CRS; nothing where the houses meet, x = 10
     middle = (of_block["x0_m"] + of_block["x1_m"]) / 2 - X
     assert ((middle - 10).abs() > 1).all()
+    land = Terrain(np.full((100, 200), 2, np.float32), X - 80, Y + 50, 1.0)
+    for skin_terrain in ("cut", "overlap"):
+        (tmp_path / skin_terrain).mkdir()
+        stated = config.model_copy(update={"skin_terrain": skin_terrain})
+        exports.write(tmp_path / skin_terrain, "out", row, LAMBERT, {}, stated, land)
+        summary = json.loads((tmp_path / skin_terrain / "out.json").read_text())
+        assert summary["skin"]["cut_from_terrain"] == (2 if skin_terrain == "cut" else 0)
+        mesh = trimesh.load_mesh(tmp_path / skin_terrain / "out.ply")
+        assert mesh.is_watertight and mesh.volume > 0
+        table = files.read_table(tmp_path / skin_terrain / "out.wedges.parquet", WEDGES).to_pandas()
+        assert ("ground" in set(table["kind_0"]) | set(table["kind_1"])) == (skin_terrain == "overlap")
     # CityJSON keeps a solid per building
     document = (tmp_path / "out.city.jsonl").read_text().splitlines()
     assert [json.loads(line)["id"] for line in document[1:]] == ["b", "a", "alone"]

@@ -171,7 +171,8 @@ def test_any_coverage(
     solids = []
     for row in range(2):
         ends = np.cumsum([0.0, *(4 + cut for cut in np.roll(cuts, 3 * row)[:6])])
-        ends = np.round(ends / ends[-1] * 34, 3)
+        # centimetres: nearer corners become one
+        ends = np.round(ends / ends[-1] * 34, 2)
         for k in range(6):
             number = 6 * row + k
             if number in kept:

@@ -14,6 +14,7 @@ import numpy as np
 from p2wss.reconstruct.skin.noding import node
 from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
 from p2wss.reconstruct.skin.solids import (
+    MAX_LOWERING_M,
     Face,
     Solid,
     faces_of,
@@ -46,12 +47,12 @@ class Skin:
     failure: str | None = None
 
 
-def skins(solids: Sequence[Solid], step_m: float = 0.1) -> list[Skin]:
+def skins(solids: Sequence[Solid], step_m: float = 0.1, max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
     """One skin per block, in the order of the first building of each. Every solid with triangles is part of one.
 
     step_m: where roofs of two buildings meet in points up to this far apart, they are joined; so is a roof's point and
     another's edge that passes above or below it. Roofs then leave their planes by up to ``step_m`` at the party wall.
-    With 0 every step stays.
+    With 0 every step stays. max_lowering_m: floors of touching buildings are lowered by at most this to be level.
 
     A block whose walls do not fit each other is joined without that, or else stays in separate skins with their
     ``failure``: a skin is always closed.
@@ -64,7 +65,7 @@ def skins(solids: Sequence[Solid], step_m: float = 0.1) -> list[Skin]:
     point, faces = faces_of(local)
     building_of = np.array([face.building for face in faces])
     touching = building_of[opposite_walls(point, faces)].reshape(-1, 2)
-    local = on_common_floors(local, touching)
+    local = on_common_floors(local, touching, max_lowering_m)
     block_of = groups(len(local), touching)
     result = []
     for block in dict.fromkeys(block_of.tolist()):

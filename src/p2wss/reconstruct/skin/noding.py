@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, tidy
+from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, groups, tidy
 
 _MAX_ROUNDS = 12
 # segments at a smaller angle than this count as parallel: points on them are what they have in common
@@ -26,16 +26,35 @@ def node(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m:
     step_m: an edge also takes in the points of other buildings that it passes up to this far above or below. Returns
     the points with those at crossings appended. Otherwise an edge stays within the tolerance of its line.
     """
-    chain: dict[Edge, list[int]] = {}
     owners: dict[Edge, set[int]] = {}
-    of_point: dict[int, set[int]] = {}
     for wall in walls:
         for ring in faces[wall].rings:
-            for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
-                key = (a, b) if a < b else (b, a)
-                chain[key] = [*key]
-                owners.setdefault(key, set()).add(faces[wall].building)
-                of_point.setdefault(a, set()).add(faces[wall].building)
+            for edge in ring_edges(ring):
+                owners.setdefault(edge, set()).add(faces[wall].building)
+    split, point = split_edges(point, owners, step_m)
+    if split:
+        for face in faces:
+            _apply(face, split)
+    return point
+
+
+def ring_edges(ring: Sequence[int]) -> list[Edge]:
+    """The edges of a ring, each with the smaller number first."""
+    return [(a, b) if a < b else (b, a) for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)]
+
+
+def split_edges(
+    point: np.ndarray, owners: dict[Edge, set[int]], step_m: float = 0.0
+) -> tuple[dict[Edge, list[int]], np.ndarray]:
+    """For edges that meet others, the points from one end to the other, and all points with the new ones appended.
+
+    owners: for every edge, smaller number first, the buildings that it belongs to.
+    """
+    chain: dict[Edge, list[int]] = {edge: [*edge] for edge in owners}
+    of_point: dict[int, set[int]] = {}
+    for edge, buildings in owners.items():
+        for vertex in edge:
+            of_point.setdefault(vertex, set()).update(buildings)
     for _ in range(_MAX_ROUNDS):
         segments: dict[Edge, set[int]] = {}
         for key, line in chain.items():
@@ -50,18 +69,16 @@ def node(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m:
             for vertex in vertices:
                 of_point.setdefault(vertex, set()).update(segments[edge])
         chain = {key: _extended(line, inserted) for key, line in chain.items()}
-    split = {key: line for key, line in chain.items() if len(line) > 2}
-    if split:
-        for face in faces:
-            _apply(face, split)
-    return point
+    return {key: line for key, line in chain.items() if len(line) > 2}, point
 
 
 def _insertions(
     point: np.ndarray, segments: dict[Edge, set[int]], of_point: dict[int, set[int]], step_m: float
 ) -> tuple[dict[Edge, list[int]], np.ndarray]:
-    """The points to insert in each segment, in order from its first end, and all points. segments, of_point: the buildings
-    of each."""
+    """The points to insert in each segment, in order from its first end, and all points.
+
+    segments, of_point: the buildings of each.
+    """
     segment = np.array(sorted(segments))
     ends = point[segment]
     reach = max(step_m, TOLERANCE_M)
@@ -128,19 +145,17 @@ def _crossings(
     if not len(place):
         return [], point
     used = np.unique(segment)
-    known, nearest = cKDTree(point[used]).query(place)
-    order = np.lexsort(place.T[::-1])
-    number = np.full(len(place), -1)
-    number[known <= TOLERANCE_M] = used[nearest[known <= TOLERANCE_M]]
-    extra: list[np.ndarray] = []
-    for k in order[number[order] < 0].tolist():
-        for m, other in enumerate(extra):
-            if np.linalg.norm(other - place[k]) <= TOLERANCE_M:
-                number[k] = len(point) + m
-                break
-        else:
-            number[k] = len(point) + len(extra)
-            extra.append(place[k])
+    apart, nearest = cKDTree(point[used]).query(place)
+    is_new = apart > TOLERANCE_M
+    # new points at one place are one, the lexicographically smallest, whatever the order of the segments
+    fresh = np.flatnonzero(is_new)
+    fresh = fresh[np.lexsort(place[fresh].T[::-1])]
+    number = used[nearest]
+    if len(fresh):
+        cluster = groups(len(fresh), cKDTree(place[fresh]).query_pairs(TOLERANCE_M, output_type="ndarray"))
+        _, first, cluster = np.unique(cluster, return_index=True, return_inverse=True)
+        number[fresh] = len(point) + cluster
+        point = np.vstack([point, place[fresh[first]]])
     on = [
         (segment_number, at, 0.0, vertex)
         for numbers, shares, lengths in ((i, s, uu), (j, t, vv))
@@ -152,7 +167,7 @@ def _crossings(
         )
     ]
     on = [contact for contact in on if contact[3] not in segment[contact[0]]]
-    return on, np.concatenate([point, *(place[None] for place in extra)])
+    return on, point
 
 
 def _to_line(

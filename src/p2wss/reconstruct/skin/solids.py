@@ -72,11 +72,13 @@ def faces_of(solids: Sequence[Solid]) -> tuple[np.ndarray, list[Face]]:
     return np.concatenate([np.zeros((0, 3)), *points]), faces
 
 
-def on_common_floors(solids: Sequence[Solid], pairs: np.ndarray) -> list[Solid]:
+def on_common_floors(
+    solids: Sequence[Solid], pairs: np.ndarray, max_lowering_m: float = MAX_LOWERING_M
+) -> list[Solid]:
     """The solids with their floors lowered to those of the solids that they touch.
 
     pairs: int (n, 2), solids that touch. Floors are joined, those of the smallest difference first, while no floor of a
-    set is more than :data:`MAX_LOWERING_M` above another.
+    set is more than ``max_lowering_m`` above another.
     """
     floor = [float(s.vertex_m[s.triangle[s.kind == FaceKind.GROUND], 2].min(initial=np.inf)) for s in solids]
     members = {k: [k] for k in range(len(solids))}
@@ -89,7 +91,7 @@ def on_common_floors(solids: Sequence[Solid], pairs: np.ndarray) -> list[Solid]:
         a, b = root[a], root[b]
         together = members[a] + members[b]
         heights = [floor[k] for k in together]
-        if a != b and max(heights) - min(heights) <= MAX_LOWERING_M:
+        if a != b and max(heights) - min(heights) <= max_lowering_m:
             members[a] = together
             for k in members.pop(b):
                 root[k] = a

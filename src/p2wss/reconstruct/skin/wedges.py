@@ -43,9 +43,11 @@ def wedges(skin: Skin) -> Wedges:
     start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
     size = len(vertex)
     order = np.argsort(start * size + end)
-    twin = order[np.searchsorted((start * size + end)[order], end * size + start)]
+    place = np.searchsorted((start * size + end)[order], end * size + start)
+    twin = order[np.minimum(place, len(order) - 1)]
     left, right = np.repeat(skin.face, 3), np.repeat(skin.face, 3)[twin]
-    once = (left != right) & (start < end)
+    # a skin that ends on the terrain has edges without a second triangle there
+    once = (left != right) & (start < end) & (start[twin] == end) & (end[twin] == start)
     start, end, left, right = start[once], end[once], left[once], right[once]
     along = vertex[end] - vertex[start]
     length = np.linalg.norm(along, axis=1)

@@ -1,0 +1,263 @@
+"""Skins that end on the terrain, and terrain without a surface below them: together one closed surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from p2wss.data.solids.faces import planar_surfaces
+from p2wss.formats.meshes import Mesh
+from p2wss.reconstruct.skin import Skin
+from p2wss.reconstruct.skin.noding import Edge, ring_edges, split_edges
+from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, groups, tidy
+from p2wss.reconstruct.skin.triangles import triangulate
+from p2wss.skeleton.types import FaceKind
+
+# everything but the floor must be this far above the terrain, or the building is buried and stays a solid
+_CLEAR_M = 0.05
+# area of triangles that have none
+_NO_AREA_M2 = 1e-9
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A skin as polygons. outline: the rings around its floor, vertices of the skin, clockwise seen from above."""
+
+    skin: Skin
+    faces: list[Face]
+    outline: list[list[int]]
+
+
+def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
+    """The skins without floors, their walls down to the terrain, and the terrain with a hole below each.
+
+    The lower edges of the walls are edges of the terrain, with the same vertices to the bit. A skin that could not be
+    joined, or part of which is buried, stays a solid, and so does the terrain around it. skin_list: skins whose floors
+    are level, each, and below the terrain. terrain: a closed block.
+    """
+    origin = np.floor(terrain.vertex_m.min(axis=0))
+    ground = terrain.vertex_m - origin
+    triangle = np.asarray(terrain.triangle, int)
+    corner = ground[triangle]
+    upwards = _doubled_area(corner[:, :, :2]) > 2 * _NO_AREA_M2
+    top = triangle[upwards]
+    bodies = {
+        number: _body(replace(skin, vertex_m=skin.vertex_m - origin))
+        for number, skin in enumerate(skin_list)
+        if skin.failure is None
+    }
+    bodies = {number: body for number, body in bodies.items() if not _is_buried(body, ground, top)}
+
+    # common points: those of the terrain, of the outlines, and where these meet
+    first, point = {}, ground
+    for number, body in bodies.items():
+        first[number] = len(point)
+        point = np.vstack([point, body.skin.vertex_m])
+    outlines = {
+        number: [[v + first[number] for v in ring] for ring in body.outline]
+        for number, body in bodies.items()
+    }
+    on_outline = np.unique([v for rings in outlines.values() for ring in rings for v in ring]).astype(int)
+    same = _places(point, np.unique(top), on_outline)
+    top = same[top]
+    outlines = {
+        number: [kept for ring in rings if (kept := tidy(same[ring].tolist()))]
+        for number, rings in outlines.items()
+    }
+    flat = point * (1, 1, 0)
+    touched = _touched(flat, top, outlines)
+    edges = {edge for ring in top[touched].tolist() for edge in ring_edges(ring)}
+    edges |= {edge for rings in outlines.values() for ring in rings for edge in ring_edges(ring)}
+    split, flat = split_edges(flat, {edge: {0} for edge in edges})
+    kept = top[~touched][~_inside(flat[top[~touched]].mean(axis=1), flat, outlines)]
+    pieces = _pieces(flat, edges, split, top[touched], outlines)
+
+    height = np.append(point[:, 2], np.zeros(len(flat) - len(point)))
+    new = np.concatenate([on_outline, np.arange(len(point), len(flat))])
+    height[new] = _heights(flat[new, :2], ground, triangle[upwards])
+    place = np.column_stack([flat[:, :2], height]) + origin
+    place[: len(ground)] = terrain.vertex_m
+    result = list(skin_list)
+    for number, body in bodies.items():
+        result[number] = _standing(body, skin_list[number], same, first[number], split, place, origin)
+    whole = np.concatenate([kept, pieces, triangle[~upwards]])
+    used, index = np.unique(whole, return_inverse=True)
+    count = len(whole)
+    with_holes = replace(
+        terrain,
+        vertex_m=place[used],
+        triangle=index.reshape(-1, 3).astype(np.int32),
+        kind=np.full(count, terrain.kind[0], np.uint8),
+        building=np.zeros(count, np.int32),
+    )
+    return result, with_holes
+
+
+def _body(skin: Skin) -> _Body:
+    surfaces = planar_surfaces(skin.vertex_m, skin.triangle, skin.kind, skin.face)
+    order = np.argsort(skin.face, kind="stable")
+    numbers, start = np.unique(skin.face[order], return_index=True)
+    rows = dict(zip(numbers.tolist(), np.split(order, start[1:]), strict=True))
+    faces = [
+        Face(
+            int(skin.building[rows[s.edge][0]]),
+            s.kind,
+            s.edge,
+            [np.asarray(ring).tolist() for ring in s.rings],
+            np.asarray(skin.triangle, int)[rows[s.edge]],
+        )
+        for s in surfaces
+    ]
+    floor = np.asarray(skin.triangle, int)[skin.kind == FaceKind.GROUND]
+    sides = set(zip(floor.ravel().tolist(), np.roll(floor, -1, axis=1).ravel().tolist(), strict=True))
+    following = {a: b for a, b in sides if (b, a) not in sides}
+    outline = []
+    while following:
+        ring = [min(following)]
+        while (vertex := following.pop(ring[-1])) != ring[0]:
+            ring.append(vertex)
+        outline.append(ring)
+    return _Body(skin, faces, outline)
+
+
+def _is_buried(body: _Body, ground: np.ndarray, top: np.ndarray) -> bool:
+    """Whether a vertex besides those of the floor is below the terrain or hardly above it, or beyond its border."""
+    skin = body.skin
+    floor = np.unique(skin.triangle[skin.kind == FaceKind.GROUND])
+    vertex = skin.vertex_m[np.setdiff1d(np.arange(len(skin.vertex_m)), floor)]
+    return not (vertex[:, 2] > _heights(vertex[:, :2], ground, top) + _CLEAR_M).all()
+
+
+def _heights(xy_m: np.ndarray, ground: np.ndarray, top: np.ndarray) -> np.ndarray:
+    """Heights of the terrain at places (n, 2), NaN outside."""
+    corner = ground[top]
+    trees = shapely.STRtree(shapely.polygons(corner[:, :, :2]))
+    at, t = trees.query(shapely.points(xy_m), predicate="dwithin", distance=1e-6)
+    result = np.full(len(xy_m), np.nan)
+    a, b, c = (corner[t, k] for k in range(3))
+    place = xy_m[at]
+    area = _doubled_area(corner[t][:, :, :2])
+    u = _doubled_area(np.stack([place, b[:, :2], c[:, :2]], axis=1)) / area
+    v = _doubled_area(np.stack([a[:, :2], place, c[:, :2]], axis=1)) / area
+    result[at] = u * a[:, 2] + v * b[:, 2] + (1 - u - v) * c[:, 2]
+    return result
+
+
+def _doubled_area(corner: np.ndarray) -> np.ndarray:
+    """Twice the signed areas of triangles (t, 3, 2), positive if counter-clockwise."""
+    u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+
+
+def _places(point: np.ndarray, on_top: np.ndarray, on_outline: np.ndarray) -> np.ndarray:
+    """int (p,): for every point the one that stands for it; those of outlines for those of the terrain."""
+    candidates = np.concatenate([on_outline, on_top])
+    pairs = cKDTree(point[candidates, :2]).query_pairs(TOLERANCE_M, output_type="ndarray")
+    cluster = groups(len(candidates), pairs)
+    _, first = np.unique(cluster, return_index=True)
+    same = np.arange(len(point))
+    same[candidates] = candidates[first[cluster]]
+    return same
+
+
+def _touched(flat: np.ndarray, top: np.ndarray, outlines: dict[int, list[list[int]]]) -> np.ndarray:
+    """Which triangles an outline runs through or along, bool (t,)."""
+    lines = np.array([shapely.LinearRing(flat[ring, :2]) for rings in outlines.values() for ring in rings])
+    mask = np.zeros(len(top), bool)
+    if len(lines):
+        tree = shapely.STRtree(shapely.polygons(flat[top][:, :, :2]))
+        mask[tree.query(lines, predicate="dwithin", distance=2 * TOLERANCE_M)[1]] = True
+    return mask
+
+
+def _inside(place: np.ndarray, flat: np.ndarray, outlines: dict[int, list[list[int]]]) -> np.ndarray:
+    """Which places (n, 2 or 3) are inside a footprint, bool (n,): within an odd number of the rings of an outline."""
+    mask = np.zeros(len(place), bool)
+    tree = shapely.STRtree(np.asarray(shapely.points(place[:, :2]), object))
+    for rings in outlines.values():
+        odd = np.zeros(len(place), bool)
+        for ring in rings:
+            odd[tree.query(shapely.Polygon(flat[ring, :2]), predicate="contains")] ^= True
+        mask |= odd
+    return mask
+
+
+def _pieces(
+    flat: np.ndarray,
+    edges: set[Edge],
+    split: dict[Edge, list[int]],
+    top: np.ndarray,
+    outlines: dict[int, list[list[int]]],
+) -> np.ndarray:
+    """Triangles of the part of ``top`` outside the footprints, int (t, 3)."""
+    sides = {
+        (a, b) if a < b else (b, a)
+        for edge in edges
+        for a, b in zip(split.get(edge, edge), split.get(edge, edge)[1:], strict=False)
+    }
+    if not sides or not len(top):
+        return np.zeros((0, 3), int)
+    number = np.array(sorted(sides))
+    cells = shapely.get_parts(shapely.polygonize(shapely.linestrings(flat[number][:, :, :2])))
+    middle = shapely.get_coordinates(shapely.point_on_surface(cells))
+    of_top = np.zeros(len(cells), bool)
+    tree = shapely.STRtree(shapely.polygons(flat[top][:, :, :2]))
+    of_top[tree.query(shapely.points(middle), predicate="intersects")[0]] = True
+    cells = cells[of_top & ~_inside(middle, flat, outlines)]
+    corner = shapely.get_coordinates(shapely.constrained_delaunay_triangles(cells)).reshape(-1, 4, 2)[:, :3]
+    area = _doubled_area(corner)
+    corner = np.where((area < 0)[:, None, None], corner[:, ::-1], corner)
+    of_place = {tuple(flat[v, :2].tolist()): v for v in np.unique(number).tolist()}
+    return np.array([[of_place[x, y] for x, y in rows] for rows in corner.tolist()], int).reshape(-1, 3)
+
+
+def _standing(
+    body: _Body,
+    skin: Skin,
+    same: np.ndarray,
+    first: int,
+    split: dict[Edge, list[int]],
+    place: np.ndarray,
+    origin: np.ndarray,
+) -> Skin:
+    """The skin without its floor, whose walls end in the points ``place`` of the terrain."""
+    vertex = [*skin.vertex_m]
+    chains: dict[tuple[int, int], list[int]] = {}
+    for ring in body.outline:
+        for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
+            start, end = int(same[a + first]), int(same[b + first])
+            line = split.get((start, end) if start < end else (end, start), [start, end])
+            between = line[1:-1] if line[0] == start else line[-2:0:-1]
+            # a wall runs along its lower edge the other way than the floor does
+            chains[b, a] = [b, *range(len(vertex), len(vertex) + len(between))]
+            vertex += list(place[between[::-1]])
+            vertex[a], vertex[b] = place[start], place[end]
+    faces = []
+    for face in body.faces:
+        if face.kind == FaceKind.GROUND:
+            continue
+        rings = [
+            [v for a, b in zip(ring, [*ring[1:], ring[0]], strict=True) for v in chains.get((a, b), [a])]
+            for ring in face.rings
+        ]
+        changed = any(
+            (a, b) in chains for ring in face.rings for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)
+        )
+        faces.append(replace(face, rings=rings, triangles=None if changed else face.triangles))
+    position = np.array(vertex)
+    triangulate(position - origin, faces)
+    parts = [face.triangles for face in faces if face.triangles is not None]
+    sizes = [len(part) for part in parts]
+    used, index = np.unique(np.concatenate(parts), return_inverse=True)
+    return replace(
+        skin,
+        vertex_m=position[used],
+        triangle=index.reshape(-1, 3).astype(np.int32),
+        kind=np.repeat(np.array([face.kind for face in faces], np.uint8), sizes),
+        building=np.repeat(np.array([face.building for face in faces], np.int32), sizes),
+        face=np.repeat(np.array([face.edge for face in faces], np.int32), sizes),
+    )
