@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 from sionna import rt
 
-NUM_RAYS = 200_000
+NUM_RAYS, NUM_ABOVE, NUM_BELOW = 200_000, 16, 32
 
 
 def back_faces(scene: rt.Scene, direction: np.ndarray, aim_m: np.ndarray) -> tuple[int, int]:
@@ -53,18 +53,22 @@ def traced(folder: Path) -> dict[str, Any]:
     scene.rx_array = scene.tx_array
     middle = (low + high) / 2
     scene.add(rt.Transmitter("tx", position=[float(middle[0]), float(middle[1]), float(high[2]) + 10]))
-    for number in range(16):
-        angle = 2 * np.pi * number / 16
-        x, y = middle[:2] + 0.3 * (high - low)[:2] * [np.cos(angle), np.sin(angle)]
-        receiver = rt.Receiver(f"rx-{number}", position=[float(x), float(y), float(high[2]) + 3])
-        scene.add(receiver)
+    # receivers above the roofs, and some between the houses or in them
+    angle = np.arange(NUM_ABOVE) * 2 * np.pi / NUM_ABOVE
+    ring = middle[:2] + 0.3 * (high - low)[:2] * np.column_stack([np.cos(angle), np.sin(angle)])
+    above = np.column_stack([ring, np.full(NUM_ABOVE, high[2] + 3)])
+    below = draw.uniform(low + 0.15 * (high - low), high - 0.15 * (high - low), (NUM_BELOW, 3))
+    below[:, 2] = low[2] + 5.5
+    for number, position in enumerate(np.concatenate([above, below]).tolist()):
+        scene.add(rt.Receiver(f"rx-{number}", position=position))
     start = time.perf_counter()
-    paths = rt.PathSolver()(scene, max_depth=1, refraction=False)
+    paths = rt.PathSolver()(scene, max_depth=1, refraction=False, diffraction=True)
     path_s = time.perf_counter() - start
     valid = np.array(paths.valid)
     # (depth, receiver, transmitter, path)
     interaction = np.array(paths.interactions)[0]
     reflected = valid & (interaction == rt.InteractionType.SPECULAR)
+    diffracted = valid & (interaction == rt.InteractionType.DIFFRACTION)
     # every cell of the map's surface is a triangle
     surface = mi.load_dict(
         {
@@ -86,6 +90,7 @@ def traced(folder: Path) -> dict[str, Any]:
         "slanted": [slanted_hits, slanted_back],
         "paths": int(valid.sum()),
         "reflected": int(reflected.sum()),
+        "diffracted": int(diffracted.sum()),
         "path_s": round(path_s, 2),
         "cells": int(gain.size),
         "lit_cells": int((gain > 0).sum()),

@@ -138,5 +138,6 @@ def test_a_reconstructed_scene_is_loaded_and_traced(
         hits, from_behind = answer[direction]
         assert hits > 100_000 and from_behind == 0
     assert answer["down"][0] == 200_000
-    assert answer["reflected"] > 0 and answer["paths"] > answer["reflected"]
+    assert answer["reflected"] > 0 and answer["diffracted"] > 0
+    assert answer["paths"] > answer["reflected"] + answer["diffracted"]
     assert answer["lit_cells"] > 0.5 * answer["cells"] > 1000
