@@ -23,21 +23,10 @@ from p2wss.formats import gpkg, sionna
 from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import blocks, terrain_mesh
-<<<<<<< HEAD
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
 from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
-=======
-from p2wss.reconstruct.pipeline import (
-    Result,
-    city_json,
-    input_columns,
-    input_footprints,
-    table,
-    vertices_m,
-)
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
->>>>>>> fa1bf8e (Skins end on the terrain, which has a hole below each, so that nothing is buried; overlap is an option)
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
