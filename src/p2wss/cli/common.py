@@ -54,7 +54,9 @@ def add_tile(command: argparse.ArgumentParser) -> None:
 
 def add_threads(command: argparse.ArgumentParser) -> None:
     """Add the option ``--threads``."""
-    command.add_argument("--threads", type=int, default=1, help="number of CPU threads (default: 1)")
+    command.add_argument(
+        "--threads", type=_positive, default=1, metavar="N", help="number of CPU threads (default: 1)"
+    )
 
 
 def add_device(command: argparse.ArgumentParser) -> None:
@@ -142,6 +144,13 @@ def log_status_counts(out: Path, status: Iterable[str]) -> None:
     num_ok = counts.pop("ok", 0)
     reasons = ", ".join(f"{count} {reason}" for reason, count in counts.most_common()) or "none"
     log.info(f"{out.name}: {num_ok} buildings ok, {counts.total()} excluded ({reasons})")
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"{text}: at least 1")
+    return number
 
 
 def _sentence(text: str) -> str:

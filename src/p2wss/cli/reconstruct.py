@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
 from p2wss.config import OUTPUT_SUFFIXES, Config, load, section_json
 from p2wss.data import files
@@ -19,7 +20,9 @@ def add_parser(stages: Parsers) -> None:
     command = add_command(
         stages, "reconstruct", reconstruct, "reconstruct buildings from your own LiDAR and footprints"
     )
-    command.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC files")
+    command.add_argument(
+        "clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC files, or folders of them"
+    )
     command.add_argument(
         "footprints",
         type=Path,
@@ -104,29 +107,30 @@ def add_parser(stages: Parsers) -> None:
 
 def reconstruct(arguments: argparse.Namespace) -> None:
     """Reconstruct the buildings and write the output files."""
+    config = _reconstruct_config(arguments)
+    inputs = argument_checks.check(arguments, config)
     set_num_threads(arguments.threads)
     from p2wss import reconstruct
     from p2wss.data import clouds, footprints
     from p2wss.data.progress import Progress
-    from p2wss.data.terrain import read_terrain
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
 
-    config = _reconstruct_config(arguments)
-    weights = reconstruct.weights_to_use(arguments.model, config.reconstruct)
+    weights, crs, terrain = inputs.weights, inputs.crs, inputs.terrain
     predictor = None if weights is None else load_predictor(weights, arguments.device)
-    terrain, terrain_crs = (None, None) if arguments.terrain is None else read_terrain(arguments.terrain)
     features = footprints.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
     frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
     tile = (arguments.tile, config.region.tile_size_m)
     around = frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
-    cloud = clouds.read_clouds(arguments.clouds, reconstruct.window(around))
-    names = (str(arguments.clouds[0]), str(arguments.footprints))
-    crs, note = reconstruct.common_crs(cloud.crs, frame.crs, arguments.crs, names)
-    if note:
-        log.info("note: %s", note)
-    if terrain_crs is not None:
-        exports.check_terrain(terrain_crs, crs, arguments.terrain)
+    window = reconstruct.window(around)
+    near = [header for header in inputs.clouds if header.overlaps(window)]
+    if not near and arguments.tile is None:
+        raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
+    if terrain is not None:
+        exports.check_coverage(terrain, around, arguments.terrain)
+    cloud = clouds.read_clouds([header.path for header in near], window)
+    for warning in clouds.missing_classes(cloud):
+        log.warning("warning: %s", warning)
     if config.reconstruct.registration:
         around = reconstruct.register(around, cloud)
     frame = around if arguments.tile is None else reconstruct.of_tile(around, *tile)
@@ -139,12 +143,12 @@ def reconstruct(arguments: argparse.Namespace) -> None:
         results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct, progress.update)
     if arguments.tile is None:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
-    if terrain is not None and (note := exports.terrain_note(results, terrain)):
-        log.info("note: %s", note)
+    if terrain is not None and (difference := exports.terrain_note(results, terrain)):
+        log.info("note: %s", difference)
     settings = section_json(config, "scenes", "reconstruct")
     code = fingerprint("reconstruct")
     facts = files.provenance(config=settings, code=code, crs=crs.to_string(), model=weights and weights.name)
-    facts["clouds"] = [path.name for path in arguments.clouds]
+    facts["clouds"] = [header.path.name for header in inputs.clouds]
     outputs = exports.write(arguments.out, stem, results, crs, facts, config.reconstruct, terrain)
     log.info("%s: %s", arguments.out, ", ".join(outputs))
     log.info("%s", reconstruct.summary(results))

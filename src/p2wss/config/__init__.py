@@ -23,7 +23,7 @@ from p2wss.config.places import (
     place_config,
 )
 from p2wss.config.plan import Plan
-from p2wss.config.reconstruct import OUTPUT_SUFFIXES, Output, Reconstruct
+from p2wss.config.reconstruct import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Output, Reconstruct
 from p2wss.config.region import ALL, TILE_LISTS, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
@@ -34,6 +34,7 @@ __all__ = [
     "ALL",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",
+    "TABLES_AND_MODELS",
     "TILE_LISTS",
     "Ablation",
     "Augmentation",

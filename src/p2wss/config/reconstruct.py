@@ -21,6 +21,8 @@ OUTPUT_SUFFIXES = {
     "geoparquet": ".parquet",
 }
 Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "gpkg", "geoparquet"]
+# those that have no meshes, and so no terrain either
+TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet")
 # explained in p2wss.data.materials
 MaterialName = Literal[
     "concrete",

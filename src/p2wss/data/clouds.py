@@ -1,4 +1,4 @@
-"""Read point clouds from LAS, LAZ and COPC files, by window and without noise; compare CRSs."""
+"""Read point clouds from LAS, LAZ and COPC files, by window and without noise; their headers; compare CRSs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data.las_classes import NOISE_CLASSES
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
+_SUFFIXES = (".las", ".laz")
+_SIGNATURE = b"LASF"
+# headers may state bounds that are rounded
+_HEADER_MARGIN_M = 1.0
 _CHUNK_POINTS = 2_000_000
 _WEEK_S = 604_800
 _BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, RuntimeError, OSError)
@@ -42,6 +46,105 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.x_m)
+
+
+@dataclass(frozen=True)
+class CloudHeader:
+    """What the header of a file states. bounds: None where it states none."""
+
+    path: Path
+    num_points: int
+    crs: pyproj.CRS | None
+    bounds: Bounds | None
+
+    def overlaps(self, bounds: Bounds) -> bool:
+        """Whether points may be within ``bounds``."""
+        if self.bounds is None:
+            return True
+        x_min, y_min, x_max, y_max = self.bounds
+        margin_m = _HEADER_MARGIN_M
+        return (
+            x_min - margin_m <= bounds[2]
+            and x_max + margin_m >= bounds[0]
+            and y_min - margin_m <= bounds[3]
+            and y_max + margin_m >= bounds[1]
+        )
+
+
+def list_clouds(paths: Sequence[Path]) -> list[Path]:
+    """The files, with the LAS and LAZ files of a folder in its place, in the order of their names.
+
+    Raises :class:`InputError` if a file is missing or not LAS, LAZ or COPC, or if a folder has no such file.
+    """
+    result: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            found = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
+            if not found:
+                raise InputError(f"{path}: this folder has no LAS or LAZ file")
+            result += found
+        else:
+            result.append(path)
+    for path in result:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
+        with path.open("rb") as file:
+            if file.read(len(_SIGNATURE)) != _SIGNATURE:
+                raise InputError(f"{path}: not a LAS, LAZ or COPC file")
+    return result
+
+
+def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
+    """The headers of all files. Raises :class:`InputError` if a file is broken, or if two have different CRSs."""
+    headers: list[CloudHeader] = []
+    for path in paths:
+        try:
+            with laspy.open(path) as reader:
+                header = reader.header
+                crs = header.parse_crs()
+        except _BROKEN as error:
+            raise InputError(_unreadable(path, error)) from error
+        (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
+        bounds = (float(x_min), float(y_min), float(x_max), float(y_max))
+        known = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
+        headers.append(CloudHeader(path, int(header.point_count), crs, bounds if known else None))
+    common_header(headers)
+    return headers
+
+
+def common_header(headers: Sequence[CloudHeader]) -> CloudHeader | None:
+    """The first header that states a CRS. Raises :class:`InputError` if another header states another CRS."""
+    first = None
+    for header in headers:
+        if header.crs is None:
+            continue
+        first = first or header
+        if first.crs is not None and not same_crs(first.crs, header.crs):
+            raise InputError(
+                f"{header.path}: is in {header.crs.name}, but {first.path} is in {first.crs.name}; "
+                "reproject one of them"
+            )
+    return first
+
+
+def missing_classes(cloud: Cloud) -> list[str]:
+    """A warning, in one line, for the class of buildings and for that of ground, if no point has it."""
+    warnings = []
+    if len(cloud) and not (cloud.classification == GROUND_CLASS).any():
+        warnings.append(
+            "no point around the footprints has class 2 (ground): the lowest points at each building count as its"
+            " ground, which may be metres off; classify the clouds first, for example with PDAL's filters.smrf"
+        )
+    if len(cloud) and not (cloud.classification == BUILDING_CLASS).any():
+        warnings.append(
+            "no point around the footprints has class 6 (building): all points 2 m above the ground inside a"
+            " footprint count as its roof, trees and neighbours that overhang it included"
+        )
+    return warnings
+
+
+def _unreadable(path: str | Path, error: Exception) -> str:
+    return f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
 
 
 def read_clouds(
@@ -75,9 +178,7 @@ def read_clouds(
                     crs, crs_path = crs or file_crs, crs_path or path
                 parts.append(_filter(points, bounds, header))
         except _BROKEN as error:
-            raise InputError(
-                f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
-            ) from error
+            raise InputError(_unreadable(path, error)) from error
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4], columns[5])
 
@@ -162,3 +263,45 @@ def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
         return True
     codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
     return codes[0] is not None and codes[0] == codes[1]
+
+
+def common_crs(
+    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
+) -> tuple[pyproj.CRS, str | None]:
+    """The common CRS of clouds and footprints, and a note if it was assumed.
+
+    cloud, frame: the CRS that each of the two files states, if any. stated: the one that the user states. names: of the
+    two files. Raises :class:`InputError` if two of them differ, if there is none, or if it is not projected in metres.
+    """
+    note = None
+    if stated is not None:
+        try:
+            stated_crs = pyproj.CRS.from_user_input(stated)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"--crs {stated}: no such CRS; state one such as EPSG:28992") from error
+        if cloud is not None and not same_crs(cloud, stated_crs):
+            raise InputError(
+                f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; leave --crs out"
+            )
+        # heights that the user states are part of the CRS
+        cloud = stated_crs if cloud is None or not cloud.is_compound else cloud
+    if cloud is not None and frame is not None and not same_crs(cloud, frame):
+        source = "" if stated is None else " according to --crs"
+        raise InputError(
+            f"{names[0]} is in {cloud.name}{source}, but {names[1]} is in {frame.name}; reproject one of them"
+        )
+    crs = cloud or frame
+    if crs is None:
+        raise InputError(
+            f"neither {names[0]} nor {names[1]} states its CRS; state it with --crs, such as EPSG:28992"
+        )
+    if cloud is None:
+        note = (
+            f"{names[0]} does not state its CRS; assuming {crs.name} as in {names[1]} (--crs overrides this)"
+        )
+    flat = horizontal(crs)
+    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
+        raise InputError(
+            f"{names[0]}: {crs.name} is not a projected CRS in metres; reproject clouds and footprints"
+        )
+    return crs, note

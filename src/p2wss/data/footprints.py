@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from itertools import combinations
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from p2wss.data.coverage import Cleaning, blocks, clean_block
 from p2wss.data.tiling import Bounds, grown
 from p2wss.errors import InputError
 
+log = logging.getLogger(__name__)
 ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
 _TYPES_WITH_POLYGONS = [
     shapely.GeometryType.POLYGON,
@@ -96,19 +98,32 @@ def _ids(frame: gpd.GeoDataFrame, id_field: str | None, path: str | Path) -> pd.
         if id_field not in frame.columns:
             columns = ", ".join(map(str, frame.columns.drop(frame.geometry.name)))
             raise InputError(f"{path}: has no column {id_field}; its columns are {columns or 'none'}")
-        values = frame[id_field]
-        if values.isna().any():
-            raise InputError(f"{path}: column {id_field} cannot be the id: values are missing")
-        if values.duplicated().any():
-            value = values[values.duplicated()].iloc[0]
-            raise InputError(f"{path}: column {id_field} cannot be the id: {value} occurs more than once")
-        return values.astype(str)
+        if (problem := _id_problem(frame[id_field])) is not None:
+            raise InputError(f"{path}: column {id_field} cannot be the id: {problem}")
+        return frame[id_field].astype(str)
     columns_by_name = {str(column).lower(): column for column in frame.columns}
-    for name in ID_COLUMNS:
-        values = frame[columns_by_name[name]] if name in columns_by_name else None
-        if values is not None and not values.isna().any() and not values.duplicated().any():
-            return values.astype(str)
+    problems: list[str] = []
+    usable = None
+    for column in (columns_by_name[name] for name in ID_COLUMNS if name in columns_by_name):
+        if (problem := _id_problem(frame[column])) is None:
+            usable = column
+            break
+        problems.append(f"column {column} cannot be the id: {problem}")
+    if problems:
+        instead = f"ids are those of column {usable}" if usable else f"ids are the numbers 1 to {len(frame)}"
+        log.warning("warning: %s: %s; %s (--id-field chooses another)", path, "; ".join(problems), instead)
+    if usable is not None:
+        return frame[usable].astype(str)
     return pd.Series([str(number + 1) for number in range(len(frame))], index=frame.index, dtype=str)
+
+
+def _id_problem(values: pd.Series) -> str | None:
+    """Why a column cannot be the id of features, or None."""
+    if values.isna().any():
+        return "values are missing"
+    if values.duplicated().any():
+        return f"{values[values.duplicated()].iloc[0]} occurs more than once"
+    return None
 
 
 def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame:
@@ -118,8 +133,8 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
 
     Invalid geometries are repaired by shapely's ``make_valid`` (method "structure"). If a multipolygon or a repair
     has several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
-    suffixes -1, -2, .. in order. A geometry without polygons keeps its row, with an empty polygon and the reason
-    as ``status``.
+    suffixes -1, -2, .. in order, without those that are ids of other features. A geometry without polygons keeps its
+    row, with an empty polygon and the reason as ``status``.
     """
     shapes = shapely.force_2d(frame.geometry.to_numpy())
     status = np.full(len(frame), reasons.OK, dtype=object)
@@ -151,10 +166,15 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
     parts = np.concatenate([parts, np.full(len(empty_rows), shapely.Polygon())])[order]
     result = frame.iloc[row].reset_index(drop=True)
     result = result.set_geometry(gpd.GeoSeries(parts, crs=frame.crs))
-    number = np.arange(len(row)) - np.searchsorted(row, row)
     is_split = np.bincount(row, minlength=len(frame))[row] > 1
     ids = result["building_id"].to_numpy(dtype=object)
-    ids[is_split] = [f"{name}-{k + 1}" for name, k in zip(ids[is_split], number[is_split], strict=True)]
+    used, suffix = set(ids), dict.fromkeys(row[is_split], 0)
+    for index in np.flatnonzero(is_split):
+        name, feature = ids[index], row[index]
+        while ids[index] in used:
+            suffix[feature] += 1
+            ids[index] = f"{name}-{suffix[feature]}"
+        used.add(ids[index])
     result["building_id"] = ids
     result["status"] = status[row]
     part_centre = _box_centres(result.geometry.to_numpy())

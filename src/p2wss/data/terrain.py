@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,11 @@ from rasterio.transform import from_origin
 from scipy.ndimage import map_coordinates
 
 from p2wss.data import files
+from p2wss.data.clouds import same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -56,22 +60,36 @@ class Terrain:
         return map_coordinates(heights, [row, column], order=1, mode="constant", cval=np.nan, prefilter=False)
 
 
-def read_terrain(path: str | Path) -> tuple[Terrain, pyproj.CRS]:
+def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyproj.CRS]:
     """Read a raster of heights (first band) and its CRS; the nodata value becomes NaN.
 
-    Raises :class:`InputError` if the file is unreadable, rotated or without CRS, or has cells that are not square.
+    crs: assumed, with a note, for a raster that does not state one, such as most files .asc.
+
+    Raises :class:`InputError` if the file is missing, unreadable, rotated or without CRS, or has cells that are not
+    square.
     """
+    if not str(path).startswith("/vsi") and not Path(path).exists():
+        raise InputError(f"{path}: no such file")
     try:
         with rasterio.open(path) as raster:
             heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
-            transform, crs = raster.transform, raster.crs
+            transform, stated = raster.transform, raster.crs
     except rasterio.errors.RasterioIOError as error:
         raise InputError(f"{path}: not a readable raster: {error}") from error
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
         raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
-    if crs is None:
+    if stated is None and crs is None:
         raise InputError(f"{path}: has no CRS; set one with gdal_edit or gdal_translate -a_srs")
-    return Terrain(heights, transform.c, transform.f, transform.a), pyproj.CRS.from_user_input(crs)
+    terrain_crs = pyproj.CRS.from_user_input(stated or crs)
+    if stated is None:
+        log.info("note: %s does not state its CRS; assuming %s", path, terrain_crs.name)
+    return Terrain(heights, transform.c, transform.f, transform.a), terrain_crs
+
+
+def check_terrain_crs(terrain_crs: pyproj.CRS, crs: pyproj.CRS, path: str | Path) -> None:
+    """Raise :class:`InputError` if terrain and clouds are in different CRSs."""
+    if not same_crs(terrain_crs, crs):
+        raise InputError(f"{path} is in {terrain_crs.name}, but the clouds are in {crs.name}; reproject it")
 
 
 def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[str, Any]) -> None:

@@ -21,6 +21,7 @@ from p2wss.nets.builders import build_dvae, build_model, build_tokenizer
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.metrics_log import last_validation
 from p2wss.nets.point2wss import Point2Wss, inference_weights
+from p2wss.nets.weights_file import read_metadata
 
 # keys of the metadata that had another name when older files were written
 _RENAMED_KEYS = {"words": "vocabulary"}
@@ -97,16 +98,12 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
     """
     from safetensors import SafetensorError, safe_open
 
-    if not Path(path).is_file():
-        raise InputError(f"{path}: no such file; train it first (p2wss {kind})")
+    metadata = read_metadata(path, kind)
     try:
         with safe_open(path, "pt") as file:
-            metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable safetensors file: {error}") from error
-    if metadata.get("kind") != kind:
-        raise InputError(f"{path}: not a {kind} of p2wss")
     return state, {_RENAMED_KEYS.get(name, name): value for name, value in metadata.items()}
 
 

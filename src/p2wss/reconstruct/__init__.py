@@ -1,20 +1,14 @@
 """Stage reconstruct: closed buildings from footprints and LiDAR (paper, section 5.4)."""
 
+from p2wss.data.clouds import common_crs
+from p2wss.nets.weights_file import shipped_model, weights_to_use
 from p2wss.reconstruct.attributes import TO_3DBAG, attributes, input_footprints, table
 from p2wss.reconstruct.city import city_json, solid
-from p2wss.reconstruct.inputs import (
-    around_tile,
-    common_crs,
-    footprint_settings,
-    of_tile,
-    output_stem,
-    shipped_model,
-    weights_to_use,
-    window,
-)
+from p2wss.reconstruct.inputs import around_tile, footprint_settings, of_tile, output_stem, window
 from p2wss.reconstruct.pipeline import (
     Result,
     check_overlap,
+    no_overlap,
     run,
     summary,
     vertices_m,
@@ -34,6 +28,7 @@ __all__ = [
     "footprint_settings",
     "input_footprints",
     "method_name",
+    "no_overlap",
     "of_tile",
     "output_stem",
     "reconstruct_buildings",

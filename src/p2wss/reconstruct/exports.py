@@ -14,7 +14,6 @@ import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data import files
-from p2wss.data.clouds import same_crs
 from p2wss.data.materials import materials_of
 from p2wss.data.schemas.wedges import WEDGES
 from p2wss.data.terrain import Terrain
@@ -131,10 +130,11 @@ def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> M
     return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 
-def check_terrain(terrain_crs: pyproj.CRS, crs: pyproj.CRS, name: Path) -> None:
-    """Raise :class:`InputError` if terrain and clouds are in different CRSs."""
-    if not same_crs(terrain_crs, crs):
-        raise InputError(f"{name} is in {terrain_crs.name}, but the clouds are in {crs.name}; reproject it")
+def check_coverage(terrain: Terrain, frame: gpd.GeoDataFrame, name: Path) -> None:
+    """Raise :class:`InputError` if the terrain has no height at any of the footprints."""
+    heights_m = terrain.interpolated(frame["centre_x_m"].to_numpy(), frame["centre_y_m"].to_numpy())
+    if len(frame) and not np.isfinite(heights_m).any():
+        raise InputError(f"{name}: has no height at any of the {len(frame)} footprints")
 
 
 def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:

@@ -180,10 +180,15 @@ def vertices_m(reconstruction: Reconstruction) -> np.ndarray:
 def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
     """Raise :class:`InputError` if not one building has a point."""
     if not any(result.num_points for result in results):
-        raise InputError(
-            f"{cloud}: no point near any of the {len(results)} footprints of {footprint_file}: do they cover"
-            " the same place, in the same CRS?"
-        )
+        raise InputError(no_overlap(len(results), cloud, footprint_file))
+
+
+def no_overlap(num_footprints: int, cloud: Path, footprint_file: Path) -> str:
+    """The message where clouds and footprints do not overlap."""
+    return (
+        f"{cloud}: no point near any of the {num_footprints} footprints of {footprint_file}: do they cover"
+        " the same place, in the same CRS?"
+    )
 
 
 def _result(building: Building, reconstruction: Reconstruction, config: Reconstruct) -> Result:

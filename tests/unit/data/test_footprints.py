@@ -183,3 +183,13 @@ def test_all_footprints_of_delft_are_accepted() -> None:
     result = clean_footprints(read_footprints(DELFT), CONFIG)
     assert list(result["status"]) == ["ok"] * 74
     assert result["building_id"].str.startswith("b").all()
+
+
+def test_parts_never_get_the_id_of_another_feature() -> None:
+    squares = [shapely.box(20 * i, 0, 20 * i + 10, 10) for i in range(4)]
+    frame = gpd.GeoDataFrame(
+        {"building_id": ["A-1", "A", "A-3"]},
+        geometry=[squares[0], shapely.MultiPolygon(squares[1:3]), squares[3]],
+        crs=2154,
+    )
+    assert split_parts(frame, 1.0)["building_id"].tolist() == ["A-1", "A-2", "A-4", "A-3"]

@@ -21,7 +21,7 @@ from p2wss import reconstruct
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data import files
 from p2wss.data.schemas.wedges import WEDGES
-from p2wss.data.terrain import Terrain
+from p2wss.data.terrain import Terrain, check_terrain_crs
 from p2wss.errors import InputError
 from p2wss.reconstruct import blocks, exports
 
@@ -207,7 +207,7 @@ def test_terrain_of_another_place_is_refused(results: list[reconstruct.Result], 
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(), away)
     assert not list(tmp_path.iterdir())
     with pytest.raises(InputError, match=r"dtm\.tif is in Amersfoort / RD New, but the clouds are in RGF93"):
-        exports.check_terrain(pyproj.CRS.from_epsg(28992), LAMBERT, Path("dtm.tif"))
+        check_terrain_crs(pyproj.CRS.from_epsg(28992), LAMBERT, Path("dtm.tif"))
     other = Terrain(np.full((99, 200), 50, np.float32), X - 80, Y + 50, 1.0)
     assert "+48.0 m" in (exports.terrain_note(results, other) or "")
     same = Terrain(np.full((99, 200), 2, np.float32), X - 80, Y + 50, 1.0)

@@ -1,0 +1,172 @@
+"""What can be wrong with the arguments of ``p2wss reconstruct`` is reported before anything slow is imported or read:
+from names, signatures and headers of the files."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import warnings
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from p2wss.cli.common import bounds_of_tile, log
+from p2wss.config import TABLES_AND_MODELS, Config
+from p2wss.errors import InputError
+from p2wss.nets import weights_file
+
+if TYPE_CHECKING:
+    import pyproj
+
+    from p2wss.data.clouds import CloudHeader
+    from p2wss.data.terrain import Terrain
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The checked inputs. clouds: files, those of folders included. weights: None for no network. crs: of clouds,
+    footprints and terrain."""
+
+    clouds: list[CloudHeader]
+    weights: Path | None
+    crs: pyproj.CRS
+    terrain: Terrain | None
+
+
+def check(arguments: argparse.Namespace, config: Config) -> Inputs:
+    """The inputs of ``p2wss reconstruct``, cheap checks first.
+
+    Raises :class:`InputError`, in one line, for an argument that cannot work; logs a warning for one without effect.
+    """
+    _check_outputs(arguments, config)
+    if arguments.tile is not None:
+        bounds_of_tile(arguments.tile, config)
+    weights = weights_file.weights_to_use(arguments.model, config.reconstruct)
+    if weights is not None:
+        weights_file.read_metadata(weights, "model")
+        _check_device(arguments.device)
+    for path in filter(None, (arguments.footprints, arguments.terrain)):
+        if not path.exists():
+            raise InputError(f"{path}: no such file")
+
+    from p2wss.data import clouds
+
+    headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
+    # a tile may be empty
+    may_be_empty = arguments.tile is not None
+    footprints_crs = _check_footprints(arguments.footprints, arguments.id_field, may_be_empty)
+    stated = clouds.common_header(headers)
+    cloud = headers[0] if stated is None else stated
+    names = (str(cloud.path), str(arguments.footprints))
+    crs, note = clouds.common_crs(cloud.crs, footprints_crs, arguments.crs, names)
+    if note:
+        log.info("note: %s", note)
+    if not may_be_empty and not any(header.num_points for header in headers):
+        raise InputError(f"{arguments.clouds[0]}: has no points")
+    terrain = None
+    if arguments.terrain is not None:
+        from p2wss.data.terrain import check_terrain_crs, read_terrain
+
+        terrain, terrain_crs = read_terrain(arguments.terrain, crs.to_wkt())
+        check_terrain_crs(terrain_crs, crs, arguments.terrain)
+    return Inputs(headers, weights, crs, terrain)
+
+
+def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:
+    _check_folder(arguments.out)
+    outputs = config.reconstruct.outputs
+    if any(name not in TABLES_AND_MODELS for name in outputs):
+        return
+    names = ", ".join(outputs)
+    if arguments.terrain is not None:
+        raise InputError(
+            f"--terrain {arguments.terrain}: {names} cannot hold a terrain; add a mesh format to --format, such as"
+            " glb, or leave --terrain out"
+        )
+    if arguments.per_building:
+        log.warning("warning: --per-building has no effect: none of %s is a mesh format", names)
+
+
+def _check_folder(out: Path) -> None:
+    """Raise :class:`InputError` if ``out`` is not a folder, or no file can be written there."""
+    folder = out
+    while not os.path.lexists(folder):
+        folder = folder.parent
+    if not folder.is_dir():
+        raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(f"{out}: not written: {error.strerror or error}") from error
+
+
+def _check_device(device: str) -> None:
+    """Raise :class:`InputError` for a GPU without a torch that can use one; whether there is one, torch will say."""
+    torch_version = version("torch")
+    if device == "cuda" and torch_version.endswith("+cpu"):
+        raise InputError(
+            f"--device cuda: torch {torch_version} has no CUDA; install torch with CUDA, or use --device cpu"
+        )
+
+
+def _check_footprints(path: Path, id_field: str | None, may_be_empty: bool) -> pyproj.CRS | None:
+    """The CRS that the file states, if any. Raises :class:`InputError` if it cannot hold footprints."""
+    import pyproj
+
+    # GDAL may come without its driver for Parquet
+    info = _geoparquet(path) if path.suffix.lower() == ".parquet" else _layer(path)
+    if not info["features"] and not may_be_empty:
+        raise InputError(f"{path}: has no features")
+    geometry = info["geometry_type"]
+    if geometry is None:
+        raise InputError(f"{path}: has no geometry")
+    if info["features"] and not any(
+        name in geometry for name in ("Polygon", "Surface", "Collection", "Unknown")
+    ):
+        raise InputError(f"{path}: has no polygons; footprints must be polygons")
+    fields = list(map(str, info["fields"]))
+    if id_field is not None and id_field not in fields:
+        columns = ", ".join(fields) or "none"
+        raise InputError(f"{path}: has no column {id_field}; its columns are {columns}")
+    crs = None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])
+    if crs is not None and crs.is_geographic:
+        raise InputError(f"{path}: is in {crs.name}, in degrees; reproject it to a projected CRS in metres")
+    return crs
+
+
+def _layer(path: Path) -> dict[str, Any]:
+    """What GDAL knows of the first layer without reading its features."""
+    import pyogrio
+
+    try:
+        with warnings.catch_warnings():
+            # several layers are reported when the file is read
+            warnings.simplefilter("ignore")
+            return dict(pyogrio.read_info(path))
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+
+
+def _geoparquet(path: Path) -> dict[str, Any]:
+    """The same of a GeoParquet file (specification 1.1)."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        stored = pq.read_metadata(path)
+        geo = json.loads((stored.metadata or {}).get(b"geo", b"{}"))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+    primary = geo.get("primary_column")
+    column = geo.get("columns", {}).get(primary)
+    names = [name for name in stored.schema.to_arrow_schema().names if name != primary]
+    return {
+        "features": stored.num_rows,
+        "geometry_type": None if column is None else " ".join(column["geometry_types"]) or "Unknown",
+        "fields": names,
+        "crs": None if column is None else column.get("crs", "OGC:CRS84"),
+    }

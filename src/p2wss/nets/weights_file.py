@@ -1,0 +1,53 @@
+"""Files of weights: the one that comes with the package, and what a file states. Imports no torch."""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from p2wss.config import Reconstruct
+from p2wss.errors import InputError
+
+# in place of a file of weights: no network
+NO_NETWORK = "none"
+
+
+def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
+    """The file of weights: ``model``, or by default the one that came with the package, if there is one. None for no
+    network, as with the ``model`` "none".
+
+    Raises :class:`InputError` if there is neither a network nor a fit.
+    """
+    weights = shipped_model() if model is None else model
+    if weights is not None and str(weights) == NO_NETWORK:
+        weights = None
+    if weights is None and not config.fit:
+        raise InputError(
+            "without the fit (--no-fit, reconstruct.fit) a network is needed: give one with --model"
+        )
+    return weights
+
+
+def shipped_model() -> Path | None:
+    """The weights that came with the package; None in a package without."""
+    path = Path(str(files("p2wss"))) / "weights" / "point2wss.safetensors"
+    return path if path.is_file() else None
+
+
+def read_metadata(path: Path, kind: str) -> dict[str, Any]:
+    """What a file of weights states. Raises :class:`InputError` for a file that is missing, unreadable or not of this
+    ``kind``."""
+    from safetensors import SafetensorError, safe_open
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; train it first (p2wss {kind})")
+    try:
+        with safe_open(path, "np") as file:
+            metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable safetensors file: {error}") from error
+    if metadata.get("kind") != kind:
+        raise InputError(f"{path}: not a {kind} of p2wss")
+    return dict(metadata)
