@@ -10,9 +10,16 @@ from checkout import ROOT, rules_to_run
 from p2wss import cli
 
 
+def recorded_by(project):
+    """The setting of recorded outputs of Roofer, with a file that exists."""
+    path = project.folder / "recorded.city.jsonl"
+    path.touch()
+    return f"eval={{roofer_recorded: {path}, roofer_command: no-such-program-as-roofer, shards_per_job: 2}}"
+
+
 def test_the_miniature_plans_every_rule(fresh):
     town = "resources/towns/1/bdtopo/BDTOPO_mini.gpkg"
-    jobs = rules_to_run(fresh.dry_run("all", "ablation", town))
+    jobs = rules_to_run(fresh.dry_run("all", "ablation", town, "--config", recorded_by(fresh)))
     text = "".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     with_output = re.findall(r"^(?:rule|checkpoint) (\w+):\n(?:    .*\n|\n)*?    output:", text, re.M)
     assert len(with_output) > 12
@@ -76,6 +83,15 @@ def test_shards_are_evaluated_in_groups(project):
     shards = sorted((group.out.parent.name, [shard.stem for shard in group.shards]) for group in options)
     simulated = ["0652_6862", "0653_6862", "0652_6861"]
     assert shards == [("0000", simulated), ("0001", ["0653_6861"])]
+
+
+def test_recorded_outputs_are_read_once_for_all_groups(fresh):
+    dry_run = fresh.dry_run("eval_report", "--config", recorded_by(fresh))
+    jobs = rules_to_run(dry_run)
+    assert (jobs["recording"], jobs["measure"]) == (1, 2)
+    baselines = [words for words in commands_of(dry_run) if words[:2] == ["eval", "baseline"]]
+    assert [("--recording" in words) == ("roofer" in words) for words in baselines] == [True] * 6
+    assert "recording" not in rules_to_run(fresh.dry_run("eval_report"))
 
 
 def test_a_stage_is_a_target(fresh):

@@ -94,6 +94,29 @@ rule fit:
         " --threads {threads} --config {params.config:q} 2> {log:q}"
 
 
+# outputs of an earlier run of Roofer (eval.roofer_recorded), for all groups
+rule recording:
+    input:
+        manifest="<results>/crops/manifest.json",
+        real=real_shards,
+        recorded=RECORDED,
+    output:
+        recording="<results>/eval/recording.parquet",
+    log:
+        "<logs>/eval/recording.log",
+    benchmark:
+        "<benchmarks>/eval/recording.tsv"
+    conda:
+        "../../envs/p2wss.yaml"
+    resources:
+        mem_mb=lambda wildcards, attempt: 2000 * attempt,
+    params:
+        code=fingerprint("eval.recording"),
+    shell:
+        "p2wss eval recording --manifest {input.manifest:q} --recorded @<(printf '%s\\n' {input.recorded:q})"
+        " --out {output.recording:q} 2> {log:q}"
+
+
 rule baseline:
     input:
         manifest="<results>/crops/manifest.json",
@@ -103,7 +126,11 @@ rule baseline:
             then="<results>/eval/medians.json",
             otherwise=[],
         ),
-        recorded=branch(lambda wildcards: wildcards.baseline == "roofer", then=RECORDED, otherwise=[]),
+        recording=branch(
+            lambda wildcards: bool(RECORDED) and wildcards.baseline == "roofer",
+            then="<results>/eval/recording.parquet",
+            otherwise=[],
+        ),
     output:
         reconstructions="<results>/eval/parts/{group}/{baseline}.parquet",
         cpu="<results>/eval/parts/{group}/cpu/{baseline}.json",
@@ -120,9 +147,10 @@ rule baseline:
         code=fingerprint("eval.baselines"),
         state=baseline_state,
         medians=lambda wildcards, input: ["--medians", input.medians] if input.medians else [],
+        recording=lambda wildcards, input: ["--recording", input.recording] if input.recording else [],
     shell:
         "p2wss eval baseline --name {wildcards.baseline:q} --manifest {input.manifest:q} --shards {input.shards:q} {params.medians:q}"
-        " --out {output.reconstructions:q} --out-cpu {output.cpu:q}"
+        " {params.recording:q} --out {output.reconstructions:q} --out-cpu {output.cpu:q}"
         " --config {params.config:q} 2> {log:q}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,6 +66,19 @@ def add_parser(stages: Parsers) -> None:
     _add_shards(command)
     _add_medians(command)
     _add_reconstruction_outputs(command)
+
+    command.add_argument(
+        "--recording",
+        type=Path,
+        help="Parquet written by p2wss eval recording (default: eval.roofer_recorded of the config)",
+    )
+
+    command = add_command(parts, "recording", eval_recording, "read recorded outputs of Roofer once")
+    _add_manifest(command)
+    command.add_argument(
+        "--recorded", type=Path, nargs="+", required=True, metavar="CITYJSON", help="outputs of Roofer"
+    )
+    command.add_argument("--out", type=Path, required=True, help="Parquet to write: their solids")
 
     command = add_command(parts, "measure", eval_measure, "measure the errors of all reconstructions")
     _add_shards(command)
@@ -238,6 +252,29 @@ def _facts_of_weights(path: Path) -> dict[str, Any]:
     return {name: facts[name] for name in ("version", "code", "config", "dvae_config")}
 
 
+def eval_recording(arguments: argparse.Namespace) -> None:
+    """Write the solids of recorded outputs of Roofer, and how many of the evaluated buildings they are of."""
+    from p2wss.data.schemas.manifest import read_manifest
+    from p2wss.eval.recording import write_recording
+
+    recording = write_recording(arguments.recorded, read_manifest(arguments.manifest), arguments.out)
+    log.info("%s: %d of the evaluated buildings", arguments.out.name, recording.num_evaluated)
+
+
+@contextmanager
+def _recording(arguments: argparse.Namespace, config: Config, manifest: Any) -> Iterator[Any]:
+    """What ``--recording`` names, or else what the config names, read into a temporary file; None without either."""
+    from p2wss.eval import roofer_command
+    from p2wss.eval.recording import read_recording, write_recording
+
+    paths = roofer_command.recorded_files(config.eval) if arguments.name == "roofer" else []
+    with tempfile.TemporaryDirectory(prefix="p2wss-recording-") as folder:
+        if arguments.recording is not None:
+            yield read_recording(arguments.recording)
+        else:
+            yield write_recording(paths, manifest, Path(folder, "recording.parquet")) if paths else None
+
+
 def eval_baseline(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of a baseline."""
     from p2wss.data.schemas.manifest import read_manifest
@@ -249,10 +286,20 @@ def eval_baseline(arguments: argparse.Namespace) -> None:
     medians = cases.read_medians(arguments.medians) if arguments.medians else None
     runs = []
     facts: dict[str, Any] = {"method": arguments.name}
-    with _reconstructions(arguments, clock, facts) as write:
+    with (
+        _recording(arguments, config, manifest) as recording,
+        _reconstructions(arguments, clock, facts) as write,
+    ):
         for test_cases in cases.test_cases(manifest):
             reconstructions, run = baselines.baseline(
-                arguments.name, test_cases, manifest, config.eval, config.reconstruct, clock, medians
+                arguments.name,
+                test_cases,
+                manifest,
+                config.eval,
+                config.reconstruct,
+                clock,
+                medians,
+                recording,
             )
             runs.append(run)
             test_cases = [case for case in test_cases if case.key in reconstructions]

@@ -24,14 +24,13 @@ from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
+from p2wss.eval.recording import ID_FIELD, LOD, Recording
 from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"
-LOD = "2.2"
-ID_FIELD = "building_id"
 
 
 def run(
@@ -65,26 +64,23 @@ def run(
     return [by_key[case.key] for case in cases]
 
 
-def recorded(paths: Sequence[Path], cases: Sequence[Case]) -> dict[tuple[str, str, str], Reconstruction]:
-    """Outputs of an earlier run of Roofer, as CityJSON or CityJSONSeq, for the cases of real LiDAR, by their keys.
+def recorded(recording: Recording, cases: Sequence[Case]) -> dict[tuple[str, str, str], Reconstruction]:
+    """Outputs of an earlier run of Roofer for the cases of real LiDAR, by their keys.
 
-    A building is identified by the attribute ``building_id``, or else by its name in the file. A building that is
-    missing gets a row without a mesh; if all are missing, the files are of other buildings and the result is empty.
+    A building that is missing gets a row without a mesh; if all of the data set are missing, the files are of other
+    buildings and the result is empty.
     """
-    solids: dict[str, ReadSolid] = {}
-    for path in paths:
-        for solid in cityjson_read.read(path, LOD):
-            solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
     real = [case for case in cases if case.dataset == REAL]
-    if not any(case.building.building_id in solids for case in real):
+    if not recording.num_evaluated:
         return {}
+    solids = recording.solids([case.building.building_id for case in real])
     by_key = {}
     for case in real:
-        recording = solids.get(case.building.building_id)
-        if recording is None:
+        solid = solids.get(case.building.building_id)
+        if solid is None:
             by_key[case.key] = no_mesh(case.building, METHOD, reasons.NOT_RECORDED)
-        elif len(recording.triangle):
-            by_key[case.key] = reconstruction(case, recording)
+        elif len(solid.triangle):
+            by_key[case.key] = reconstruction(case, solid)
         else:
             by_key[case.key] = no_mesh(case.building, METHOD, reasons.NO_ROOFER_MESH)
     return by_key

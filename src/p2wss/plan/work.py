@@ -108,6 +108,7 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
         + 3 * num_lidar_tiles  # prepare_lidar, crop_real, reconstruct_tile
         + 2 * trained  # dvae, model
         + num_groups * (4 + len(config.eval.baselines))  # predict, fit with and without the network, measure
+        + (bool(config.eval.roofer_recorded) and "roofer" in config.eval.baselines)  # recording
         + 6  # index_scenes, crops, medians, merge, eval_report, all
     )
     amounts["job"] = num_jobs

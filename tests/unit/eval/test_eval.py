@@ -40,6 +40,7 @@ from p2wss.eval import (
     tables,
     texts,
 )
+from p2wss.eval.recording import write_recording
 from p2wss.nets import predictor as predictor_module
 from p2wss.nets import weights
 from p2wss.reconstruct.flat import lod1
@@ -201,7 +202,7 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
 
 
 def test_kept_outputs_of_roofer_can_be_read_as_recorded(
-    hamlet_cases: list[cases.Case], tmp_path: Path
+    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path
 ) -> None:
     program = tmp_path / "roofer"
     program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
@@ -215,8 +216,12 @@ def test_kept_outputs_of_roofer_can_be_read_as_recorded(
     without_program = Eval(roofer_command="no-such-program-as-roofer", roofer_recorded=str(folder))
     paths = roofer_command.recorded_files(without_program)
     assert len(paths) == 1  # a second run replaces the output of the first
-    recorded = roofer.recorded(paths, hamlet_cases)
     real = [case for case in hamlet_cases if case.dataset == REAL]
+    recording = write_recording(paths, read_manifest(hamlet), tmp_path / "recording.parquet")
+    assert recording.num_evaluated == len(real) and recording.names == paths[0].name
+    assert not recording.solids(["no such building"])
+    # parsed and judged once for all groups of shards: one of them without any recorded building is no other place
+    recorded = roofer.recorded(recording, hamlet_cases)
     assert real and set(recorded) == {case.key for case in real}
     for case, reconstruction in zip(hamlet_cases, runs[1], strict=True):
         if case.dataset == REAL:

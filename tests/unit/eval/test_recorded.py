@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
 from p2wss.data.schemas.manifest import Manifest
 from p2wss.errors import InputError
 from p2wss.eval import baselines, cases, measure, roofer, roofer_command, tables
+from p2wss.eval.recording import Recording, write_recording
 from p2wss.metrics.surface import sample_surface
 from p2wss.reconstruct.flat import lod1
 
@@ -40,19 +42,30 @@ def real_cases(folder: str, cloud: str, tile: str, crs: int) -> list[cases.Case]
     return cases.from_crops(table, REAL)
 
 
+def recording(folder: str, tmp_path: Path, evaluated: bool = True) -> Recording:
+    """Roofer's outputs in a folder of real data. evaluated: whether they are of the data set, which has no manifest."""
+    path = DATA / folder / "roofer_lod22.city.jsonl"
+    return replace(
+        write_recording([path], Manifest([]), tmp_path / f"{folder}.parquet"), num_evaluated=int(evaluated)
+    )
+
+
 @pytest.fixture(scope="module")
 def delft() -> list[cases.Case]:
     return real_cases("delft_ahn3", "ahn3.laz", "0084_0448", 28992)
 
 
 @pytest.fixture(scope="module")
-def rows(delft: list[cases.Case]) -> list[dict]:
-    recorded = roofer.recorded([DATA / "delft_ahn3/roofer_lod22.city.jsonl"], delft)
+def rows(delft: list[cases.Case], tmp_path_factory: pytest.TempPathFactory) -> list[dict]:
+    tmp_path = tmp_path_factory.mktemp("recording")
+    recorded = roofer.recorded(recording("delft_ahn3", tmp_path), delft)
     return list(measure.measure(delft, {"roofer": recorded}, Eval()))
 
 
 @needs_data
-def test_measures_of_roofer_on_delft_agree_with_the_judge(delft: list[cases.Case], rows: list[dict]) -> None:
+def test_measures_of_roofer_on_delft_agree_with_the_judge(
+    delft: list[cases.Case], rows: list[dict], tmp_path: Path
+) -> None:
     """The judge: CD 0.914, roof CD 0.243, points to mesh 0.118 m, 62.5 triangles, 74 of 74 meshes closed."""
     assert len(rows) == 74 and all(row["status"] == "ok" and row["watertight"] for row in rows)
     mean = {
@@ -63,7 +76,7 @@ def test_measures_of_roofer_on_delft_agree_with_the_judge(delft: list[cases.Case
     assert mean["roof_chamfer_m"] == pytest.approx(0.243, abs=0.005)
     assert mean["num_triangles"] == pytest.approx(62.486, abs=0.001)
     # the judge measures the distance to 40,000 samples of the mesh, as is done here; ours is exact, so smaller
-    recorded = roofer.recorded([DATA / "delft_ahn3/roofer_lod22.city.jsonl"], delft)
+    recorded = roofer.recorded(recording("delft_ahn3", tmp_path), delft)
     sampled = []
     for case, row in zip(delft, rows, strict=True):
         solid = recorded[case.key]
@@ -96,12 +109,19 @@ def test_measures_of_every_building_agree_with_the_judge(rows: list[dict]) -> No
 
 
 @needs_data
-def test_recorded_outputs_are_named_as_such_and_cover_only_real_buildings(delft: list[cases.Case]) -> None:
+def test_recorded_outputs_are_named_as_such_and_cover_only_real_buildings(
+    delft: list[cases.Case], tmp_path: Path
+) -> None:
     simulated = [cases.Case(SIMULATED, *list(vars(case).values())[1:]) for case in delft[:3]]
     file = DATA / "delft_ahn3/roofer_lod22.city.jsonl"
     config = Eval(roofer_command=ABSENT, roofer_recorded=str(file))
     reconstructions, facts = baselines.baseline(
-        "roofer", [*simulated, *delft], Manifest([]), config, Reconstruct()
+        "roofer",
+        [*simulated, *delft],
+        Manifest([]),
+        config,
+        Reconstruct(),
+        recording=recording("delft_ahn3", tmp_path),
     )
     assert set(reconstructions) == {case.key for case in delft}
     assert facts["status"] == "recorded" and file.name in facts["roofer"]
@@ -113,16 +133,21 @@ def test_recorded_outputs_are_named_as_such_and_cover_only_real_buildings(delft:
 
 
 @needs_data
-def test_recorded_outputs_of_another_place_do_not_count_as_failures(delft: list[cases.Case]) -> None:
-    config = Eval(roofer_command=ABSENT, roofer_recorded=str(DATA / "bresse_ign/roofer_lod22.city.jsonl"))
-    reconstructions, facts = baselines.baseline("roofer", delft, Manifest([]), config, Reconstruct())
+def test_recorded_outputs_of_another_place_do_not_count_as_failures(
+    delft: list[cases.Case], tmp_path: Path
+) -> None:
+    elsewhere = recording("bresse_ign", tmp_path, evaluated=False)
+    config = Eval(roofer_command=ABSENT)
+    reconstructions, facts = baselines.baseline(
+        "roofer", delft, Manifest([]), config, Reconstruct(), recording=elsewhere
+    )
     assert reconstructions == {} and facts["status"].startswith("not run, and none of the buildings")
 
 
 @needs_data
-def test_a_building_that_roofer_skips_counts_as_without_a_mesh() -> None:
+def test_a_building_that_roofer_skips_counts_as_without_a_mesh(tmp_path: Path) -> None:
     bresse = real_cases("bresse_ign", "lidar.laz", "0870_6618", 2154)
-    recorded = roofer.recorded([DATA / "bresse_ign/roofer_lod22.city.jsonl"], bresse)
+    recorded = roofer.recorded(recording("bresse_ign", tmp_path), bresse)
     assert len(recorded) == len(bresse) == 6
     assert sum(row.has_mesh for row in recorded.values()) == 5
     (skipped,) = [row for row in recorded.values() if not row.has_mesh]
