@@ -134,6 +134,8 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     if config.reconstruct.registration:
         around = reconstruct.register(around, cloud)
     frame = around if arguments.tile is None else reconstruct.of_tile(around, *tile)
+    if config.reconstruct.registration:
+        log.info("%s", reconstruct.registration_summary(frame))
     for note in exports.notes(config.reconstruct, frame, terrain is not None):
         log.info("note: %s", note)
     method = "fit to the points without a network" if weights is None else f"model {weights}"

@@ -38,6 +38,17 @@ ROOFER_TIMEOUT = "roofer-timeout"
 NO_ROOFER_MESH = "no-roofer-mesh"
 NOT_RECORDED = "not-recorded"
 
+# footprints that the cloud contradicts
+NO_BUILDING = "no-building"
+PARTLY_DEMOLISHED = "partly-demolished"
+EXTENDED = "extended"
+
+FLAGS: dict[str, str] = {
+    NO_BUILDING: "inside the footprint is ground",
+    PARTLY_DEMOLISHED: "inside the footprint is a compact area of ground: a demolished part, or a courtyard",
+    EXTENDED: "beside the footprint is a compact area of roof outside all footprints: an extension, or a neighbour",
+}
+
 MEANINGS: dict[str, str] = {
     OK: "nothing is missing",
     EMPTY: "the footprint has no area: no ring, or fewer than three vertices",

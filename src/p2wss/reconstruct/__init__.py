@@ -15,6 +15,7 @@ from p2wss.reconstruct.pipeline import (
 )
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration, register
+from p2wss.reconstruct.registration import summary as registration_summary
 
 __all__ = [
     "TO_3DBAG",
@@ -33,6 +34,7 @@ __all__ = [
     "output_stem",
     "reconstruct_buildings",
     "register",
+    "registration_summary",
     "run",
     "shipped_model",
     "solid",

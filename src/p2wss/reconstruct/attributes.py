@@ -99,15 +99,21 @@ def _attributes(result: Result) -> dict[str, Any]:
 
 
 def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
+    movement = ("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source")
+    names = (*movement, "footprint_flags", "ground_inside_m2", "roof_outside_m2")
     if registration is None:
-        return dict.fromkeys(("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source"))
-    return {
-        "shift_x_m": _rounded(registration.shift_m[0]),
-        "shift_y_m": _rounded(registration.shift_m[1]),
-        "shift_sd_m": _rounded(registration.shift_sd_m),
-        "rotation_deg": _rounded(registration.rotation_deg),
-        "shift_source": registration.source,
-    }
+        return dict.fromkeys(names)
+    values = (
+        _rounded(registration.shift_m[0]),
+        _rounded(registration.shift_m[1]),
+        _rounded(registration.shift_sd_m),
+        _rounded(registration.rotation_deg),
+        registration.source,
+        " ".join(registration.flags) or None,
+        registration.ground_inside_m2,
+        registration.roof_outside_m2,
+    )
+    return dict(zip(names, values, strict=True))
 
 
 _MESH_ATTRIBUTES = (

@@ -13,10 +13,10 @@ from p2wss.data import polygon_arrays
 from p2wss.skeleton.types import Polygons
 
 # footprints closer than this share a wall, if they are so over at least the length
-WALL_GAP_M = 0.05
-_WALL_LENGTH_M = 1.0
+WALL_GAP_M = 0.01
+_WALL_LENGTH_M = 0.5
 # footprints that overlap deeper than this are no neighbours but two that lie wrong
-_MAX_OVERLAP_M = 0.05
+_MAX_OVERLAP_M = 0.01
 # corners of outlines that change nothing
 _SIMPLIFY_M = 0.1
 # an edge becomes as many pieces of equal length as are at least so long
@@ -68,8 +68,8 @@ def find_blocks(footprints: np.ndarray) -> Blocks:
 def connected(shapes: np.ndarray) -> np.ndarray:
     """The block of each polygon, int64, numbered in the order of their first polygons.
 
-    Two polygons are of one block where they share a wall: where they are nearer than ``WALL_GAP_M`` over at least a
-    metre and overlap by less than 5 cm. Polygons that meet in a corner are not.
+    Two polygons are of one block where they share a wall: where they are nearer than ``WALL_GAP_M`` over at least half
+    a metre and overlap by less than 1 cm. Polygons that meet in a corner are not.
     """
     wide = shapely.buffer(shapes, WALL_GAP_M / 2, join_style="mitre", mitre_limit=2.0)
     first, second = shapely.STRtree(wide).query(wide, predicate="intersects")

@@ -8,6 +8,7 @@ metres) away.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -21,6 +22,7 @@ from p2wss.data.clouds import Cloud
 from p2wss.data.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.reconstruct.footprint_blocks import Blocks, connected, find_blocks
+from p2wss.reconstruct.footprint_flags import contradictions
 from p2wss.reconstruct.shifts import (
     MAX_SHIFT_M,
     WINDOW_M,
@@ -77,7 +79,8 @@ class Registration:
 
     input_polygon: the footprint before. shift_m, rotation_deg: its movement; the rotation is counter-clockwise around
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
-    source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`.
+    source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. flags, ground_inside_m2, roof_outside_m2: what the
+    cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`).
     """
 
     input_polygon: shapely.Polygon
@@ -85,6 +88,9 @@ class Registration:
     shift_sd_m: float | None
     rotation_deg: float
     source: str
+    flags: tuple[str, ...] = ()
+    ground_inside_m2: float = 0.0
+    roof_outside_m2: float = 0.0
 
 
 # the column with a Registration per row
@@ -105,20 +111,44 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
     moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
     geometries = polygon_arrays.to_geometries(moved_polygons)
     result = frame.set_geometry(gpd.GeoSeries(geometries, index=frame.index, crs=frame.crs))
-    rows = [
-        Registration(shape, (0.0, 0.0), None, 0.0, NOTHING)
-        if block < 0
-        else Registration(
-            shape,
-            (float(shifts.shift_m[block, 0]), float(shifts.shift_m[block, 1])),
-            float(shifts.sd_m[block]) if np.isfinite(shifts.sd_m[block]) else None,
-            float(np.rad2deg(shifts.rotation_rad[block])),
-            str(shifts.source[block]),
+    evidence = contradictions(moved_polygons, cloud)
+    rows = []
+    for k, block in enumerate(blocks.of_footprint.tolist()):
+        shift_m, sd_m = shifts.shift_m[block], shifts.sd_m[block]
+        rows.append(
+            Registration(
+                shapes[k],
+                (float(shift_m[0]), float(shift_m[1])),
+                float(sd_m) if np.isfinite(sd_m) else None,
+                float(np.rad2deg(shifts.rotation_rad[block])),
+                str(shifts.source[block]),
+                evidence.flags[k],
+                float(evidence.ground_inside_m2[k]),
+                float(evidence.roof_outside_m2[k]),
+            )
+            if block >= 0
+            else Registration(shapes[k], (0.0, 0.0), None, 0.0, NOTHING)
         )
-        for shape, block in zip(shapes, blocks.of_footprint, strict=True)
-    ]
     result[COLUMN] = np.array([*rows, None], dtype=object)[:-1]
     return result
+
+
+def summary(frame: gpd.GeoDataFrame) -> str:
+    """One line: how many footprints were moved, and which the cloud contradicts.
+
+    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 stay with evidence, 0 without; extended: 6``
+    """
+    rows: list[Registration] = list(frame[COLUMN])
+    length_m = [
+        float(np.hypot(*row.shift_m)) for row in rows if row.shift_m != (0.0, 0.0) or row.rotation_deg
+    ]
+    num_without = sum(row.source == NOTHING for row in rows)
+    text = f"registration: {len(length_m)} of {len(rows)} footprints moved"
+    if length_m:
+        text += f", {min(length_m):.2f} to {max(length_m):.2f} m"
+    text += f"; {len(rows) - len(length_m) - num_without} stay with evidence, {num_without} without"
+    flags = Counter(flag for row in rows for flag in row.flags)
+    return text + "".join(f"; {name}: {count}" for name, count in sorted(flags.items()))
 
 
 def context(frame: gpd.GeoDataFrame, is_chosen: np.ndarray) -> np.ndarray:

@@ -264,3 +264,37 @@ def test_the_outputs_say_what_was_moved() -> None:
     plain = reconstruct.run(frame, cloud, None, "tile", Reconstruct())
     assert reconstruct.input_footprints(plain, LAMBERT) is None
     assert reconstruct.table(plain, LAMBERT)["shift_x_m"].isna().all()
+
+
+def flags_of(shapes: list[shapely.Polygon], roof: shapely.Geometry) -> list[registration.Registration]:
+    return list(register(frame_of(shapes), cloud_of(roof))[COLUMN])
+
+
+def test_footprints_that_the_cloud_contradicts_are_flagged_with_the_area() -> None:
+    gone = shapely.box(22, -10, 28, -2)
+    rows = flags_of([*BLOCK, gone], roofs())
+    assert [row.flags for row in rows] == [(), (), (), ("no-building",)]
+    # the part of the second house beyond y = 4 is ground
+    rows = flags_of([*BLOCK, gone], shapely.union_all([*BLOCK, gone]) - shapely.box(8, 4, 14, 9))
+    assert [row.flags for row in rows] == [(), ("partly-demolished",), (), ()]
+    assert rows[1].ground_inside_m2 == pytest.approx(30, abs=10)
+    assert rows[1].shift_m == (0.0, 0.0)
+    # the annex reaches 5 m further
+    rows = flags_of([*BLOCK, gone], shapely.union_all([*BLOCK, gone, shapely.box(18, 0, 23, 5)]))
+    assert [row.flags for row in rows] == [(), (), ("extended",), ()]
+    assert rows[2].roof_outside_m2 == pytest.approx(25, abs=8)
+
+
+@pytest.mark.parametrize(("roof", "shift"), [(0.9, (0.0, 0.0)), (0.0, (0.2, 0.1)), (-0.5, (0.0, 0.0))])
+def test_eaves_and_small_errors_are_no_contradiction(roof: float, shift: tuple[float, float]) -> None:
+    result = register(frame_of(BLOCK, shift), cloud_of(roofs(roof)))
+    assert [row.flags for row in result[COLUMN]] == [()] * 3
+
+
+def test_the_log_counts_what_was_moved_and_flagged() -> None:
+    gone = shapely.box(22, -10, 28, -2)
+    far = affinity.translate(shapely.box(0, 0, 5, 5), 500, 0)
+    frame = frame_of([*[affinity.translate(shape, 1.0, 0.0) for shape in BLOCK], gone, far])
+    line = reconstruct.registration_summary(register(frame, cloud_of(roofs())))
+    assert line.startswith("registration: 3 of 5 footprints moved, ")
+    assert line.endswith(" m; 0 stay with evidence, 2 without; no-building: 1")

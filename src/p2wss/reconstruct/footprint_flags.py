@@ -1,0 +1,126 @@
+"""Footprints that the cloud contradicts: without a building, partly demolished, or with roofs beyond them.
+
+The evidence is counted in cells of 1 m. A cell is ground if it has ground points and none of class building, and roof
+if it has at least as many points of class building as of ground. Only compact areas count: those that squares of three
+by three cells cover, which footprints some decimetres beside their walls do not have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from p2wss.data import polygon_arrays, reasons
+from p2wss.data.clouds import Cloud
+from p2wss.data.cropping import crop_points
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.skeleton.types import Polygons
+
+# how far beyond a footprint roofs are counted, and how near the nearest must be
+_BEYOND_M, _CONTACT_M = 6.0, 1.5
+# least cells with evidence of a square of nine
+_MIN_CELLS = 5
+_MIN_AREA_M2 = 10.0
+# share of ground among the cells with points from which there is no building, and the largest share of roofs then
+_MIN_GROUND_SHARE, _MAX_ROOF_SHARE = 0.7, 0.1
+_NEIGHBOURS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the cloud says against n footprints.
+
+    ground_inside_m2: compact ground area inside each, (n,). roof_outside_m2: compact roof area outside all footprints
+    and nearest to each, up to 6 m away, (n,). flags: per footprint the names of the flags that follow
+    (:data:`p2wss.data.reasons.FLAGS`).
+    """
+
+    ground_inside_m2: np.ndarray
+    roof_outside_m2: np.ndarray
+    flags: list[tuple[str, ...]]
+
+
+def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
+    """The evidence against footprints."""
+    count = len(polygons)
+    point, _, _ = crop_points(cloud.x_m, cloud.y_m, polygons, _BEYOND_M + 2)
+    used = np.zeros(len(cloud), bool)
+    used[point] = True
+    cells = _Cells(cloud.x_m[used], cloud.y_m[used], cloud.classification[used])
+    cell, inside, offset = crop_points(cells.x_m, cells.y_m, polygons, _BEYOND_M)
+    footprint = np.repeat(np.arange(count), np.diff(offset))
+    of_cell = np.full(len(cells.x_m), -1)
+    of_cell[cell[inside][::-1]] = footprint[inside][::-1]
+    in_any = of_cell >= 0
+
+    num_ground, num_roof = cells.around(cells.is_ground), cells.around(cells.is_roof)
+    demolished = cells.spread((cells.around(in_any) == 9) & (num_roof == 0) & (num_ground >= _MIN_CELLS))
+    ground_inside_m2 = np.bincount(of_cell[demolished & in_any], minlength=count).astype(float)
+    beyond = cells.spread((cells.around(in_any) == 0) & (num_ground == 0) & (num_roof >= _MIN_CELLS))
+    roof_outside_m2 = _of_nearest(polygons, cells, footprint, cell, beyond)
+
+    has_points = np.bincount(of_cell[in_any], minlength=count)
+    ground_share = np.bincount(of_cell[in_any & cells.is_ground], minlength=count) / np.maximum(has_points, 1)
+    roof_share = np.bincount(of_cell[in_any & cells.is_roof], minlength=count) / np.maximum(has_points, 1)
+    is_empty = (
+        (has_points >= _MIN_CELLS) & (ground_share >= _MIN_GROUND_SHARE) & (roof_share <= _MAX_ROOF_SHARE)
+    )
+    rules = (
+        (reasons.NO_BUILDING, is_empty),
+        (reasons.PARTLY_DEMOLISHED, ~is_empty & (ground_inside_m2 >= _MIN_AREA_M2)),
+        (reasons.EXTENDED, ~is_empty & (roof_outside_m2 >= _MIN_AREA_M2)),
+    )
+    flags = [tuple(name for name, rows in rules if rows[k]) for k in range(count)]
+    return Evidence(ground_inside_m2, roof_outside_m2, flags)
+
+
+def _of_nearest(
+    polygons: Polygons, cells: _Cells, footprint: np.ndarray, cell: np.ndarray, beyond: np.ndarray
+) -> np.ndarray:
+    """Area of the cells ``beyond`` nearest to each footprint, 0 where none of them touches it."""
+    pairs = np.flatnonzero(beyond[cell])
+    footprint, cell = footprint[pairs], cell[pairs]
+    shapes = polygon_arrays.to_geometries(polygons)[footprint]
+    distance_m = shapely.distance(shapes, shapely.points(cells.x_m[cell], cells.y_m[cell]))
+    order = np.lexsort([footprint, distance_m, cell])
+    nearest = order[np.unique(cell[order], return_index=True)[1]]
+    area = np.bincount(footprint[nearest], minlength=len(polygons)).astype(float)
+    closest_m = np.full(len(polygons), np.inf)
+    np.minimum.at(closest_m, footprint[nearest], distance_m[nearest])
+    return np.where(closest_m <= _CONTACT_M, area, 0.0)
+
+
+class _Cells:
+    """The cells of 1 m that have points, at whole metres. x_m, y_m: their centres. is_ground, is_roof: masks."""
+
+    def __init__(self, x_m: np.ndarray, y_m: np.ndarray, classification: np.ndarray) -> None:
+        column, row = np.floor(x_m).astype(np.int64), np.floor(y_m).astype(np.int64)
+        first, last = (int(column.min()), int(column.max())) if len(column) else (0, 0)
+        # a column more on either side, so that no cell has a neighbour in another row
+        self._left, self._width = first - 1, last - first + 3
+        key = row * self._width + column - self._left
+        self._key, of_point = np.unique(key, return_inverse=True)
+        count = len(self._key)
+        num_ground = np.bincount(of_point[classification == GROUND_CLASS], minlength=count)
+        num_roof = np.bincount(of_point[classification == BUILDING_CLASS], minlength=count)
+        self.is_roof = (num_roof > 0) & (num_roof >= num_ground)
+        self.is_ground = (num_ground > 0) & (num_roof == 0)
+        self.x_m = self._key % self._width + self._left + 0.5
+        self.y_m = self._key // self._width + 0.5
+        steps = [row * self._width + column for row, column in _NEIGHBOURS]
+        self._neighbour = np.full((9, count), count)
+        for k, step in enumerate(steps):
+            place = np.minimum(np.searchsorted(self._key, self._key + step), max(count - 1, 0))
+            if count:
+                exists = self._key[place] == self._key + step
+                self._neighbour[k, exists] = place[exists]
+
+    def around(self, mask: np.ndarray) -> np.ndarray:
+        """How many of the nine cells around each are in the mask."""
+        return np.append(mask, False)[self._neighbour].sum(axis=0)
+
+    def spread(self, mask: np.ndarray) -> np.ndarray:
+        """The cells around which one of nine is in the mask."""
+        return self.around(mask) > 0
