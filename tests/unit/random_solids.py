@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -67,17 +68,30 @@ def _reconstruction(
     )
 
 
-def with_parts(name: str, rings: Rings, seed: int, num_boxes: int) -> Reconstruction | None:
+def with_parts(
+    name: str, rings: Rings, seed: int, num_boxes: int, is_hard: bool = False
+) -> Reconstruction | None:
     """A building of up to four parts, whose walls stand on random cuts along the axes of the outline, and boxes on its
-    roof; None where they have no closed union."""
+    roof; None where they have no closed union.
+
+    is_hard: eaves and boxes are nearly but not quite level, cuts nearly reach corners, and boxes end on walls, cuts and
+    corners or millimetres beside them.
+    """
     rng = np.random.default_rng([seed, *name.encode()])
     rotation = main_frame(rings)
     pieces = [[ring @ rotation for ring in rings]]
     for _ in range(int(rng.integers(1, 4))):
         k = int(rng.integers(len(pieces)))
-        pieces[k : k + 1] = _cut(pieces[k], rng)
+        pieces[k : k + 1] = _cut(pieces[k], rng, is_hard)
     parts = [_roof(piece, rng) for piece in pieces]
-    boxes = [box for box in (_box(pieces, rng) for _ in range(num_boxes)) if box is not None]
+    boxes = [box for box in (_box(pieces, rng, is_hard) for _ in range(num_boxes)) if box is not None]
+    if is_hard:
+        eave_z_m = parts[0].eave_z_m
+        parts = [replace(part, eave_z_m=eave_z_m + _nearly(rng)) for part in parts]
+        boxes = [
+            replace(box, eave_z_m=box.eave_z_m if rng.random() < 0.5 else eave_z_m + _nearly(rng))
+            for box in boxes
+        ]
     mesh = union([*parts, *boxes], 0.0, MIN_EAVE_M, MAX_ROOF_M) if boxes else None
     if mesh is None or not is_sound(mesh):
         mesh = union(parts, 0.0, MIN_EAVE_M, MAX_ROOF_M)
@@ -90,11 +104,18 @@ def with_parts(name: str, rings: Rings, seed: int, num_boxes: int) -> Reconstruc
     )
 
 
-def _cut(rings: Rings, rng: np.random.Generator) -> list[Rings]:
+def _nearly(rng: np.random.Generator) -> float:
+    """Zero, or a difference of millimetres to centimetres."""
+    return float(rng.choice([0.0, 0.0, 5e-4, 2e-3, 8e-3, 0.03, 0.3, 2.0]) * rng.choice([-1, 1]))
+
+
+def _cut(rings: Rings, rng: np.random.Generator, is_hard: bool) -> list[Rings]:
     xy_m, offset = np.concatenate(rings), np.cumsum([0, *map(len, rings)])
     axis = int(rng.integers(2))
     low, high = xy_m[:, axis].min(), xy_m[:, axis].max()
     position = float(low + rng.uniform(0.2, 0.8) * (high - low))
+    if is_hard and rng.random() < 0.5:
+        position = float(rng.choice(xy_m[:, axis])) + _nearly(rng)
     sides = []
     for is_high in (False, True):
         vertex_m, ring_offset = side_of_cut(xy_m, offset, axis, position, is_high)
@@ -115,12 +136,16 @@ def _roof(rings: Rings, rng: np.random.Generator) -> FittedRoof:
     return FittedRoof(rings, angle_deg, float(rng.uniform(2.5, 9)), np.inf, 0.0, 10)
 
 
-def _box(pieces: list[Rings], rng: np.random.Generator) -> FittedRoof | None:
+def _box(pieces: list[Rings], rng: np.random.Generator, is_hard: bool) -> FittedRoof | None:
     """A flat box on the roof, some of them up to the walls."""
     rings = pieces[int(rng.integers(len(pieces)))]
     polygon = shapely.Polygon(rings[0], rings[1:])
     x0, y0, x1, y1 = polygon.bounds
     x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
+    if is_hard:
+        x, y = rng.choice(np.concatenate([piece for rings in pieces for piece in rings])) + np.array(
+            [_nearly(rng), _nearly(rng)]
+        )
     shape = shapely.box(x, y, x + rng.uniform(0.8, 4), y + rng.uniform(0.8, 4)).intersection(polygon)
     if not isinstance(shape, shapely.Polygon) or shape.interiors or shape.area < 0.5:
         return None

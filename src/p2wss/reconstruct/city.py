@@ -93,7 +93,7 @@ def solid(
     if not reconstruction.has_mesh:
         return Solid(reconstruction.building_id, np.zeros((0, 3)), [], values)
     mesh = labelled_mesh(reconstruction)
-    surfaces = surfaces_to_write(mesh)[0] if "2.0" in lods else []
+    surfaces = surfaces_to_write(mesh, is_checked=True)[0] if "2.0" in lods else []
     block = _block(result, mesh) if "1.2" in lods else None
     if block is None:
         return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values)
@@ -103,7 +103,7 @@ def solid(
         surfaces,
         values,
         block.vertex_m,
-        surfaces_to_write(block)[0],
+        surfaces_to_write(block, is_checked=True)[0],
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from p2wss.data.solids.faces import Surface, planar_surfaces
 from p2wss.data.solids.polygon_kernels import closest_vertices
-from p2wss.data.solids.rules import WRITING, Breach, breaches
+from p2wss.data.solids.rules import WRITING, Breach, breaches, face_breaches
 from p2wss.metrics.planarity import face_of_triangle
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
@@ -50,13 +50,14 @@ def _without_repeats(ring: np.ndarray) -> np.ndarray:
     return ring[ring != np.roll(ring, 1)]
 
 
-def surfaces_to_write(mesh: LabelledMesh) -> tuple[list[Surface], list[Breach]]:
+def surfaces_to_write(mesh: LabelledMesh, is_checked: bool = False) -> tuple[list[Surface], list[Breach]]:
     """(the planar polygons of a mesh, the rules that they still break once they are stored).
 
-    mesh: in the CRS. A face that is not planar, or whose rings break a rule, is divided into its triangles.
+    mesh: in the CRS. A face that is not planar, or whose rings break a rule, is divided into its triangles. is_checked:
+    the mesh is known to be valid, so that rules of the shell are not tested again.
     """
     surfaces = planar_surfaces(*mesh)
-    found = _stored_breaches(mesh.vertex_m, surfaces)
+    found = _stored_breaches(mesh.vertex_m, surfaces, is_checked)
     broken = {surface for breach, surface in found if surface >= 0 and breach.code > 102}
     if not broken:
         return surfaces, [breach for breach, _ in found]
@@ -66,12 +67,14 @@ def surfaces_to_write(mesh: LabelledMesh) -> tuple[list[Surface], list[Breach]]:
     return divided, [breach for breach, _ in _stored_breaches(mesh.vertex_m, divided)]
 
 
-def _stored_breaches(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> list[tuple[Breach, int]]:
+def _stored_breaches(
+    vertex_m: np.ndarray, surfaces: Sequence[Surface], of_faces: bool = False
+) -> list[tuple[Breach, int]]:
     """The rules that surfaces break once they are stored, each with the number of the face or -1."""
     grid, of_grid = stored(vertex_m, surfaces)
     return [
         (breach, of_grid[breach.face].face if breach.face >= 0 else -1)
-        for breach in breaches(grid * SCALE_M, of_grid, WRITING)
+        for breach in (face_breaches if of_faces else breaches)(grid * SCALE_M, of_grid, WRITING)
     ]
 
 

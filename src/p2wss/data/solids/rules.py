@@ -61,6 +61,13 @@ class Breach:
     face: int = -1
 
 
+def face_breaches(
+    vertex_m: np.ndarray, surfaces: Sequence[Surface], tolerances: Tolerances = VAL3DITY
+) -> list[Breach]:
+    """The rules that the faces of a shell break, each by itself; arguments as those of :func:`breaches`."""
+    return _Faces.of(vertex_m, surfaces, tolerances.snap_m).breaches(tolerances)
+
+
 def breaches(
     vertex_m: np.ndarray,
     surfaces: Sequence[Surface],
