@@ -143,9 +143,8 @@ def _box(pieces: list[Rings], rng: np.random.Generator, is_hard: bool) -> Fitted
     x0, y0, x1, y1 = polygon.bounds
     x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
     if is_hard:
-        x, y = rng.choice(np.concatenate([piece for rings in pieces for piece in rings])) + np.array(
-            [_nearly(rng), _nearly(rng)]
-        )
+        corner = rng.choice(np.concatenate([ring for piece in pieces for ring in piece]))
+        x, y = corner + np.array([_nearly(rng), _nearly(rng)])
     shape = shapely.box(x, y, x + rng.uniform(0.8, 4), y + rng.uniform(0.8, 4)).intersection(polygon)
     if not isinstance(shape, shapely.Polygon) or shape.interiors or shape.area < 0.5:
         return None

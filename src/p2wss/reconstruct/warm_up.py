@@ -50,10 +50,13 @@ def warm_product() -> None:
     import pyproj
 
     from p2wss.config import Reconstruct
+    from p2wss.data.solids.polygon_kernels import closest_vertices
     from p2wss.data.terrain import Terrain
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 
+    # only a solid that breaks a rule needs this one
+    closest_vertices(np.zeros((1, 3)), 0.0)
     frame, cloud = sample()
     config = Reconstruct(dormers=True)
     results = run(frame, cloud, None, "sample", config)
