@@ -21,6 +21,7 @@ from pathlib import Path
 import manifold3d
 import numpy as np
 import shapely
+import skins
 from figures import Figures, cpu_seconds
 
 from p2wss import reconstruct
@@ -154,7 +155,17 @@ def measure_cleaning(scene: Scene, figures: Figures) -> None:
     figures.row("largest footprint of Olemps", {"vertices": len(shape.exterior.coords), "ms": 1e3 * seconds})
 
 
-MEASURES: tuple[Callable[[Scene, Figures], None], ...] = (measure_walls, measure_overlap, measure_cleaning)
+def measure_skin(scene: Scene, figures: Figures) -> None:
+    """The skins of blocks of touching buildings."""
+    skins.measure_skins(scene.reconstructions, figures)
+
+
+MEASURES: tuple[Callable[[Scene, Figures], None], ...] = (
+    measure_walls,
+    measure_overlap,
+    measure_cleaning,
+    measure_skin,
+)
 
 
 def main() -> int:
