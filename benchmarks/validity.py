@@ -34,6 +34,7 @@ from p2wss.data.footprints import clean_footprints, read_footprints  # noqa: E40
 from p2wss.data.solids.repair import surfaces_to_write  # noqa: E402
 from p2wss.reconstruct.valid import labelled_mesh  # noqa: E402
 
+COLUMNS = ("solids", "broken before", "mended", "simpler", "no mesh", "invalid", "without solid")
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo" / "BATIMENT.shp"
 
 
@@ -83,36 +84,40 @@ def main() -> int:
     rings = outlines(arguments.footprints)
     print(f"{len(rings)} outlines of {arguments.footprints.name}", flush=True)
     counts: dict[str, Counter[str]] = {}
-    invalid, seconds, num_checked = [], 0.0, 0
+    rules: Counter[int] = Counter()
+    invalid, seconds = [], 0.0
     for number, (kind, building) in enumerate(solids(rings, arguments.num), 1):
-        count = counts.setdefault(kind, Counter())
+        count = counts.setdefault(kind, Counter(dict.fromkeys(COLUMNS, 0)))
         if building is None:
-            count["no solid"] += 1
+            count["without solid"] += 1
             continue
         start = time.process_time()
         found = surfaces_to_write(labelled_mesh(building))[1]
-        seconds, num_checked = seconds + time.process_time() - start, num_checked + 1
-        for breach in found[:1]:
-            count[f"before: {breach.code}"] += 1
+        seconds += time.process_time() - start
+        rules.update({breach.code for breach in found})
         ((before, after, codes),) = random_solids.validated([building])
         count["solids"] += 1
+        count["broken before"] += bool(found)
         if not after.has_mesh:
             count["no mesh"] += 1
         elif after is not before:
-            count[
-                "mended" if len(after.triangle) != 0 and after.num_parts == before.num_parts else "flat"
-            ] += 1
+            count["simpler" if after.angle_deg is not before.angle_deg else "mended"] += 1
         if codes:
+            count["invalid"] += 1
             invalid.append(f"{building.building_id}: {codes}")
             print("invalid:", invalid[-1], flush=True)
         if number % 1000 == 0:
-            print(number, {k: dict(v) for k, v in counts.items()}, flush=True)
+            print(number, {name: dict(values) for name, values in counts.items()}, flush=True)
+    print("rules broken before:", dict(sorted(rules.items())))
+    print(f"{'':12}" + "".join(f"{name:>15}" for name in COLUMNS))
+    total = sum(counts.values(), Counter())
+    counts["all"] = Counter({name: total[name] for name in COLUMNS})
     for kind, count in counts.items():
-        print(f"{kind:12}", ", ".join(f"{name} {value}" for name, value in count.most_common()))
+        print(f"{kind:12}" + "".join(f"{count[name]:>15}" for name in COLUMNS))
     figures = Figures()
     figures.at_most("invalid", len(invalid), 0)
-    figures.at_least("solids", sum(count["solids"] for count in counts.values()), 0.99 * arguments.num)
-    figures.at_most("ms_per_building", 1e3 * seconds / num_checked, 2.0)
+    figures.at_least("solids", total["solids"], 0.99 * arguments.num)
+    figures.at_most("ms_per_building", 1e3 * seconds / total["solids"], 2.0)
     for kind, count in counts.items():
         figures.row(kind, count)
     return figures.end()
