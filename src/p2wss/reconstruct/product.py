@@ -41,7 +41,12 @@ def reconstruct_buildings(
         reconstructions = with_valid_solids(fits, buildings, simpler)
     else:
         reconstructions = with_valid_solids(initial, buildings)
-    return with_valid_solids(with_fallback(reconstructions, buildings, config), buildings)
+    missing = [i for i, reconstruction in enumerate(reconstructions) if not reconstruction.has_mesh]
+    of_missing = [buildings[i] for i in missing]
+    flat = with_fallback([reconstructions[i] for i in missing], of_missing, config)
+    for i, valid in zip(missing, with_valid_solids(flat, of_missing), strict=True):
+        reconstructions[i] = valid
+    return reconstructions
 
 
 def method_name(predictor: Predictor | None, config: Reconstruct) -> str:
