@@ -20,7 +20,7 @@ _MAX_OVERLAP_M = 0.01
 # corners of outlines that change nothing
 _SIMPLIFY_M = 0.1
 # an edge becomes as many pieces of equal length as are at least so long
-_PIECE_M = 12.0
+_PIECE_M = 20.0
 
 
 @dataclass(frozen=True)

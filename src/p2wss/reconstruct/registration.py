@@ -79,7 +79,8 @@ class Registration:
 
     input_polygon: the footprint before. shift_m, rotation_deg: its movement; the rotation is counter-clockwise around
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
-    source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. flags, ground_inside_m2, roof_outside_m2: what the
+    source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. overhang_m: how far the roofs of the block reach
+    beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2: what the
     cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`).
     """
 
@@ -88,6 +89,7 @@ class Registration:
     shift_sd_m: float | None
     rotation_deg: float
     source: str
+    overhang_m: float | None = None
     flags: tuple[str, ...] = ()
     ground_inside_m2: float = 0.0
     roof_outside_m2: float = 0.0
@@ -122,6 +124,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
                 float(sd_m) if np.isfinite(sd_m) else None,
                 float(np.rad2deg(shifts.rotation_rad[block])),
                 str(shifts.source[block]),
+                float(shifts.overhang_m[block]) if np.isfinite(shifts.overhang_m[block]) else None,
                 evidence.flags[k],
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),

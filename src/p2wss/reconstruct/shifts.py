@@ -228,7 +228,7 @@ def solve_shift(
         normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
         value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ towards)
         residual = target - design @ value
-        robust = 1 / (1 + (residual / 0.25) ** 2) ** 2
+        robust = 1 / (1 + (residual / 0.25) ** 2)
     scale = max(1.0, float((weight * robust * residual**2).sum() / max((robust).sum() - 2, 1.0)))
     from_edges = normal_matrix - np.diag([1.0 - 1e-6, 1.0 - 1e-6, 0.0, 0.0])
     covariance = np.linalg.inv(from_edges / scale)

@@ -256,6 +256,10 @@ def test_the_outputs_say_what_was_moved() -> None:
     assert table["shift_x_m"].to_numpy() == pytest.approx(-1.2, abs=0.1)
     assert table["shift_y_m"].to_numpy() == pytest.approx(0.7, abs=0.1)
     assert (table["shift_source"] == "edges").all() and (table["shift_sd_m"] < 0.2).all()
+    assert (
+        table["overhang_m"].to_numpy() == pytest.approx(0.0, abs=0.1)
+        and table["footprint_flags"].isna().all()
+    )
     before = reconstruct.input_footprints(results, LAMBERT)
     assert before is not None
     assert before.geometry.geom_equals_exact(frame.geometry, 0.002).all()
