@@ -62,6 +62,8 @@ def read(data: Path, model: Path | None) -> Scene:
         from p2wss.nets.predictor import load_predictor
 
         predictor = load_predictor(weights)
+    if config.reconstruct.registration:
+        frame = reconstruct.register(frame, cloud)
     results = reconstruct.run(frame, cloud, predictor, "delft", config.reconstruct)
     rows = [result.reconstruction for result in results]
     source = footprints.split_parts(features, config.scenes.min_area_m2).geometry.to_numpy()
@@ -127,6 +129,11 @@ def measure_overlap(scene: Scene, figures: Figures) -> None:
     figures.at_most("overlap in m3", float(np.sum(volume)), 0.05)
     off = [off_walls_m(row) for row in scene.reconstructions]
     figures.at_most("distance of walls from their footprint in mm", 1e3 * max(off), 0.1)
+    figures.at_most(
+        "corners that are not those of the footprint to the bit",
+        sum(map(other_corners, scene.reconstructions)),
+        0,
+    )
 
 
 def off_walls_m(row: Reconstruction) -> float:
@@ -135,6 +142,12 @@ def off_walls_m(row: Reconstruction) -> float:
     corner = row.vertex_m[:, :2][row.triangle[row.kind == FaceKind.GROUND]]
     ground = shapely.boundary(shapely.union_all(shapely.polygons(corner)))
     return float(shapely.hausdorff_distance(footprint, ground, densify=0.1))
+
+
+def other_corners(row: Reconstruction) -> int:
+    """The number of corners of the footprint at which the mesh has no vertex."""
+    present = set(map(tuple, row.vertex_m[:, :2].tolist()))
+    return sum(tuple(corner) not in present for ring in row.rings for corner in ring.tolist())
 
 
 def measure_cleaning(scene: Scene, figures: Figures) -> None:

@@ -12,6 +12,7 @@ from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.solids.repair import LabelledMesh, repaired
 from p2wss.fit import fitting
+from p2wss.fit.walls import REACH_M, with_exact_walls
 
 # (row, invalid reconstruction): simpler ones, the best first
 Simpler = Callable[[int, Reconstruction], Iterable[Reconstruction]]
@@ -22,7 +23,8 @@ def with_valid_solids(
     buildings: Sequence[Building],
     simpler: Simpler = lambda row, invalid: (),
 ) -> list[Reconstruction]:
-    """The reconstructions, all of whose meshes are valid solids once they are stored in a file.
+    """The reconstructions, all of whose meshes are valid solids once they are stored in a file, with outer walls on the
+    edges of the footprints (:mod:`p2wss.fit.walls`).
 
     A solid that breaks a rule is repaired by moving vertices by millimetres; otherwise it is replaced by the first
     valid one of ``simpler``; otherwise the building has no mesh, for the reason ``invalid-solid``.
@@ -31,12 +33,22 @@ def with_valid_solids(
     for row, reconstruction in enumerate(reconstructions):
         if not reconstruction.has_mesh:
             continue
-        valid = as_valid_solid(reconstruction)
+        valid = _on_footprint(reconstruction)
         if valid is None:
-            candidates = (as_valid_solid(each) for each in simpler(row, reconstruction) if each.has_mesh)
+            candidates = (_on_footprint(each) for each in simpler(row, reconstruction) if each.has_mesh)
             valid = next(filter(None, candidates), None)
         result[row] = valid or no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID)
     return result
+
+
+def _on_footprint(reconstruction: Reconstruction) -> Reconstruction | None:
+    """A valid solid, if possible one whose outer walls are exactly on the edges of the footprint; None if there is
+    none."""
+    for reach_m in (REACH_M, 0.0):
+        exact = as_valid_solid(with_exact_walls(reconstruction, reach_m))
+        if exact is not None:
+            return exact
+    return as_valid_solid(reconstruction)
 
 
 def simpler_fits(
