@@ -17,7 +17,7 @@ FLAT_DEG = 3.0
 FLAT, FLATS, SLOPE, SLOPES = "flat", "several-flats", "single-slope", "several-slopes"
 # walls within this distance of each other, and with directions up to this angle apart, stand against each other
 _PARTY_M, _PARTY_COSINE = 0.1, -np.cos(np.radians(5))
-_BISECTIONS = 40
+_BISECTIONS = 24
 
 
 @dataclass(frozen=True)

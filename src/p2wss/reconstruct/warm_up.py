@@ -29,13 +29,18 @@ def warm_fit() -> None:
 
 
 def warm_footprints_and_meshes() -> None:
-    """Cleaning footprints, finding their points, meshes."""
+    """Cleaning footprints, finding their points, meshes, whether solids are valid."""
     from p2wss import skeleton
     from p2wss.data.cloud_crops import crop_cloud
+    from p2wss.data.solids.polygon_kernels import closest_vertices
+    from p2wss.data.solids.repair import LabelledMesh, repaired
 
     square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
     crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), skeleton.clean(square).polygons)
-    skeleton.build(square, np.full(4, 40.0), np.full(1, 5.0))
+    meshes = skeleton.build(square, np.full(4, 40.0), np.full(1, 5.0))
+    repaired(LabelledMesh(*meshes.mesh(0)))
+    # only a solid that breaks a rule needs this one
+    closest_vertices(np.zeros((1, 3)), 0.0)
 
 
 def warm_network_input() -> None:
@@ -50,13 +55,10 @@ def warm_product() -> None:
     import pyproj
 
     from p2wss.config import Reconstruct
-    from p2wss.data.solids.polygon_kernels import closest_vertices
     from p2wss.data.terrain import Terrain
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 
-    # only a solid that breaks a rule needs this one
-    closest_vertices(np.zeros((1, 3)), 0.0)
     frame, cloud = sample()
     config = Reconstruct(dormers=True)
     results = run(frame, cloud, None, "sample", config)
