@@ -17,10 +17,13 @@ OUTPUT_SUFFIXES = {
     "ply": ".ply",
     "stl": ".stl",
     "sionna": "_sionna/scene.xml",
+    "3dtiles": "_3dtiles/tileset.json",
     "gpkg": ".gpkg",
     "geoparquet": ".parquet",
 }
-Output = Literal["cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "gpkg", "geoparquet"]
+Output = Literal[
+    "cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "3dtiles", "gpkg", "geoparquet"
+]
 # those that have no meshes, and so no terrain either
 TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet")
 # explained in p2wss.data.materials

@@ -16,8 +16,8 @@ from p2wss import __version__
 from p2wss.data.materials import MATERIALS
 from p2wss.formats.meshes import Frame, Mesh, faces_of, material_names
 
-_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
-_FLOAT, _UNSIGNED_INT = 5126, 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+FLOAT, UNSIGNED_INT = 5126, 5125
 _AXES = "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - northing; metres"
 
 
@@ -30,7 +30,7 @@ def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
     ids and materials of its buildings, a primitive's the id of its building, a material's its type in ITU-R P.2040.
     """
     place = {"crs": frame.crs, "origin_m": [float(value) for value in frame.origin_m], "axes": _AXES}
-    binary = _Binary()
+    binary = Binary()
     names = material_names(meshes)
     nodes, shapes = [], []
     for number, mesh in enumerate(meshes):
@@ -47,13 +47,21 @@ def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
         "scenes": [{"nodes": [0]}],
         "nodes": [root, *nodes],
         "meshes": shapes,
-        "materials": [_material(name) for name in names],
+        "materials": [gltf_material(name) for name in names],
+    }
+    if not nodes:
+        del root["children"]
+    return container(tree, binary)
+
+
+def container(tree: dict[str, Any], binary: Binary) -> bytes:
+    """A GLB of the JSON ``tree``, without its accessors and buffers, and of the arrays."""
+    tree = {
+        **tree,
         "accessors": binary.accessors,
         "bufferViews": binary.views,
         "buffers": [{"byteLength": binary.length}] if binary.length else [],
     }
-    if not nodes:
-        del root["children"]
     # glTF has no empty lists
     text = json.dumps({key: value for key, value in tree.items() if value != []}, separators=(",", ":"))
     content = _chunk(b"JSON", text.encode(), b" ")
@@ -62,7 +70,7 @@ def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(content)) + content
 
 
-class _Binary:
+class Binary:
     """The binary chunk, array by array, and the accessors that describe it."""
 
     def __init__(self) -> None:
@@ -73,19 +81,25 @@ class _Binary:
 
     def append(self, values: np.ndarray, target: int, **accessor: Any) -> int:
         """The number of the accessor. Elements have four bytes, so that every array is aligned."""
-        view = {"buffer": 0, "byteOffset": self.length, "byteLength": values.nbytes, "target": target}
-        self.views.append(view)
-        self.accessors.append({"bufferView": len(self.views) - 1, "count": len(values), **accessor})
-        self.pieces.append(values.tobytes())
-        self.length += values.nbytes
+        view = self.append_view(values.tobytes(), target=target)
+        self.accessors.append({"bufferView": view, "count": len(values), **accessor})
         return len(self.accessors) - 1
 
+    def append_view(self, content: bytes, alignment: int = 4, **view: Any) -> int:
+        """The number of the buffer view, which begins at a multiple of ``alignment`` bytes."""
+        gap = -self.length % alignment
+        self.pieces += [bytes(gap), content]
+        self.length += gap
+        self.views.append({"buffer": 0, "byteOffset": self.length, "byteLength": len(content), **view})
+        self.length += len(content)
+        return len(self.views) - 1
 
-def _primitives(mesh: Mesh, frame: Frame, names: Sequence[str], binary: _Binary) -> list[dict[str, Any]]:
+
+def _primitives(mesh: Mesh, frame: Frame, names: Sequence[str], binary: Binary) -> list[dict[str, Any]]:
     x, y, z = (np.asarray(mesh.vertex_m, float) - frame.origin_m).T
     vertex = np.column_stack([x, z, -y]).astype("<f4")
     bounds = {"min": vertex.min(axis=0).tolist(), "max": vertex.max(axis=0).tolist()}
-    position = binary.append(vertex, _ARRAY_BUFFER, componentType=_FLOAT, type="VEC3", **bounds)
+    position = binary.append(vertex, ARRAY_BUFFER, componentType=FLOAT, type="VEC3", **bounds)
     pieces: dict[tuple[str, str], list[np.ndarray]] = {}
     for faces in faces_of(mesh):
         pieces.setdefault((faces.building_id, faces.material), []).append(faces.triangle)
@@ -94,9 +108,7 @@ def _primitives(mesh: Mesh, frame: Frame, names: Sequence[str], binary: _Binary)
         corner = mesh.triangle[np.sort(np.concatenate(triangles))].astype("<u4").ravel()
         primitive = {
             "attributes": {"POSITION": position},
-            "indices": binary.append(
-                corner, _ELEMENT_ARRAY_BUFFER, componentType=_UNSIGNED_INT, type="SCALAR"
-            ),
+            "indices": binary.append(corner, ELEMENT_ARRAY_BUFFER, componentType=UNSIGNED_INT, type="SCALAR"),
             "material": names.index(material),
             "extras": {"building_id": building_id},
         }
@@ -114,7 +126,7 @@ def _extras(mesh: Mesh) -> dict[str, Any]:
     return {"building_ids": list(materials), "materials": materials}
 
 
-def _material(name: str) -> dict[str, Any]:
+def gltf_material(name: str) -> dict[str, Any]:
     material = MATERIALS[name]
     # glTF's colours are linear
     color = [round((value / 255) ** 2.2, 4) for value in material.colour]

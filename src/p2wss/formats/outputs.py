@@ -9,6 +9,7 @@ from typing import Any
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Frame, Mesh, mtl, obj, ply, stl
 from p2wss.formats.sionna import scene_files
+from p2wss.formats.tiles3d import tileset_files
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,10 @@ MESH_WRITERS: dict[str, Writer] = {
             options.split_materials,
             options.map_cell_m,
         ).items()
+    },
+    "3dtiles": lambda meshes, frame, options: {
+        f"{options.stem}_3dtiles/{name}": content
+        for name, content in tileset_files(meshes, frame, options.facts).items()
     },
 }
 # those that `--per-building` writes a file of per mesh
