@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import geopandas as gpd
@@ -148,6 +149,22 @@ def test_formats_of_the_command_line(place: Path, capsys: pytest.CaptureFixture[
     capsys.readouterr()
     assert run(place, "--format", "obj,dwg") == 2
     assert "unknown format dwg; choose from cityjsonseq, cityjson, glb" in capsys.readouterr().err
+
+
+def test_levels_of_detail_and_names_of_attributes(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--model", "none", "--format", "cityjsonseq", "--crs", "EPSG:5698"]
+    assert run(place, *options, "--lod", "1.2, 2.0", "--attributes", "3dbag") == 0
+    path = place / "out" / "cloud.city.jsonl"
+    header, feature, *_ = map(json.loads, path.read_text().splitlines())
+    assert header["metadata"]["referenceSystem"].endswith("/5698")
+    assert "from cloud.laz" in header["metadata"]["title"]
+    building = feature["CityObjects"][feature["id"]]
+    assert [geometry["lod"] for geometry in building["geometry"]] == ["1.2", "2.0"]
+    assert {"b3_dak_type", "b3_h_dak_70p", "b3_volume_lod22"} <= set(building["attributes"])
+    assert cli.main(["check", str(path)]) == 0
+    assert capsys.readouterr().out.endswith(": 2 solids, 0 invalid\n")
+    assert run(place, "--lod", "2.2") == 2
+    assert "--lod 2.2: choose from 1.2, 2.0" in capsys.readouterr().err
 
 
 def test_a_terrain_joins_the_meshes(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
