@@ -80,6 +80,17 @@ class Geoplateforme(Section):
     timeout_s: float = Field(60, gt=0, description="time without a response after which a request fails")
     max_attempts: int = Field(6, ge=1, description="attempts per request while the service is busy or fails")
     max_wait_s: float = Field(600, gt=0, description="longest total time of a request with all its attempts")
+    max_response_mb: float = Field(
+        500,
+        gt=0,
+        description="largest response, after decompression, of a request other than for a LiDAR tile",
+    )
+    max_download_mb: float = Field(
+        20_000, gt=0, description="largest LiDAR tile to download; LiDAR HD's have up to about 1,000"
+    )
+    redirect_hosts: list[str] = Field(
+        [], description="other hosts to which a service may redirect; a redirect to any other host is refused"
+    )
     user_agent: str = Field("p2wss", description="User-Agent header of the requests")
 
 

@@ -18,6 +18,8 @@ from p2wss.data.listing import with_companions
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
+# a grid of 1 km² in text has 8 MB, one of 25 km² in cells of 1 m 200 MB
+_MAX_GRID_BYTES = 1_000_000_000
 _BROKEN = (py7zr.exceptions.ArchiveError, lzma.LZMAError, EOFError, OSError, ValueError, KeyError)
 _CORNER = re.compile(r"_(\d{4})_(\d{4})_.*\.asc$", re.IGNORECASE)
 
@@ -52,6 +54,12 @@ def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
                 for member in content.list()
                 if _intersects(member.filename, f"{archive.name}/{member.filename}", bounds)
             }
+            for member in content.list():
+                if member.filename in grids and member.uncompressed > _MAX_GRID_BYTES:
+                    size = f"{member.uncompressed / 1e9:.1f} GB"
+                    raise InputError(
+                        f"{archive}: {member.filename} would unpack to {size}, too large for a grid"
+                    )
             missing = [name for name, path in grids.items() if not path.is_file()]
             if missing:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -62,6 +70,8 @@ def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
                             os.replace(Path(work, name), temporary)
     except InputError:
         raise
+    except py7zr.exceptions.PasswordRequired as error:
+        raise InputError(f"{archive}: needs a password; unpack it and name the folder instead") from error
     except _BROKEN as error:
         parts = "; are all of its parts in the folder?" if archive.suffix == ".001" else ""
         raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}{parts}") from error
@@ -73,6 +83,8 @@ def members(archive: Path) -> list[str]:
     try:
         with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
             return content.getnames()
+    except py7zr.exceptions.PasswordRequired as error:
+        raise InputError(f"{archive}: needs a password; unpack it and name the folder instead") from error
     except _BROKEN as error:
         raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}") from error
 

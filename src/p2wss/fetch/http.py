@@ -6,12 +6,13 @@ import errno
 import logging
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import TypeVar
+from urllib.parse import urljoin, urlsplit
 
 import requests
 import tenacity
@@ -50,7 +51,7 @@ class Client:
 
     def __init__(self, config: Geoplateforme, sleep: Callable[[float], None] = time.sleep) -> None:
         self.config = config
-        self.session = requests.Session()
+        self.session = _Session(config.redirect_hosts)
         self.session.headers["User-Agent"] = config.user_agent
         self._sleep = sleep
         self._next_request = 0.0
@@ -60,7 +61,7 @@ class Client:
 
         def attempt(deadline: float) -> bytes:
             with self._response(url, params or {}, {}) as response:
-                return b"".join(_body(response, deadline))
+                return b"".join(_body(response, deadline, self.config.max_response_mb))
 
         return self._with_retries(url, attempt)
 
@@ -76,8 +77,8 @@ class Client:
                     raise RangesUnsupportedError(
                         f"{url}: the service does not support Range requests (HTTP {response.status_code})"
                     )
-                body = b"".join(_body(response, deadline))
-                size = int(response.headers["Content-Range"].rpartition("/")[2])
+                body = b"".join(_body(response, deadline, self.config.max_response_mb))
+                size = _size_of_file(response)
             if len(body) != min(end, size) - start:
                 raise TransientError(f"{len(body)} bytes instead of {min(end, size) - start}")
             return body, size
@@ -105,7 +106,8 @@ class Client:
                     total += start
                 num_bytes = start if is_resumed else 0
                 with part.open("ab" if is_resumed else "wb") as file:
-                    for chunk in _body(response, deadline):
+                    limit_mb = self.config.max_download_mb - num_bytes / 1e6
+                    for chunk in _body(response, deadline, limit_mb):
                         file.write(chunk)
                         previous, num_bytes = num_bytes, num_bytes + len(chunk)
                         if num_bytes // _PROGRESS_BYTES > previous // _PROGRESS_BYTES:
@@ -174,10 +176,39 @@ class Client:
                         f"{quote(response.content)}"
                     )
                 yield response
+        except requests.exceptions.SSLError as error:
+            raise InputError(
+                f"{url}: its TLS certificate does not verify: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
+            ) from error
         except requests.RequestException as error:
             raise TransientError(
                 f"{type(error).__name__}: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
             ) from error
+
+
+class _Session(requests.Session):
+    """A session that follows redirects to the same host, or to one of ``hosts``, and refuses all others.
+
+    A config names its services; whoever can make one of them redirect must not choose what else this machine asks.
+    """
+
+    def __init__(self, hosts: Collection[str]) -> None:
+        super().__init__()
+        self.hosts = hosts
+
+    def get_redirect_target(self, resp: requests.Response) -> str | None:
+        location = super().get_redirect_target(resp)
+        if location is None:
+            return None
+        before, after = urlsplit(resp.url), urlsplit(urljoin(resp.url, location))
+        if after.hostname != before.hostname and after.hostname not in self.hosts:
+            raise InputError(
+                f"{resp.url}: redirects to {after.hostname}, which is refused; if that is right, add the host to"
+                " fetch.geoplateforme.redirect_hosts"
+            )
+        if before.scheme == "https" and after.scheme != "https":
+            raise InputError(f"{resp.url}: redirects from https to {after.scheme}, which is refused")
+        return location
 
 
 def quote(body: bytes) -> str:
@@ -186,10 +217,17 @@ def quote(body: bytes) -> str:
     return f'"{text[:_QUOTE_CHARACTERS]}"' if text else "nothing"
 
 
-def _body(response: requests.Response, deadline: float) -> Iterator[bytes]:
+def _body(response: requests.Response, deadline: float, limit_mb: float) -> Iterator[bytes]:
+    """The body in chunks, decompressed. Raises :class:`InputError` once it is larger than ``limit_mb``."""
+    num_bytes = 0
     for chunk in response.iter_content(_CHUNK_BYTES):
         if time.monotonic() > deadline:
             raise TransientError("the response took too long (fetch.geoplateforme.max_wait_s)")
+        num_bytes += len(chunk)
+        if num_bytes > limit_mb * 1e6:
+            raise InputError(
+                f"{response.url}: the response is too large (fetch.geoplateforme.max_response_mb, max_download_mb)"
+            )
         yield chunk
 
 
@@ -210,6 +248,17 @@ def _range_start(response: requests.Response) -> int | None:
         return int(response.headers["Content-Range"].removeprefix("bytes ").split("-")[0])
     except (KeyError, ValueError):
         return None
+
+
+def _size_of_file(response: requests.Response) -> int:
+    """The size of the whole file, from the header of a response to a Range request."""
+    value = response.headers["Content-Range"]
+    size = value.rpartition("/")[2]
+    if not size.isdigit():
+        raise RangesUnsupportedError(
+            f"{response.url}: the service does not state the size of the file: {value[:80]}"
+        )
+    return int(size)
 
 
 def _length(response: requests.Response) -> int | None:

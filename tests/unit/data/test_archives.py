@@ -11,6 +11,7 @@ import pytest
 from places import MINI
 
 from p2wss.config import Folder
+from p2wss.data import archives
 from p2wss.data.archives import members, unpack
 from p2wss.errors import InputError
 from p2wss.fetch.folder import FolderSource
@@ -64,6 +65,22 @@ def test_an_archive_that_replaces_another_is_unpacked_anew(tmp_path):
         for grid in sorted(raised.iterdir()):
             content.write(grid, f"{INSIDE.format(1)}/{grid.name}")
     assert np.allclose(source.dtm(WINDOW).height_m, before + 100)
+
+
+def test_an_archive_with_a_password_is_one_clear_line(tmp_path):
+    archive = tmp_path / "a.7z"
+    with py7zr.SevenZipFile(archive, "w", password="secret") as content:
+        for grid in sorted(GRIDS.glob("*.asc")):
+            content.write(grid, f"{INSIDE.format(1)}/{grid.name}")
+    with pytest.raises(InputError, match=r"a\.7z: needs a password"):
+        unpack(archive, WINDOW, tmp_path / "grids")
+
+
+def test_a_grid_that_would_fill_the_disk_is_not_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(archives, "_MAX_GRID_BYTES", 1000)
+    with pytest.raises(InputError, match="too large for a grid"):
+        unpack(pack(tmp_path / "a.7z"), WINDOW, tmp_path / "grids")
+    assert not (tmp_path / "grids").exists()
 
 
 def test_a_window_at_a_corner_needs_four_grids(tmp_path):

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import gzip
+import shutil
 import socketserver
+import ssl
+import subprocess
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 from pytest_httpserver import HTTPServer
@@ -21,7 +26,7 @@ from p2wss.fetch.http import Client
 BODY = b"LASF" + bytes(range(256)) * 400
 
 
-def client(pauses: list[float] | None = None, **settings: float) -> Client:
+def client(pauses: list[float] | None = None, **settings: Any) -> Client:
     config = Geoplateforme(requests_per_s=1e6, timeout_s=settings.pop("timeout_s", 5), **settings)
     return Client(config, sleep=(pauses if pauses is not None else []).append)
 
@@ -124,6 +129,72 @@ def broken_server(answers: list[bytes]) -> Iterator[tuple[str, list[bytes]]]:
 def raw(status: str, body: bytes, **headers: object) -> bytes:
     lines = [f"HTTP/1.1 {status}", *(f"{name.replace('_', '-')}: {value}" for name, value in headers.items())]
     return "\r\n".join([*lines, "Connection: close", "", ""]).encode() + body
+
+
+def test_a_redirect_to_another_host_is_refused_unless_it_is_listed(httpserver: HTTPServer) -> None:
+    elsewhere = httpserver.url_for("/new").replace("localhost", "127.0.0.1")
+    assert "127.0.0.1" in elsewhere and "localhost" in httpserver.url_for("/old")
+    httpserver.expect_request("/old").respond_with_data("", status=302, headers={"Location": elsewhere})
+    httpserver.expect_request("/new").respond_with_data("fine")
+    with pytest.raises(InputError, match=r"/old: redirects to 127\.0\.0\.1, which is refused"):
+        client().get(httpserver.url_for("/old"))
+    assert len(httpserver.log) == 1
+    assert client(redirect_hosts=["127.0.0.1"]).get(httpserver.url_for("/old")) == b"fine"
+
+
+def test_a_decompression_bomb_is_refused_before_it_is_whole(httpserver: HTTPServer, tmp_path: Path) -> None:
+    bomb = gzip.compress(b"LASF" + bytes(50_000_000))
+    assert len(bomb) < 100_000
+    httpserver.expect_request("/x").respond_with_data(bomb, headers={"Content-Encoding": "gzip"})
+    limits = {"max_response_mb": 1, "max_download_mb": 1}
+    with pytest.raises(InputError, match="the response is too large"):
+        client(**limits).get(httpserver.url_for("/x"))
+    with pytest.raises(InputError, match="the response is too large"):
+        client(**limits).download(httpserver.url_for("/x"), tmp_path / "a.laz", b"LASF")
+    assert len(httpserver.log) == 2 and not (tmp_path / "a.laz").exists()
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 2e6
+
+
+@pytest.mark.parametrize("value", ["bytes 0-3/garbage", "bytes 0-3/", "bytes 0-3/*", "bytes 0-3/-1"])
+def test_a_range_of_a_file_of_unknown_size_is_one_clear_line(value: str) -> None:
+    answer = raw("206 Partial Content", b"LASF", Content_Length=4, Content_Range=value)
+    with (
+        broken_server([answer]) as (url, requests),
+        pytest.raises(InputError, match="does not state the size of the file"),
+    ):
+        client().range(url, 0, 4)
+    assert len(requests) == 1
+
+
+def test_a_certificate_that_does_not_verify_is_not_asked_again(tmp_path: Path) -> None:
+    if shutil.which("openssl") is None:
+        pytest.skip("needs the program openssl, which makes a certificate that nobody trusts")
+    key, certificate = tmp_path / "key.pem", tmp_path / "certificate.pem"
+    make = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "rsa:2048",
+        "-nodes",
+        "-days",
+        "2",
+        "-subj",
+        "/CN=localhost",
+    ]
+    subprocess.run([*make, "-keyout", key, "-out", certificate], check=True, capture_output=True)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    with HTTPServer(ssl_context=context) as server:
+        server.expect_request("/x").respond_with_data("fine")
+        with pytest.raises(InputError, match="its TLS certificate does not verify"):
+            client().get(server.url_for("/x"))
+        assert len(server.log) == 0
+
+
+def test_a_host_that_does_not_exist_is_an_error_with_the_number_of_attempts() -> None:
+    with pytest.raises(InputError, match="after 2 attempts"):
+        client(max_attempts=2).get("http://no-such-host.invalid/x")
 
 
 def test_connection_lost_in_the_body() -> None:
