@@ -252,3 +252,16 @@ def test_wedge_of_a_ridge() -> None:
     edges = wedges(skins([gable("a", (0, 0, 8, 10), 5, 40)])[0])
     ridge = (edges.end_m[:, :, 2] > 8).all(axis=1)
     assert edges.opening_angle_deg[ridge] == pytest.approx([100]) and len(edges.face) == 4 + 4 + 2 + 4 + 1
+
+
+def test_a_narrow_gap_between_houses_has_no_wedge_inside() -> None:
+    """Two walls that part at one degree: the edge where they part is concave, however narrow the gap."""
+    second = shapely.Polygon([(8, 0), (14, 0), (14, 10), (8 + 10 * np.tan(np.radians(1)), 10)])
+    third = shapely.Polygon([(0, -6), (14, -6), (14, 0), (8, 0), (0, 0)])
+    solids = [solid("a", shapely.box(0, 0, 8, 10), 6), solid("b", second, 6), solid("c", third, 4, 0)]
+    (skin,) = exact(solids)
+    edges = wedges(skin)
+    assert ((edges.opening_angle_deg > 60) & (edges.opening_angle_deg < 120)).all()
+    at_gap = (np.abs(edges.end_m[:, :, :2] - [8, 0]) < 1e-6).all(axis=(1, 2))
+    # above the low house its neighbours have a corner each, below its roof there is none
+    assert at_gap.sum() == 2 and (edges.end_m[at_gap][:, :, 2] >= 4).all()

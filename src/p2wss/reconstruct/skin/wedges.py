@@ -56,7 +56,6 @@ def wedges(skin: Skin) -> Wedges:
     cosine = (normal[left] * normal[right]).sum(axis=1)
     # positive where the surface turns away from the outside, as at the corner of a box
     turn_deg = np.degrees(np.arctan2(sine, cosine))
-    turn_deg = np.where(turn_deg < -170, turn_deg + 360, turn_deg)
     convex = turn_deg > _MIN_TURN_DEG
     start, end, left, right, along, turn_deg = (
         values[convex] for values in (start, end, left, right, along, turn_deg)
