@@ -100,8 +100,10 @@ def main() -> int:
         count["broken before"] += bool(found)
         if not after.has_mesh:
             count["no mesh"] += 1
-        elif after is not before:
-            count["simpler" if after.angle_deg is not before.angle_deg else "mended"] += 1
+        elif after.angle_deg is not before.angle_deg:
+            count["simpler"] += 1
+        else:
+            count["mended"] += bool(found)
         if codes:
             count["invalid"] += 1
             invalid.append(f"{building.building_id}: {codes}")

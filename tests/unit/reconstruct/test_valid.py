@@ -51,7 +51,14 @@ def building() -> Building:
 def test_a_valid_solid_stays_as_it_is() -> None:
     good = pyramid(8)
     (after,) = with_valid_solids([good], [building()])
-    assert after is good
+    assert is_same(after, good)
+
+
+def is_same(after: Reconstruction, before: Reconstruction) -> bool:
+    """Whether two solids are the same, except that walls may be put exactly on the footprint."""
+    return np.array_equal(after.triangle, before.triangle) and np.allclose(
+        after.vertex_m, before.vertex_m, atol=1e-6
+    )
 
 
 def test_the_first_valid_simpler_one_takes_the_place() -> None:
@@ -65,7 +72,7 @@ def test_the_first_valid_simpler_one_takes_the_place() -> None:
         return [replace(good, triangle=good.triangle[:0]), worse, good]
 
     first, second = with_valid_solids([good, bad], [building()] * 2, simpler)
-    assert first is good and second is good and rows == [1]
+    assert is_same(first, good) and is_same(second, good) and rows == [1]
 
 
 def test_without_a_simpler_one_there_is_no_mesh() -> None:
