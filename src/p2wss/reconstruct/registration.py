@@ -39,10 +39,10 @@ NEIGHBOURHOOD_M = 100.0
 REACH_M = MAX_SHIFT_M + WINDOW_M + 0.25
 # a point that is neither on a building nor on the ground is half a sign that there is no building
 _OTHER_WEIGHT = -0.5
-# rounds of the search, in which the other blocks are where the last round put them, and of steps after each
-_ROUNDS, _STEP_ROUNDS = 2, 2
+# rounds of the search, in which the other blocks are where the last round put them: how often each solves for steps
+_STEP_ROUNDS = (1, 2)
 # each of these looks at the places of the next blocks once
-_HOPS = _ROUNDS * (1 + _STEP_ROUNDS) + 1
+_HOPS = sum(1 + steps for steps in _STEP_ROUNDS) + 1
 
 # evidence is clear with this many edges with steps, on this share of the length, with a standard deviation of at most
 # this, with this share of points on buildings inside, and with this gain
@@ -80,8 +80,8 @@ class Registration:
     input_polygon: the footprint before. shift_m, rotation_deg: its movement; the rotation is counter-clockwise around
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
     source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. overhang_m: how far the roofs of the block reach
-    beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2: what the
-    cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`).
+    beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2:
+    what the cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`).
     """
 
     input_polygon: shapely.Polygon
@@ -245,9 +245,9 @@ class _Near:
         front and on the ground behind."""
         blocks, count = self.blocks, len(self.blocks)
         shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
-        inside = self.block_of_points(shift_m, rotation_rad)
+        inside = in_place = self.block_of_points(shift_m, rotation_rad)
         estimates: list[Estimate] = []
-        for _ in range(_ROUNDS):
+        for num_steps in _STEP_ROUNDS:
             shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
             for block in range(count):
                 point = self.points[block]
@@ -255,7 +255,7 @@ class _Near:
                 xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
                 edge = blocks.edge[self.edges[block] : self.edges[block + 1]]
                 shift_m[block] = search_shift(edge, xy_m, self.weight[point])
-            for _ in range(_STEP_ROUNDS):
+            for _ in range(num_steps):
                 inside = self.block_of_points(shift_m, rotation_rad)
                 estimates = self._solved(shift_m, rotation_rad, inside)
                 shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
@@ -263,7 +263,7 @@ class _Near:
                 shift_m *= np.minimum(1, (REACH_M - 0.5) / np.maximum(length_m, 1e-9))
                 rotation_rad = np.array([each.rotation_rad for each in estimates])
             inside = self.block_of_points(shift_m, rotation_rad)
-        before, _ = self._sums(self.block_of_points(np.zeros((count, 2)), np.zeros(count)))
+        before, _ = self._sums(in_place)
         after, on_building = self._sums(inside)
         share = on_building / np.maximum(2 * on_building - after, 1)
         gain = np.zeros(count)
