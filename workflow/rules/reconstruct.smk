@@ -1,10 +1,10 @@
 """Reconstruct: buildings from real LiDAR, by the command that users type too.
 
 In:  <results>/fetch/{place}footprints.gpkg, <results>/fetch/lidar/{place}{tile}.laz with its neighbours, the weights of the model.
-Out: <results>/reconstruct/{place}{tile} with the suffix of each of reconstruct.outputs, and {tile}.json, a summary.
+Out: <results>/reconstruct/{place}{tile} with the suffix of each of reconstruct.outputs, its wedges on request, and {tile}.json, a summary.
 """
 
-from p2wss.config import OUTPUT_SUFFIXES
+from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX
 
 
 rule reconstruct_tile:
@@ -17,6 +17,7 @@ rule reconstruct_tile:
             f"<results>/reconstruct/{{place}}{{tile}}{OUTPUT_SUFFIXES[name]}"
             for name in settings.reconstruct.outputs
         ],
+        [f"<results>/reconstruct/{{place}}{{tile}}{WEDGES_SUFFIX}"] if settings.reconstruct.wedges else [],
         summary="<results>/reconstruct/{place}{tile}.json",
     log:
         "<logs>/reconstruct/{place}{tile}.log",

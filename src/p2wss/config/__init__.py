@@ -23,7 +23,7 @@ from p2wss.config.places import (
     place_config,
 )
 from p2wss.config.plan import Plan
-from p2wss.config.reconstruct import OUTPUT_SUFFIXES, TABLES_AND_MODELS, Output, Reconstruct
+from p2wss.config.reconstruct import OUTPUT_SUFFIXES, TABLES_AND_MODELS, WEDGES_SUFFIX, Output, Reconstruct
 from p2wss.config.region import ALL, TILE_LISTS, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
@@ -36,6 +36,7 @@ __all__ = [
     "PLACE_PATTERN",
     "TABLES_AND_MODELS",
     "TILE_LISTS",
+    "WEDGES_SUFFIX",
     "Ablation",
     "Augmentation",
     "Buildings",

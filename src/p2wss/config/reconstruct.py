@@ -21,6 +21,8 @@ OUTPUT_SUFFIXES = {
     "gpkg": ".gpkg",
     "geoparquet": ".parquet",
 }
+# and of the file of `reconstruct.wedges`
+WEDGES_SUFFIX = ".wedges.parquet"
 Output = Literal[
     "cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "3dtiles", "gpkg", "geoparquet"
 ]

@@ -12,7 +12,7 @@ import geopandas as gpd
 import numpy as np
 import pyproj
 
-from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
+from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.data import files
 from p2wss.data.materials import materials_of
 from p2wss.data.schemas.wedges import WEDGES
@@ -29,7 +29,6 @@ from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0
-WEDGES_SUFFIX = ".wedges.parquet"
 
 
 def write(

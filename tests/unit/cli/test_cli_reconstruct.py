@@ -7,6 +7,7 @@ from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pyproj
 import pytest
 import sionna_scene
@@ -228,3 +229,11 @@ def test_a_folder_that_cannot_be_written_is_one_line(place: Path, capfd: pytest.
     (place / "out").write_text("a file")
     assert run(place) == 2
     assert "not written" in capfd.readouterr().err.splitlines()[-1]
+
+
+def test_skin_and_wedges_by_options(place: Path) -> None:
+    assert run(place, "--no-fit", "--skin", "--wedges") == 0
+    summary = json.loads((place / "out" / "cloud.json").read_text())
+    assert summary["skin"] == {"blocks": 0, "buildings_in_blocks": 0, "not_joined": 0, "cut_from_terrain": 0}
+    table = pd.read_parquet(place / "out" / "cloud.wedges.parquet")
+    assert set(table["building_id_0"]) == {"A"} and len(table) >= 12

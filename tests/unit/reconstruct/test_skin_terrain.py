@@ -39,7 +39,9 @@ def placed(solids: list[Solid], z_m: float = -10.0) -> list[Solid]:
     return result
 
 
-def together(skin_list: list[Skin], terrain: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def together(
+    skin_list: list[Skin], terrain: Mesh, origin_m: np.ndarray | tuple[float, float, float] = (X, Y, 0)
+) -> tuple[np.ndarray, np.ndarray]:
     """All vertices and triangles in local coordinates, checked: equal places joined, they are closed."""
     meshes = [(skin.vertex_m, skin.triangle) for skin in skin_list] + [(terrain.vertex_m, terrain.triangle)]
     first = np.cumsum([0, *(len(vertex) for vertex, _ in meshes)])
@@ -49,7 +51,7 @@ def together(skin_list: list[Skin], terrain: Mesh) -> tuple[np.ndarray, np.ndarr
     assert (start != end).all()
     forward, back = np.sort(start * len(place) + end), np.sort(end * len(place) + start)
     assert np.array_equal(forward, back)
-    return place - [X, Y, 0], triangle
+    return place - np.asarray(origin_m), triangle
 
 
 def united_volume(solids: list[Solid], terrain: Mesh) -> float:

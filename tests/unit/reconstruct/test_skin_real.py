@@ -1,0 +1,61 @@
+"""Skins of real rows of houses, fitted to real points, with and without their terrain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rasterio
+from places import SHARED
+from skin_solids import assert_closed, smallest_angles_deg, united, volume
+from test_skin_terrain import together
+
+from p2wss import reconstruct
+from p2wss.config import Config, Reconstruct
+from p2wss.data import clouds, footprints
+from p2wss.data.terrain import Terrain
+from p2wss.reconstruct import blocks, exports, terrain_mesh
+from p2wss.reconstruct.skin import Solid, skins
+from p2wss.skeleton.types import FaceKind
+
+DELFT = SHARED / "data" / "delft_ahn3"
+pytestmark = pytest.mark.skipif(not DELFT.exists(), reason="no real data beside the checkout")
+
+
+@pytest.fixture(scope="module")
+def results() -> list[reconstruct.Result]:
+    features = footprints.read_footprints(DELFT / "footprints.gpkg", needs_crs=False)
+    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(Config()))
+    cloud = clouds.read_clouds([DELFT / "ahn3.laz"], reconstruct.window(frame))
+    return reconstruct.run(frame, cloud, None, "delft", Reconstruct(dormers=False))
+
+
+def test_rows_of_delft(results: list[reconstruct.Result]) -> None:
+    rows = [result.reconstruction for result in results]
+    solids = [Solid(r.building_id, reconstruct.vertices_m(r), r.triangle, r.kind, r.edge) for r in rows]
+    exact, joined = skins(solids, step_m=0.0, max_lowering_m=0.0), skins(solids)
+    for skin in (*exact, *joined):
+        assert skin.failure is None
+        assert_closed(skin)
+    assert max(len(skin.building_ids) for skin in joined) > 20 and len(joined) < 15
+    total = sum(volume(skin.vertex_m, skin.triangle) for skin in exact)
+    assert total == pytest.approx(united(solids).volume(), rel=1e-6)
+    thin = sum((smallest_angles_deg(skin.vertex_m, skin.triangle) < 1).sum() for skin in joined)
+    assert thin <= sum((smallest_angles_deg(s.vertex_m, s.triangle) < 1).sum() for s in solids)
+
+
+def test_rows_of_delft_on_their_terrain(results: list[reconstruct.Result]) -> None:
+    with rasterio.open(DELFT / "dtm.asc") as raster:
+        height = raster.read(1, masked=True).astype(np.float32).filled(np.nan)
+        land = Terrain(height, raster.bounds.left, raster.bounds.top, raster.res[0])
+    config = Reconstruct()
+    buildings = [exports.mesh(result, config) for result in results]
+    ground = exports.block(buildings, land, config)
+    assert ground is not None
+    buildings = terrain_mesh.lowered_into(buildings, land)
+    edges = [result.reconstruction.edge for result in results]
+    closed = blocks.joined(buildings, edges, config.skin_step_m, np.inf)
+    standing, with_holes = blocks.on_terrain(closed, ground)
+    assert all((skin.kind != FaceKind.GROUND).all() for skin in standing)
+    corner = ground.vertex_m.min(axis=0)
+    place, triangle = together(standing, with_holes, corner)
+    assert volume(place, triangle) > volume(ground.vertex_m - corner, ground.triangle) + 20_000
