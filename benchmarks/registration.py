@@ -2,6 +2,7 @@
 
     python benchmarks/registration.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model src/p2wss/weights/point2wss.safetensors     # with the network, else the fit alone
+    p2wss towns --seed 7 --out town --lidar && .. --town town                 # also simulated LiDAR
 
 Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed and
 judged against the footprints and points in place, in two halves (every second building by id). Thresholds were chosen
@@ -16,6 +17,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,30 +37,46 @@ from p2wss.reconstruct.footprint_blocks import find_blocks
 from p2wss.reconstruct.registration import COLUMN, NOTHING
 from p2wss.skeleton.types import Polygons
 
-PLACES = {
-    "delft": ("delft_ahn3", "*.laz", 28992),
-    "bresse": ("bresse_ign", "*.laz", 2154),
-    "lidar hd": ("lidarhd_crops", "*LA93_IGN69.laz", 2154),
-}
+
+@dataclass(frozen=True)
+class Place:
+    """Footprints and clouds in files, and their CRS."""
+
+    footprints: Path
+    clouds: tuple[Path, ...]
+    epsg: int
+
+
+def places(folder: Path) -> dict[str, Place]:
+    """The real places below ``folder``."""
+    delft, bresse, crops = (folder / name for name in ("delft_ahn3", "bresse_ign", "lidarhd_crops"))
+    tiles = [path for path in sorted(crops.glob("*.laz")) if "copc" not in path.name]
+    return {
+        "delft": Place(delft / "footprints.gpkg", (delft / "ahn3.laz",), 28992),
+        "bresse": Place(bresse / "footprints.gpkg", (bresse / "lidar.laz",), 2154),
+        "lidar hd": Place(crops / "footprints.gpkg", tuple(tiles), 2154),
+    }
+
+
 SHIFTS_M = (0.5, 1.0, 1.5)
 # how much worse than in place: with footprints moved, with footprints in place
 BARS = {"p2m": (0.02, 0.003), "roof": (0.03, 0.003), "cd": (None, 0.003)}
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh"}
 REMAINING_M, CPU_MS, SHEDS = 0.15, 3.0, 40
+TOWN_NOISE_M = (0.0, 0.2)
 
 
-def read(folder: Path, place: str) -> tuple[gpd.GeoDataFrame, Cloud]:
+def read(place: Place) -> tuple[gpd.GeoDataFrame, Cloud]:
     """Clean footprints and all points of a place."""
-    name, pattern, _ = PLACES[place]
-    frame = footprints.read_footprints(folder / name / "footprints.gpkg", None, needs_crs=False)
-    paths = [path for path in sorted((folder / name).glob(pattern)) if "copc" not in path.name]
-    return footprints.clean_footprints(frame, Config().scenes), clouds.read_clouds(paths)
+    frame = footprints.read_footprints(place.footprints, None, needs_crs=False)
+    return footprints.clean_footprints(frame, Config().scenes), clouds.read_clouds(place.clouds)
 
 
 def moved(
-    frame: gpd.GeoDataFrame, length_m: float, seed: int
+    frame: gpd.GeoDataFrame, length_m: float, seed: int, noise_m: float = 0.0
 ) -> tuple[gpd.GeoDataFrame, np.ndarray, np.ndarray]:
-    """(frame, vector of each row, block of each row): each block moved by a vector of that length."""
+    """(frame, vector of each row, block of each row): each block moved by a vector of that length, and each vertex by
+    noise, the same for all footprints that share it."""
     shapes = frame.geometry.to_numpy()
     block = find_blocks(shapes).of_footprint
     angle = [
@@ -66,29 +84,22 @@ def moved(
     ]
     vector = length_m * np.column_stack([np.cos(angle), np.sin(angle)])[block]
     polygons = polygon_arrays.to_polygons(shapes)
-    xy_m = polygons.xy_m + np.repeat(vector, np.diff(polygons.vertex_offset), axis=0)
+    _, node = np.unique(np.round(polygons.xy_m, 3), axis=0, return_inverse=True)
+    noise = generator(seed, "vertices").normal(0, noise_m, (node.max() + 1, 2))[node.ravel()]
+    xy_m = polygons.xy_m + np.repeat(vector, np.diff(polygons.vertex_offset), axis=0) + noise
     result = polygon_arrays.to_geometries(Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset))
     return frame.set_geometry(gpd.GeoSeries(result, crs=frame.crs)), vector, block
 
 
 def judged(
-    frame: gpd.GeoDataFrame, cloud: Cloud, place: str, predictor: Any, arguments: argparse.Namespace
+    frame: gpd.GeoDataFrame, cloud: Cloud, place: Place, predictor: Any, judge: Path
 ) -> dict[str, dict[str, Any]]:
     """The judge's rows by id."""
-    name, _, epsg = PLACES[place]
-    results = reconstruct.run(frame, cloud, predictor, place, Config().reconstruct)
+    results = reconstruct.run(frame, cloud, predictor, "tile", Config().reconstruct)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "reconstructions.city.jsonl"
-        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(epsg)))
-        data = arguments.data / name
-        command = [
-            sys.executable,
-            arguments.judge,
-            path,
-            data / "footprints.gpkg",
-            data / "ahn3.laz",
-            "--json",
-        ]
+        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg)))
+        command = [sys.executable, judge, path, place.footprints, *place.clouds, "--json"]
         completed = subprocess.run(
             [str(part) for part in command], capture_output=True, text=True, check=True
         )
@@ -105,55 +116,72 @@ def measures(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, float]]:
     }
 
 
-def of_moved_blocks(figures: Figures, predictor: Any, arguments: argparse.Namespace) -> None:
-    frame, cloud = read(arguments.data, "delft")
-    in_place = measures(judged(frame, cloud, "delft", predictor, arguments))
-    figures.row("in place, not registered", in_place)
+def of_moved_blocks(
+    figures: Figures,
+    title: str,
+    place: Place,
+    predictor: Any,
+    arguments: argparse.Namespace,
+    noise_m: float = 0.0,
+) -> None:
+    """The table of a place. noise_m: standard deviation of the vertices, with and without a shift."""
+    frame, cloud = read(place)
+    start, _, _ = moved(frame, 0.0, arguments.seeds[0], noise_m)
+    in_place = measures(judged(start, cloud, place, predictor, arguments.judge))
+    figures.row(f"{title}, in place, not registered", in_place)
+    print(f"{title}, in place, not registered:", json.dumps(in_place), flush=True)
     for length_m in (0.0, *SHIFTS_M):
-        runs, remaining = [], []
+        runs: list[dict[str, dict[str, float]]] = []
+        remaining: list[float] = []
         for seed in arguments.seeds if length_m else arguments.seeds[:1]:
-            disturbed, vector, block = moved(frame, length_m, seed)
-            if arguments.off:
-                result = disturbed
-            else:
-                result = reconstruct.register(disturbed, cloud)
+            result, vector, block = moved(frame, length_m, seed, noise_m)
+            if not arguments.off:
+                result = reconstruct.register(result, cloud)
                 left = np.linalg.norm(vector + [row.shift_m for row in result[COLUMN]], axis=1)
-                remaining += [left[block == b].mean() for b in range(block.max() + 1)]
-            runs.append(measures(judged(result, cloud, "delft", predictor, arguments)))
-            print(f"moved by {length_m} m, seed {seed}:", json.dumps(runs[-1]), flush=True)
+                remaining += [float(left[block == b].mean()) for b in range(block.max() + 1)]
+            runs.append(measures(judged(result, cloud, place, predictor, arguments.judge)))
+            print(f"{title}, moved by {length_m} m, seed {seed}:", json.dumps(runs[-1]), flush=True)
+        name = f"{title}, moved by {length_m} m"
         for half in in_place:
             for key, (bar, bar_in_place) in BARS.items():
                 limit = bar if length_m else bar_in_place
                 worse = np.mean([run[half][key] for run in runs]) - in_place[half][key]
-                name = f"moved by {length_m} m, {half}, {NAMES[key]} worse by"
                 if limit is None or arguments.off:
-                    figures.row(name, {"value": float(worse)})
-                    print(f"{name} {worse:.3f}")
+                    figures.row(f"{name}, {half}, {NAMES[key]} worse by", {"value": float(worse)})
+                    print(f"{name}, {half}, {NAMES[key]} worse by {worse:.3f}")
                 else:
-                    figures.at_most(name, worse, limit)
+                    figures.at_most(f"{name}, {half}, {NAMES[key]} worse by", worse, limit)
         if remaining:
-            figures.at_most(
-                f"moved by {length_m} m, median of the remaining shift, m", np.median(remaining), REMAINING_M
-            )
-            figures.row(
-                f"moved by {length_m} m, remaining shift",
-                {"p90": np.quantile(remaining, 0.9), "max": max(remaining)},
-            )
+            figures.at_most(f"{name}, median of the remaining shift, m", np.median(remaining), REMAINING_M)
+            spread = {"p90": float(np.quantile(remaining, 0.9)), "max": max(remaining)}
+            figures.row(f"{name}, remaining shift", spread)
     if not arguments.off:
         seconds = cpu_seconds(lambda: reconstruct.register(frame, cloud), repeats=5)
-        figures.at_most("CPU ms per building", 1e3 * seconds / len(frame), CPU_MS)
+        figures.at_most(f"{title}, CPU ms per building", 1e3 * seconds / len(frame), CPU_MS)
+
+
+def town(folder: Path, num_buildings: int) -> Place:
+    """The first footprints of a town that lie within its cloud, with their neighbours, in a file beside it."""
+    cloud = next(folder.glob("lidar/*.laz"))
+    source = next(folder.glob("bdtopo/*.gpkg"))
+    points = clouds.read_clouds([cloud])
+    frame = footprints.read_footprints(source)
+    box = shapely.box(points.x_m.min(), points.y_m.min(), points.x_m.max(), points.y_m.max())
+    frame = frame[frame.within(box)].iloc[:num_buildings][["building_id", "geometry"]]
+    path = folder / "registration.gpkg"
+    frame.to_file(path, driver="GPKG", engine="pyogrio")
+    return Place(path, (cloud,), 2154)
 
 
 def of_sheds(figures: Figures, arguments: argparse.Namespace) -> None:
     """Footprints where there is no building, beside those where there are."""
     num_sheds = num_moved = 0
-    for place in PLACES:
-        frame, cloud = read(arguments.data, place)
+    for name, place in places(arguments.data).items():
+        frame, cloud = read(place)
         for seed in arguments.seeds:
-            sheds = shed_footprints(frame, cloud, generator(seed, "sheds", place))
+            sheds = shed_footprints(frame, cloud, generator(seed, "sheds", name))
             shapes = np.array([*frame.geometry, *sheds], dtype=object)
-            names = [str(k) for k in range(len(shapes))]
-            both = gpd.GeoDataFrame({"building_id": names, "status": ["ok"] * len(names)}, geometry=shapes)
+            both = gpd.GeoDataFrame({"building_id": range(len(shapes)), "status": "ok"}, geometry=shapes)
             rows = reconstruct.register(both, cloud)[COLUMN][len(frame) :]
             num_sheds += len(rows)
             num_moved += sum(row.shift_m != (0.0, 0.0) for row in rows)
@@ -195,6 +223,8 @@ def main() -> int:
     parser.add_argument("--judge", type=Path, required=True)
     parser.add_argument("--model", type=Path, default=None, help="weights of a network to start the fit from")
     parser.add_argument("--seeds", type=int, nargs="+", default=[3, 4, 5])
+    parser.add_argument("--town", type=Path, default=None, help="folder of a town with LiDAR, by p2wss towns")
+    parser.add_argument("--town-buildings", type=int, default=100)
     parser.add_argument("--off", action="store_true", help="without the registration, for comparison")
     arguments = parser.parse_args()
     predictor = None
@@ -203,7 +233,12 @@ def main() -> int:
 
         predictor = load_predictor(arguments.model)
     figures = Figures()
-    of_moved_blocks(figures, predictor, arguments)
+    of_moved_blocks(figures, "delft", places(arguments.data)["delft"], predictor, arguments)
+    if arguments.town is not None:
+        place = town(arguments.town, arguments.town_buildings)
+        for noise_m in TOWN_NOISE_M:
+            title = f"town, vertices {noise_m:g} m"
+            of_moved_blocks(figures, title, place, predictor, arguments, noise_m)
     if not arguments.off:
         of_sheds(figures, arguments)
     return figures.end()
