@@ -1,0 +1,93 @@
+"""``p2wss reconstruct`` with footprints that lie beside the cloud."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pyogrio
+import pyproj
+import pytest
+import shapely
+from shapely import affinity
+
+from p2wss import cli
+
+# two houses that share a wall, on the line between two tiles, and a house by itself
+TRUE = [
+    shapely.box(652992, 6861100, 653000.5, 6861109),
+    shapely.box(653000.5, 6861100, 653009, 6861109),
+    shapely.box(653030, 6861100, 653040, 6861112),
+]
+SHIFT = (1.1, -0.8)
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """cloud.laz (Lambert-93) and footprints.gpkg, moved by ``SHIFT``."""
+    draw = np.random.default_rng(0)
+    roof = shapely.union_all(TRUE).buffer(0.3, join_style="mitre")
+    x, y = draw.uniform(652980, 653052, 16000), draw.uniform(6861088, 6861124, 16000)
+    on_roof = shapely.contains_xy(roof, x, y)
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.01), np.array([652000, 6861000, 0])
+    header.add_crs(pyproj.CRS.from_epsg(2154))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = x, y, np.where(on_roof, 107.0, 101.0)
+    las.classification = np.where(on_roof, 6, 2).astype(np.uint8)
+    las.write(tmp_path / "cloud.laz")
+    moved = [affinity.translate(shape, *SHIFT) for shape in TRUE]
+    gpd.GeoDataFrame({"cleabs": ["A", "B", "C"]}, geometry=moved, crs=2154).to_file(
+        tmp_path / "footprints.gpkg"
+    )
+    return tmp_path
+
+
+def reconstructed(place: Path, *options: str, stem: str = "cloud") -> gpd.GeoDataFrame:
+    files = [str(place / name) for name in ("cloud.laz", "footprints.gpkg", "out")]
+    options = ("--model", "none", "--format", "gpkg,geoparquet,cityjsonseq", *options)
+    assert cli.main(["reconstruct", *files, *options]) == 0
+    return gpd.read_file(place / "out" / f"{stem}.gpkg", layer="buildings").set_index("building_id")
+
+
+def test_moved_by_default_and_kept_beside(place: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO"):
+        rows = reconstructed(place)
+    assert "registration: 3 of 3 footprints moved, 1." in caplog.text
+    for shape, true in zip(rows.geometry, TRUE, strict=True):
+        assert shapely.hausdorff_distance(shape, true) < 0.1
+    assert rows["shift_x_m"].to_numpy() == pytest.approx(-SHIFT[0], abs=0.1)
+    assert rows["overhang_m"].to_numpy() == pytest.approx(0.3, abs=0.1)
+    assert rows.loc["A", "shift_y_m"] == rows.loc["B", "shift_y_m"]
+    before = gpd.read_file(place / "out" / "cloud.gpkg", layer="input_footprints")
+    given = gpd.read_file(place / "footprints.gpkg")
+    assert (
+        before.geometry.geom_equals_exact(given.geometry.normalize(), 1e-6).all()
+        or (before.geometry.hausdorff_distance(given.geometry) < 1e-6).all()
+    )
+    with_columns = gpd.read_parquet(place / "out" / "cloud.parquet")
+    assert (with_columns["input_geometry"].hausdorff_distance(before.geometry) < 1e-6).all()
+    assert '"shift_sd_m"' in (place / "out" / "cloud.city.jsonl").read_text()
+
+
+def test_off_leaves_footprints_where_they_are(place: Path) -> None:
+    for options in (["--register", "off"], ["--config", '{"reconstruct": {"registration": false}}']):
+        rows = reconstructed(place, *options)
+        for shape, true in zip(rows.geometry, TRUE, strict=True):
+            assert shapely.hausdorff_distance(shape, affinity.translate(true, *SHIFT)) < 1e-6
+        assert rows["shift_x_m"].isna().all()
+        assert pyogrio.list_layers(place / "out" / "cloud.gpkg")[:, 0].tolist() == ["buildings"]
+
+
+def test_a_tile_gives_the_same_as_the_whole(place: Path) -> None:
+    whole = reconstructed(place)
+    west = reconstructed(place, "--tile", "0652_6862", stem="0652_6862")
+    east = reconstructed(place, "--tile", "0653_6862", stem="0653_6862")
+    assert west.index.tolist() == ["A"] and east.index.tolist() == ["B", "C"]
+    for part in (west, east):
+        expected = whole.loc[part.index]
+        assert part.geometry.geom_equals_exact(expected.geometry, 0).all()
+        names = ["shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source", "eave_height_m"]
+        assert part[names].equals(expected[names])
