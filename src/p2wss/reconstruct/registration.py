@@ -116,7 +116,10 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
     evidence = contradictions(moved_polygons, cloud)
     rows = []
     for k, block in enumerate(blocks.of_footprint.tolist()):
-        shift_m, sd_m = shifts.shift_m[block], shifts.sd_m[block]
+        if block < 0:
+            rows.append(Registration(shapes[k], (0.0, 0.0), None, 0.0, NOTHING))
+            continue
+        shift_m, sd_m, overhang_m = shifts.shift_m[block], shifts.sd_m[block], shifts.overhang_m[block]
         rows.append(
             Registration(
                 shapes[k],
@@ -124,13 +127,11 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
                 float(sd_m) if np.isfinite(sd_m) else None,
                 float(np.rad2deg(shifts.rotation_rad[block])),
                 str(shifts.source[block]),
-                float(shifts.overhang_m[block]) if np.isfinite(shifts.overhang_m[block]) else None,
+                float(overhang_m) if np.isfinite(overhang_m) else None,
                 evidence.flags[k],
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),
             )
-            if block >= 0
-            else Registration(shapes[k], (0.0, 0.0), None, 0.0, NOTHING)
         )
     result[COLUMN] = np.array([*rows, None], dtype=object)[:-1]
     return result

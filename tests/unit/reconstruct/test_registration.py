@@ -302,3 +302,17 @@ def test_the_log_counts_what_was_moved_and_flagged() -> None:
     line = reconstruct.registration_summary(register(frame, cloud_of(roofs())))
     assert line.startswith("registration: 3 of 5 footprints moved, ")
     assert line.endswith(" m; 0 stay with evidence, 2 without; no-building: 1")
+
+
+def test_nothing_to_register() -> None:
+    empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
+    frame = frame_of(BLOCK)
+    assert len(register(frame.iloc[:0], cloud_of(roofs()))) == 0
+    for cloud in (empty, cloud_of(roofs())):
+        # a rejected footprint has an empty polygon
+        hollow = frame.set_geometry(gpd.GeoSeries([shapely.Polygon()] * 3, crs=LAMBERT))
+        assert [row.source for row in register(hollow, cloud)[COLUMN]] == [NOTHING] * 3
+    rows = register(frame, empty)[COLUMN]
+    assert [(row.shift_m, row.shift_sd_m, row.flags) for row in rows] == [((0.0, 0.0), None, ())] * 3
+    assert registration.context(hollow, np.ones(3, bool)).all()
+    assert registration.context(frame.iloc[:0], np.zeros(0, bool)).tolist() == []
