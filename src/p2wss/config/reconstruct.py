@@ -115,13 +115,23 @@ class Reconstruct(Section):
         description="number of rotated views for the network before a fit; without a fit: model.decoding.num_rotations",
     )
     max_parts: int = Field(
-        12,
+        32,
         ge=1,
         le=64,
         description="largest number of parts with their own eave height per building; 1 = the paper's model",
     )
     dormers: bool = Field(
         True, description="also fit box dormers and other small boxes that rise out of a fitted roof"
+    )
+    detail: Literal["low", "normal", "high"] = Field(
+        "normal",
+        description="what a part, dormer or recess has to gain: low = fewer triangles, high = nearer to the points",
+    )
+    max_wall_shift_m: float = Field(
+        1,
+        ge=0,
+        le=5,
+        description="walls along which no roof reaches the footprint's edge move inwards by at most this; 0 = none",
     )
     not_representable_m: float = Field(
         0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"

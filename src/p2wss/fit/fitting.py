@@ -12,18 +12,22 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit.confidence import expected_share
-from p2wss.fit.dormers import Boxes, find_boxes, is_over_boxes
+from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
 from p2wss.fit.mesh import build_meshes, transfer_angles
 from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.points import roof_points
 from p2wss.fit.prior import make_prior
+from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.solid import Mesh, is_sound, union
 
 METHOD = "fit"
 # Before the roof is fitted again without the points of its boxes, boxes are accepted that gain this share of the
 # usual minimum.
 _LOOSE_GAIN_SHARE = 0.5
+# What a part costs: multiples of the normal price, and above this area less by this power of it.
+_DETAIL = {"low": 2.0, "normal": 1.0, "high": 0.5}
+_FULL_PRICE_M2, _PRICE_POWER = 60.0, 0.3
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
@@ -58,7 +62,7 @@ def fit(
     fitter = Fitter(replace(thresholds.limits, max_roof_height_m=config.max_roof_height_m))
     initials = [None] * len(buildings) if initial is None else list(initial)
     tasks = [
-        _FitTask(building, start, config, method, thresholds, fitter)
+        _FitTask(building, start, config, method, _thresholds_for(building, thresholds, config), fitter)
         for building, start in zip(buildings, initials, strict=True)
     ]
     parts_fits = [task.fit_parts(config.max_parts) for task in tasks]
@@ -73,6 +77,18 @@ def fit(
             reconstruction = replace(task.initial, method=method)
         result.append(reconstruction)
     return result
+
+
+def _thresholds_for(building: Building, thresholds: Thresholds, config: Reconstruct) -> Thresholds:
+    """The thresholds of a building: a part of a large one may be smaller in proportion."""
+    large = max(1.0, float(building.polygon.area) / _FULL_PRICE_M2)
+    factor = _DETAIL[config.detail] / large**_PRICE_POWER
+    cutting, boxes = thresholds.cutting, thresholds.boxes
+    return replace(
+        thresholds,
+        cutting=replace(cutting, gain_m=factor * cutting.gain_m),
+        boxes=replace(boxes, gain_m=factor * boxes.gain_m),
+    )
 
 
 @dataclass(frozen=True)
@@ -106,7 +122,7 @@ class _FitTask:
     thresholds: Thresholds
     fitter: Fitter
 
-    def fit_parts(self, max_parts: int, boxes: Sequence[FittedRoof] = ()) -> _PartsFit:
+    def fit_parts(self, max_parts: int, boxes: Sequence[Box] = ()) -> _PartsFit:
         """At most ``max_parts`` parts, fitted to the points that are not over ``boxes``."""
         building, config, initial, effort = self.building, self.config, self.initial, self.thresholds.effort
         cutting = replace(self.thresholds.cutting, max_parts=max_parts)
@@ -119,10 +135,17 @@ class _FitTask:
         ground = building.ground_z_m
         polygon = shapely.Polygon(rings[0], rings[1:])
         roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
+        rings = move_walls(
+            rings, roof_point_m, building.point_m, building.classification, config.max_wall_shift_m
+        )
+        polygon = shapely.Polygon(rings[0], rings[1:])
+        roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
         roof_point_m = np.column_stack([roof_point_m[:, :2] @ rotation, roof_point_m[:, 2]])
         point_m = roof_point_m[~is_over_boxes(boxes, roof_point_m)]
+        if len(point_m) < MIN_NUM_POINTS:
+            return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
         rotated = [ring @ rotation for ring in rings]
         usual_prior = make_prior(rotated, len(point_m))
         if (
@@ -146,9 +169,7 @@ class _FitTask:
                 parts = min(parts, without_network, key=lambda parts: cost_m(parts, cutting))
         return _PartsFit(rings, rotation, parts, "", roof_point_m)
 
-    def build_mesh(
-        self, parts_fit: _PartsFit, boxes: Sequence[FittedRoof] = ()
-    ) -> tuple[Reconstruction, _PartsFit]:
+    def build_mesh(self, parts_fit: _PartsFit, boxes: Sequence[Box] = ()) -> tuple[Reconstruction, _PartsFit]:
         """The mesh of a fit, or of one with fewer parts until their union is closed, and that fit. ``boxes``: over
         which points are ignored."""
         while True:
@@ -226,7 +247,7 @@ class _FitTask:
 
     def _find_boxes(
         self, reconstruction: Reconstruction, parts_fit: _PartsFit, gain_share: float = 1.0
-    ) -> tuple[float, list[FittedRoof]]:
+    ) -> tuple[float, list[Box]]:
         """(cost of the parts and the boxes, the boxes) where each box gains ``gain_share`` of the usual minimum."""
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
         min_gain_m = thresholds.boxes.min_gain_m(num_points)
@@ -285,17 +306,24 @@ def _is_sound(reconstruction: Reconstruction) -> bool:
 
 
 def _union_with_boxes(
-    parts: Sequence[FittedRoof], boxes: Sequence[FittedRoof], ground_z_m: float, config: Reconstruct
+    parts: Sequence[FittedRoof], boxes: Sequence[Box], ground_z_m: float, config: Reconstruct
 ) -> Mesh | None:
     """The union of the parts with all boxes or, if that is not sound, with those that can be added one after the
     other without making it unsound; None if there is no such box."""
-    heights = (ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
-    mesh = union([*parts, *boxes], *heights)
+
+    def _union_of(chosen: Sequence[Box]) -> Mesh | None:
+        raised = [box.as_part() for box in chosen if not box.is_recess]
+        recesses = [box for box in chosen if box.is_recess]
+        heights = (ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
+        return union([*parts, *raised], *heights, recesses)
+
+    mesh = _union_of(boxes)
     if mesh is not None and is_sound(mesh):
         return mesh
-    solids, best = list(parts), None
+    chosen: list[Box] = []
+    best = None
     for box in boxes:
-        mesh = union([*solids, box], *heights)
+        mesh = _union_of([*chosen, box])
         if mesh is not None and is_sound(mesh):
-            solids, best = [*solids, box], mesh
+            chosen, best = [*chosen, box], mesh
     return best

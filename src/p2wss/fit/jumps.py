@@ -16,7 +16,8 @@ _MAX_JUMP_M = 2.0
 _MARGIN_M = 0.8
 _MIN_SCORE_M2 = 0.25
 _MIN_SPACING_M = 0.7
-_MAX_LINES, _MAX_CORNERS = 3, 3
+# at most this many jumps and as many corners per axis, and one more for each of these metres
+_MIN_LINES, _LINE_EVERY_M = 4, 5.0
 # corners within this distance of a jump are tried with it
 _CORNER_M, _MARGIN_AT_CORNERS_M = 0.3, 0.9
 
@@ -90,12 +91,14 @@ def jump_scores(along, across, z, lines, low_m, high_m):
 
 @entry
 def candidates(xy_m, x, y, z):
-    """(axes, positions) of cuts to try: per axis at most three of the clearest jumps, at least 0.7 m apart, and at most
-    three corners."""
-    axes, positions = (
-        np.empty(2 * (_MAX_LINES + _MAX_CORNERS), np.int64),
-        np.empty(2 * (_MAX_LINES + _MAX_CORNERS)),
-    )
+    """(axes, positions) of cuts to try: per axis the clearest jumps, at least 0.7 m apart, and corners; four of each
+    at most, and one more for every 5 m."""
+    max_lines = np.empty(2, np.int64)
+    for axis in range(2):
+        low, high = _extent(xy_m[:, axis].copy())
+        max_lines[axis] = _MIN_LINES + int((high - low) / _LINE_EVERY_M)
+    size = 2 * (max_lines[0] + max_lines[1])
+    axes, positions = np.empty(size, np.int64), np.empty(size)
     count = ZERO
     for axis in range(2):
         corners = xy_m[:, axis].copy()
@@ -112,14 +115,14 @@ def candidates(xy_m, x, y, z):
                 x if axis == 0 else y, y if axis == 0 else x, z, lines, low_across, high_across
             )
             for i in stable_order(-score):
-                if score[i] <= _MIN_SCORE_M2 or count == first + _MAX_LINES:
+                if score[i] <= _MIN_SCORE_M2 or count == first + max_lines[axis]:
                     break
                 if _is_apart(positions, first, count, lines[i], _MIN_SPACING_M):
                     axes[count], positions[count] = axis, lines[i]
                     count += 1
         num_corners, jumps_end = 0, count
         for i in range(len(corners)):
-            if num_corners == _MAX_CORNERS or corners[i] >= high - _MARGIN_AT_CORNERS_M:
+            if num_corners == max_lines[axis] or corners[i] >= high - _MARGIN_AT_CORNERS_M:
                 break
             if corners[i] <= low + _MARGIN_AT_CORNERS_M or (i > 0 and corners[i] - corners[i - 1] < 1e-6):
                 continue

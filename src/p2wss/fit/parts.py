@@ -11,6 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from p2wss.fit.cutting import is_sound
+from p2wss.fit.merging import merged_rings
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Gain, flat_rings
 from p2wss.fit.points import even_order
 from p2wss.fit.screen import Side, split_roof
@@ -19,35 +21,42 @@ from p2wss.fit.work import NO_PRIOR, Prior
 
 _NOISE_M = 0.03
 _SCREEN = Effort(num_search_points=40, num_descents=0)
+# a merger is fitted in full if a quick fit costs at most this multiple of the limit
+_MERGER_SLACK = 1.4
 
 
 @dataclass(frozen=True)
 class Cutting(Gain):
     """Which parts a building may have.
 
-    max_parts: of one building. gain_share: a cut must also gain this share of the loss of the part that it divides.
+    max_parts: of one building. slope_share: what each sloped face costs, as a share of what a part costs.
+    over_share: cuts are made that gain this share of what a part costs; those that do not pay are merged again.
     min_points: of a part.
     """
 
-    max_parts: int = 12
-    gain_share: float = 0.03
+    gain_m: float = 0.008
+    max_parts: int = 32
+    slope_share: float = 0.2
+    over_share: float = 0.2
     min_points: int = 6
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A part with its roof. point_m: (3, m), as compiled code takes them."""
+class Part:
+    """A part with its roof. point_m: (3, m), as compiled code takes them. cost_m: the sum of its residuals, and the
+    price of its slopes."""
 
     point_m: np.ndarray
     roof: FittedRoof
+    cost_m: float
 
 
 @dataclass(frozen=True)
 class _Split:
-    """A cut of one part into two, and what it gains in the sum over the points."""
+    """A cut of one part into two, and what it gains."""
 
     gain_m: float
-    parts: tuple[_Part, _Part]
+    parts: tuple[Part, Part]
 
 
 def main_frame(rings: Sequence[np.ndarray]) -> np.ndarray:
@@ -70,35 +79,56 @@ def fit_parts(
     """The parts of a building: one if no cut gains enough, none if no roof can be fitted. Everything is in the frame
     of ``rings``, which is that of :func:`main_frame`; vertices on a cut have exactly its coordinate.
 
-    Greedy: the cut that gains most is made first. effort: of the whole building; parts get one round over their
-    edges. guesses, prior: of the whole building, too.
+    Cuts are made as long as they gain a share of what a part costs, the one that gains most first. Then parts are
+    merged until every merger would cost more than it saves, so that parts need not be rectangular. effort: of the whole
+    building; parts get one round over their edges. guesses, prior: of the whole building, too.
     """
     point_m = point_m[even_order(point_m)] if len(point_m) else point_m
-    whole = fitter.fit(rings, point_m, effort, guesses, prior)
+    min_gain = cutting.min_gain_m(len(point_m))
+    slope_cost_m = cutting.slope_share * min_gain if cutting.max_parts > 1 else 0.0
+    whole = fitter.fit(rings, point_m, effort, guesses, with_slope_cost(prior, slope_cost_m, len(point_m)))
     if whole is None:
         return []
     # the prior describes the whole building, so parts are compared without it
-    parts = [_Part(np.ascontiguousarray(point_m.T), replace(whole, loss_m=fitter.loss(whole, point_m)))]
+    parts = [_part(fitter, whole, np.ascontiguousarray(point_m.T), slope_cost_m)]
     splits: list[_Split | None] = [None]
     is_searched = [False]
-    min_gain = cutting.min_gain_m(len(point_m))
+    parents: dict[frozenset[int], Part] = {}
     while len(parts) < cutting.max_parts:
         for i, part in enumerate(parts):
             if not is_searched[i]:
-                splits[i], is_searched[i] = _best_split(fitter, part, min_gain, effort, cutting), True
+                share_m = cutting.over_share * min_gain
+                splits[i] = _best_split(fitter, part, share_m, slope_cost_m, effort, cutting)
+                is_searched[i] = True
         i = max(range(len(parts)), key=lambda k: split.gain_m if (split := splits[k]) else 0.0)
         best = splits[i]
         if best is None:
             break
+        parents[frozenset(map(id, best.parts))] = parts[i]
         parts[i : i + 1] = best.parts
         splits[i : i + 1] = [None, None]
         is_searched[i : i + 1] = [False, False]
-    final_prior = prior if len(parts) == 1 else NO_PRIOR
-    roofs = [fitter.tidy(part.roof, part.point_m.T, effort, final_prior) for part in parts]
-    return [
-        replace(roof, loss_m=fitter.loss(roof, part.point_m.T, final_prior))
-        for roof, part in zip(roofs, parts, strict=True)
-    ]
+    parts = _merge_parts(fitter, parts, parents, min_gain, slope_cost_m, effort)
+    roofs = []
+    for part in parts:
+        own_prior = prior if len(parts) == 1 else NO_PRIOR
+        num = part.point_m.shape[1]
+        tidy_prior = with_slope_cost(own_prior, slope_cost_m, num, len(part.roof.angle_deg))
+        roof = fitter.tidy(part.roof, part.point_m.T, effort, tidy_prior)
+        roofs.append(replace(roof, loss_m=fitter.loss(roof, part.point_m.T, own_prior)))
+    return roofs
+
+
+def with_slope_cost(prior: Prior, slope_cost_m: float, num_points: int, num_edges: int = 0) -> Prior:
+    """The prior of a roof over ``num_points`` points for which each slope costs ``slope_cost_m`` more in the sum.
+    num_edges: of a roof without a prior."""
+    if not slope_cost_m:
+        return prior
+    if not len(prior.slope_deg):
+        prior = Prior(np.zeros((num_edges, 3)), np.full(num_edges, 38.0), 0.0, np.zeros(0), 0.0)
+    class_cost_m = prior.class_cost_m.copy()
+    class_cost_m[:, 2] += slope_cost_m / num_points
+    return prior._replace(class_cost_m=class_cost_m)
 
 
 def cost_m(parts: Sequence[FittedRoof], cutting: Cutting) -> float:
@@ -107,38 +137,96 @@ def cost_m(parts: Sequence[FittedRoof], cutting: Cutting) -> float:
     return sum(part.total_loss_m for part in parts) + (len(parts) - 1) * cutting.min_gain_m(num_points)
 
 
+def _part(fitter: Fitter, roof: FittedRoof, point_m: np.ndarray, slope_cost_m: float) -> Part:
+    loss_m = fitter.loss(roof, point_m.T)
+    num_slopes = int(((roof.angle_deg > 0) & (roof.angle_deg < 90)).sum())
+    roof = replace(roof, loss_m=loss_m)
+    return Part(point_m, roof, roof.total_loss_m + num_slopes * slope_cost_m)
+
+
 def _best_split(
-    fitter: Fitter, part: _Part, min_gain: float, effort: Effort, cutting: Cutting
+    fitter: Fitter, part: Part, min_gain: float, slope_cost_m: float, effort: Effort, cutting: Cutting
 ) -> _Split | None:
-    loss, count = part.roof.total_loss_m, part.point_m.shape[1]
-    if loss - _NOISE_M * count < min_gain or count < 2 * cutting.min_points:
+    count = part.point_m.shape[1]
+    if part.cost_m - _NOISE_M * count < min_gain or count < 2 * cutting.min_points:
         return None
-    min_gain = max(min_gain, cutting.gain_share * loss)
     xy_m, offset = flat_rings(part.roof.rings)
     cut = split_roof(
         xy_m,
         offset,
         part.roof.angle_deg,
         part.point_m,
-        loss,
+        part.cost_m,
         min_gain,
         cutting.min_points,
-        fitter.work(2 * len(xy_m), count),
+        slope_cost_m,
+        fitter.work(2 * len(xy_m) + 8, count),
         fitter.settings(_SCREEN),
         fitter.settings(replace(effort, max_rounds=1)),
-        NO_PRIOR,
     )
     if cut is None:
         return None
     axis, position, low, high = cut
     is_high = part.point_m[axis] >= position
     sides = _side(part, ~is_high, low), _side(part, is_high, high)
-    gain = loss - sides[0].roof.total_loss_m - sides[1].roof.total_loss_m
+    gain = part.cost_m - sides[0].cost_m - sides[1].cost_m
     return _Split(gain, sides) if gain >= min_gain else None
 
 
-def _side(part: _Part, mask: np.ndarray, side: Side) -> _Part:
+def _side(part: Part, mask: np.ndarray, side: Side) -> Part:
     point_m = np.compress(mask, part.point_m, axis=1)
     rings = [side.xy_m[first:last] for first, last in pairwise(side.ring_offset.tolist())]
     roof = FittedRoof(rings, side.angle_deg, side.eave_z_m, side.top_m, side.loss_m, point_m.shape[1])
-    return _Part(point_m, roof)
+    return Part(point_m, roof, roof.total_loss_m)
+
+
+def _merge_parts(
+    fitter: Fitter,
+    parts: list[Part],
+    parents: dict[frozenset[int], Part],
+    price_m: float,
+    slope_cost_m: float,
+    effort: Effort,
+) -> list[Part]:
+    """The parts after those mergers that cost less than ``price_m``, the cheapest first."""
+    mergers: dict[frozenset[int], Part | None] = {}
+    while len(parts) > 1:
+        best_gain, best = 0.0, None
+        for i, one in enumerate(parts):
+            for other in parts[:i]:
+                pair = frozenset((id(one), id(other)))
+                if pair not in mergers:
+                    limit_m = one.cost_m + other.cost_m + price_m
+                    mergers[pair] = parents.get(pair) or _merger(
+                        fitter, one, other, limit_m, slope_cost_m, effort
+                    )
+                merger = mergers[pair]
+                if merger is not None:
+                    gain = one.cost_m + other.cost_m + price_m - merger.cost_m
+                    if gain > best_gain:
+                        best_gain, best = gain, (one, other, merger)
+        if best is None:
+            return parts
+        parts = [part for part in parts if part is not best[0] and part is not best[1]] + [best[2]]
+    return parts
+
+
+def _merger(
+    fitter: Fitter, one: Part, other: Part, limit_m: float, slope_cost_m: float, effort: Effort
+) -> Part | None:
+    """Two parts as one, None if they do not touch along an edge or if it would cost more than ``limit_m``."""
+    rings = merged_rings(one.roof.rings, other.roof.rings)
+    if rings is None:
+        return None
+    point_m = np.hstack([one.point_m, other.point_m])
+    point_m = point_m[:, even_order(point_m.T)]
+    num = point_m.shape[1]
+    xy_m, offset = flat_rings(rings)
+    if not is_sound(xy_m, offset, 0.05, fitter.work(len(xy_m), num)):
+        return None
+    prior = with_slope_cost(NO_PRIOR, slope_cost_m, num, len(xy_m))
+    quick = fitter.fit(rings, point_m.T, _SCREEN, (), prior)
+    if quick is None or quick.total_loss_m > _MERGER_SLACK * limit_m:
+        return None
+    roof = fitter.fit(rings, point_m.T, replace(effort, max_rounds=1), (), prior)
+    return None if roof is None else _part(fitter, roof, point_m, slope_cost_m)

@@ -22,22 +22,19 @@ from p2wss.fit.roof import (
     with_flat_top,
 )
 from p2wss.fit.solve import IMPOSSIBLE
-from p2wss.fit.work import FitWork, Prior, Settings
+from p2wss.fit.work import NO_PRIOR, FitWork, Prior, Settings
 from p2wss.skeleton.compiled import allocating, by_address, entry, inner
 from p2wss.skeleton.ordering import stable_order
 
 _NUM_POINTS = 160
-# this many of the cuts, if their cost is at most this multiple of the best, are evaluated again with flat tops
-_MAX_FINALISTS, _FINALIST_RATIO = 3, 1.3
+# this many of the cuts, if their cost is at most this multiple of the best, are evaluated again with flat tops; the
+# best of them are fitted in full
+_MAX_FINALISTS, _FINALIST_RATIO, _NUM_FITTED = 6, 1.4, 3
 _NEARBY_M = 0.35
 _SHIFTS_M = np.array([-0.25, -0.12, 0.12, 0.25])
 _SHIFT_ROUNDS = 2
 # a cut beside the corners of the footprint has to be better than one through a corner by this ratio
 _OFF_CORNER_RATIO, _ON_CORNER_M = 1.02, 1e-6
-# a cut is dropped if the quick fits gain less than this share of the minimum
-_MIN_GAIN_SHARE = 0.5
-# on either side of a cut that is fitted in full
-_MIN_POINTS = 3
 
 
 class Side(NamedTuple):
@@ -59,39 +56,30 @@ def split_roof(
     ring_offset: np.ndarray,
     angle_deg: np.ndarray,
     points: np.ndarray,
-    loss: float,
+    cost_m: float,
     min_gain: float,
     min_points: int,
+    slope_cost_m: float,
     work: FitWork,
     screen: Settings,
     settings: Settings,
-    prior: Prior,
 ) -> tuple[int, float, Side, Side] | None:
-    """(axis, position, low side, high side) of the best cut through a part, or None if no cut gains half of
-    ``min_gain`` in the quick fits.
+    """(axis, position, low side, high side) of the best cut through a part, or None if no cut gains ``min_gain``.
 
-    xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points in even order. loss,
-    min_gain: sums over all points of the part. min_points: on either side. screen: settings of the quick fits.
-    settings: of the fits of the two sides.
+    xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points in even order. cost_m: of
+    the part, the sum of its residuals and ``slope_cost_m`` for each of its slopes. min_points: on either side. screen:
+    settings of the quick fits. settings: of the fits of the two sides.
     """
     sample = np.take(points, every_kth(points.shape[1], _NUM_POINTS), axis=1)
     clearance = clearance_m(xy_m, ring_offset, work)
     axes, positions = candidates(xy_m, *points)
+    limit_m = cost_m - min_gain
+    part = (xy_m, ring_offset, angle_deg, points)
+    limits = (min_points, clearance)
     cost, index, *sides = best_cut(
-        xy_m,
-        ring_offset,
-        angle_deg,
-        points,
-        sample,
-        axes,
-        positions,
-        min_points,
-        clearance,
-        work,
-        screen,
-        prior,
+        *part, sample, axes, positions, *limits, work, screen, settings, slope_cost_m, limit_m + min_gain
     )
-    if cost >= IMPOSSIBLE or loss - cost < _MIN_GAIN_SHARE * min_gain:
+    if index < 0:
         return None
     axis, position = int(axes[index]), float(positions[index])
     nearby_positions = _positions_near(xy_m, axis, position)
@@ -99,23 +87,20 @@ def split_roof(
     for is_high in (False, True):
         _, *roof = sides[is_high]
         costs += _costs_of_positions(
-            *roof, xy_m, ring_offset, sample, points[axis], axis, position, is_high, nearby_positions, min_points,
-            clearance, work, screen, prior,
+            *roof, xy_m, ring_offset, sample, points[axis], axis, position, is_high, nearby_positions, *limits, work,
+            screen, NO_PRIOR,
         )  # fmt: skip
     off_corner = (np.abs(xy_m[:, axis] - nearby_positions[:, None]) >= _ON_CORNER_M).all(axis=1)
     costs[off_corner] *= _OFF_CORNER_RATIO
-    if np.isfinite(costs).any():
-        position = float(nearby_positions[costs.argmin()])
-    low, high = (
-        Side(
-            *fit_side(
-                xy_m, ring_offset, angle_deg, points, axis, position, is_high, _MIN_POINTS,
-                settings.num_points, clearance, work, settings, prior,
-            )
-        )
-        for is_high in (False, True)
-    )  # fmt: skip
-    return None if max(low.loss_m, high.loss_m) >= IMPOSSIBLE else (axis, position, low, high)
+    nearby = float(nearby_positions[costs.argmin()])
+    if np.isfinite(costs).any() and nearby != position:
+        moved_cost, moved_index, *moved = best_cut(
+            *part, sample, axes[:1] * 0 + axis, np.array([nearby]), *limits, work, screen, settings, slope_cost_m,
+            cost * _OFF_CORNER_RATIO,
+        )  # fmt: skip
+        if moved_index >= 0 and moved_cost < cost * _OFF_CORNER_RATIO:
+            cost, position, sides = moved_cost, nearby, moved
+    return None if cost > limit_m else (axis, position, Side(*sides[0]), Side(*sides[1]))
 
 
 def _positions_near(xy_m: np.ndarray, axis: int, position: float) -> np.ndarray:
@@ -165,55 +150,78 @@ def _points_of_side(points, axis, position, is_high):
     return result
 
 
+@allocating
+def slope_prior(num_edges, cost_m):
+    """A prior for which each slope costs ``cost_m`` in the mean, and nothing else costs anything."""
+    class_cost_m = np.zeros((num_edges, 3))
+    for e in range(num_edges):
+        class_cost_m[e, 2] = cost_m
+    return Prior(class_cost_m, np.full(num_edges, 38.0), 0.0, np.zeros(0), 0.0)
+
+
 @entry
 def best_cut(
-    xy_m, ring_offset, angle_deg, points, sample, axes, positions, min_points, min_clearance_m, work, settings,
-    prior,
+    xy_m, ring_offset, angle_deg, points, sample, axes, positions, min_points, min_clearance_m, work, screen,
+    settings, slope_cost_m, limit_m,
 ):  # fmt: skip
     """(cost, index, low side, high side) of the best of several cuts through a part, across x (axis 0) or y (axis 1).
-    The cost is the loss summed over all points, somewhat more than after a full search, ``IMPOSSIBLE`` if no cut is
-    possible. The sides are as :func:`fit_side` returns them.
+    The cost is the loss summed over all points and ``slope_cost_m`` for each slope; the index is -1 if no cut costs
+    less than ``limit_m``. The sides are as :func:`fit_side` returns them.
 
     xy_m, ring_offset, angle_deg: the part and its roof. points: (3, m), its points in even order; sample: those that
-    are fitted. min_points: on either side. settings: of the fits there. The second side of a cut is not fitted if
-    the first alone costs too much.
+    are fitted first, by which most cuts are dropped. min_points: on either side. screen, settings: of the fits to the
+    sample and of those to all points. The second side of a cut is not fitted if the first alone costs too much.
     """
-    m, max_points = points.shape[1], settings.num_search_points
+    m, max_points, max_edges = points.shape[1], screen.num_search_points, 2 * len(xy_m) + 8
     costs, num_low = np.empty(len(axes)), np.empty(len(axes), np.int64)
     for c in range(len(axes)):
         costs[c], num_low[c] = IMPOSSIBLE, _count_below(points[axes[c]], positions[c])
+    no_prior = slope_prior(0, 0.0)
     order, num_tried = stable_order(costs), len(axes)
-    best = -1
+    if num_tried > _NUM_FITTED:
+        for flat_top in (False, True):
+            round_settings = with_flat_top(screen, flat_top)
+            min_cost = IMPOSSIBLE
+            for c in order[:num_tried]:
+                costs[c] = IMPOSSIBLE
+                if min(num_low[c], m - num_low[c]) < min_points:
+                    continue
+                low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], False, 1,
+                    max_points, min_clearance_m, work, round_settings, no_prior,
+                )  # fmt: skip
+                if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > _FINALIST_RATIO * min_cost:
+                    continue
+                high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], True, 1,
+                    max_points, min_clearance_m, work, round_settings, no_prior,
+                )  # fmt: skip
+                if high[0] >= IMPOSSIBLE:
+                    continue
+                costs[c] = low[0] * num_low[c] + high[0] * (m - num_low[c])
+                min_cost = min(min_cost, costs[c])
+            order = stable_order(costs)
+            num_tried = min(num_tried, _NUM_FITTED if flat_top else _MAX_FINALISTS)
+            while num_tried > 0:
+                if costs[order[num_tried - 1]] <= min(_FINALIST_RATIO * costs[order[0]], 0.5 * IMPOSSIBLE):
+                    break
+                num_tried -= 1
+    best, best_cost = -1, limit_m
     best_low = best_high = (IMPOSSIBLE, 0.0, np.inf, angle_deg, xy_m, ring_offset)
-    for flat_top in (False, True):
-        round_settings = with_flat_top(settings, flat_top)
-        # a cut that costs more cannot become a finalist or, in the second pass, the best
-        ratio, min_cost = 1.0 if flat_top else _FINALIST_RATIO, IMPOSSIBLE
-        best = -1
-        for c in order[:num_tried]:
-            costs[c] = IMPOSSIBLE
-            if min(num_low[c], m - num_low[c]) < min_points:
-                continue
-            low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], False, 1,
-                max_points, min_clearance_m, work, round_settings, prior,
-            )  # fmt: skip
-            if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > ratio * min_cost:
-                continue
-            high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], True, 1,
-                max_points, min_clearance_m, work, round_settings, prior,
-            )  # fmt: skip
-            if high[0] >= IMPOSSIBLE:
-                continue
-            costs[c] = low[0] * num_low[c] + high[0] * (m - num_low[c])
-            if costs[c] < min_cost:
-                best, min_cost, best_low, best_high = c, costs[c], low, high
-        order = stable_order(costs)
-        num_tried = min(num_tried, _MAX_FINALISTS)
-        while num_tried > 0:
-            if costs[order[num_tried - 1]] <= min(_FINALIST_RATIO * costs[order[0]], 0.5 * IMPOSSIBLE):
-                break
-            num_tried -= 1
-    return costs[best] if best >= 0 else IMPOSSIBLE, best, best_low, best_high
+    for c in order[:num_tried]:
+        if min(num_low[c], m - num_low[c]) < min_points:
+            continue
+        low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], False, min_points,
+            settings.num_points, min_clearance_m, work, settings, slope_prior(max_edges, slope_cost_m / num_low[c]),
+        )  # fmt: skip
+        if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > best_cost:
+            continue
+        num_high = m - num_low[c]
+        high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], True, min_points,
+            settings.num_points, min_clearance_m, work, settings, slope_prior(max_edges, slope_cost_m / num_high),
+        )  # fmt: skip
+        cost = low[0] * num_low[c] + high[0] * num_high
+        if cost < best_cost:
+            best, best_cost, best_low, best_high = c, cost, low, high
+    return best_cost, best, best_low, best_high
 
 
 @inner

@@ -11,6 +11,7 @@ import manifold3d
 import numpy as np
 
 from p2wss import skeleton
+from p2wss.fit.dormers import Box
 from p2wss.fit.one_height import FittedRoof
 from p2wss.fit.planes import face_planes, neighbours, planes_at, snap_vertices
 from p2wss.skeleton import Polygons, Status
@@ -33,10 +34,14 @@ class Mesh:
 
 
 def union(
-    parts: Sequence[FittedRoof], ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
+    parts: Sequence[FittedRoof],
+    ground_z_m: float,
+    min_eave_height_m: float,
+    max_roof_height_m: float,
+    recesses: Sequence[Box] = (),
 ) -> Mesh | None:
-    """The union of the parts' solids on one ground, z above it. None if a part has no solid, or if the union is not
-    one closed manifold.
+    """The union of the parts' solids on one ground, z above it, less the ``recesses``. None if a part has no solid, or
+    if the result is not one closed manifold.
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
     The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
@@ -47,7 +52,7 @@ def union(
     first_closed = None
     for step_m, simplify_m in _ATTEMPTS_M:
         raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m)
+        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses)
         if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
             continue
         if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
@@ -98,6 +103,7 @@ def _union(
     min_eave_height_m: float,
     max_roof_height_m: float,
     simplify_m: float,
+    recesses: Sequence[Box],
 ) -> Mesh | None:
     meshes = skeleton.build(
         Polygons.from_rings([list(part.rings) for part in parts]),
@@ -114,6 +120,9 @@ def _union(
         mesh = manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64))
         solids.append(manifold3d.Manifold(mesh))
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    for recess in recesses:
+        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m)
+        whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
     whole = whole.as_original().simplify(simplify_m)
     if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
         return None
@@ -122,6 +131,18 @@ def _union(
     triangle = np.array(out.tri_verts, np.int32)
     mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
     return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else _collapse_vertices(mesh)
+
+
+def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifold:
+    """The solid over a rectangle along the axes; its walls have exactly the coordinates of the ring."""
+    (x0, y0), (x1, y1) = ring.min(axis=0), ring.max(axis=0)
+    corner = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    vertex_m = np.vstack([np.column_stack([corner, np.full(4, z)]) for z in (low_m, high_m)])
+    bottom, top = [[0, 2, 1], [0, 3, 2]], [[4, 5, 6], [4, 6, 7]]
+    walls = [[i, (i + 1) % 4, (i + 1) % 4 + 4] for i in range(4)] + [
+        [i, (i + 1) % 4 + 4, i + 4] for i in range(4)
+    ]
+    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, np.array(bottom + top + walls, np.uint64)))
 
 
 def _collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:

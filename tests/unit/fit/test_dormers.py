@@ -75,6 +75,22 @@ def test_two_box_dormers_are_detected_and_the_mesh_is_closed() -> None:
     assert height[1] == pytest.approx(roof_z(near_wall[1:])[0], abs=0.12)
 
 
+def test_a_terrace_within_the_slope_is_a_recess() -> None:
+    """The floor of the terrace lies below the roof; beyond it the roof stays, and the solid is closed."""
+    building = house(num_points=1500)
+    x, y = building.point_m[:, 0], building.point_m[:, 1]
+    over = (x > 4) & (x < 8) & (y > 1) & (y < 4)
+    building.point_m[over, 2] = EAVE_M
+    reconstruction = fit_one(building, dormers=True)
+    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    at = np.array([[6.0, 3.0], [6.0, 6.5], [3.4, 3.0], [8.6, 3.0]])
+    height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, at)
+    assert height[0] == pytest.approx(EAVE_M, abs=0.1)
+    assert height[1:] == pytest.approx(roof_z(at[1:]), abs=0.12)
+    box = true_volume() - (4 * 3 * TAN * 2.5)
+    assert volume(reconstruction) == pytest.approx(box, rel=0.02)
+
+
 def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
     chimney = (6.0, 6.5, 2.0, 2.6, 10.0)
     for building in (house(), house(chimney)):

@@ -159,7 +159,7 @@ def test_a_building_that_one_roof_cannot_describe_is_flagged() -> None:
     roof = scene.points[-2]
     high = roof[:, 0] > roof[:, 0].mean()
     roof[:, 2] = np.where(high, ROOF_M + 9, ROOF_M)
-    single = scene.results(None, Reconstruct(max_parts=1))
+    single = scene.results(None, Reconstruct(max_parts=1, dormers=False))
     assert single["tower"].not_representable and single["tower"].residual_m > 1
     assert not single["good"].not_representable
     assert "1 of them not representable" in reconstruct.summary(list(single.values()))

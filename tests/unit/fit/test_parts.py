@@ -7,6 +7,7 @@ import trimesh
 from test_one_height import sample
 
 from p2wss.data.solids.faces import planar_surfaces
+from p2wss.fit.merging import merged_rings
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.solid import is_closed, is_sound, union
@@ -53,6 +54,42 @@ def test_parts_are_not_worse_than_one_height() -> None:
     # including the cost of a part
     assert cost_m(parts, Cutting()) < cost_m(single, Cutting())
     assert cost_m(parts, Cutting(gain_m=0.5)) == pytest.approx(sum(p.total_loss_m for p in parts) + 0.5 * 750)
+
+
+def test_an_annex_in_a_corner_leaves_one_part_around_it() -> None:
+    """Straight cuts alone need three parts; two of them are merged, and their roof stays one."""
+    ring = np.array([[0, 0], [14, 0], [14, 10], [0, 10.0]])
+    point_m = np.column_stack(
+        [np.random.default_rng(2).uniform((0, 0), (14, 10), (900, 2)), np.full(900, 6.0)]
+    )
+    point_m[(point_m[:, 0] > 9) & (point_m[:, 1] > 6), 2] = 3.0
+    point_m[:, 2] += np.random.default_rng(3).normal(0, 0.03, 900)
+    parts = fit_parts(Fitter(Limits()), [ring], point_m, Effort(), Cutting())
+    low, high = sorted(parts, key=lambda part: part.eave_z_m)
+    assert [len(part.rings[0]) for part in (low, high)] == [4, 6]
+    assert shapely.Polygon(low.rings[0]).area == pytest.approx(20, rel=0.1)
+    assert max(part.loss_m for part in parts) < 0.06
+
+
+def test_slopes_have_their_price() -> None:
+    """A roof that rises by 12 cm over 4 m is not worth two slopes, one that rises by a metre is."""
+    for angle_deg, is_flat in ((2.0, True), (14.0, False)):
+        point_m = sample([HOUSE], [5.0, 90, 5.0, 90], 6.0, 500, 0.03)
+        y = np.minimum(point_m[:, 1], 8 - point_m[:, 1])
+        point_m[:, 2] = (
+            6.0 + np.tan(np.radians(angle_deg)) * y + np.random.default_rng(1).normal(0, 0.03, 500)
+        )
+        (part,) = fit_parts(Fitter(Limits()), [HOUSE], point_m, Effort(), Cutting())
+        assert (part.angle_deg == 0).all() == is_flat
+
+
+def test_merged_rings() -> None:
+    (merged,) = merged_rings([HOUSE], [ANNEX])
+    assert len(merged) == 4 and shapely.Polygon(merged).equals(shapely.Polygon(BOTH))
+    for shift_m in ((1.0, 0.0), (0.0, 8.0)):
+        assert merged_rings([HOUSE], [ANNEX + np.array(shift_m)]) is None
+    hole = [BOTH * 10, ANNEX[::-1] + 5]
+    assert len(merged_rings(hole, [BOTH * 10 + np.array([130.0, 0.0])])) == 2
 
 
 def test_a_handful_of_points_is_no_reason_to_cut() -> None:

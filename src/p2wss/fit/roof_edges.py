@@ -1,0 +1,110 @@
+"""Walls where the points show them: a footprint that is drawn too large is not where the roof ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+
+# shorter edges stay; points this near to the ends of an edge may belong to the next wall
+_MIN_EDGE_M, _AT_CORNER_M = 2.0, 0.5
+_BIN_M = 1.0
+# the roof behind an edge is a line through the median heights of the points at these distances from it, no steeper
+# than this
+_NEAR_M, _MIDDLE_M, _FAR_M, _STEEPEST = 1.0, 2.0, 3.0, 1.5
+# points further below it are on a wall or on the ground
+_BELOW_ROOF_M = 0.7
+_MIN_POINTS, _MIN_BINS_SHARE = 3, 0.6
+# a wall is moved by at least this much; a quarter of the bins at most may show less
+_MIN_SHIFT_M = 0.3
+# Beyond the wall is open ground: it has at least this share of the points between the wall and the edge, and within
+# this distance beyond the edge at most so many points are of buildings for each of the ground. In a row of houses, a
+# neighbour's wall or lower roof is there instead.
+_GROUND_SHARE, _BEYOND_M, _MOST_BUILDING = 0.2, 1.0, 0.25
+# nearly straight corners cannot be found from the lines of their edges
+_MIN_TURN = 0.2
+
+
+def move_walls(
+    rings: Sequence[np.ndarray],
+    roof_point_m: np.ndarray,
+    point_m: np.ndarray,
+    classification: np.ndarray,
+    max_shift_m: float,
+) -> list[np.ndarray]:
+    """The rings with edges of the exterior moved inwards to where the points of the building (k, 3) begin, by at most
+    ``max_shift_m``. The number of vertices stays, and those between edges that stay.
+
+    Only an edge moves along which there is open ground within the footprint instead of a roof, so never a party wall.
+    point_m (m, 3), classification (m,): all points in and around the footprint.
+    """
+    ring = rings[0]
+    if max_shift_m < _MIN_SHIFT_M or len(roof_point_m) < _MIN_POINTS:
+        return list(rings)
+    ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
+    after = np.roll(ring, -1, axis=0)
+    shift_m = np.zeros(len(ring))
+    for i, ends in enumerate(zip(ring, after, strict=True)):
+        shift = _shift_m(*ends, roof_point_m, max_shift_m)
+        if shift > 0 and _is_open(*ends, shift, ground_m, building_m):
+            shift_m[i] = shift
+    if not shift_m.any():
+        return list(rings)
+    along = (after - ring) / np.linalg.norm(after - ring, axis=1, keepdims=True)
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    moved = ring.copy()
+    for i in range(len(ring)):
+        matrix, shifts = normal[[i - 1, i]], shift_m[[i - 1, i]]
+        if shifts.any():
+            if abs(np.linalg.det(matrix)) < _MIN_TURN:
+                shifts[:] = shifts.min()
+            moved[i] += np.linalg.lstsq(matrix, shifts)[0]
+    polygon, original = shapely.Polygon(moved, rings[1:]), shapely.Polygon(ring, rings[1:])
+    keeps_direction = (((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1) > 0.5).all()
+    if not keeps_direction or not polygon.is_valid or polygon.area < 0.5 * original.area:
+        return list(rings)
+    return [moved, *rings[1:]]
+
+
+def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_m: float) -> float:
+    """How far behind an edge the roof begins, 0 where it does so at the edge or where that is not clear."""
+    length = float(np.hypot(*(end - start)))
+    if length < _MIN_EDGE_M:
+        return 0.0
+    along = (end - start) / length
+    offset = point_m[:, :2] - start
+    place, depth = offset @ along, offset @ np.array([-along[1], along[0]])
+    near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M) & (depth > 0) & (depth < _FAR_M)
+    place, depth, z = place[near] - _AT_CORNER_M, depth[near], point_m[near, 2]
+    num_bins = max(1, int((length - 2 * _AT_CORNER_M) / _BIN_M))
+    number = np.minimum((place * num_bins / (length - 2 * _AT_CORNER_M)).astype(int), num_bins - 1)
+    begins_m = []
+    for k in range(num_bins):
+        here = number == k
+        bands = [here & (depth > low) & (depth <= low + 1.0) for low in (_NEAR_M, _MIDDLE_M)]
+        if min(band.sum() for band in bands) >= _MIN_POINTS:
+            height_m, next_m = (float(np.median(z[band])) for band in bands)
+            slope = min(max(next_m - height_m, 0.0), _STEEPEST)
+            roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
+            begins_m.append(depth[here & (z > roof_m - _BELOW_ROOF_M)].min())
+    if len(begins_m) < _MIN_BINS_SHARE * num_bins or np.quantile(begins_m, 0.25) < _MIN_SHIFT_M:
+        return 0.0
+    return float(min(np.median(begins_m), max_shift_m))
+
+
+def _is_open(
+    start: np.ndarray, end: np.ndarray, shift_m: float, ground_m: np.ndarray, building_m: np.ndarray
+) -> bool:
+    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge."""
+    length = float(np.hypot(*(end - start)))
+    along = (end - start) / length
+    inside, beyond = [], []
+    for xy_m in (ground_m, building_m):
+        place, depth = (xy_m - start) @ along, (xy_m - start) @ np.array([-along[1], along[0]])
+        near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M)
+        inside.append(int((near & (depth > 0) & (depth < shift_m)).sum()))
+        beyond.append(int((near & (depth < 0) & (depth > -_BEYOND_M)).sum()))
+    return inside[0] > _GROUND_SHARE * sum(inside) and beyond[1] <= _MOST_BUILDING * beyond[0]
