@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -15,6 +15,13 @@ class Crops(Section):
     seed: int = Field(0, ge=0, description="seed of the split")
     buffer_m: float = Field(
         1, gt=0, le=20, description="distance from the footprint within which points belong to a building"
+    )
+    footprint_error_m: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] = (
+        Field(
+            (0, 0),
+            description="errors of the footprints of simulated crops: standard deviations, along either axis, of the "
+            "shift of each block and of the noise of each vertex; the labels stay exact",
+        )
     )
     min_points: int = Field(20, ge=1, description="buildings with fewer points are excluded")
     max_points: int = Field(

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from p2wss.config import Crops
+from p2wss.crops.footprint_errors import with_errors
 from p2wss.crops.kernels import count_true, face_kinds, walls_seen
 from p2wss.crops.rows import crop_columns, repeat_per_vertex
 from p2wss.crops.splits import assign_splits
@@ -39,7 +40,9 @@ def crop_simulated(
     num_excluded.update(status[status != "ok"].tolist())
     rows = tile_rows[status == "ok"]
 
-    footprints = polygon_arrays.take(polygons, rows)
+    names = buildings["building_id"].to_pylist()
+    in_map = with_errors(polygons, names, settings.footprint_error_m, settings.seed)
+    footprints = polygon_arrays.take(in_map, rows)
     cropped = crop_cloud(cloud, footprints, settings.buffer_m)
     kind = face_kinds(building_of_point, face_of_point, cropped.point, cropped.offset, rows)
     on_roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)

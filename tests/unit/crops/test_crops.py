@@ -350,3 +350,29 @@ def test_truncated_real_copc(tmp_path):
     copc.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="cut"):
         read_clouds([copc], (0, 0, 1e7, 1e7))
+
+
+def test_footprints_with_errors_keep_labels_and_points(scanned):
+    buildings, scan = scanned
+    exact, _ = crops.crop_simulated(buildings, scan, Crops())
+    wrong, _ = crops.crop_simulated(buildings, scan, Crops(footprint_error_m=(0.5, 0.1)))
+    for name in (
+        "building_id",
+        "eave_height_m",
+        "angle_deg",
+        "roof_type",
+        "label_terrain_z_m",
+        "ring_offset",
+    ):
+        assert wrong[name].equals(exact[name])
+    assert np.array_equal(wrong["split"], exact["split"])
+    for row in range(len(exact["building_id"])):
+        points = [{*map(tuple, np.round(points_of(columns, row), 2))} for columns in (exact, wrong)]
+        # most points belong to both crops, and the house stays where it was scanned
+        assert len(points[0] & points[1]) > 0.5 * len(points[0]) and points[0] != points[1]
+        before, after = (
+            np.reshape(columns["footprint_xy_m"][row].as_py(), (-1, 2)) for columns in (exact, wrong)
+        )
+        before += np.array([exact["origin_x_m"][row], exact["origin_y_m"][row]])
+        after += np.array([wrong["origin_x_m"][row], wrong["origin_y_m"][row]])
+        assert 0.01 < np.abs(after - before).max() < 3
