@@ -66,7 +66,7 @@ def test_docstrings_comments_and_config_do_not_count(copy):
     before = of("buildings")
     edit(root / "buildings" / "build.py", '"""', '"""Another text. ')
     edit(root / "data" / "polygon_arrays.py", "import numpy as np", "# a comment\nimport numpy as np\n")
-    edit(root / "config" / "region.py", "gt=0, le=10000", "gt=0, le=20000")
+    edit(root / "config" / "region.py", "ge=10, le=10000", "ge=10, le=20000")
     assert of("buildings") == before
 
 

@@ -18,9 +18,11 @@ def names() -> dict[str, str]:
 
 def test_every_reason_has_a_meaning_and_is_kebab_case() -> None:
     from_kernel = {status.reason for status in Status}
-    assert set(reasons.MEANINGS) == set(names().values()) | from_kernel
-    assert all(re.fullmatch(r"[a-z]+(-[a-z]+)*", reason) for reason in reasons.MEANINGS)
-    assert all(meaning and meaning[-1] != "." for meaning in reasons.MEANINGS.values())
+    meanings = reasons.MEANINGS | reasons.FLAGS
+    assert set(meanings) == set(names().values()) | from_kernel
+    assert not set(reasons.MEANINGS) & set(reasons.FLAGS)
+    assert all(re.fullmatch(r"[a-z]+(-[a-z]+)*", reason) for reason in meanings)
+    assert all(meaning and meaning[-1] != "." for meaning in meanings.values())
     assert len(set(names().values())) == len(names())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import geopandas as gpd
@@ -12,6 +13,7 @@ import pyproj
 import pytest
 import shapely
 from oracle_network import Oracle
+from places import ROOT
 
 from p2wss import cli, skeleton
 from p2wss.data.building import Reconstruction
@@ -96,6 +98,7 @@ def test_the_report_measures_the_product(
     run("crops", "manifest", "--out", tmp_path / "manifest.json", "--real", shard)
     model = ["--model", tmp_path / "m.safetensors"] if method == "point2wss+fit" else []
     out = tmp_path / "out.parquet"
+    shutil.copy(ROOT / "models/point2wss.safetensors", tmp_path / "m.safetensors")
     files = ["--manifest", tmp_path / "manifest.json", "--out", out, "--out-cpu", tmp_path / "cpu.json"]
     run("eval", "fit", *files, *model)
     run("reconstruct", cloud, footprints, tmp_path / "out", *(model or ["--model", "none"]), "--tile", TILE)
