@@ -21,8 +21,8 @@ from p2wss.metrics.surface import distance_to_mesh
 
 VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
     "cutting": {
-        "gain_m": (0.004, 0.006, 0.008, 0.012, 0.018),
-        "slope_share": (0.0, 0.1, 0.2, 0.35),
+        "gain_m": (0.005, 0.007, 0.01, 0.014, 0.02),
+        "slope_share": (0.0, 0.2, 0.3, 0.5),
         "over_share": (0.2, 0.3, 0.5, 1.0),
         "cost_m": (0.5, 1.0, 2.0),
     },

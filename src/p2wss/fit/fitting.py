@@ -11,12 +11,13 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
 from p2wss.fit.mesh import build_meshes, transfer_angles
 from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
-from p2wss.fit.points import roof_points
+from p2wss.fit.points import ground_points, roof_points
 from p2wss.fit.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.solid import Mesh, is_sound, union
@@ -25,9 +26,11 @@ METHOD = "fit"
 # Before the roof is fitted again without the points of its boxes, boxes are accepted that gain this share of the
 # usual minimum.
 _LOOSE_GAIN_SHARE = 0.5
+# points of class ground this far inside the footprint show that no building is there
+_GROUND_INSIDE_M = 0.5
 # What a part costs: multiples of the normal price, and above this area less by this power of it.
 _DETAIL = {"low": 2.0, "normal": 1.0, "high": 0.5}
-_FULL_PRICE_M2, _PRICE_POWER = 60.0, 0.3
+_FULL_PRICE_M2, _PRICE_POWER = 60.0, 0.5
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
@@ -142,6 +145,9 @@ class _FitTask:
         roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
+        if len(roof_point_m) >= MIN_CLASSIFIED_POINTS:
+            open_point_m = ground_points(polygon, building.point_m, building.classification, _GROUND_INSIDE_M)
+            roof_point_m = np.vstack([roof_point_m, open_point_m])
         roof_point_m = np.column_stack([roof_point_m[:, :2] @ rotation, roof_point_m[:, 2]])
         point_m = roof_point_m[~is_over_boxes(boxes, roof_point_m)]
         if len(point_m) < MIN_NUM_POINTS:

@@ -34,9 +34,9 @@ class Cutting(Gain):
     min_points: of a part.
     """
 
-    gain_m: float = 0.008
+    gain_m: float = 0.01
     max_parts: int = 32
-    slope_share: float = 0.2
+    slope_share: float = 0.3
     over_share: float = 0.2
     min_points: int = 6
 

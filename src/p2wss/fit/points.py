@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from p2wss.data.las_classes import GROUND_CLASS
 from p2wss.data.points import points_on_building
 
 _CELL_M = 0.5
@@ -15,6 +16,18 @@ def roof_points(
 ) -> np.ndarray:
     """The points (k, 3) on the building over the polygon, which show its roof."""
     return point_m[points_on_building(polygon, point_m, classification, ground_z_m)]
+
+
+def ground_points(
+    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, inside_m: float
+) -> np.ndarray:
+    """The points (k, 3) of class ground that lie more than ``inside_m`` within the polygon, where a roof would hide
+    the ground."""
+    ground_m = point_m[classification == GROUND_CLASS]
+    if not shapely.contains_xy(polygon, ground_m[:, 0], ground_m[:, 1]).any():
+        return np.zeros((0, 3))
+    within = polygon.buffer(-inside_m)
+    return ground_m[shapely.contains_xy(within, ground_m[:, 0], ground_m[:, 1])]
 
 
 def even_order(point_m: np.ndarray) -> np.ndarray:

@@ -48,8 +48,10 @@ def move_walls(
     after = np.roll(ring, -1, axis=0)
     shift_m = np.zeros(len(ring))
     for i, ends in enumerate(zip(ring, after, strict=True)):
+        if not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
+            continue
         shift = _shift_m(*ends, roof_point_m, max_shift_m)
-        if shift > 0 and _is_open(*ends, shift, ground_m, building_m):
+        if shift > 0 and _is_open(*ends, shift, ground_m, building_m, _GROUND_SHARE):
             shift_m[i] = shift
     if not shift_m.any():
         return list(rings)
@@ -96,9 +98,15 @@ def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_
 
 
 def _is_open(
-    start: np.ndarray, end: np.ndarray, shift_m: float, ground_m: np.ndarray, building_m: np.ndarray
+    start: np.ndarray,
+    end: np.ndarray,
+    shift_m: float,
+    ground_m: np.ndarray,
+    building_m: np.ndarray,
+    ground_share: float,
 ) -> bool:
-    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge."""
+    """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge: more than
+    ``ground_share`` of the points within it are of the ground."""
     length = float(np.hypot(*(end - start)))
     along = (end - start) / length
     inside, beyond = [], []
@@ -107,4 +115,4 @@ def _is_open(
         near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M)
         inside.append(int((near & (depth > 0) & (depth < shift_m)).sum()))
         beyond.append(int((near & (depth < 0) & (depth > -_BEYOND_M)).sum()))
-    return inside[0] > _GROUND_SHARE * sum(inside) and beyond[1] <= _MOST_BUILDING * beyond[0]
+    return inside[0] > ground_share * sum(inside) and beyond[1] <= _MOST_BUILDING * beyond[0]
