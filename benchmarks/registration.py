@@ -2,7 +2,7 @@
 
     python benchmarks/registration.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model src/p2wss/weights/point2wss.safetensors     # with the network, else the fit alone
-    p2wss towns --seed 7 --out town --lidar && .. --town town                 # also simulated LiDAR
+    p2wss towns --seed 7 --out town --lidar && .. --town town                 # simulated LiDAR instead
 
 Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed and
 judged against the footprints and points in place, in two halves (every second building by id). Thresholds were chosen
@@ -223,7 +223,9 @@ def main() -> int:
     parser.add_argument("--judge", type=Path, required=True)
     parser.add_argument("--model", type=Path, default=None, help="weights of a network to start the fit from")
     parser.add_argument("--seeds", type=int, nargs="+", default=[3, 4, 5])
-    parser.add_argument("--town", type=Path, default=None, help="folder of a town with LiDAR, by p2wss towns")
+    parser.add_argument(
+        "--town", type=Path, default=None, help="folder of a town with LiDAR, in place of Delft"
+    )
     parser.add_argument("--town-buildings", type=int, default=100)
     parser.add_argument("--off", action="store_true", help="without the registration, for comparison")
     arguments = parser.parse_args()
@@ -233,14 +235,15 @@ def main() -> int:
 
         predictor = load_predictor(arguments.model)
     figures = Figures()
-    of_moved_blocks(figures, "delft", places(arguments.data)["delft"], predictor, arguments)
     if arguments.town is not None:
         place = town(arguments.town, arguments.town_buildings)
         for noise_m in TOWN_NOISE_M:
             title = f"town, vertices {noise_m:g} m"
             of_moved_blocks(figures, title, place, predictor, arguments, noise_m)
-    if not arguments.off:
-        of_sheds(figures, arguments)
+    else:
+        of_moved_blocks(figures, "delft", places(arguments.data)["delft"], predictor, arguments)
+        if not arguments.off:
+            of_sheds(figures, arguments)
     return figures.end()
 
 
