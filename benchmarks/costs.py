@@ -62,7 +62,7 @@ GPU_SOURCE = (
 
 def work_of(config: Config) -> tuple[Work, dict[str, int]]:
     """The work that a run has done, and the buildings of each of its tiles."""
-    with Path("results", dataset_name(config), "scenes/index.tsv").open(newline="") as file:
+    with Path("results", dataset_name(config), "scenes/index.tsv").open(encoding="utf-8", newline="") as file:
         counts = {
             (row["place"], row["tile"]): int(row["num_buildings"])
             for row in csv.DictReader(file, delimiter="\t")
@@ -125,7 +125,7 @@ def measured_on(config: Config) -> str:
 
 def read_job(path: Path) -> dict[str, str] | None:
     """The row of a benchmark file; None for a job too short to be measured."""
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8", newline="") as file:
         row = next(csv.DictReader(file, delimiter="\t"))
     return None if row["cpu_time"] in ("NA", "-") or row["max_rss"] in ("NA", "-") else row
 

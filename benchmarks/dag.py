@@ -40,7 +40,7 @@ class Planning(NamedTuple):
 
 def planning(*configs: Path) -> Planning:
     """One ``snakemake -n`` with these configs. Raises ``RuntimeError`` with its output if it fails."""
-    with tempfile.TemporaryFile("w+") as output:
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as output:
         command = ["snakemake", "-n", "--configfile", *map(str, configs)]
         start = time.perf_counter()
         process = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT)
@@ -83,7 +83,7 @@ def main() -> int:
         for num in options.tiles:
             tiles = square_of_tiles(num)
             region = {"name": f"dag-{num}", "vintage": "dag", "tiles": tiles, "lidar_tiles": tiles}
-            config.write_text(yaml.safe_dump({"region": region}))
+            config.write_text(yaml.safe_dump({"region": region}), encoding="utf-8")
             plan = planning(config)
             per_job_ms[num] = 1000 * plan.cpu_s / plan.num_jobs
             show(str(num), plan)

@@ -57,5 +57,5 @@ def cpu_seconds(call: Callable[[], object], repeats: int = 3) -> float:
 
 def peak_mib() -> float:
     """Peak memory of this process. getrusage is of no use: its figure begins with the parent's memory."""
-    lines = Path("/proc/self/status").read_text().splitlines()
+    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))

@@ -85,7 +85,7 @@ def from_csv(path: Path) -> dict[str, dict[str, float | str | None]]:
         except ValueError:
             return cell or None
 
-    with path.open() as file:
+    with path.open(encoding="utf-8") as file:
         header, *rows = csv.reader(file)
     return {row[0]: dict(zip(header[1:], map(number, row[1:]), strict=True)) for row in rows}
 

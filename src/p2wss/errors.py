@@ -1,4 +1,12 @@
-"""The one exception a user sees."""
+"""The one exception a user sees, and how the errors of libraries that read files become it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+_MAX_REASON = 300
 
 
 class InputError(Exception):
@@ -6,3 +14,37 @@ class InputError(Exception):
 
     The command line prints it as it is and exits with status 2.
     """
+
+
+@contextmanager
+def reading(path: str | Path, kind: str) -> Iterator[None]:
+    """Raise whatever error the block raises as an :class:`InputError` that names ``path``.
+
+    The block does nothing but read that file, of which libraries raise dozens of kinds of errors if it is damaged.
+    kind: what the file is not, as in "a readable Parquet file".
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (IsADirectoryError, PermissionError) as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise InputError(f"{path}: not {kind}: it would take more memory than there is") from error
+    except Exception as error:
+        raise InputError(f"{path}: not {kind}: {_reason(error)}") from error
+    except BaseException as error:
+        # libraries in Rust raise a failed assertion of theirs as this, which is no Exception
+        if type(error).__name__ != "PanicException":
+            raise
+        raise InputError(f"{path}: not {kind}: {_reason(error)}") from error
+
+
+def _reason(error: BaseException) -> str:
+    """An error of a library in one line."""
+    text = " ".join(str(error).split())[:_MAX_REASON]
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    return f"missing {text}" if isinstance(error, KeyError) else text or type(error).__name__

@@ -60,7 +60,7 @@ PLACEHOLDER = re.compile(r"\.\.|[<>$*{]|\bmy[-_.]|NAME|FOLDER")
 
 def text_of(page: Path) -> str:
     """The page without the templates of its figures."""
-    return re.sub(r"<!--.*?-->", "", page.read_text(), flags=re.DOTALL)
+    return re.sub(r"<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
 def inline_code(page: Path) -> list[str]:
@@ -197,7 +197,7 @@ def test_every_path_exists():
 
 def anchors(page: Path) -> set[str]:
     """The anchors that GitHub gives to the headings of a page."""
-    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 

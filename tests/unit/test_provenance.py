@@ -49,16 +49,16 @@ def digest_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str]
 
 
 def edit(file: Path, old: str, new: str) -> None:
-    text = file.read_text()
+    text = file.read_text(encoding="utf-8")
     assert old in text
-    file.write_text(text.replace(old, new, 1))
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
 def reword(file: Path, before: str) -> None:
     """Put words behind the first match of the pattern ``before``, which ends in a text."""
-    text, count = re.subn(f"({before})", r"\1in other words: ", file.read_text(), count=1)
+    text, count = re.subn(f"({before})", r"\1in other words: ", file.read_text(encoding="utf-8"), count=1)
     assert count == 1, file
-    file.write_text(text)
+    file.write_text(text, encoding="utf-8")
 
 
 def test_docstrings_comments_and_config_do_not_count(copy):

@@ -103,7 +103,10 @@ def _main(
 
 def _captured(main: Callable[[list[str]], int], command: list[str]) -> subprocess.CompletedProcess[str]:
     sys.argv = command
-    with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
+    with (
+        tempfile.TemporaryFile("w+", encoding="utf-8") as stdout,
+        tempfile.TemporaryFile("w+", encoding="utf-8") as stderr,
+    ):
         os.dup2(stdout.fileno(), sys.stdout.fileno())
         os.dup2(stderr.fileno(), sys.stderr.fileno())
         try:

@@ -47,7 +47,7 @@ def done(tmp_path_factory):
 
 def _say_what_is_in(folder: str, sources: Path) -> None:
     """The products of the miniature, copied to another folder, in the table of sources."""
-    with sources.open(newline="") as file:
+    with sources.open(encoding="utf-8", newline="") as file:
         rows = [[value.replace("tests/mini", folder) for value in row] for row in csv.reader(file)]
-    with sources.open("w", newline="") as file:
+    with sources.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows(rows)

@@ -100,7 +100,7 @@ def _configuration(folder: Path) -> Iterator[None]:
     )
     earlier = CONFIG.read_bytes() if CONFIG.exists() else None
     CONFIG.parent.mkdir(parents=True, exist_ok=True)
-    CONFIG.write_text(text)
+    CONFIG.write_text(text, encoding="utf-8")
     try:
         yield
     finally:
@@ -112,7 +112,7 @@ def _configuration(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _daemon(*command: str, output: Path) -> Iterator[None]:
-    with output.open("w") as stream:
+    with output.open("w", encoding="utf-8") as stream:
         process = subprocess.Popen(
             command, stdout=stream, stderr=subprocess.STDOUT, env=os.environ | {"PATH": _path()}
         )

@@ -94,7 +94,7 @@ def _counted_buildings(path: Path) -> dict[str, dict[str, int]]:
     """Buildings per place and tile, from the index of the stage scenes; empty if it has not run."""
     counts: dict[str, dict[str, int]] = {}
     try:
-        with path.open(newline="") as file:
+        with path.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file, delimiter="\t"):
                 counts.setdefault(row["place"], {})[row["tile"]] = int(row["num_buildings"])
     except FileNotFoundError:

@@ -35,5 +35,7 @@ def _append_section(model: Section, lines: list[str], indent: str) -> None:
 
 def main(folder: str = "config") -> None:
     """Write ``default.yaml`` and ``schema.json``."""
-    Path(folder, "default.yaml").write_text(default_yaml())
-    Path(folder, "schema.json").write_text(json.dumps(Config.model_json_schema(), indent=1) + "\n")
+    Path(folder, "default.yaml").write_text(default_yaml(), encoding="utf-8")
+    Path(folder, "schema.json").write_text(
+        json.dumps(Config.model_json_schema(), indent=1) + "\n", encoding="utf-8"
+    )

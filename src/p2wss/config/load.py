@@ -12,7 +12,10 @@ from pydantic import ValidationError
 
 from p2wss.config.base import merge
 from p2wss.config.sections import Config
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
+
+# of a config with all its aliases written out; a config of 2 million tiles has as many
+_MAX_VALUES = 5_000_000
 
 
 def load(*documents: str | Path | dict[str, Any]) -> Config:
@@ -53,16 +56,35 @@ def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
     text = str(document)
     if not text.lstrip().startswith("{"):
         try:
-            text = Path(document).read_text()
+            text = Path(document).read_text(encoding="utf-8")
         except OSError as error:
             raise InputError(f"config: {document}: {error.strerror}") from error
-    try:
-        parsed = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        raise InputError(f"config: {document}: not YAML: {' '.join(str(error).split())}") from error
+        except ValueError as error:  # not UTF-8, or a name that no file can have
+            raise InputError(f"config: {document}: not UTF-8 text: {error}") from error
+    with reading(f"config: {document}", "YAML"):
+        loader = yaml.SafeLoader(text)
+        root = loader.get_single_node()
+        _check_size(root)
+        parsed = {} if root is None else loader.construct_document(root) or {}
     if not isinstance(parsed, dict):
         raise InputError(f"config: {document}: expected a mapping of sections, got {type(parsed).__name__}")
     return parsed
+
+
+def _check_size(root: yaml.Node | None) -> None:
+    """Raise ValueError for a document that grows without bounds when its aliases are written out."""
+    sizes: dict[int, int] = {}
+
+    def size(node: yaml.Node) -> int:
+        if id(node) not in sizes:
+            sizes[id(node)] = _MAX_VALUES + 1  # of a node that contains itself
+            children = node.value if isinstance(node, yaml.SequenceNode | yaml.MappingNode) else []
+            pairs = (child if isinstance(child, tuple) else (child,) for child in children)
+            sizes[id(node)] = 1 + sum(size(child) for pair in pairs for child in pair)
+        return sizes[id(node)]
+
+    if root is not None and size(root) > _MAX_VALUES:
+        raise ValueError(f"its aliases stand for more than {_MAX_VALUES} values")
 
 
 def _suggestion(error: Any) -> str:

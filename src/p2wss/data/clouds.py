@@ -8,13 +8,13 @@ from datetime import date
 from pathlib import Path
 
 import laspy
-import lazrs
 import numpy as np
 import pyproj
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES
+from p2wss.data.las_files import KIND, open_cloud
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
@@ -24,7 +24,6 @@ _SIGNATURE = b"LASF"
 _HEADER_MARGIN_M = 1.0
 _CHUNK_POINTS = 2_000_000
 _WEEK_S = 604_800
-_BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, RuntimeError, OSError)
 
 
 @dataclass(frozen=True)
@@ -98,12 +97,9 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
     """The headers of all files. Raises :class:`InputError` if a file is broken, or if two have different CRSs."""
     headers: list[CloudHeader] = []
     for path in paths:
-        try:
-            with laspy.open(path) as reader:
-                header = reader.header
-                crs = header.parse_crs()
-        except _BROKEN as error:
-            raise InputError(_unreadable(path, error)) from error
+        with open_cloud(path) as reader:
+            header = reader.header
+            crs = header.parse_crs()
         (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
         bounds = (float(x_min), float(y_min), float(x_max), float(y_max))
         known = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
@@ -143,10 +139,6 @@ def missing_classes(cloud: Cloud) -> list[str]:
     return warnings
 
 
-def _unreadable(path: str | Path, error: Exception) -> str:
-    return f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}"
-
-
 def read_clouds(
     paths: Sequence[str | Path],
     bounds: Bounds | None = None,
@@ -166,7 +158,7 @@ def read_clouds(
     for path in paths:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file")
-        try:
+        with reading(path, KIND):
             for header, points in _chunks(path, bounds):
                 file_crs = header.parse_crs()
                 if file_crs is not None:
@@ -177,8 +169,6 @@ def read_clouds(
                         )
                     crs, crs_path = crs or file_crs, crs_path or path
                 parts.append(_filter(points, bounds, header))
-        except _BROKEN as error:
-            raise InputError(_unreadable(path, error)) from error
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4], columns[5])
 
@@ -186,7 +176,7 @@ def read_clouds(
 def _chunks(
     path: str | Path, bounds: Bounds | None
 ) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
-    with laspy.open(path) as reader:
+    with open_cloud(path) as reader:
         header = reader.header
         is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
         if bounds is None or not is_copc:

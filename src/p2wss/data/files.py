@@ -19,9 +19,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
-from p2wss.errors import InputError
+from p2wss.data.table_checks import checked
+from p2wss.errors import InputError, reading
 
 METADATA_KEY = b"p2wss"
 # rows that are compressed and read together
@@ -114,7 +116,8 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
     names = columns or schema.names
     with _readable(path) as file:
         _check_columns(path, file, names)
-        return file.read(columns=names)
+        table = file.read(columns=names)
+    return checked(table, schema, path)
 
 
 def read_rows(
@@ -132,7 +135,8 @@ def read_rows(
             mask = select(file.read_row_group(i, columns=columns))
             if mask.any():
                 pieces.append(file.read_row_group(i, columns=schema.names).filter(pa.array(mask)))
-    return pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
+        table = pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
+    return checked(table, schema, path)
 
 
 def rows_with(columns: list[str], keys: Collection[tuple[str, ...]]) -> Callable[[pa.Table], np.ndarray]:
@@ -160,14 +164,8 @@ def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> 
 
 @contextmanager
 def _readable(path: str | Path) -> Iterator[pq.ParquetFile]:
-    try:
-        with pq.ParquetFile(path) as file:
-            yield file
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except (pa.ArrowException, OSError) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{path}: not a readable Parquet file: {reason}") from error
+    with reading(path, "a readable Parquet file"), pq.ParquetFile(path) as file:
+        yield file
 
 
 def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> None:
@@ -180,23 +178,58 @@ def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> 
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
-    """The metadata of a Parquet file that p2wss wrote. Raises :class:`InputError` if it has none."""
-    stored = (pq.read_metadata(path).metadata or {}).get(METADATA_KEY)
-    if stored is None:
-        raise InputError(f"{path}: not written by p2wss: it has no metadata with the key p2wss")
-    return json.loads(stored)
+    """The metadata of a Parquet file that p2wss wrote.
+
+    Raises :class:`InputError` if it has none or one of another type, and when a key is asked for that it lacks.
+    """
+    with _readable(path) as file:
+        stored = (file.metadata.metadata or {}).get(METADATA_KEY)
+        if stored is None:
+            raise InputError(f"{path}: not written by p2wss: it has no metadata with the key p2wss")
+        facts = _Facts(json.loads(stored))
+        for name, kinds in _FACT_TYPES.items():
+            if name in facts and (isinstance(facts[name], bool) or not isinstance(facts[name], kinds)):
+                raise InputError(f"{path}: its metadata has {facts[name]!r} as {name}")
+    facts.path = path
+    return facts
+
+
+# of the facts that stages read again
+_FACT_TYPES: Mapping[str, tuple[type, ...]] = {
+    "tile": (str,),
+    "place": (str,),
+    "crs": (str, type(None)),
+    "tile_size_m": (int, float),
+    "margin_m": (int, float),
+    "method": (str,),
+    "status": (str,),
+    "names": (str,),
+    "sha256": (str,),
+    "num_evaluated": (int,),
+}
+
+
+class _Facts(dict[str, Any]):
+    """The metadata of a file."""
+
+    path: str | Path = ""
+
+    def __missing__(self, name: str) -> Any:
+        raise InputError(
+            f"{self.path}: its metadata lacks {name}; was it written by another version of p2wss?"
+        )
 
 
 def write_json(path: str | Path, value: Any) -> None:
     """Write ``value`` as indented JSON."""
     with atomic(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n")
+        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
 def write_text(path: str | Path, text: str) -> None:
     """Write a text file."""
     with atomic(path) as temporary:
-        temporary.write_text(text)
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
@@ -205,14 +238,28 @@ def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
         temporary.write_bytes(content)
 
 
-def read_json(path: str | Path) -> Any:
-    """The value in a JSON file. Raises :class:`InputError` if it is missing or not JSON."""
+def read_text(path: str | Path) -> str:
+    """The content of a text file. Raises :class:`InputError` if it is missing or not UTF-8."""
+    with reading(path, "UTF-8 text"):
+        return Path(path).read_text(encoding="utf-8")
+
+
+def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes") -> Any:
+    """The value in a JSON file.
+
+    kind: the type that it must have, as pydantic understands it, such as a dataclass or ``dict[str, float]``. name:
+    of such a file, for messages.
+    Raises :class:`InputError` if it is missing, not JSON or of another type.
+    """
+    text = read_text(path)
+    with reading(path, "JSON"):
+        value = json.loads(text)
     try:
-        return json.loads(Path(path).read_text())
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
+        return value if kind is Any else TypeAdapter(kind).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path}: not {name}: {key + ': ' if key else ''}{first['msg']}") from error
 
 
 def sha256(path: str | Path) -> str:

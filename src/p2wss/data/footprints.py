@@ -17,7 +17,7 @@ from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.coverage import Cleaning, blocks, clean_block
 from p2wss.data.tiling import Bounds, grown
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 log = logging.getLogger(__name__)
 ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
@@ -49,13 +49,11 @@ def read_footprints(
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
-    try:
+    with reading(path, "a readable vector file"):
         if str(path).endswith(".parquet"):
             frame = gpd.read_parquet(path, bbox=bounds)
         else:
             frame = pyogrio.read_dataframe(path, bbox=bounds)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
     if not isinstance(frame, gpd.GeoDataFrame):
         raise InputError(f"{path}: has no geometry")
     shapes = shapely.get_type_id(frame.geometry.to_numpy())

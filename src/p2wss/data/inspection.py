@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 Facts = dict[str, Any]
 _CHUNK_POINTS = 2_000_000
@@ -29,13 +29,8 @@ def describe(path: Path) -> Facts:
     if reader is None:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
         raise InputError(f"{path}: unknown type of file; the known types are {known}")
-    try:
+    with reading(path, f"readable as {Path(name).suffix}, or truncated"):
         return {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
-    except InputError:
-        raise
-    except Exception as error:  # a dozen libraries raise different errors for broken files
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: not readable as {Path(name).suffix}, or truncated: {reason}") from error
 
 
 def text(facts: Facts, indent: str = "") -> str:
@@ -163,6 +158,9 @@ def _raster(path: Path) -> Facts:
 def _cloud(path: Path) -> Facts:
     import laspy
 
+    from p2wss.data.las_files import check_header
+
+    check_header(path)
     with laspy.open(path) as reader:
         header = reader.header
         classes: Counter[int] = Counter()
@@ -213,7 +211,7 @@ def _weights(path: Path) -> Facts:
 
 
 def _json(path: Path) -> Facts:
-    document = json.loads(path.read_text())
+    document = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(document, dict):
         return {"kind": "JSON, a list", "num_items": len(document) if isinstance(document, list) else 1}
     if document.get("type") == "CityJSON":
@@ -230,7 +228,7 @@ def _json(path: Path) -> Facts:
 
 
 def _json_lines(path: Path) -> Facts:
-    lines = [json.loads(line) for line in path.read_text().splitlines() if line.strip()]
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
     if lines and lines[0].get("type") == "CityJSON":
         return {"kind": "CityJSON text sequence", **_city(lines)}
     return {"kind": "JSON lines", "num_lines": len(lines), "first": lines[:1], "last": lines[-1:]}

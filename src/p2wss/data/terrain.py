@@ -18,9 +18,11 @@ from scipy.ndimage import map_coordinates
 from p2wss.data import files
 from p2wss.data.clouds import same_crs
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 log = logging.getLogger(__name__)
+# 20 km by 20 km at 0.5 m, 6.4 GB
+_MAX_CELLS = 1_600_000_000
 
 
 @dataclass(frozen=True)
@@ -70,12 +72,11 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
     """
     if not str(path).startswith("/vsi") and not Path(path).exists():
         raise InputError(f"{path}: no such file")
-    try:
-        with rasterio.open(path) as raster:
-            heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
-            transform, stated = raster.transform, raster.crs
-    except rasterio.errors.RasterioIOError as error:
-        raise InputError(f"{path}: not a readable raster: {error}") from error
+    with reading(path, "a readable raster"), rasterio.open(path) as raster:
+        if raster.width * raster.height > _MAX_CELLS:
+            raise InputError(f"{path}: has {raster.width} x {raster.height} cells; cut it to the area needed")
+        heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
+        transform, stated = raster.transform, raster.crs
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:
         raise InputError(f"{path}: must be a north-up raster with square cells; resample it with gdalwarp")
     if stated is None and crs is None:

@@ -14,7 +14,6 @@ from p2wss.data import files, polygon_arrays
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.data.schemas.manifest import Manifest
-from p2wss.errors import InputError
 
 Key = tuple[str, str, str]
 _KEY_COLUMNS = ["tile", "building_id"]
@@ -82,10 +81,7 @@ class Medians:
 
 def read_medians(path: Path) -> Medians:
     """Medians from a file of :meth:`Medians.write`. Raises :class:`InputError` if it is missing or something else."""
-    try:
-        return Medians(**files.read_json(path))
-    except TypeError as error:
-        raise InputError(f"{path}: not written by p2wss eval medians") from error
+    return files.read_json(path, Medians, "written by p2wss eval medians")
 
 
 def train_medians(manifest: Manifest) -> Medians:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Annotated, Any, NotRequired, Protocol
 
 import numpy as np
+from pydantic import AfterValidator, Field
+from typing_extensions import TypedDict
 
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import SIMULATED
@@ -23,6 +26,30 @@ MIN_SEEN_POINTS = 10
 SETTING_OF_METHOD = {NETWORK: "footprint_given", NETWORK_AND_FIT: NETWORK_AND_FIT, FIT: FIT}
 # how many simulated buildings there are, and how many of them the masked settings cannot take
 COUNTS = {"num_buildings", "num_left_out"}
+# metres or degrees: an error above is of a damaged file
+_MAX_ERROR = 1e5
+
+
+def _plausible(value: float) -> float:
+    if not (math.isnan(value) or 0 <= value <= _MAX_ERROR):
+        raise ValueError(f"{value:g} is no error that a building can have")
+    return value
+
+
+class StoredError(TypedDict):
+    """An absolute error as in a file."""
+
+    mean: Annotated[float, AfterValidator(_plausible)]
+    std: Annotated[float, AfterValidator(_plausible)]
+    count: Annotated[int, Field(ge=0)]
+
+
+class StoredErrors(TypedDict):
+    """The content of ``parameters.json`` and of the files that it is merged from."""
+
+    settings: dict[str, dict[str, StoredError]]
+    num_buildings: NotRequired[int]
+    num_left_out: NotRequired[int]
 
 
 class MaskedPredictor(Predictor, Protocol):

@@ -12,12 +12,36 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.compute as pc
+from pydantic import ConfigDict
+from typing_extensions import TypedDict
 
 from p2wss.data import files
 from p2wss.data.schemas.measures import MEASURES
+from p2wss.errors import reading
 from p2wss.eval import parameters
 from p2wss.eval.baselines import RECORDED
 from p2wss.eval.clock import CpuClock
+
+
+class _CpuTime(TypedDict):
+    seconds: dict[str, float]
+    num_buildings: dict[str, int]
+
+
+class Method(TypedDict):
+    """A method in ``methods.json``, with more facts."""
+
+    __pydantic_config__ = ConfigDict(extra="allow")  # type: ignore[misc]
+
+    method: str
+    status: str
+    cpu_ms: dict[str, float]
+
+
+class Methods(TypedDict):
+    """The content of ``methods.json``."""
+
+    methods: list[Method]
 
 
 @dataclass(frozen=True)
@@ -68,8 +92,10 @@ def merge_measures(
 
 def merge_errors(parts: Sequence[Part]) -> dict[str, Any]:
     """The content of ``parameters.json``, over the buildings of all parts."""
-    masked = parameters.merged(files.read_json(part.masked_errors) for part in parts)
-    variants = parameters.merged(files.read_json(part.variant_errors) for part in parts)
+    masked = parameters.merged(files.read_json(part.masked_errors, parameters.StoredErrors) for part in parts)
+    variants = parameters.merged(
+        files.read_json(part.variant_errors, parameters.StoredErrors) for part in parts
+    )
     return {**masked, "settings": masked["settings"] | variants["settings"]}
 
 
@@ -79,8 +105,9 @@ def merge_methods(parts: Sequence[Part], methods: Sequence[str]) -> list[dict[st
     for method in methods:
         clock = CpuClock()
         for part in parts:
-            stored = files.read_json(part.cpu(method))
-            clock.add(stored["seconds"], stored["num_buildings"])
+            stored = files.read_json(part.cpu(method), _CpuTime)
+            with reading(part.cpu(method), "CPU times"):
+                clock.add(stored["seconds"], stored["num_buildings"])
         facts = merge_facts([files.read_metadata(part.reconstructions(method)) for part in parts])
         merged.append({"method": method, "cpu_ms": clock.ms_per_building(), **facts})
     return merged

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
@@ -12,6 +11,7 @@ from typing import Any
 import jinja2
 import numpy as np
 import pyarrow as pa
+from pydantic import TypeAdapter
 
 from p2wss.config import Eval
 from p2wss.data import files
@@ -19,12 +19,13 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.schemas.manifest import read_manifest
 from p2wss.data.schemas.measures import MEASURES
-from p2wss.errors import InputError
+from p2wss.errors import reading
 from p2wss.eval import figures, groups, tables, texts
 from p2wss.eval.attribution import UNKNOWN_LIDAR
 from p2wss.eval.cases import Key
 from p2wss.eval.gallery import Counterpart, Exhibit, Gallery
-from p2wss.eval.parts import Part
+from p2wss.eval.parameters import StoredErrors
+from p2wss.eval.parts import Methods, Part
 from p2wss.eval.samples import Samples, read_samples
 from p2wss.eval.viewer import choices, viewer
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
@@ -32,6 +33,10 @@ from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
 # methods whose meshes a picture shows, as far as they were run: with the points four panels
 PICTURED = (NETWORK, NETWORK_AND_FIT, "roofer")
 PICTURED_INSTEAD = ("fit", "lod1")
+
+
+# a line of metrics.jsonl
+_RECORD: TypeAdapter[dict[str, float | None]] = TypeAdapter(dict[str, float | None])
 
 
 @dataclass(frozen=True)
@@ -93,10 +98,10 @@ def read(
 
     Raises :class:`InputError` if a file is missing or malformed.
     """
-    content = files.read_json(manifest)
+    content = files.read_json(manifest, dict[str, Any])
     provenance = {manifest.name: {name: value for name, value in content.items() if name != "shards"}}
     provenance[measures.name] = files.read_metadata(measures)
-    records = files.read_json(methods)["methods"]
+    records = files.read_json(methods, Methods)["methods"]
     for record in records:
         provenance[record["method"]] = {name: value for name, value in record.items() if name != "cpu_ms"}
     runs = [
@@ -115,7 +120,7 @@ def read(
     return Inputs(
         region,
         table,
-        files.read_json(errors),
+        files.read_json(errors, StoredErrors),
         runs,
         chosen,
         read_samples(chosen.keys(), listed, table, folders, names),
@@ -255,19 +260,17 @@ _ROW_TITLES = ("μ CD (m)", "Q1 CD (m)", "Q2 CD (m)", "Q3 CD (m)", "σ CD (m)", 
 
 
 def read_training(path: Path) -> list[dict[str, Any]]:
-    """Records of a ``metrics.jsonl``. Raises :class:`InputError` if it cannot be read or a line is not JSON."""
-    records = []
-    try:
-        lines = path.read_text().splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    for number, line in enumerate(lines, 1):
+    """Records of a ``metrics.jsonl``.
+
+    Raises :class:`InputError` if it cannot be read or a line is no JSON object with a ``step``.
+    """
+    records: list[dict[str, Any]] = []
+    for number, line in enumerate(files.read_text(path).splitlines(), 1):
         if line.strip():
-            try:
-                record = json.loads(line)
-            except json.JSONDecodeError as error:
-                raise InputError(f"{path}: line {number} is not JSON: {error}") from error
-            records.append(record)
+            with reading(path, f"JSON lines of numbers by name: line {number}"):
+                records.append(_RECORD.validate_json(line))
+                if all(records[-1].get(name) is None for name in _STEP_NAMES):
+                    raise ValueError(f"it has no {' or '.join(_STEP_NAMES)}")
     return records
 
 

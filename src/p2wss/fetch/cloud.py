@@ -16,6 +16,7 @@ import pyproj
 
 from p2wss.data import files
 from p2wss.data.clouds import same_crs
+from p2wss.data.las_files import open_cloud
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
@@ -26,11 +27,8 @@ BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, R
 
 def read_header(path: Path) -> laspy.LasHeader:
     """The header of a LAS, LAZ or COPC file. Raises :class:`InputError` if the file is not readable."""
-    try:
-        with laspy.open(path) as reader:
-            return reader.header
-    except BROKEN as error:
-        raise InputError(f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}") from error
+    with open_cloud(path) as reader:
+        return reader.header
 
 
 def check_cloud(path: Path, crs: str) -> None:
@@ -135,13 +133,10 @@ def write_cloud(
 def count_classes(path: Path) -> Counter[int]:
     """Number of points per LAS class. Raises :class:`InputError` if the file is not readable."""
     counts: Counter[int] = Counter()
-    try:
-        with laspy.open(path) as reader:
-            for points in reader.chunk_iterator(_CHUNK_POINTS):
-                values, numbers = np.unique(np.asarray(points.classification), return_counts=True)
-                counts.update(dict(zip(values.tolist(), numbers.tolist(), strict=True)))
-    except BROKEN as error:
-        raise InputError(f"{path}: not a readable LAS, LAZ or COPC file, or truncated: {error}") from error
+    with open_cloud(path) as reader:
+        for points in reader.chunk_iterator(_CHUNK_POINTS):
+            values, numbers = np.unique(np.asarray(points.classification), return_counts=True)
+            counts.update(dict(zip(values.tolist(), numbers.tolist(), strict=True)))
     return counts
 
 

@@ -12,7 +12,7 @@ import mapbox_earcut
 import numpy as np
 
 from p2wss.data.solids.faces import Surface
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.skeleton.types import FaceKind
 
 _KIND = {"GroundSurface": FaceKind.GROUND, "WallSurface": FaceKind.WALL, "RoofSurface": FaceKind.ROOF}
@@ -42,8 +42,9 @@ def read(path: str | Path, lod: str) -> list[ReadSolid]:
     """
     documents, scale, translate = _documents(path)
     solids: list[ReadSolid] = []
-    for document in documents:
-        solids += _buildings(document["CityObjects"], _vertices(document, scale, translate), lod)
+    with reading(path, "CityJSON"):
+        for document in documents:
+            solids += _buildings(document.get("CityObjects", {}), _vertices(document, scale, translate), lod)
     return solids
 
 
@@ -66,46 +67,57 @@ def shells(path: str | Path) -> Iterator[Shell]:
     """
     documents, scale, translate = _documents(path)
     for document in documents:
-        vertex_m = _vertices(document, scale, translate)
-        for name, city_object in document["CityObjects"].items():
-            for geometry in city_object.get("geometry", []):
-                boundaries = geometry.get("boundaries", [])
-                solids = {"Solid": [boundaries], "MultiSolid": boundaries, "CompositeSolid": boundaries}
-                for solid in solids.get(geometry["type"], []):
-                    for number, shell in enumerate(solid):
-                        surfaces = [
-                            Surface(FaceKind.WALL, -1, [np.array(ring, np.int64) for ring in rings])
-                            for rings in shell
-                        ]
-                        yield Shell(name, str(geometry.get("lod", "")), number, vertex_m, surfaces)
+        with reading(path, "CityJSON"):
+            in_document = list(_shells(document, _vertices(document, scale, translate)))
+        yield from in_document
+
+
+def _shells(document: dict[str, Any], vertex_m: np.ndarray) -> Iterator[Shell]:
+    for name, city_object in document.get("CityObjects", {}).items():
+        for geometry in city_object.get("geometry", []):
+            boundaries = geometry.get("boundaries", [])
+            solids = {"Solid": [boundaries], "MultiSolid": boundaries, "CompositeSolid": boundaries}
+            for solid in solids.get(geometry["type"], []):
+                for number, shell in enumerate(solid):
+                    surfaces = [
+                        Surface(FaceKind.WALL, -1, [_ring(ring, vertex_m) for ring in rings])
+                        for rings in shell
+                    ]
+                    yield Shell(name, str(geometry.get("lod", "")), number, vertex_m, surfaces)
+
+
+def _ring(indices: Sequence[int], vertex_m: np.ndarray) -> np.ndarray:
+    """A ring of vertex indices. Raises ValueError for an index without a vertex."""
+    ring = np.array(indices)
+    if ring.ndim != 1 or (len(ring) and ring.dtype.kind not in "iu"):
+        raise ValueError("a ring must be a list of whole numbers")
+    if len(ring) and (ring.min() < 0 or ring.max() >= len(vertex_m)):
+        raise ValueError(f"a ring has the vertex {ring.max()} of {len(vertex_m)} vertices")
+    return ring.astype(np.int64)
 
 
 def _documents(path: str | Path) -> tuple[list[dict[str, Any]], np.ndarray, np.ndarray]:
     """(the objects of a file, scale and translation of their vertices)."""
-    try:
-        text = Path(path).read_text()
-        documents = [json.loads(line) for line in text.splitlines() if line.strip()]
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not CityJSON: {error}") from error
-    except json.JSONDecodeError:
-        documents = [_whole(path, text)]
-    if not documents or not isinstance(documents[0], dict) or documents[0].get("type") != "CityJSON":
+    with reading(path, "CityJSON"):
+        text = Path(path).read_text(encoding="utf-8")
+        try:
+            documents = [json.loads(line) for line in text.splitlines() if line.strip()]
+        except json.JSONDecodeError:
+            documents = [json.loads(text)]
+    objects = [document for document in documents if isinstance(document, dict)]
+    if not objects or len(objects) < len(documents) or objects[0].get("type") != "CityJSON":
         raise InputError(f"{path}: not CityJSON: the first object must have the type CityJSON")
-    transform = documents[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
-    return documents, np.array(transform["scale"], float), np.array(transform["translate"], float)
+    with reading(path, "CityJSON"):
+        transform = objects[0].get("transform", {"scale": [1, 1, 1], "translate": [0, 0, 0]})
+        scale = np.array(transform["scale"], float).reshape(3)
+        return objects, scale, np.array(transform["translate"], float).reshape(3)
 
 
 def _vertices(document: dict[str, Any], scale: np.ndarray, translate: np.ndarray) -> np.ndarray:
-    return np.array(document.get("vertices", []), float).reshape(-1, 3) * scale + translate
-
-
-def _whole(path: str | Path, text: str) -> dict[str, Any]:
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not CityJSON: {error}") from error
+    vertex_m = np.array(document.get("vertices", []), float).reshape(-1, 3) * scale + translate
+    if not np.isfinite(vertex_m).all():
+        raise ValueError("a coordinate is not finite")
+    return vertex_m
 
 
 def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[ReadSolid]:
@@ -144,7 +156,7 @@ def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tu
             surface = values[p] if values else None
             kind = FaceKind.WALL if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
             yield (
-                triangulate(vertex_m, [np.array(ring) for ring in rings]),
+                triangulate(vertex_m, [_ring(ring, vertex_m) for ring in rings]),
                 FaceKind.WALL if kind is None else kind,
             )
 

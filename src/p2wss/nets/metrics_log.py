@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from p2wss.data import files
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.nets import distributed
 
 FILE_NAME = "metrics.jsonl"
@@ -29,8 +29,11 @@ class MetricsLog:
         """Drop the lines after ``step``, which a resumed training writes again."""
         if distributed.rank():
             return
-        lines = self.path.read_text().splitlines() if step and self.path.exists() else []
-        earlier = [line for line in lines if json.loads(line)["step"] <= step]
+        lines = []
+        if step and self.path.exists():
+            with reading(self.path, "readable metrics; delete it"):
+                lines = self.path.read_bytes().splitlines()
+        earlier = [line.decode() for line in lines if 0 <= _step(line) <= step]
         files.write_text(self.path, "".join(line + "\n" for line in earlier))
 
     def add(self, values: dict[str, Any]) -> None:
@@ -42,15 +45,23 @@ class MetricsLog:
                 self._writer.add_scalar(name, values[name], values["step"])
             self._writer.flush()
         try:
-            with open(self.path, "a") as file:
+            with open(self.path, "a", encoding="utf-8") as file:
                 file.write(json.dumps(values) + "\n")
         except OSError as error:
             raise InputError(f"{self.path}: not written: {error.strerror or error}") from error
 
 
+def _step(line: bytes) -> int:
+    """The step of a line; -1 for one that is cut off, as by a kill."""
+    try:
+        return int(json.loads(line)["step"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return -1
+
+
 def read_metrics(checkpoints: Path) -> str:
     """The metrics of a finished training, one JSON object per line."""
-    return (checkpoints / FILE_NAME).read_text()
+    return files.read_text(checkpoints / FILE_NAME)
 
 
 def last_validation(metrics: str) -> dict[str, float]:

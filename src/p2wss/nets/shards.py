@@ -20,7 +20,7 @@ import pyarrow as pa
 from p2wss.data import files, reasons
 from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.data.schemas.manifest import read_manifest
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.nets import distributed
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 
@@ -144,18 +144,16 @@ def _write_cache(parts: Iterator[BuildingDataset], folder: Path, excluded: Count
 
 
 def _open_cache(folder: Path) -> BuildingDataset:
-    try:
+    with reading(folder, "a readable cache of clouds; delete it"):
         with np.load(folder / "buildings.npz") as file:
-            arrays: dict[str, Any] = dict(file)
+            arrays: dict[str, Any] = {name: file[name] for name in (*_FLAT_ARRAYS, *_OFFSETS)}
         num_points = int(arrays["point_offset"][-1])
         points = np.zeros((0, 3), np.int16)
         if num_points:
             points = np.memmap(folder / "points_cm.i16", np.int16, "r", shape=(num_points, 3)).view(
                 np.ndarray
             )
-        excluded = json.loads((folder / "excluded.json").read_text())
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{folder}: not readable ({error}); delete it") from error
+        excluded = files.read_json(folder / "excluded.json", dict[str, int])
     return BuildingDataset(points_cm=points, **arrays, num_excluded=excluded, folder=folder)
 
 

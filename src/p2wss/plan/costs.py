@@ -34,7 +34,7 @@ COLUMNS = [field.name for field in fields(Cost)]
 def read_costs(path: Path) -> list[Cost]:
     """The rows of the table. Raises :class:`InputError` if it cannot be read."""
     try:
-        with path.open(newline="") as file:
+        with path.open(encoding="utf-8", newline="") as file:
             return [
                 Cost(
                     row["stage"],
@@ -55,7 +55,7 @@ def read_costs(path: Path) -> list[Cost]:
 
 def write_costs(path: Path, costs: Sequence[Cost]) -> None:
     """Write the table, with three digits per figure."""
-    with path.open("w", newline="") as file:
+    with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for cost in costs:

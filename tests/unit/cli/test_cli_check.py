@@ -34,7 +34,7 @@ def city(tmp_path: Path) -> Path:
 
 def broken(path: Path) -> Path:
     """The file with the roof of building b turned round."""
-    document: dict[str, Any] = json.loads(path.read_text())
+    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     shell = document["CityObjects"]["b"]["geometry"][0]["boundaries"][0]
     shell[0][0] = shell[0][0][::-1]
     other = path.with_name("broken.city.json")

@@ -76,7 +76,7 @@ def test_a_tile_without_buildings_goes_through_all_stages(run):
     run(
         "crops", "manifest", "--simulated", *shards["simulated"], "--real", *shards["real"], "--out", "m.json"
     )
-    assert json.loads(Path("m.json").read_text())["num_rows"] == 6
+    assert json.loads(Path("m.json").read_text(encoding="utf-8"))["num_rows"] == 6
 
     def evaluate(tile: str) -> None:
         group = ["--manifest", "m.json", "--shards", f"{tile}.simulated.parquet", f"{tile}.real.parquet"]
@@ -98,5 +98,5 @@ def test_a_tile_without_buildings_goes_through_all_stages(run):
         *("reconstruct", f"{TILE}.laz", "footprints.gpkg", "out", "--tile", TILE, "--model", "none"),
         *("--format", "cityjsonseq,cityjson,glb,obj,ply,stl,gpkg,geoparquet"),
     )
-    summary = json.loads(Path(f"out/{TILE}.json").read_text())
+    summary = json.loads(Path(f"out/{TILE}.json").read_text(encoding="utf-8"))
     assert summary["buildings"]["total"] == 0

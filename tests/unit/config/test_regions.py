@@ -22,7 +22,7 @@ def test_region(path: Path) -> None:
     assert all(value % config.region.tile_size_m == 0 for value in config.region.bounds_m)
     inside = set(tiles_of_bounds(config.region.bounds_m, config.region.tile_size_m))
     assert config.region.lidar_tiles and set(config.region.lidar_tiles) <= inside
-    assert set(yaml.safe_load(path.read_text())) == {"region", "fetch"}
+    assert set(yaml.safe_load(path.read_text(encoding="utf-8"))) == {"region", "fetch"}
 
 
 def test_the_cities_of_the_paper_are_included() -> None:

@@ -158,7 +158,9 @@ def write_asc(path: Path, x_nw: float, y_nw: float, size: int, cell: float, noda
     z.ravel()[:nodata] = -99999
     corner = f"xllcorner {x_nw - cell / 2}\nyllcorner {y_nw - cell * (size - 1) - cell / 2}\n"
     header = f"ncols {size}\nnrows {size}\n{corner}cellsize {cell}\nNODATA_value -99999.00\n"
-    path.write_text(header + "\n".join(" ".join(f"{v:.2f}" for v in row) for row in z) + "\n")
+    path.write_text(
+        header + "\n".join(" ".join(f"{v:.2f}" for v in row) for row in z) + "\n", encoding="utf-8"
+    )
 
 
 def test_terrain_of_the_miniature_equals_its_files() -> None:

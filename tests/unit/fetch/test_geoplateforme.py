@@ -158,7 +158,7 @@ def test_lidar_tile_from_the_index(source: Any, httpserver: HTTPServer, tmp_path
     assert requests == 3
     assert source().lidar(BOUNDS) == paths
     assert len(httpserver.log) == requests, "a tile that is there is not downloaded again, nor its index"
-    record = json.loads(Path(f"{paths[0]}.json").read_text())
+    record = json.loads(Path(f"{paths[0]}.json").read_text(encoding="utf-8"))
     assert record["request"] == {"url": f"{base}0652-6862_PTS_LAMB93_IGN69.copc.laz"}
     assert record["num_bytes"] == len(body) and record["sha256"] == hashlib.sha256(body).hexdigest()
 

@@ -37,7 +37,7 @@ def test_a_dry_run_of_every_region_sends_no_request_and_writes_no_file(
     path: Path, no_network: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     (tmp_path / "config" / "regions").mkdir(parents=True)
-    (tmp_path / "config" / "regions" / path.name).write_text(path.read_text())
+    (tmp_path / "config" / "regions" / path.name).write_text(path.read_text(encoding="utf-8"))
     before = sorted(tmp_path.rglob("*"))
     monkeypatch.chdir(tmp_path)
     assert main(["fetch", "--region", path.stem, "--dry-run"]) == 0

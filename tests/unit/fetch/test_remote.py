@@ -139,7 +139,9 @@ def test_a_small_share_of_a_tile_is_read_as_a_window(source, httpserver) -> None
     assert 1000 < len(cloud) < 20_000 and cloud.x.max() <= WINDOW[2]
     requests = len(httpserver.log)
     assert source.lidar(WINDOW) == [path] and len(httpserver.log) == requests
-    assert json.loads(Path(f"{path}.json").read_text())["request"]["bounds_m"].startswith("770505.000,")
+    assert json.loads(Path(f"{path}.json").read_text(encoding="utf-8"))["request"]["bounds_m"].startswith(
+        "770505.000,"
+    )
 
 
 @needs_copc

@@ -35,7 +35,7 @@ def test_records_hold_the_request(source: Any, httpserver: HTTPServer, tmp_path:
     httpserver.expect_request("/wms-r").respond_with_handler(serve_terrain)
     source().dtm((652000.0, 6861000.0, 652020.0, 6861020.0))
     (path,) = (tmp_path / "downloads" / "terrain").glob("*.tif")
-    record = json.loads(Path(f"{path}.json").read_text())
+    record = json.loads(Path(f"{path}.json").read_text(encoding="utf-8"))
     assert record["request"]["BBOX"] == "651999.500,6860999.500,652020.500,6861020.500"
     assert record["request"]["LAYERS"] == "ELEVATION.ELEVATIONGRIDCOVERAGE.HIGHRES"
     assert record["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
@@ -58,7 +58,7 @@ def test_a_damaged_response_is_requested_again(
     elif damage == "no record":
         record.unlink()
     else:
-        record.write_text(record.read_text().replace("HIGHRES", "LOWRES"))
+        record.write_text(record.read_text(encoding="utf-8").replace("HIGHRES", "LOWRES"), encoding="utf-8")
     np.testing.assert_array_equal(source().dtm(window).height_m, expected)
     assert len(httpserver.log) == 2 and path.read_bytes() == body and record.exists()
 

@@ -6,15 +6,39 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, NotRequired
 
 import numpy as np
 import pyarrow as pa
+from pydantic import Field
+from typing_extensions import TypedDict
 
 from p2wss.data import files
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
+
+
+class _Entry(TypedDict):
+    path: str
+    dataset: str
+    sha256: NotRequired[str | None]
+
+
+_Rank = Annotated[int, Field(ge=0, lt=2**64)]
+_Range = TypedDict("_Range", {"from": _Rank, "below": _Rank})
+
+
+class _Selection(TypedDict):
+    ranges: NotRequired[dict[str, dict[str, _Range]]]
+    seed: NotRequired[int]
+
+
+class _Listing(TypedDict):
+    """What is read of a manifest."""
+
+    shards: list[_Entry]
+    selection: NotRequired[_Selection]
 
 
 class Shard(NamedTuple):
@@ -46,6 +70,10 @@ class Manifest:
             return np.isin(split, list(purposes)) if dataset == SIMULATED else np.ones(len(table), bool)
         rank, mask = building_ranks(table, self.seed), np.zeros(len(table), bool)
         for purpose in purposes:
+            if purpose not in ranges:
+                raise InputError(
+                    f"the manifest has no range of ranks for {dataset}, {purpose}; run the stage crops again"
+                )
             first, end = np.uint64(ranges[purpose]["from"]), np.uint64(ranges[purpose]["below"])
             in_split = (split == purpose) | (dataset != SIMULATED)
             mask |= in_split & (rank >= first) & (rank < end)
@@ -73,17 +101,12 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
     only: these of its shards, in the order of the manifest; the others need not exist. Raises :class:`InputError`
     if the manifest or a shard is missing, or if it does not list one of ``only``.
     """
-    content = files.read_json(path)
+    content = files.read_json(path, _Listing, "a manifest of crops")
     shards = []
-    try:
-        for entry in content["shards"]:
-            name = Path(entry["path"])
-            beside = Path(path).parent / name
-            shards.append(
-                Shard(beside if beside.exists() else name, str(entry["dataset"]), entry.get("sha256"))
-            )
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a manifest of crops: missing {error}") from error
+    for entry in content["shards"]:
+        name = Path(entry["path"])
+        beside = Path(path).parent / name
+        shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
     if only is not None:
         listed = {os.path.abspath(shard.path) for shard in shards}
         wanted = {os.path.abspath(name): name for name in only}
@@ -95,4 +118,4 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
     if missing:
         raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
     selection = content.get("selection", {})
-    return Manifest(shards, selection.get("ranges", {}), int(selection.get("seed", 0)))
+    return Manifest(shards, selection.get("ranges", {}), selection.get("seed", 0))

@@ -19,7 +19,7 @@ import pyproj
 
 from p2wss.data import files
 from p2wss.data.clouds import Cloud
-from p2wss.errors import InputError
+from p2wss.data.las_files import open_cloud
 
 MM = 0.001
 _READ_AT_ONCE = 1_000_000
@@ -70,26 +70,22 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
     needed |= laspy.DecompressionSelection.POINT_SOURCE_ID
     needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
-    try:
-        with laspy.open(path, decompression_selection=needed) as reader:
-            count, crs = reader.header.point_count, reader.header.parse_crs()
-            xyz = [np.empty(count) for _ in range(3)]
-            classification = np.empty(count, np.uint8)
-            building, face = np.empty(count, np.int32), np.empty(count, np.int32)
-            strip = np.empty(count, np.uint16)
-            first = 0
-            for points in reader.chunk_iterator(_READ_AT_ONCE):
-                part = slice(first, first + len(points))
-                for column, name in zip(xyz, "xyz", strict=True):
-                    column[part] = points[name]
-                classification[part] = points.classification
-                building[part], face[part] = points["building_id"], points["face_id"]
-                strip[part] = points.point_source_id
-                first = part.stop
-            if first != count:
-                raise EOFError(f"{first} of {count} points")
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except Exception as error:  # laspy and lazrs raise many kinds for a broken file
-        raise InputError(f"{path}: not a readable scan of p2wss, or truncated: {error}") from error
+    kind = "a readable scan of p2wss, or truncated"
+    with open_cloud(path, kind, decompression_selection=needed) as reader:
+        count, crs = reader.header.point_count, reader.header.parse_crs()
+        xyz = [np.empty(count) for _ in range(3)]
+        classification = np.empty(count, np.uint8)
+        building, face = np.empty(count, np.int32), np.empty(count, np.int32)
+        strip = np.empty(count, np.uint16)
+        first = 0
+        for points in reader.chunk_iterator(_READ_AT_ONCE):
+            part = slice(first, first + len(points))
+            for column, name in zip(xyz, "xyz", strict=True):
+                column[part] = points[name]
+            classification[part] = points.classification
+            building[part], face[part] = points["building_id"], points["face_id"]
+            strip[part] = points.point_source_id
+            first = part.stop
+        if first != count:
+            raise EOFError(f"{first} of {count} points")
     return Cloud(xyz[0], xyz[1], xyz[2], classification, crs, strip), building, face

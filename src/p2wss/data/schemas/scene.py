@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from p2wss.data.files import read_metadata, read_table, write_geoparquet
 from p2wss.data.schemas.columns import IDENTITY, STATUS, field
+from p2wss.errors import reading
 
 # besides these columns, the file has a `geometry` of clean 2D polygons (exterior CCW, courtyards CW)
 SCENE = pa.schema(
@@ -42,8 +43,9 @@ def read_scene(path: str | Path) -> tuple[Any, dict[str, Any]]:
     """
     import geopandas as gpd
 
-    read_table(path, SCENE, columns=["building_id"])  # for its error messages
-    return gpd.read_parquet(path), read_metadata(path)
+    read_table(path, SCENE)  # for its tests
+    with reading(path, "a readable scene"):
+        return gpd.read_parquet(path), read_metadata(path)
 
 
 def write_scene(path: str | Path, scene: Any, metadata: dict[str, Any]) -> None:
