@@ -179,6 +179,8 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
                 buildings, config, network
             )  # warm-up: compiles and loads also the code that few buildings need
             for variant, (thinned_buildings, settings) in variants.items():
+                if arguments.variant and variant not in arguments.variant:
+                    continue
                 reconstructions, cpu_ms = fitted(thinned_buildings, settings, network)
                 rows = judged(reconstructions, name, arguments)
                 bars = BARS[name].get(variant, {})
@@ -220,6 +222,9 @@ def main() -> int:
         help="weights of a network to start the fit from, besides the fit alone",
     )
     parser.add_argument("--simulated", type=Path, default=None, help="manifest of crops with labels")
+    parser.add_argument(
+        "--variant", action="append", help="only this one, for example default; may be repeated"
+    )
     parser.add_argument("--sensitivity", action="store_true", help="only the effect of the thresholds")
     arguments = parser.parse_args()
     predictor = None
