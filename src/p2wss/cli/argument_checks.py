@@ -8,6 +8,7 @@ import json
 import os
 import tempfile
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -22,18 +23,23 @@ if TYPE_CHECKING:
     import pyproj
 
     from p2wss.data.clouds import CloudHeader
+    from p2wss.data.metric_crs import MetricCrs
     from p2wss.data.terrain import Terrain
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """The checked inputs. clouds: files, those of folders included. weights: None for no network. crs: of clouds,
-    footprints and terrain."""
+    """The checked inputs. clouds: files, those of folders included. weights: None for no network. metric: the CRS of
+    the run, ``crs``, and that of the clouds. terrain: in the CRS of the run."""
 
     clouds: list[CloudHeader]
     weights: Path | None
-    crs: pyproj.CRS
+    metric: MetricCrs
     terrain: Terrain | None
+
+    @property
+    def crs(self) -> pyproj.CRS:
+        return self.metric.crs
 
 
 def check(arguments: argparse.Namespace, config: Config) -> Inputs:
@@ -52,27 +58,30 @@ def check(arguments: argparse.Namespace, config: Config) -> Inputs:
         if not path.exists():
             raise InputError(f"{path}: no such file")
 
-    from p2wss.data import clouds
+    from p2wss.data import clouds, metric_crs
 
     headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
     # a tile may be empty
     may_be_empty = arguments.tile is not None
-    footprints_crs = _check_footprints(arguments.footprints, arguments.id_field, may_be_empty)
+    columns = [config.reconstruct.id_field, config.reconstruct.height_field]
+    columns += [name for name in config.reconstruct.keep_columns if name != "all"]
+    footprints_crs = _check_footprints(arguments.footprints, columns, may_be_empty)
     stated = clouds.common_header(headers)
     cloud = headers[0] if stated is None else stated
     names = (str(cloud.path), str(arguments.footprints))
-    crs, note = clouds.common_crs(cloud.crs, footprints_crs, arguments.crs, names)
-    if note:
-        log.info("note: %s", note)
+    crs, note = metric_crs.common_crs(cloud.crs, footprints_crs, arguments.crs, names)
+    metric, note_of_units = metric_crs.metric_crs(crs, cloud.bounds, names[0])
+    for text in filter(None, (note, note_of_units)):
+        log.info("note: %s", text)
     if not may_be_empty and not any(header.num_points for header in headers):
         raise InputError(f"{arguments.clouds[0]}: has no points")
     terrain = None
     if arguments.terrain is not None:
-        from p2wss.data.terrain import check_terrain_crs, read_terrain
+        from p2wss.data.terrain import read_terrain
 
         terrain, terrain_crs = read_terrain(arguments.terrain, crs.to_wkt())
-        check_terrain_crs(terrain_crs, crs, arguments.terrain)
-    return Inputs(headers, weights, crs, terrain)
+        terrain = metric.terrain(terrain, terrain_crs, arguments.terrain)
+    return Inputs(headers, weights, metric, terrain)
 
 
 def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:
@@ -113,7 +122,7 @@ def _check_device(device: str) -> None:
         )
 
 
-def _check_footprints(path: Path, id_field: str | None, may_be_empty: bool) -> pyproj.CRS | None:
+def _check_footprints(path: Path, columns: Sequence[str], may_be_empty: bool) -> pyproj.CRS | None:
     """The CRS that the file states, if any. Raises :class:`InputError` if it cannot hold footprints."""
     import pyproj
 
@@ -129,13 +138,10 @@ def _check_footprints(path: Path, id_field: str | None, may_be_empty: bool) -> p
     ):
         raise InputError(f"{path}: has no polygons; footprints must be polygons")
     fields = list(map(str, info["fields"]))
-    if id_field is not None and id_field not in fields:
-        columns = ", ".join(fields) or "none"
-        raise InputError(f"{path}: has no column {id_field}; its columns are {columns}")
-    crs = None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])
-    if crs is not None and crs.is_geographic:
-        raise InputError(f"{path}: is in {crs.name}, in degrees; reproject it to a projected CRS in metres")
-    return crs
+    for column in filter(None, columns):
+        if column not in fields:
+            raise InputError(f"{path}: has no column {column}; its columns are {', '.join(fields) or 'none'}")
+    return None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])
 
 
 def _layer(path: Path) -> dict[str, Any]:

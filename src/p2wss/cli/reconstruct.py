@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
-from p2wss.config import OUTPUT_SUFFIXES, Config, load, section_json
+from p2wss.config import OUTPUT_SUFFIXES, ClassPreset, Config, SchemaName, load, section_json
 from p2wss.data import files
 from p2wss.data.materials import MATERIALS
 from p2wss.errors import InputError
@@ -27,7 +27,7 @@ def add_parser(stages: Parsers) -> None:
         "footprints",
         type=Path,
         metavar="FOOTPRINTS",
-        help="vector file with polygons, in the CRS of the clouds",
+        help="vector file with polygons; those in another CRS than the clouds are reprojected",
     )
     command.add_argument("out", type=Path, metavar="OUT", help="folder to write")
     command.add_argument(
@@ -40,7 +40,28 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--id-field",
         metavar="COLUMN",
-        help="column of FOOTPRINTS with building ids (default: a common name such as id, else numbers)",
+        help="column of FOOTPRINTS with building ids (default: that of the schema, else the numbers of features)",
+    )
+    command.add_argument(
+        "--schema",
+        choices=get_args(SchemaName),
+        help="columns of FOOTPRINTS: ids, heights, floors (default: reconstruct.footprint_schema of the config)",
+    )
+    command.add_argument(
+        "--height-field",
+        metavar="COLUMN",
+        help="column of FOOTPRINTS with heights in metres, for buildings without points (default: that of the schema)",
+    )
+    command.add_argument(
+        "--keep-columns",
+        metavar="A,B,..",
+        help="columns of FOOTPRINTS to pass through to tables and CityJSON, or all "
+        "(default: reconstruct.keep_columns of the config)",
+    )
+    command.add_argument(
+        "--classes",
+        choices=get_args(ClassPreset),
+        help="classes of building, ground and ignored points (default: reconstruct.classes of the config)",
     )
     command.add_argument("--crs", help="CRS of clouds whose headers do not state it, for example EPSG:28992")
     command.add_argument(
@@ -111,25 +132,37 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     inputs = argument_checks.check(arguments, config)
     set_num_threads(arguments.threads)
     from p2wss import reconstruct
-    from p2wss.data import clouds, footprints
+    from p2wss.data import clouds, footprints, unclassified
+    from p2wss.data.las_classes import class_set
     from p2wss.data.progress import Progress
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
 
     weights, crs, terrain = inputs.weights, inputs.crs, inputs.terrain
     predictor = None if weights is None else load_predictor(weights, arguments.device)
-    features = footprints.read_footprints(arguments.footprints, arguments.id_field, needs_crs=False)
+    settings = config.reconstruct
+    features = footprints.read_footprints(
+        arguments.footprints,
+        settings.id_field or None,
+        needs_crs=False,
+        schema=settings.footprint_schema,
+        height_field=settings.height_field or None,
+        metric=inputs.metric,
+    )
     frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
     tile = (arguments.tile, config.region.tile_size_m)
     around = frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
     window = reconstruct.window(around)
-    near = [header for header in inputs.clouds if header.overlaps(window)]
+    window_of_clouds = inputs.metric.window_of_clouds(window)
+    near = [header for header in inputs.clouds if header.overlaps(window_of_clouds)]
     if not near and arguments.tile is None:
         raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
     if terrain is not None:
         exports.check_coverage(terrain, around, arguments.terrain)
-    cloud = clouds.read_clouds([header.path for header in near], window)
-    for warning in clouds.missing_classes(cloud):
+    classes = class_set(**dict(settings.classes))
+    cloud = clouds.read_clouds([header.path for header in near], window_of_clouds, classes)
+    cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
+    for warning in warnings:
         log.warning("warning: %s", warning)
     if config.reconstruct.registration:
         around = reconstruct.register(around, cloud)
@@ -142,14 +175,14 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     log.info("%d footprints, %d points around them; %s", len(frame), len(cloud), method)
     stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
     with Progress("reconstruct", len(frame), "buildings") as progress:
-        results = reconstruct.run(frame, cloud, predictor, stem, config.reconstruct, progress.update)
+        results = reconstruct.run(frame, cloud, predictor, stem, settings, progress.update, terrain)
     if arguments.tile is None:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
     if terrain is not None and (difference := exports.terrain_note(results, terrain)):
         log.info("note: %s", difference)
-    settings = section_json(config, "scenes", "reconstruct")
+    sections = section_json(config, "scenes", "reconstruct")
     code = fingerprint("reconstruct")
-    facts = files.provenance(config=settings, code=code, crs=crs.to_string(), model=weights and weights.name)
+    facts = files.provenance(config=sections, code=code, crs=crs.to_string(), model=weights and weights.name)
     facts["clouds"] = [header.path.name for header in inputs.clouds]
     outputs = exports.write(arguments.out, stem, results, crs, facts, config.reconstruct, terrain)
     log.info("%s: %s", arguments.out, ", ".join(outputs))
@@ -178,6 +211,17 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
     for name in ("per_building", "skin", "wedges"):
         if getattr(arguments, name):
             options[name] = True
+    for name, value in (
+        ("id_field", arguments.id_field),
+        ("height_field", arguments.height_field),
+        ("footprint_schema", arguments.schema),
+    ):
+        if value is not None:
+            options[name] = value
+    if arguments.keep_columns is not None:
+        options["keep_columns"] = [name.strip() for name in arguments.keep_columns.split(",") if name.strip()]
+    if arguments.classes is not None:
+        options["classes"] = {"preset": arguments.classes}
     if arguments.frequency_ghz is not None:
         options["frequency_ghz"] = arguments.frequency_ghz
     if arguments.split_materials:

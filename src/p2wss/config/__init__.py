@@ -23,7 +23,16 @@ from p2wss.config.places import (
     place_config,
 )
 from p2wss.config.plan import Plan
-from p2wss.config.reconstruct import OUTPUT_SUFFIXES, TABLES_AND_MODELS, WEDGES_SUFFIX, Output, Reconstruct
+from p2wss.config.reconstruct import (
+    OUTPUT_SUFFIXES,
+    TABLES_AND_MODELS,
+    WEDGES_SUFFIX,
+    Classes,
+    ClassPreset,
+    Output,
+    Reconstruct,
+    SchemaName,
+)
 from p2wss.config.region import ALL, TILE_LISTS, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
@@ -40,6 +49,8 @@ __all__ = [
     "Ablation",
     "Augmentation",
     "Buildings",
+    "ClassPreset",
+    "Classes",
     "Clutter",
     "Compute",
     "Config",
@@ -66,6 +77,7 @@ __all__ = [
     "RoofShares",
     "Scans",
     "Scenes",
+    "SchemaName",
     "Section",
     "ablated",
     "dataset_name",

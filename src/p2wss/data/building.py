@@ -18,7 +18,8 @@ class Building:
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
     classification: uint8 (m,), LAS classes. ground_z_m: z of the ground at the building as the cloud shows it
-    (:func:`p2wss.data.cloud_crops.crop_cloud`), the zero of all its heights; NaN only without points.
+    (:func:`p2wss.data.cloud_crops.crop_cloud`), the zero of all its heights; NaN only without points. stated_height_m:
+    height above the ground that the footprint states; NaN if unknown.
     """
 
     building_id: str
@@ -28,6 +29,7 @@ class Building:
     point_m: np.ndarray
     classification: np.ndarray
     ground_z_m: float
+    stated_height_m: float = float("nan")
 
     @property
     def polygon(self) -> shapely.Polygon:

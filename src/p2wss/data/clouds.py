@@ -11,7 +11,7 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES
+from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.las_files import KIND, open_cloud
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError, reading
@@ -123,27 +123,15 @@ def common_header(headers: Sequence[CloudHeader]) -> CloudHeader | None:
     return first
 
 
-def missing_classes(cloud: Cloud) -> list[str]:
-    """A warning, in one line, for the class of buildings and for that of ground, if no point has it."""
-    warnings = []
-    if len(cloud) and not (cloud.classification == GROUND_CLASS).any():
-        warnings.append(
-            "no point around the footprints has class 2 (ground): the lowest points at each building count as its"
-            " ground, which may be metres off; classify the clouds first, for example with PDAL's filters.smrf"
-        )
-    if len(cloud) and not (cloud.classification == BUILDING_CLASS).any():
-        warnings.append(
-            "no point around the footprints has class 6 (building): all points 2 m above the ground inside a"
-            " footprint count as its roof, trees and neighbours that overhang it included"
-        )
-    return warnings
 
 
 def read_clouds(
     paths: Sequence[str | Path],
     bounds: Bounds | None = None,
+    classes: ClassSet = LAS,
 ) -> Cloud:
-    """The points of all files, in order, without noise (classes 7 and 18) and withheld points.
+    """The points of all files, in order, without noise (classes 7 and 18), withheld points and those that ``classes``
+    ignores; their classes become those of LAS.
 
     bounds: (x_min, y_min, x_max, y_max) of the points to keep, edges included. COPC files are read by window, all
     points of other files are decoded.
@@ -168,7 +156,7 @@ def read_clouds(
                             "reproject one of them"
                         )
                     crs, crs_path = crs or file_crs, crs_path or path
-                parts.append(_filter(points, bounds, header))
+                parts.append(_filter(points, bounds, header, classes))
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4], columns[5])
 
@@ -206,10 +194,11 @@ def _filter(
     points: laspy.ScaleAwarePointRecord,
     bounds: Bounds | None,
     header: laspy.LasHeader,
+    classes: ClassSet,
 ) -> tuple[np.ndarray, ...]:
     x, y = np.asarray(points.x), np.asarray(points.y)
-    classification = np.asarray(points.classification).astype(np.uint8)
-    keep = ~np.isin(classification, NOISE_CLASSES) & ~np.asarray(points.withheld).astype(bool)
+    classification, keep = classes.to_las(np.asarray(points.classification).astype(np.uint8))
+    keep &= ~np.asarray(points.withheld).astype(bool)
     if bounds is not None:
         x_min, y_min, x_max, y_max = bounds
         keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
@@ -253,45 +242,3 @@ def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
         return True
     codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
     return codes[0] is not None and codes[0] == codes[1]
-
-
-def common_crs(
-    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
-) -> tuple[pyproj.CRS, str | None]:
-    """The common CRS of clouds and footprints, and a note if it was assumed.
-
-    cloud, frame: the CRS that each of the two files states, if any. stated: the one that the user states. names: of the
-    two files. Raises :class:`InputError` if two of them differ, if there is none, or if it is not projected in metres.
-    """
-    note = None
-    if stated is not None:
-        try:
-            stated_crs = pyproj.CRS.from_user_input(stated)
-        except pyproj.exceptions.CRSError as error:
-            raise InputError(f"--crs {stated}: no such CRS; state one such as EPSG:28992") from error
-        if cloud is not None and not same_crs(cloud, stated_crs):
-            raise InputError(
-                f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; leave --crs out"
-            )
-        # heights that the user states are part of the CRS
-        cloud = stated_crs if cloud is None or not cloud.is_compound else cloud
-    if cloud is not None and frame is not None and not same_crs(cloud, frame):
-        source = "" if stated is None else " according to --crs"
-        raise InputError(
-            f"{names[0]} is in {cloud.name}{source}, but {names[1]} is in {frame.name}; reproject one of them"
-        )
-    crs = cloud or frame
-    if crs is None:
-        raise InputError(
-            f"neither {names[0]} nor {names[1]} states its CRS; state it with --crs, such as EPSG:28992"
-        )
-    if cloud is None:
-        note = (
-            f"{names[0]} does not state its CRS; assuming {crs.name} as in {names[1]} (--crs overrides this)"
-        )
-    flat = horizontal(crs)
-    if not flat.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in flat.axis_info):
-        raise InputError(
-            f"{names[0]}: {crs.name} is not a projected CRS in metres; reproject clouds and footprints"
-        )
-    return crs, note

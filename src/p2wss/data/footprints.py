@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import logging
 from itertools import combinations
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyogrio
 import shapely
 
 from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
+from p2wss.data.clouds import horizontal
 from p2wss.data.coverage import Cleaning, blocks, clean_block
+from p2wss.data.footprint_limits import repaired
+from p2wss.data.footprint_schemas import building_ids, schema_of, stated_heights_m
+from p2wss.data.metric_crs import MetricCrs, reprojected
 from p2wss.data.tiling import Bounds, grown
-from p2wss.errors import InputError, reading
+from p2wss.data.vector_files import read_attributes, read_vector
+from p2wss.errors import InputError
 
-log = logging.getLogger(__name__)
-ID_COLUMNS = ("building_id", "cleabs", "id", "identificatie", "gml_id", "osm_id", "fid")
 _TYPES_WITH_POLYGONS = [
     shapely.GeometryType.POLYGON,
     shapely.GeometryType.MULTIPOLYGON,
@@ -37,36 +38,46 @@ def read_footprints(
     id_field: str | None = None,
     bounds: Bounds | None = None,
     needs_crs: bool = True,
+    schema: str = "auto",
+    height_field: str | None = None,
+    metric: MetricCrs | None = None,
 ) -> gpd.GeoDataFrame:
-    """Read a vector file with polygons, in the order of the file, and add the column ``building_id`` (text).
+    """Read a vector file with polygons, in the order of the file, and add the columns ``building_id`` (text) and
+    ``stated_height_m`` (NaN if unknown).
 
-    id_field: column of the ids. If it is None, the first of :data:`ID_COLUMNS` (in upper or lower case) without
-    missing or repeated values is used, else the numbers from 1. bounds: read only features that intersect this
-    window. needs_crs: whether a missing CRS is an error.
+    id_field, schema: where the ids come from (:func:`p2wss.data.footprint_schemas.building_ids`); they do not depend on
+    ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.data.footprint_schemas.
+    stated_heights_m`). bounds: read only features that intersect this window, in the CRS of the file. needs_crs:
+    whether a missing CRS is an error. metric: the CRS to which footprints are reprojected; those without a CRS are
+    taken to be in that of the clouds.
 
-    Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS or one in degrees, or
-    if ``id_field`` is missing or has missing or repeated values.
+    Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS, or one in degrees without
+    ``metric``, or if ``id_field`` or ``height_field`` is missing.
     """
-    if not Path(path).exists():
-        raise InputError(f"{path}: no such file")
-    with reading(path, "a readable vector file"):
-        if str(path).endswith(".parquet"):
-            frame = gpd.read_parquet(path, bbox=bounds)
-        else:
-            frame = pyogrio.read_dataframe(path, bbox=bounds)
-    if not isinstance(frame, gpd.GeoDataFrame):
-        raise InputError(f"{path}: has no geometry")
-    shapes = shapely.get_type_id(frame.geometry.to_numpy())
-    if len(frame) and not np.isin(shapes, _TYPES_WITH_POLYGONS).any():
+    frame = read_vector(path, bounds)
+    types = shapely.get_type_id(frame.geometry.to_numpy())
+    if len(frame) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
         raise InputError(f"{path}: has no polygons; footprints must be polygons")
     if frame.crs is None and needs_crs:
         raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")
-    if frame.crs is not None and frame.crs.is_geographic:
+    if metric is None and frame.crs is not None and frame.crs.is_geographic:
         raise InputError(
             f"{path}: is in {frame.crs.name}, in degrees; reproject it to a projected CRS in metres"
         )
-    frame["building_id"] = _ids(frame, id_field, path)
-    return frame
+    table = pd.DataFrame(frame.drop(columns=frame.geometry.name))
+    columns = schema_of(list(table.columns), schema)
+    of_ids = table
+    if bounds is not None:
+        names = [name for name in table.columns if name == id_field or str(name).lower() in columns.ids]
+        of_ids = read_attributes(path, tuple(names)) if names else table
+    ids = building_ids(of_ids, columns, id_field, path).reindex(table.index)
+    heights_m = stated_heights_m(table, columns, height_field, path)
+    frame["building_id"] = ids
+    frame["stated_height_m"] = heights_m
+    if metric is not None:
+        frame = frame if frame.crs is not None else frame.set_crs(horizontal(metric.source))
+        frame = reprojected(frame, metric.crs, path)
+    return frame.reset_index(drop=True)
 
 
 def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.GeoDataFrame:
@@ -79,7 +90,7 @@ def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.Ge
     reach, window = grown(bounds, snap_m), grown(bounds, snap_m)
     while True:
         frame = read_footprints(path, bounds=window)
-        shapes = _valid(shapely.force_2d(frame.geometry.to_numpy()))
+        shapes, _ = repaired(frame.geometry.to_numpy())
         block = blocks(shapes, snap_m)
         is_member = np.isin(block, block[shapely.intersects(shapes, shapely.box(*bounds))])
         if not is_member.any():
@@ -91,62 +102,25 @@ def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.Ge
         window = reach
 
 
-def _ids(frame: gpd.GeoDataFrame, id_field: str | None, path: str | Path) -> pd.Series:
-    if id_field is not None:
-        if id_field not in frame.columns:
-            columns = ", ".join(map(str, frame.columns.drop(frame.geometry.name)))
-            raise InputError(f"{path}: has no column {id_field}; its columns are {columns or 'none'}")
-        if (problem := _id_problem(frame[id_field])) is not None:
-            raise InputError(f"{path}: column {id_field} cannot be the id: {problem}")
-        return frame[id_field].astype(str)
-    columns_by_name = {str(column).lower(): column for column in frame.columns}
-    problems: list[str] = []
-    usable = None
-    for column in (columns_by_name[name] for name in ID_COLUMNS if name in columns_by_name):
-        if (problem := _id_problem(frame[column])) is None:
-            usable = column
-            break
-        problems.append(f"column {column} cannot be the id: {problem}")
-    if problems:
-        instead = f"ids are those of column {usable}" if usable else f"ids are the numbers 1 to {len(frame)}"
-        log.warning("warning: %s: %s; %s (--id-field chooses another)", path, "; ".join(problems), instead)
-    if usable is not None:
-        return frame[usable].astype(str)
-    return pd.Series([str(number + 1) for number in range(len(frame))], index=frame.index, dtype=str)
-
-
-def _id_problem(values: pd.Series) -> str | None:
-    """Why a column cannot be the id of features, or None."""
-    if values.isna().any():
-        return "values are missing"
-    if values.duplicated().any():
-        return f"{values[values.duplicated()].iloc[0]} occurs more than once"
-    return None
-
-
-def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame:
+def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float = 0.2) -> gpd.GeoDataFrame:
     """Split multipolygons into rows with one valid 2D polygon each, and add ``status`` and the centre of each.
 
     ``centre_x_m`` and ``centre_y_m`` are of the bounding box of the polygon (if there is none, of the geometry).
 
-    Invalid geometries are repaired by shapely's ``make_valid`` (method "structure"). If a multipolygon or a repair
-    has several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
+    Geometries are repaired by :func:`p2wss.data.footprint_limits.repaired`, with ``tolerance_m``. If one then has
+    several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
     suffixes -1, -2, .. in order, without those that are ids of other features. A geometry without polygons keeps its
     row, with an empty polygon and the reason as ``status``.
     """
-    shapes = shapely.force_2d(frame.geometry.to_numpy())
-    status = np.full(len(frame), reasons.OK, dtype=object)
+    shapes = frame.geometry.to_numpy()
     is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
-    status[is_empty] = reasons.EMPTY
+    centre = _box_centres(shapes)
+    shapes, status = repaired(shapes, tolerance_m)
     is_polygon = np.isin(
         shapely.get_type_id(shapes), [shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON]
     )
-    status[~is_empty & ~is_polygon] = reasons.NOT_A_POLYGON
-    centre = _box_centres(shapes)
-    xy, row = shapely.get_coordinates(shapes, return_index=True)
-    status[np.unique(row[~np.isfinite(xy).all(axis=1)])] = reasons.NON_FINITE
-    shapes[status != "ok"] = shapely.Polygon()
-    shapes = _valid(shapes)
+    status[(status == reasons.OK) & ~is_polygon] = reasons.NOT_A_POLYGON
+    status[is_empty] = reasons.EMPTY
     parts, row = shapely.get_parts(shapes, return_index=True)
     is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
     parts, row = parts[is_polygon], row[is_polygon]
@@ -182,16 +156,6 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float) -> gpd.GeoDataFrame
     return result
 
 
-def _valid(shapes: np.ndarray) -> np.ndarray:
-    """The geometries, invalid ones repaired, and those without finite coordinates empty."""
-    shapes = shapes.copy()
-    xy, row = shapely.get_coordinates(shapes, return_index=True)
-    shapes[np.unique(row[~np.isfinite(xy).all(axis=1)])] = shapely.Polygon()
-    invalid = ~shapely.is_missing(shapes) & ~shapely.is_valid(shapes)
-    shapes[invalid] = shapely.make_valid(shapes[invalid], method="structure", keep_collapsed=False)
-    return shapes
-
-
 def _box_centres(shapes: np.ndarray) -> np.ndarray:
     """Centre of each bounding box, (n, 2); NaN for an empty geometry."""
     bounds = shapely.bounds(shapes)
@@ -209,7 +173,7 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
 
     The result of a footprint depends on those of its block only, and not on the order of the rows.
     """
-    result = split_parts(frame, config.min_area_m2)
+    result = split_parts(frame, config.min_area_m2, config.simplify_m)
     shapes = result.geometry.to_numpy().copy()
     status = result["status"].to_numpy(dtype=object).copy()
     codes = np.full(len(shapes), int(skeleton.Status.EMPTY))

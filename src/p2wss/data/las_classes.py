@@ -1,4 +1,11 @@
-"""Classes of LiDAR points (LAS 1.4 R15, table 17)."""
+"""Classes of LiDAR points (LAS 1.4 R15, table 17), and those of producers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 UNCLASSIFIED_CLASS = 1
 GROUND_CLASS = 2
@@ -6,3 +13,48 @@ VEGETATION_CLASS = 5
 BUILDING_CLASS = 6
 WATER_CLASS = 9
 NOISE_CLASSES = (7, 18)  # low and high noise
+
+
+@dataclass(frozen=True)
+class ClassSet:
+    """The classes of a producer: buildings, ground, and those to leave out. All others are "other": they may be on a
+    building that the classifier has missed."""
+
+    building: tuple[int, ...] = (BUILDING_CLASS,)
+    ground: tuple[int, ...] = (GROUND_CLASS,)
+    ignored: tuple[int, ...] = NOISE_CLASSES
+
+    def to_las(self, classification: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(classes of LAS, uint8 (n,), whether to keep each point, bool (n,)) for the classes of the producer.
+
+        A class with a number that means building or ground in LAS, but not here, becomes "unclassified".
+        """
+        table = np.arange(256, dtype=np.uint8)
+        table[[BUILDING_CLASS, GROUND_CLASS]] = UNCLASSIFIED_CLASS
+        table[list(self.building)] = BUILDING_CLASS
+        table[list(self.ground)] = GROUND_CLASS
+        return table[classification], ~np.isin(classification, [*self.ignored, *NOISE_CLASSES])
+
+
+LAS = ClassSet()
+PRESETS = {
+    "las": LAS,
+    # France: 65 artefacts and 66 virtual points, which no pulse hit, are left out; 17 bridges, 64 permanent objects
+    # above ground and 67 various count as other
+    "lidarhd": ClassSet(ignored=(*NOISE_CLASSES, 65, 66)),
+    # Netherlands: 14 power lines (AHN4) are left out; 26 civil structures count as other
+    "ahn": ClassSet(ignored=(*NOISE_CLASSES, 14)),
+    # Switzerland, swissSURFACE3D: 17 bridges count as other
+    "swisstopo": LAS,
+    # England, Environment Agency: ground and vegetation only
+    "ea": ClassSet(building=()),
+}
+
+
+def class_set(
+    preset: str, building: Sequence[int], ground: Sequence[int], ignored: Sequence[int]
+) -> ClassSet:
+    """The preset, or with "custom" the three lists."""
+    if preset == "custom":
+        return ClassSet(tuple(building), tuple(ground), tuple(ignored))
+    return PRESETS[preset]

@@ -12,6 +12,9 @@ OK = "ok"
 EMPTY = "empty"
 NOT_A_POLYGON = "not-a-polygon"
 NON_FINITE = "non-finite"
+IMPLAUSIBLE_SIZE = "implausible-size"
+TOO_MANY_CROSSINGS = "too-many-crossings"
+TOO_MANY_EDGES = "too-many-edges"
 NO_TERRAIN = "no-terrain"
 TOO_HIGH = "too-high"
 
@@ -30,6 +33,7 @@ NO_POINTS = "no-points"
 NO_POINTS_ON_BUILDING = "no-points-on-building"
 TOO_FEW_ROOF_POINTS = "too-few-roof-points"
 NO_HEIGHT = "no-height"
+HEIGHT_FROM_ATTRIBUTE = "height-from-attribute"
 NO_ROOF = "no-roof"
 NO_CLOSED_UNION = "no-closed-union"
 INVALID_SOLID = "invalid-solid"
@@ -54,6 +58,8 @@ MEANINGS: dict[str, str] = {
     EMPTY: "the footprint has no area: no ring, or fewer than three vertices",
     NOT_A_POLYGON: "the geometry is a point or a line",
     NON_FINITE: "a coordinate is NaN or infinite",
+    IMPLAUSIBLE_SIZE: "the geometry is longer than 5 km",
+    TOO_MANY_CROSSINGS: "the rings of the geometry cross about 10,000 times or more",
     NO_TERRAIN: "the terrain model has too few heights along the footprint (scenes.min_terrain_share)",
     TOO_HIGH: "the eave is higher than scenes.max_eave_height_m",
     TOO_LARGE: "the footprint reaches further than 320 m from its centre, beyond the number format of crops",
@@ -68,6 +74,7 @@ MEANINGS: dict[str, str] = {
     NO_POINTS_ON_BUILDING: "there are points, but none is on the building",
     TOO_FEW_ROOF_POINTS: "fewer than three points on the roof",
     NO_HEIGHT: "the method has no height for the building",
+    HEIGHT_FROM_ATTRIBUTE: "no point shows the building: a flat roof at the height that its footprint states",
     NO_ROOF: "the fit has no roof for the points",
     NO_CLOSED_UNION: "the parts of the building have no closed union",
     INVALID_SOLID: "the solid breaks a rule of ISO 19107, and so do simpler ones with a fitted roof",
@@ -77,7 +84,7 @@ MEANINGS: dict[str, str] = {
     NOT_RECORDED: "the building is not among the recorded outputs of Roofer",
     # of the kernel, in the order of its checks
     "too-small": "the footprint has less than the smallest area (scenes.min_area_m2)",
-    "too-many-edges": "the footprint has more edges than scenes.max_edges",
+    TOO_MANY_EDGES: "the footprint has more edges than scenes.max_edges, or a ring more than the kernel can take",
     "not-simple": "a ring of the footprint crosses or touches itself or another ring",
     "courtyard-outside": "a courtyard is outside the exterior, or inside another courtyard",
     "not-clean": "a ring has the wrong orientation, or an edge shorter than a millimetre",

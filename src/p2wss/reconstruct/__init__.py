@@ -1,6 +1,6 @@
 """Stage reconstruct: closed buildings from footprints and LiDAR (paper, section 5.4)."""
 
-from p2wss.data.clouds import common_crs
+from p2wss.data.metric_crs import common_crs, metric_crs
 from p2wss.nets.weights_file import shipped_model, weights_to_use
 from p2wss.reconstruct.attributes import TO_3DBAG, attributes, input_footprints, table
 from p2wss.reconstruct.city import city_json, solid
@@ -29,6 +29,7 @@ __all__ = [
     "footprint_settings",
     "input_footprints",
     "method_name",
+    "metric_crs",
     "no_overlap",
     "of_tile",
     "output_stem",

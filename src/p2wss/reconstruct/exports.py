@@ -65,6 +65,7 @@ def write(
     frame = frame_around(meshes, crs.to_string())
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
     before = input_footprints(results, crs)
+    results = [with_columns(result, config.keep_columns) for result in results]
     written = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
@@ -182,6 +183,13 @@ def mesh(result: Result, config: Reconstruct) -> Mesh:
     row = result.reconstruction
     materials = surface_materials(result.columns, config)
     return Mesh.of_building(row.building_id, vertices_m(row), row.triangle, row.kind, materials)
+
+
+def with_columns(result: Result, names: Sequence[str]) -> Result:
+    """The result with these columns of its footprint, those of other names left out; ["all"] for all."""
+    if "all" in names:
+        return result
+    return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})
 
 
 def surface_materials(columns: Mapping[str, Any], config: Reconstruct) -> dict[str, str]:

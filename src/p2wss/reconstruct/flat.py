@@ -16,8 +16,11 @@ from p2wss.fit.mesh import build_meshes, kernel_angles
 def with_fallback(
     reconstructions: Sequence[Reconstruction], buildings: Sequence[Building], config: Reconstruct
 ) -> list[Reconstruction]:
-    """The reconstructions, with flat roofs (method ``lod1``) for buildings that have points but no mesh; their status
-    keeps the reason."""
+    """The reconstructions, with flat roofs (method ``lod1``) for buildings without a mesh.
+
+    The roof is at the height of the points on the building, and the status keeps the reason; without such points it is
+    at the height that the footprint states, if it does, with the status "height-from-attribute".
+    """
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
     for i, flat in zip(missing, lod1([buildings[i] for i in missing], config), strict=True):
@@ -25,6 +28,20 @@ def with_fallback(
             result[i] = replace(flat, status=result[i].status)
         elif not len(buildings[i].point_m):
             result[i] = replace(result[i], status=flat.status)
+    without_points = (reasons.NO_POINTS, reasons.NO_POINTS_ON_BUILDING)
+    stated = [
+        i
+        for i in missing
+        if not result[i].has_mesh
+        and np.isfinite([buildings[i].stated_height_m, buildings[i].ground_z_m]).all()
+        and (result[i].status in without_points or np.isnan(flat_height_m(buildings[i])))
+    ]
+    height = np.array([max(buildings[i].stated_height_m, config.min_eave_height_m) for i in stated])
+    for i, flat in zip(
+        stated, constant([buildings[i] for i in stated], height, 0.0, config, "lod1"), strict=True
+    ):
+        if flat.has_mesh:
+            result[i] = replace(flat, status=reasons.HEIGHT_FROM_ATTRIBUTE)
     return result
 
 

@@ -12,14 +12,16 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.cloud_crops import crop_cloud
+from p2wss.data.cloud_crops import CloudCrops, crop_cloud
 from p2wss.data.clouds import GPS_EPOCH, Cloud
 from p2wss.data.cropping import seen_share
 from p2wss.data.points import on_millimetres
+from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.reconstruct.measures import party_wall_areas_m2
@@ -27,15 +29,18 @@ from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import COLUMN, Registration
 from p2wss.reconstruct.valid import labelled_mesh
+from p2wss.skeleton.types import Polygons
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
 # of the share of points near the mesh
 _NEAR_M = 0.2
 # columns that reading and cleaning add to the input's own
-_ADDED_COLUMNS = ("building_id", "status", "centre_x_m", "centre_y_m", COLUMN)
+_ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m", COLUMN)
 # number of buildings between two reports of progress
 _BATCH = 256
+# whose ground is that of a building without points
+_NUM_NEIGHBOURS = 5
 
 
 @dataclass(frozen=True)
@@ -75,17 +80,21 @@ def run(
     tile: str,
     config: Reconstruct,
     progress: Callable[[int], object] = lambda num_done: None,
+    terrain: Terrain | None = None,
 ) -> list[Result]:
     """One result per row of ``frame``, in its order.
 
     frame: what :func:`p2wss.data.footprints.clean_footprints` or :func:`p2wss.reconstruct.registration.register`
     returns. With a network its values are fitted to the
     points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
-    time with the number of rows that are done.
+    time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
+    that their footprint states; else it is that of the neighbourhood.
     """
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.buffer_m)
     origin_xy_m = polygon_arrays.origins(polygons)
+    stated_height_m = frame.get("stated_height_m", pd.Series(np.nan, index=frame.index)).to_numpy(np.float64)
+    ground_z_m = _ground_z_m(cropped, polygons, origin_xy_m, terrain)
     names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
     results: list[Result] = []
     dates: list[tuple[date, date] | None] = []
@@ -104,7 +113,8 @@ def run(
                     [ring - origin_xy_m[i] for ring in polygons.rings(i)],
                     on_millimetres(xyz_m, origin_xy_m[i]),
                     cloud.classification[point],
-                    float(cropped.ground_z_m[i]),
+                    float(ground_z_m[i]),
+                    float(stated_height_m[i]),
                 )
             )
         results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
@@ -123,6 +133,28 @@ def run(
             results, input_columns(frame), registrations, party_wall_area_m2, dates, strict=True
         )
     ]
+
+
+def _ground_z_m(
+    cropped: CloudCrops, polygons: Polygons, origin_xy_m: np.ndarray, terrain: Terrain | None
+) -> np.ndarray:
+    """The ground of each building. Of those without points it is the mean of the terrain at the vertices of the
+    footprint, else what ground the cloud has nearby, else the median of the nearest buildings with points."""
+    result = cropped.ground_z_m.copy()
+    has_points = np.diff(cropped.offset) > 0
+    pending = np.flatnonzero(~has_points & (np.diff(polygons.vertex_offset) > 0))
+    if terrain is not None:
+        for i in pending:
+            x_m, y_m = polygons.xy_m[polygons.vertex_offset[i] : polygons.vertex_offset[i + 1]].T
+            height_m = terrain.interpolated(x_m, y_m)
+            if np.isfinite(height_m).any():
+                result[i] = np.nanmean(height_m)
+    pending = pending[np.isnan(result[pending])]
+    known = np.flatnonzero(has_points & np.isfinite(result))
+    if len(pending) and len(known):
+        nearest = cKDTree(origin_xy_m[known]).query(origin_xy_m[pending], min(_NUM_NEIGHBOURS, len(known)))[1]
+        result[pending] = np.median(result[known][nearest.reshape(len(pending), -1)], axis=1)
+    return result
 
 
 def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:

@@ -43,19 +43,21 @@ def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
 @pytest.mark.parametrize(
     ("cloud", "frame", "stated", "message"),
     [
-        (LAMBERT, RD, None, "a.laz is in RGF93 v1 / Lambert-93, but b.gpkg is in Amersfoort / RD New"),
-        (None, RD, "EPSG:2154", "but b.gpkg is in Amersfoort / RD New"),
         (LAMBERT, LAMBERT, "EPSG:28992", "--crs states Amersfoort"),
         (None, None, None, "state it with --crs"),
         (None, None, "EPSG:999999", "no such CRS"),
-        (WGS84, WGS84, None, "not a projected CRS in metres"),
-        (pyproj.CRS.from_epsg(2263), None, None, "not a projected CRS in metres"),
+        (None, WGS84, None, "b.gpkg is in degrees, which clouds hardly are"),
     ],
 )
 def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, message: str) -> None:
     with pytest.raises(InputError) as error:
         reconstruct.common_crs(cloud, frame, stated, NAMES)  # type: ignore[arg-type]
     assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_footprints_in_another_crs_leave_that_of_the_cloud() -> None:
+    assert reconstruct.common_crs(LAMBERT, RD, None, NAMES) == (LAMBERT, None)
+    assert reconstruct.common_crs(None, RD, "EPSG:2154", NAMES)[0] == LAMBERT
 
 
 def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:

@@ -1,0 +1,255 @@
+"""Clouds, footprints and terrains in one projected CRS in metres: which one, and how each gets there."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyproj
+import shapely
+
+from p2wss.data.clouds import Cloud, horizontal, same_crs
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+
+    from p2wss.data.terrain import Terrain
+
+log = logging.getLogger(__name__)
+# a transformation that is less accurate moves footprints visibly
+_ACCURATE_M = 0.5
+_SAME_PLACE_M = 1e-4
+
+
+@dataclass(frozen=True)
+class MetricCrs:
+    """The CRS of a run, and how coordinates of the clouds' own get into it.
+
+    source: of the clouds. crs: the same with metres in place of other units; of clouds in degrees the zone of UTM.
+    horizontal_m, vertical_m: lengths of the source's units; the first is None for degrees.
+    """
+
+    source: pyproj.CRS
+    crs: pyproj.CRS
+    horizontal_m: float | None = 1.0
+    vertical_m: float = 1.0
+
+    @property
+    def is_source(self) -> bool:
+        """Whether clouds are in metres already."""
+        return self.horizontal_m == 1.0 and self.vertical_m == 1.0
+
+    def window_of_clouds(self, bounds: Bounds) -> Bounds:
+        """A window of the run in the units of the clouds."""
+        if self.horizontal_m is None:
+            low_x, low_y, high_x, high_y = self._transformer.transform_bounds(*bounds, direction="INVERSE")
+            return low_x, low_y, high_x, high_y
+        low_x, low_y, high_x, high_y = (value / self.horizontal_m for value in bounds)
+        return low_x, low_y, high_x, high_y
+
+    def cloud(self, cloud: Cloud) -> Cloud:
+        """The cloud in the CRS of the run."""
+        if self.is_source:
+            return cloud
+        if self.horizontal_m is None:
+            x_m, y_m = self._transformer.transform(cloud.x_m, cloud.y_m)
+        else:
+            x_m, y_m = cloud.x_m * self.horizontal_m, cloud.y_m * self.horizontal_m
+        return replace(cloud, x_m=x_m, y_m=y_m, z_m=cloud.z_m * self.vertical_m, crs=self.crs)
+
+    def terrain(self, terrain: Terrain, terrain_crs: pyproj.CRS, path: str | Path) -> Terrain:
+        """A raster in the CRS of the run, or in that of the clouds, which may have other units.
+
+        Raises :class:`InputError` for one in another CRS.
+        """
+        from p2wss.data.terrain import check_terrain_crs
+
+        if same_crs(terrain_crs, self.crs) and self.horizontal_m != 1.0:
+            return terrain
+        check_terrain_crs(terrain_crs, self.source, path)
+        if self.is_source or self.horizontal_m is None:
+            return terrain
+        # heights have the unit that the raster states, else that of the clouds
+        vertical_m = _vertical_m(terrain_crs) or self.vertical_m
+        scale = self.horizontal_m
+        return replace(
+            terrain,
+            height_m=(terrain.height_m * vertical_m).astype(np.float32),
+            x_min_m=terrain.x_min_m * scale,
+            y_max_m=terrain.y_max_m * scale,
+            cell_m=terrain.cell_m * scale,
+        )
+
+    @property
+    def _transformer(self) -> pyproj.Transformer:
+        return pyproj.Transformer.from_crs(horizontal(self.source), horizontal(self.crs), always_xy=True)
+
+
+def common_crs(
+    cloud: pyproj.CRS | None, frame: pyproj.CRS | None, stated: str | None, names: tuple[str, str]
+) -> tuple[pyproj.CRS, str | None]:
+    """The CRS of the clouds, and a note if it was assumed.
+
+    cloud, frame: the CRS that clouds and footprints state, if any. stated: the one of the clouds that the user states.
+    names: of the two files. Raises :class:`InputError` if the user states another CRS than the clouds, or if nobody
+    states one.
+    """
+    note = None
+    if stated is not None:
+        try:
+            stated_crs = pyproj.CRS.from_user_input(stated)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"--crs {stated}: no such CRS; state one such as EPSG:28992") from error
+        if cloud is not None and not same_crs(cloud, stated_crs):
+            raise InputError(
+                f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; leave --crs out"
+            )
+        # heights that the user states are part of the CRS
+        cloud = stated_crs if cloud is None or not cloud.is_compound else cloud
+    if cloud is None and frame is not None and frame.is_geographic:
+        raise InputError(
+            f"{names[0]} does not state its CRS, and {names[1]} is in degrees, which clouds hardly are; state that of"
+            " the clouds with --crs, such as EPSG:28992"
+        )
+    crs = cloud or frame
+    if crs is None:
+        raise InputError(
+            f"neither {names[0]} nor {names[1]} states its CRS; state it with --crs, such as EPSG:28992"
+        )
+    if cloud is None:
+        note = (
+            f"{names[0]} does not state its CRS; assuming {crs.name} as in {names[1]} (--crs overrides this)"
+        )
+    return crs, note
+
+
+def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[MetricCrs, str | None]:
+    """The CRS of a run on clouds in ``source``, and a note if it is another.
+
+    A CRS in feet is replaced by the one of EPSG that is the same in metres, else by a CRS of the same name and
+    "(metres)"; heights in feet by heights in metres above the same datum. Heights whose unit is not stated are taken to
+    be in the unit of x and y. bounds: of a cloud, to choose a zone of UTM for clouds in degrees. name: of a cloud.
+
+    Raises :class:`InputError` for a CRS that is neither projected nor geographic.
+    """
+    flat = horizontal(source)
+    if flat.is_geographic and bounds is not None:
+        crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
+        vertical_m = _vertical_m(source) or 1.0
+        note = f"the clouds are in {source.name}, in degrees; the run and its outputs are in {crs.name}"
+        return MetricCrs(source, crs, None, vertical_m), note
+    factors = {axis.unit_conversion_factor for axis in flat.axis_info}
+    if not flat.is_projected or len(factors) != 1:
+        raise InputError(
+            f"{name}: {source.name} is not a projected CRS and cannot be transformed to one in metres"
+        )
+    (horizontal_m,) = factors
+    stated_vertical_m = _vertical_m(source)
+    vertical_m = horizontal_m if stated_vertical_m is None else stated_vertical_m
+    if horizontal_m == 1.0 and vertical_m == 1.0:
+        return MetricCrs(source, source), None
+    crs = _in_metres(flat) if horizontal_m != 1.0 else flat
+    if source.is_compound:
+        vertical = _in_metres(source.sub_crs_list[1])
+        crs = pyproj.crs.CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
+    assumed = "" if stated_vertical_m is not None else " (heights assumed to be in the unit of x and y)"
+    note = (
+        f"the clouds are in {source.name}, whose units are {horizontal_m:.10g} m and, of heights, {vertical_m:.10g} m"
+        f"{assumed}; the run and its outputs are in metres, in {crs.name}"
+    )
+    return MetricCrs(source, crs, horizontal_m, vertical_m), note
+
+
+def _vertical_m(crs: pyproj.CRS) -> float | None:
+    """Length of the unit of heights, None if the CRS has none."""
+    if crs.is_compound:
+        return float(crs.sub_crs_list[1].axis_info[0].unit_conversion_factor)
+    return float(crs.axis_info[2].unit_conversion_factor) if len(crs.axis_info) == 3 else None
+
+
+def _in_metres(crs: pyproj.CRS) -> pyproj.CRS:
+    """The same CRS in metres, of EPSG if it is there."""
+    if all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info):
+        return crs
+    stated: dict[str, Any] = crs.to_json_dict()
+    for axis in stated["coordinate_system"]["axis"]:
+        axis["unit"] = "metre"
+    stated.pop("id", None)
+    stated["name"] = f"{crs.name} (metres)"
+    result = pyproj.CRS.from_json_dict(stated)
+    code = result.to_epsg(min_confidence=60)
+    if code is None or not crs.is_projected:
+        return result
+    known = pyproj.CRS.from_epsg(code)
+    area = crs.area_of_use
+    if area is None or any(axis.unit_conversion_factor != 1.0 for axis in known.axis_info):
+        return result
+    centre = (area.west + area.east) / 2, (area.south + area.north) / 2
+    places = [
+        pyproj.Transformer.from_crs(c.geodetic_crs, c, always_xy=True).transform(*centre)
+        for c in (result, known)
+    ]
+    is_same = np.hypot(*np.subtract(*places)) < _SAME_PLACE_M and known.geodetic_crs == result.geodetic_crs
+    return known if is_same else result
+
+
+def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
+    x_min, y_min, x_max, y_max = bounds
+    area = pyproj.aoi.AreaOfInterest(x_min, y_min, x_max, y_max)
+    if not (-180 <= x_min <= x_max <= 180 and -90 <= y_min <= y_max <= 90):
+        raise InputError(
+            f"{name}: is in {crs.name}, in degrees, but its bounds are not; state its CRS with --crs"
+        )
+    found = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
+    if not found:
+        raise InputError(f"{name}: is in {crs.name}, in degrees, where UTM has no zone; reproject it")
+    return int(found[0].code)
+
+
+def reprojected(frame: gpd.GeoDataFrame, crs: pyproj.CRS, path: str | Path) -> gpd.GeoDataFrame:
+    """Footprints in the horizontal part of ``crs``, with a message of what was done; heights of vertices are dropped.
+
+    Coordinates that cannot be transformed become infinite. Raises :class:`InputError` if that holds for all, or if
+    there is no transformation.
+    """
+    target = horizontal(crs)
+    if frame.crs is None or same_crs(frame.crs, target):
+        return frame
+    try:
+        transformer = pyproj.Transformer.from_crs(horizontal(frame.crs), target, always_xy=True)
+    except pyproj.exceptions.ProjError as error:
+        raise InputError(
+            f"{path}: no transformation from {frame.crs.name} to {target.name}: {error}"
+        ) from error
+    shapes = shapely.force_2d(frame.geometry.to_numpy())
+    before = shapely.get_coordinates(shapes)
+    after = np.column_stack(transformer.transform(*before.T)) if len(before) else before
+    if np.isfinite(before).all(axis=1).any() and not np.isfinite(after).all(axis=1).any():
+        raise InputError(
+            f"{path}: is in {frame.crs.name}, whose coordinates cannot be transformed to {target.name}"
+        )
+    result = frame.set_geometry(shapely.set_coordinates(shapes, after)).set_crs(target, allow_override=True)
+    accuracy_m = _accuracy_m(transformer)
+    text = "unknown accuracy" if accuracy_m is None else f"accuracy {accuracy_m:g} m"
+    log.info("note: %s: reprojected from %s to %s, %s", path, frame.crs.name, target.name, text)
+    if accuracy_m is None or accuracy_m > _ACCURATE_M:
+        log.warning(
+            "warning: %s: footprints may be off by the accuracy of this transformation; PROJ has no better one without"
+            " its grids (projsync installs them), and footprints in %s need none",
+            path,
+            target.name,
+        )
+    return result
+
+
+def _accuracy_m(transformer: pyproj.Transformer) -> float | None:
+    """Accuracy of the transformation that was used last, in metres; None if unknown."""
+    used = transformer.get_last_used_operation()
+    # a conversion between projections of one datum is exact
+    accuracy = 0.0 if used.accuracy == 0 else used.accuracy
+    return None if accuracy is None or accuracy < 0 else float(accuracy)
