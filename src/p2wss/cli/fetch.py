@@ -87,7 +87,9 @@ def fetch_footprints(arguments: argparse.Namespace) -> None:
     config = read_config(arguments)
     source = _open_source(config, arguments)
     features = source.footprints(grown(config.region.bounds_m, config.fetch.margin_m))
-    frame = normalise(features, config.region.crs, source.name)
+    is_folder = config.fetch.source == "folder"
+    schema = config.fetch.folder.footprints_schema if is_folder else "bdtopo"
+    frame = normalise(features, config.region.crs, source.name, schema)
     if not len(frame):
         raise InputError(f"{source.name}: no building in region.bounds_m {config.region.bounds_m}")
     log.info(f"{arguments.out.name}: {len(frame)} buildings from {source.name}")

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from p2wss.config.base import Section, Share
+from p2wss.config.reconstruct import SchemaName
 
 
 class Folder(Section):
@@ -17,6 +18,9 @@ class Folder(Section):
         description="BD TOPO as GeoPackage, shapefile or GeoParquet: a file, a folder or a pattern",
     )
     footprints_layer: str = Field("batiment", description="layer to read from a file that has several layers")
+    footprints_schema: SchemaName = Field(
+        "bdtopo", description="columns of the footprints (ids, heights, floors); auto = as they look"
+    )
     dtm: str = Field(
         "tests/mini/rgealti",
         description="RGE ALTI as .asc, in .7z archives as delivered, or as GeoTIFF: a file, a folder or a pattern",

@@ -1,8 +1,9 @@
-"""The buildings of BD TOPO (layer ``batiment``), from any file or service, with the columns that we use."""
+"""The buildings of BD TOPO (layer ``batiment``) or of another source, with the columns that we use."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import shapely
 
 from p2wss.data import files
 from p2wss.data.clouds import same_crs
+from p2wss.data.footprint_schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.errors import InputError
 
 # our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
@@ -32,11 +34,12 @@ REQUIRED = ("building_id", "hauteur_m")
 TEXT = ("building_id", "nature", "usage")
 
 
-def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
+def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtopo") -> gpd.GeoDataFrame:
     """``frame`` with the columns of :data:`SPELLINGS` and 2D MultiPolygons, sorted by ``building_id``.
 
     Missing attributes become null (text) or NaN (numbers). Of a building that occurs more than once, one row
-    is kept. name: the file or service, used in messages.
+    is kept. name: the file or service, used in messages. schema: of :data:`p2wss.data.footprint_schemas.SCHEMAS`, or
+    "auto"; those other than "bdtopo" give ids, heights and floors, and all that repeats an id is told.
 
     Raises :class:`InputError` if a required column is missing, a building has no id, or the CRS is missing or
     differs from ``crs``.
@@ -49,6 +52,8 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
             f"{name}: is in {frame.crs.name}, but the region is in {region_crs.name}; "
             "reproject the file or change region.crs"
         )
+    if schema != "bdtopo":
+        frame = _as_in_bdtopo(frame, schema, name)
     file_columns = {column.lower(): column for column in frame.columns if column != frame.geometry.name}
     columns: dict[str, pd.Series] = {}
     for column, spellings in SPELLINGS.items():
@@ -71,6 +76,27 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str) -> gpd.GeoDataFrame:
         row = int(np.flatnonzero(result["building_id"].isna())[0])
         raise InputError(f"{name}: building number {row + 1} has no {SPELLINGS['building_id'][0]} (its id)")
     return result.drop_duplicates("building_id").sort_values("building_id").reset_index(drop=True)
+
+
+def _as_in_bdtopo(frame: gpd.GeoDataFrame, schema: str, name: str) -> gpd.GeoDataFrame:
+    """The ids, heights and floors of footprints of another schema under BD TOPO's names.
+
+    Features with the id and the geometry of another one, as at the seams of files, are left out.
+    """
+    table = pd.DataFrame(frame.drop(columns=frame.geometry.name))
+    columns = schema_of(list(table.columns), schema)
+    by_name = {str(column).lower(): column for column in table.columns}
+    id_column = next((by_name[column] for column in columns.ids if column in by_name), None)
+    if id_column is not None:
+        keys = pd.DataFrame({"id": table[id_column], "shape": shapely.to_wkb(frame.geometry.to_numpy())})
+        is_again = keys.duplicated().to_numpy() & keys["id"].notna().to_numpy()
+        frame, table = frame[~is_again], table[~is_again]
+    result = {
+        "cleabs": building_ids(table, columns, None, name),
+        "hauteur": stated_heights_m(table, replace(columns, floors=()), None, name),
+        "nombre_d_etages": stated_heights_m(table, FootprintSchema((), (), columns.floors), None, name),
+    }
+    return gpd.GeoDataFrame(result, geometry=frame.geometry.to_numpy(), crs=frame.crs)
 
 
 def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[str, Any]) -> None:

@@ -41,10 +41,16 @@ class FolderSource:
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
         files = list_files(self.config.footprints, VECTOR, "fetch.folder.footprints")
-        return pd.concat(
-            [read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files],
-            ignore_index=True,
-        )
+        frames = [
+            read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files
+        ]
+        if len(files) > 1:
+            # numbers of features, ids where a source has none, repeat from file to file
+            frames = [
+                frame.set_axis([f"{path.stem}-{number}" for number in frame.index])
+                for path, frame in zip(files, frames, strict=True)
+            ]
+        return pd.concat(frames)
 
     def dtm(self, bounds: Bounds) -> Terrain:
         files = []
@@ -101,9 +107,11 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
             # IGN's shapefiles are in UTF-8 but lack the .cpg file that would state it
             encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
             try:
-                frame = pyogrio.read_dataframe(path, layer=name, bbox=window, encoding=encoding)
+                frame = pyogrio.read_dataframe(
+                    path, layer=name, bbox=window, encoding=encoding, fid_as_index=True
+                )
             except UnicodeDecodeError:
-                frame = pyogrio.read_dataframe(path, layer=name, bbox=window)
+                frame = pyogrio.read_dataframe(path, layer=name, bbox=window, fid_as_index=True)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
     if frame.crs is None or not frame.crs.is_geographic:

@@ -395,3 +395,29 @@ def test_clouds_in_another_crs_are_selected_by_the_reprojected_window(tmp_path: 
     assert source(lidar=tmp_path, lidar_crs="EPSG:32631").lidar(TILE) == [tmp_path / "a.laz"]
     with pytest.raises(InputError, match="none of its 1 files has points"):
         source(lidar=tmp_path).lidar(TILE)
+
+
+def test_footprints_of_other_schemas(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Overture in degrees, in two files with one building in both, and one of its ids twice."""
+    squares = buildings(5).to_crs(4326).geometry.to_numpy()
+    columns = {"sources": "[]", "height": [4.0, None, None, 8.0, 9.0], "num_floors": [None, 2, None, 3, None]}
+    frame = gpd.GeoDataFrame({"id": ["a", "b", "c", "d", "a"], **columns}, geometry=squares, crs=4326)
+    frame[:3].to_parquet(tmp_path / "1.parquet")
+    frame[2:].to_parquet(tmp_path / "2.parquet")
+    footprints = source(footprints=tmp_path).footprints((652000, 6861000, 652200, 6861100))
+    for schema in ("auto", "overture"):
+        result = normalise(footprints, "EPSG:2154", "f", schema).set_index("building_id")
+        assert list(result.index) == ["a", "a_2", "b", "c", "d"]
+        assert result["hauteur_m"].to_list() == pytest.approx([4, 9, np.nan, np.nan, 8], nan_ok=True)
+        assert result["num_floors"].to_list() == pytest.approx([np.nan, np.nan, 2, np.nan, 3], nan_ok=True)
+        assert list(result.columns) == list(normalise(buildings(), "EPSG:2154", "x").columns[1:])
+    assert "f: column id, the ids: a occurs more than once" in caplog.text
+
+
+def test_footprints_without_ids_of_several_files(tmp_path: Path) -> None:
+    for name in "ab":
+        buildings(2).drop(columns="cleabs").to_file(tmp_path / f"{name}.gpkg", layer="batiment")
+    footprints = source(footprints=tmp_path).footprints((652000, 6861000, 652200, 6861100))
+    result = normalise(footprints, "EPSG:2154", "f", "auto")
+    assert list(result["building_id"]) == ["a-1", "a-2", "b-1", "b-2"]
+    assert list(result["hauteur_m"]) == [3.0, 4.0] * 2
