@@ -133,7 +133,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     set_num_threads(arguments.threads)
     from p2wss import reconstruct
     from p2wss.data import clouds, footprints, unclassified
-    from p2wss.data.las_classes import class_set
+    from p2wss.data.las_classes import BUILDING_CLASS, class_set
     from p2wss.data.progress import Progress
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
@@ -161,13 +161,15 @@ def reconstruct(arguments: argparse.Namespace) -> None:
         exports.check_coverage(terrain, around, arguments.terrain)
     classes = class_set(**dict(settings.classes))
     cloud = clouds.read_clouds([header.path for header in near], window_of_clouds, classes)
+    # points that are not the producer's move footprints only if that is asked for
+    can_register = (cloud.classification == BUILDING_CLASS).any() or arguments.register == "on"
     cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
     for warning in warnings:
         log.warning("warning: %s", warning)
-    if config.reconstruct.registration:
+    if settings.registration and can_register:
         around = reconstruct.register(around, cloud)
     frame = around if arguments.tile is None else reconstruct.of_tile(around, *tile)
-    if config.reconstruct.registration:
+    if settings.registration and can_register:
         log.info("%s", reconstruct.registration_summary(frame))
     for note in exports.notes(config.reconstruct, frame, terrain is not None):
         log.info("note: %s", note)

@@ -119,7 +119,9 @@ class Reconstruct(Section):
         1, ge=0, le=20, description="distance from the footprint within which points belong to a building"
     )
     min_num_points: int = Field(
-        10, ge=1, description="buildings with fewer points get a flat roof; those without points get no mesh"
+        10,
+        ge=1,
+        description="buildings with fewer points get a flat roof; those without any, at a stated height",
     )
     simplify_m: float = Field(
         0.3,

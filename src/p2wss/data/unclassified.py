@@ -54,7 +54,8 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     if not (classes == BUILDING_CLASS).any():
         warnings.append(
             "no point around the footprints has class 6 (building): points 2 m above the ground that lie on planes"
-            " count as buildings (where a footprint has fewer than ten, all points 2 m above the ground)"
+            " count as buildings (where a footprint has fewer than ten, all points 2 m above the ground), and no"
+            " footprint moves (--register on: as with classes)"
         )
         height_m = cloud.z_m - _ground_z_m(cloud, classes == GROUND_CLASS)
         candidates = np.flatnonzero(_is_open(classes) & (height_m >= MIN_HEIGHT_M))

@@ -54,15 +54,15 @@ WRONG = [
     ("empty", "footprints.gpkg", [], "empty: this folder has no LAS or LAZ file"),
     ("text.laz", "footprints.gpkg", [], "text.laz: not a LAS, LAZ or COPC file"),
     ("footprints.gpkg", "cloud.laz", [], "footprints.gpkg: not a LAS, LAZ or COPC file"),
-    ("rd.laz", "footprints.gpkg", [], "rd.laz is in Amersfoort / RD New, but "),
+    ("cloud.laz", "footprints.gpkg", ["--crs", "EPSG:28992"], "but --crs states Amersfoort / RD New"),
+    ("unstated.laz", "degrees.gpkg", [], "degrees.gpkg is in degrees, which clouds hardly are"),
     ("cloud.laz", "gone.gpkg", [], "gone.gpkg: no such file"),
     ("cloud.laz", "none.gpkg", [], "none.gpkg: has no features"),
     ("cloud.laz", "lines.gpkg", [], "lines.gpkg: has no polygons"),
     ("cloud.laz", "text.gpkg", [], "text.gpkg: not a readable vector file"),
     ("cloud.laz", "text.parquet", [], "text.parquet: not a readable vector file"),
-    ("cloud.laz", "degrees.gpkg", [], "degrees.gpkg: is in WGS 84, in degrees"),
-    ("cloud.laz", "degrees.parquet", [], "degrees.parquet: is in WGS 84, in degrees"),
-    ("cloud.laz", "rd.parquet", [], "rd.parquet is in Amersfoort / RD New"),
+    ("cloud.laz", "footprints.gpkg", ["--height-field", "h"], "has no column h; its columns are"),
+    ("cloud.laz", "footprints.gpkg", ["--keep-columns", "k"], "has no column k; its columns are"),
     ("unstated.laz", "unstated.gpkg", [], "states its CRS; state it with --crs"),
     ("unstated.laz", "unstated.gpkg", ["--crs", "EPSG:999999"], "--crs EPSG:999999: no such CRS"),
     ("cloud.laz", "footprints.gpkg", ["--id-field", "nr"], "has no column nr; its columns are cleabs"),
@@ -102,6 +102,23 @@ def test_wrong_arguments_are_one_line_and_nothing_is_written(
     (line,) = [text for text in capfd.readouterr().err.splitlines() if text]
     assert line.startswith("p2wss: error: ") and message in line
     assert not (place / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["degrees.gpkg", "degrees.parquet", "rd.parquet"])
+def test_footprints_in_another_crs_give_the_same_buildings(
+    place: Path, caplog: pytest.LogCaptureFixture, name: str
+) -> None:
+    write_files(place)
+    caplog.set_level(logging.INFO)
+    assert run(place) == 0
+    expected = gpd.read_file(place / "out" / "cloud.gpkg")
+    caplog.clear()
+    assert run(place, "--keep-columns", "cleabs", footprints=name) == 0
+    assert f"{name}: reprojected from " in caplog.text and "to RGF93 v1 / Lambert-93, " in caplog.text
+    result = gpd.read_file(place / "out" / "cloud.gpkg")
+    assert result.crs == expected.crs and list(result["cleabs"]) == list(expected["cleabs"])
+    for first, second in zip(result.geometry, expected.geometry, strict=True):
+        assert first.hausdorff_distance(second) < (1.5 if "rd" in name else 0.001)
 
 
 def test_wrong_arguments_are_refused_before_anything_slow_is_imported(place: Path) -> None:
@@ -168,9 +185,9 @@ def test_a_cloud_without_points_of_a_class_is_a_warning(
     [
         ({"id": ["a", "b", "c"]}, ["a", "b", "c"], None),
         ({"name": ["x", "x", "x"]}, ["1", "2", "3"], None),
-        ({"id": ["a", "a", "c"]}, ["1", "2", "3"], "id cannot be the id: a occurs more than once; ids are the num"),
-        ({"id": ["a", None, "c"]}, ["1", "2", "3"], "id cannot be the id: values are missing; ids are the numbers 1"),
-        ({"cleabs": [7, 7, 8], "OSM_ID": [4, 5, 6]}, ["4", "5", "6"], "; ids are those of column OSM_ID"),
+        ({"id": ["a", "a", "c"]}, ["a", "a_2", "c"], "id, the ids: a occurs more than once; repeated ids end in"),
+        ({"id": ["a", None, "c"]}, ["a", "2", "c"], "column id, the ids: 1 of 3 values are missing; repeated ids end"),
+        ({"building_id": [7, 7, 8], "OSM_ID": [4, 5, 6]}, ["4", "5", "6"], "; ids are those of column OSM_ID"),
     ],
 )  # fmt: skip
 def test_ids_that_cannot_be_used_are_a_warning(
@@ -202,7 +219,7 @@ def test_a_folder_of_clouds_names_the_outputs_and_files_elsewhere_are_not_read(
     read: list[Path] = []
     read_clouds = clouds.read_clouds
     monkeypatch.setattr(
-        clouds, "read_clouds", lambda paths, bounds: read.extend(paths) or read_clouds(paths, bounds)
+        clouds, "read_clouds", lambda paths, *more: read.extend(paths) or read_clouds(paths, *more)
     )
     assert run(place, cloud="survey") == 0
     assert read == [folder / "a.las", folder / "b.LAZ"]
