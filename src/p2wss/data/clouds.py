@@ -123,8 +123,6 @@ def common_header(headers: Sequence[CloudHeader]) -> CloudHeader | None:
     return first
 
 
-
-
 def read_clouds(
     paths: Sequence[str | Path],
     bounds: Bounds | None = None,

@@ -14,12 +14,11 @@ import pyproj
 import shapely
 
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 # WKB types that shapely cannot read, and those with the same bytes that it can
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
 _POINT, _LINE, _POLYGON = 1, 2, 3
-_BROKEN = (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError)
 
 
 def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFrame:
@@ -32,7 +31,7 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
-    try:
+    with reading(path, "a readable vector file"):
         if str(path).endswith(".parquet"):
             frame = gpd.read_parquet(path).reset_index(drop=True)
             if bounds is not None:
@@ -42,8 +41,6 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
             frame = pyogrio.read_dataframe(path, bbox=bounds, fid_as_index=True)
         except shapely.errors.GEOSException:
             frame = _read_surfaces(path, bounds)
-    except _BROKEN as error:
-        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
     if not isinstance(frame, gpd.GeoDataFrame):
         raise InputError(f"{path}: has no geometry")
     return frame
