@@ -144,7 +144,7 @@ def building_ids(
             problems[candidates[0]],
             column,
         )
-    number = pd.Series(table.index.astype(str), index=table.index)
+    number = pd.Series(table.index.astype(str), index=table.index, dtype=str)
     if column is None:
         return number
     is_known = ~is_missing(table[column])
@@ -172,7 +172,7 @@ def _unique(names: pd.Series, is_known: np.ndarray) -> pd.Series:
             count[name] += 1
             result[i] = f"{name}_{count[name]}"
         used.add(result[i])
-    return pd.Series(result, index=names.index)
+    return pd.Series(result, index=names.index, dtype=str)
 
 
 def _problem(values: pd.Series) -> str | None:
