@@ -221,7 +221,7 @@ def eval_predict(arguments: argparse.Namespace) -> None:
         for test_cases in cases.test_cases(manifest):
             rows = predict.predict(test_cases, predictor, config.reconstruct, clock)
             write(test_cases, rows)
-            errors.append(parameters.masked_errors(test_cases, rows, predictor, medians))
+            errors.append(parameters.masked_errors(test_cases, rows, predictor, medians, config.reconstruct))
     files.write_json(arguments.out_errors, parameters.merged(errors) | {"p2wss": facts})
 
 

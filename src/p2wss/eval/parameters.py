@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
-from typing import Annotated, Any, NotRequired, Protocol
+from typing import Annotated, Any, NotRequired
 
 import numpy as np
 from pydantic import AfterValidator, Field
 from typing_extensions import TypedDict
 
+from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval.cases import Case, Key, Medians
+from p2wss.eval.masked import MaskedParameters, MaskedPredictor, fit_all_masked, read_all_masked
 from p2wss.metrics.absolute_error import AbsoluteError, absolute_error, pooled, vertex_error
-from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import Polygons
@@ -52,25 +53,17 @@ class StoredErrors(TypedDict):
     num_left_out: NotRequired[int]
 
 
-class MaskedPredictor(Predictor, Protocol):
-    """The part of :class:`p2wss.nets.predictor.Predictor` that Table 1 needs."""
-
-    def reconstruct_all_masked(
-        self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True
-    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
-        """Heights (b,), footprints (v, 2) and angles (v,) with all numerical tokens masked."""
-        ...
-
-
 def masked_errors(
     cases: Sequence[Case],
     reconstructions: Sequence[Reconstruction],
     predictor: MaskedPredictor,
     medians: Medians,
+    config: Reconstruct,
 ) -> dict[str, Any]:
     """MAE, deviation and count per setting and parameter (Table 1), as in ``parameters.json``.
 
-    Settings: ``all_masked`` as in the paper (signs visible), ``all_masked_signs`` (signs masked too),
+    Settings: ``all_masked`` as in the paper (signs visible), ``all_masked_fit`` (the
+    same in two passes with a fit, see :mod:`p2wss.eval.masked`), ``all_masked_signs`` (signs masked too),
     ``footprint_given`` (as for Table 2), ``constant`` (the medians of the train split; every vertex of the footprint
     is predicted at the mean of the points). Heights are compared above the ground of the cloud: the label is
     re-based to it.
@@ -83,9 +76,15 @@ def masked_errors(
         and len(case.building.rings) == 1
         and len(case.building.rings[0]) <= predictor.max_num_vertices
     ]
+    buildings = [case.building for case in sequences]
+    reading = read_all_masked(buildings, predictor, signs_visible=True)
+    fitted = fit_all_masked(buildings, reading, predictor, config)
     settings = {
-        "all_masked": _all_masked(sequences, predictor, signs_visible=True),
-        "all_masked_signs": _all_masked(sequences, predictor, signs_visible=False),
+        "all_masked": errors_of_masked(sequences, reading),
+        "all_masked_fit": errors_of_masked(sequences, fitted),
+        "all_masked_signs": errors_of_masked(
+            sequences, read_all_masked(buildings, predictor, signs_visible=False)
+        ),
         "footprint_given": errors_of(labelled),
         "constant": _errors(
             sequences,
@@ -196,17 +195,8 @@ def target_height_m(case: Case) -> float:
     return case.eave_height_m + case.label_terrain_z_m - case.building.ground_z_m
 
 
-def _all_masked(
-    cases: Sequence[Case], predictor: MaskedPredictor, signs_visible: bool
-) -> dict[str, dict[str, float]]:
-    if not cases:
-        return {}
-    height, xy, angle = predictor.reconstruct_all_masked(
-        [case.building.point_m - [0, 0, case.building.ground_z_m] for case in cases],
-        [case.building.rings[0] for case in cases],
-        signs_visible,
-    )
-    return _errors(cases, height, angle, xy)
+def errors_of_masked(cases: Sequence[Case], parameters: MaskedParameters) -> dict[str, dict[str, float]]:
+    return _errors(cases, parameters.eave_height_m, parameters.angle_deg, parameters.xy_m)
 
 
 def _errors(

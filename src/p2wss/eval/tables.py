@@ -48,6 +48,7 @@ ROWS_1 = {
 }
 SETTINGS_1 = {
     "all_masked": "Point2WSS, all masked",
+    "all_masked_fit": "Point2WSS + fit, all masked",
     "all_masked_signs": "Point2WSS, signs masked too",
     "footprint_given": "Point2WSS, footprint given",
     NETWORK_AND_FIT: "Point2WSS + fit",

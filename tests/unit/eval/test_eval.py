@@ -89,7 +89,7 @@ def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[
     # only upwards and from slopes: 0 and 90 would be clipped
     predictor = TruthNetwork(hamlet_cases, wrong_m=0.25)
     rows = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
-    errors = parameters.masked_errors(hamlet_cases, rows, predictor, medians)
+    errors = parameters.masked_errors(hamlet_cases, rows, predictor, medians, RECONSTRUCT)
     fixed, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
     assert (errors["num_buildings"], errors["num_left_out"]) == (16, 0)
     assert fixed["height_m"]["mean"] == pytest.approx(0.25) and fixed["height_m"]["std"] < 1e-5
@@ -97,6 +97,12 @@ def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[
     assert masked["coordinate_m"]["mean"] == pytest.approx(0.15)  # 0.3 in x, 0 in y
     assert masked["vertex_m"]["mean"] == pytest.approx(0.3)
     assert errors["settings"]["all_masked_signs"]["vertex_m"]["mean"] == pytest.approx(0.6)
+    fitted = errors["settings"]["all_masked_fit"]
+    assert (
+        fitted["coordinate_m"]["mean"] < 0.12
+        and fitted["coordinate_m"]["count"] == masked["coordinate_m"]["count"]
+    )
+    assert fitted["height_m"]["mean"] < 0.05 and fitted["angle_deg"]["mean"] < 3
     truth = [case.eave_height_m for case in hamlet_cases[:16]]
     assert errors["settings"]["constant"]["height_m"]["mean"] == pytest.approx(
         np.abs(np.array(truth) - medians.eave_height_m).mean()
