@@ -46,6 +46,8 @@ def read_all_masked(
 ) -> MaskedParameters:
     """The reading of the network. Of the footprints it gets the number of vertices and their order, and perhaps the
     signs of the centred coordinates."""
+    if not buildings:
+        return MaskedParameters(np.zeros(0), [], [])
     height, xy, angle = predictor.reconstruct_all_masked(
         [_above_ground(building) for building in buildings],
         [building.rings[0] for building in buildings],
@@ -61,6 +63,8 @@ def fit_all_masked(
 
     A building keeps the height and the angles of its reading where the second pass has none.
     """
+    if not buildings:
+        return reading
     outlines = []
     for i, building in enumerate(buildings):
         # the order of the tokens, which begin at the uppermost vertex, is no secret: see the tokenizer
