@@ -1,6 +1,7 @@
 # make eval_report   install, then the whole pipeline on the miniature: results/mini/eval/report.html
 # make dry-run       install, then the plan of the miniature: its jobs, none of which runs
 # make test          install, then format, lint, types and tests, a real run of the reduced miniature among them
+# make audit         known vulnerabilities of the pinned packages, from a service: needs the network
 # make test-slurm    the reduced miniature on a Slurm of this machine alone; as root, with Debian's packages of Slurm
 PYTHON ?= python3
 BIN := .venv/bin
@@ -10,7 +11,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-slow test-slurm lint format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-slow test-slurm lint audit format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -45,6 +46,12 @@ lint: install
 	mypy
 	snakefmt --check Snakefile workflow
 	snakemake --lint
+	bandit --quiet --severity-level medium --recursive src workflow
+
+# known vulnerabilities of the packages in envs/lock.txt; asks a service, so that it needs the network
+audit: install
+	$(BIN)/python -m pip install --quiet pip-audit
+	$(BIN)/pip-audit --requirement envs/lock.txt --no-deps --disable-pip
 
 format: install
 	ruff check --fix .

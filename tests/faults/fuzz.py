@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import logging
+import os
 import resource
 import shutil
 import sqlite3
@@ -170,6 +171,8 @@ def change_weights(draw: Draw, path: Path) -> None:
 
 def change_wkb(draw: Draw, path: Path) -> None:
     with sqlite3.connect(path) as base:
+        base.execute("PRAGMA journal_mode = OFF")
+        base.execute("PRAGMA synchronous = OFF")
         row = draw(st.integers(1, 4))
         ((blob,),) = base.execute("SELECT geom FROM buildings WHERE fid = ?", (row,)).fetchall()
         for (trigger,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
@@ -238,7 +241,7 @@ def read_points(path: Path) -> None:
 READERS: dict[str, tuple[Callable[[Path], Any], Callable[[Draw, Path], None]]] = {
     "manifest.json": (read_manifest_file, change_json),
     "medians.json": (cases.read_medians, change_json),
-    "errors.json": (lambda path: parameters.merged([files.read_json(path, parameters.StoredErrors)]), change_json),
+    "errors.json": (lambda path: parameters.merged([files.read_json(path, parameters.MergedErrors)]), change_json),
     "methods.json": (lambda path: files.read_json(path, parts.Methods), change_json),
     "metrics.jsonl": (report.read_training, change_json_lines),
     "config.yaml": (load, change_yaml),
@@ -283,15 +286,15 @@ def main() -> int:
         name: {"cases": 0, "read": 0, "refused": 0, "tracebacks": 0, "slowest_s": 0.0} for name in names
     }
     errors: dict[str, str] = {}
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None) as folder:
         good, bad = Path(folder, "good"), Path(folder, "bad")
         write_good_files(good)
+        shutil.copytree(good, bad)
         before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
         def run(name: str, data: st.DataObject) -> None:
             read, change = READERS[name]
-            shutil.rmtree(bad, ignore_errors=True)
-            shutil.copytree(good, bad)
+            shutil.copy(good / name, bad / name)
             path, row = bad / name, counts[name]
             row["cases"] += 1
             (change if data.draw(st.integers(0, 3)) else change_bytes)(data.draw, path)

@@ -131,7 +131,10 @@ def _vector(path: Path) -> Facts:
 def _raster(path: Path) -> Facts:
     import rasterio
 
+    from p2wss.data.terrain import check_size
+
     with rasterio.open(path) as raster:
+        check_size(raster, path)
         heights = raster.read(1, masked=True)
         values = heights.compressed()
         values = values[np.isfinite(values)]

@@ -96,6 +96,7 @@ def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
             raise _damaged(path, f"column {name} lacks {table[name].null_count} values")
         fields.append(wanted)
     try:
+        table.validate(full=True)
         return table.cast(pa.schema(fields, metadata=table.schema.metadata))
     except (pa.ArrowException, ValueError) as error:
         raise _damaged(path, " ".join(str(error).split())) from error

@@ -23,6 +23,8 @@ from p2wss.errors import InputError, reading
 log = logging.getLogger(__name__)
 # 20 km by 20 km at 0.5 m, 6.4 GB
 _MAX_CELLS = 1_600_000_000
+# no compression packs more cells into a byte of a file, except in small ones
+_CELLS_PER_BYTE, _SMALL_CELLS = 1000, 10_000_000
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,17 @@ class Terrain:
         return map_coordinates(heights, [row, column], order=1, mode="constant", cval=np.nan, prefilter=False)
 
 
+def check_size(raster: rasterio.DatasetReader, path: str | Path) -> None:
+    """Raise :class:`InputError` for a raster of more cells than anyone needs, or than its file can hold."""
+    cells = raster.width * raster.height
+    has_own_cells = raster.driver == "GTiff" and Path(path).is_file()
+    limit = max(_CELLS_PER_BYTE * Path(path).stat().st_size, _SMALL_CELLS) if has_own_cells else _MAX_CELLS
+    if cells > min(limit, _MAX_CELLS):
+        raise InputError(
+            f"{path}: states {raster.width} x {raster.height} cells; cut it to the area needed if that is right"
+        )
+
+
 def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyproj.CRS]:
     """Read a raster of heights (first band) and its CRS; the nodata value becomes NaN.
 
@@ -73,8 +86,7 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
     if not str(path).startswith("/vsi") and not Path(path).exists():
         raise InputError(f"{path}: no such file")
     with reading(path, "a readable raster"), rasterio.open(path) as raster:
-        if raster.width * raster.height > _MAX_CELLS:
-            raise InputError(f"{path}: has {raster.width} x {raster.height} cells; cut it to the area needed")
+        check_size(raster, path)
         heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
         transform, stated = raster.transform, raster.crs
     if transform.b or transform.d or transform.a <= 0 or abs(transform.a + transform.e) > 1e-6 * transform.a:

@@ -9,6 +9,7 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pyogrio
 import pyproj
 import shapely
@@ -33,6 +34,7 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
         raise InputError(f"{path}: no such file")
     with reading(path, "a readable vector file"):
         if str(path).endswith(".parquet"):
+            pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance
             frame = gpd.read_parquet(path).reset_index(drop=True)
             if bounds is not None:
                 frame = frame[frame.intersects(shapely.box(*bounds))]

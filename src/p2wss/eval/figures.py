@@ -24,6 +24,9 @@ from p2wss.metrics.calibration import Bin
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.skeleton.types import FaceKind
 
+# a $ in a name from the data is no formula
+matplotlib.rcParams["text.parse_math"] = False
+
 COLORS = {
     "point2wss": "#e0996f",
     "point2wss+fit": "#b4451f",

@@ -45,12 +45,22 @@ class StoredError(TypedDict):
     count: Annotated[int, Field(ge=0)]
 
 
-class StoredErrors(TypedDict):
-    """The content of ``parameters.json`` and of the files that it is merged from."""
-
+class _Settings(TypedDict):
     settings: dict[str, dict[str, StoredError]]
+
+
+class StoredErrors(_Settings):
+    """The content of the files that ``parameters.json`` is merged from."""
+
     num_buildings: NotRequired[int]
     num_left_out: NotRequired[int]
+
+
+class MergedErrors(_Settings):
+    """The content of ``parameters.json``."""
+
+    num_buildings: int
+    num_left_out: int
 
 
 def masked_errors(

@@ -24,7 +24,7 @@ from p2wss.eval import figures, groups, tables, texts
 from p2wss.eval.attribution import UNKNOWN_LIDAR
 from p2wss.eval.cases import Key
 from p2wss.eval.gallery import Counterpart, Exhibit, Gallery
-from p2wss.eval.parameters import StoredErrors
+from p2wss.eval.parameters import MergedErrors
 from p2wss.eval.parts import Methods, Part
 from p2wss.eval.samples import Samples, read_samples
 from p2wss.eval.viewer import choices, viewer
@@ -120,7 +120,7 @@ def read(
     return Inputs(
         region,
         table,
-        files.read_json(errors, StoredErrors),
+        files.read_json(errors, MergedErrors),
         runs,
         chosen,
         read_samples(chosen.keys(), listed, table, folders, names),

@@ -88,7 +88,9 @@ def viewer(
     assets = files("p2wss.eval") / "assets"
     # "</script>" in a building's id must not end the element
     text = json.dumps(data, separators=(",", ":"), sort_keys=True).replace("<", "\\u003c")
-    return Viewer(text, (assets / "three.min.js").read_text(), (assets / "viewer.js").read_text())
+    return Viewer(
+        text, (assets / "three.min.js").read_text("utf-8"), (assets / "viewer.js").read_text("utf-8")
+    )
 
 
 def choose(count: int) -> dict[str, list[int]]:

@@ -48,6 +48,6 @@ def read_metadata(path: Path, kind: str) -> dict[str, Any]:
             metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable safetensors file: {error}") from error
-    if metadata.get("kind") != kind:
+    if not isinstance(metadata, dict) or metadata.get("kind") != kind:
         raise InputError(f"{path}: not a {kind} of p2wss")
     return dict(metadata)
