@@ -168,11 +168,20 @@ def _readable(path: str | Path) -> Iterator[pq.ParquetFile]:
         yield file
 
 
-def write_geoparquet(path: str | Path, frame: Any, metadata: dict[str, Any]) -> None:
-    """Write a GeoDataFrame as GeoParquet (zstd); ``metadata`` is stored as JSON."""
+def write_geoparquet(
+    path: str | Path, frame: Any, metadata: dict[str, Any], schema: pa.Schema | None = None
+) -> None:
+    """Write a GeoDataFrame as GeoParquet (zstd); ``metadata`` is stored as JSON.
+
+    schema: the types of its columns, which those of an empty frame do not tell.
+    """
     with atomic(path) as temporary:
         frame.to_parquet(temporary, compression="zstd")
         table = pq.read_table(temporary)
+        if schema is not None and not table.num_rows:
+            for field in schema:
+                place = table.column_names.index(field.name)
+                table = table.set_column(place, field, pa.array([], field.type))
         stored = table.schema.metadata | {METADATA_KEY: json.dumps(metadata).encode()}
         pq.write_table(table.replace_schema_metadata(stored), temporary, compression="zstd")
 

@@ -85,8 +85,7 @@ def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
     fields = []
     for name in table.column_names:
         wanted, stored = schema.field(name), table.schema.field(name)
-        # pandas writes a column without any value, as of an empty tile, without a type
-        if not pa.types.is_null(stored.type) and _kind(stored.type) != _kind(wanted.type):
+        if _kind(stored.type) != _kind(wanted.type):
             raise InputError(f"{path}: column {name} has values of type {stored.type}, not {wanted.type}")
         if not wanted.nullable and pa.types.is_floating(stored.type):
             # pandas writes NaN as null

@@ -50,4 +50,4 @@ def read_scene(path: str | Path) -> tuple[Any, dict[str, Any]]:
 
 def write_scene(path: str | Path, scene: Any, metadata: dict[str, Any]) -> None:
     """Write a GeoDataFrame with the columns of ``SCENE`` and a geometry as GeoParquet with ``metadata``."""
-    write_geoparquet(path, scene[[*SCENE.names, scene.geometry.name]], metadata)
+    write_geoparquet(path, scene[[*SCENE.names, scene.geometry.name]], metadata, SCENE)
