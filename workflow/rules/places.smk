@@ -4,7 +4,7 @@ A place (wildcard {place}, p2wss.config.places) stands before each tile: "" with
 "paris/2/" for its second draw.
 """
 
-from p2wss.data import listing
+from p2wss.data import integrity, listing
 from p2wss.data.tiling import neighbours, tile_bounds, tiles_of_bounds
 
 MEMBERS = configs.member_places(settings)
@@ -22,8 +22,11 @@ def tiles_of(member):
     """The pinned tiles of a member, or those in which index_scenes found buildings."""
     if pinned := pinned_tiles(member):
         return pinned
-    with checkpoints.index_scenes.get().output.index.open() as index:
-        rows = [line.rstrip("\n").split("\t") for line in list(index)[1:]]
+    with checkpoints.index_scenes.get().output.index.open("rb") as index:
+        try:
+            rows = [line.split("\t") for line in integrity.lines_of(index.read(), index.name)[1:]]
+        except InputError as error:
+            raise WorkflowError(str(error)) from None
     return [tile for place, tile, _ in rows if place == member]
 
 

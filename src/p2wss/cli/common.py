@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from p2wss.config import Config, load
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.errors import InputError
 
@@ -125,7 +125,7 @@ def write_trained(arguments: argparse.Namespace, save: Callable[[str], None]) ->
     if not distributed.is_main_process():
         return
     metrics = read_metrics(arguments.checkpoints)
-    files.write_text(arguments.out_metrics, metrics)
+    files.write_text(arguments.out_metrics, metrics + integrity.JSON_LINES_TRAILER)
     save(metrics)
     remove_checkpoints(arguments.checkpoints)
 

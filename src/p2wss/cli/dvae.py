@@ -25,8 +25,10 @@ def dvae(arguments: argparse.Namespace) -> None:
     """Train, then write the weights and the metrics."""
     set_num_threads(arguments.threads)
     from p2wss import dvae
+    from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_dvae
 
     config, code = read_training_config(arguments, "dvae").dvae, fingerprint("dvae")
-    module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
-    write_trained(arguments, lambda metrics: save_dvae(module, arguments.out, config, code, metrics))
+    with training_lock(arguments.checkpoints):
+        module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
+        write_trained(arguments, lambda metrics: save_dvae(module, arguments.out, config, code, metrics))

@@ -17,13 +17,25 @@ def add_parser(stages: Parsers) -> None:
         description="Describe the contents of files: results of p2wss, and data of IGN.",
     )
     command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="files to describe")
+    command.add_argument(
+        "--verify",
+        action="store_true",
+        help="check that files are what p2wss wrote, by their checksums; exit status 2 if one is not",
+    )
     command.add_argument("--json", action="store_true", help="print one line of JSON per file")
     command.set_defaults(run=inspect)
 
 
-def inspect(arguments: argparse.Namespace) -> None:
+def inspect(arguments: argparse.Namespace) -> int:
+    """Describe or verify the files. Returns the exit status."""
     from p2wss.data import inspection
 
+    if arguments.verify:
+        checks = [inspection.check(path) for path in arguments.files]
+        for facts in checks:
+            print(json.dumps(facts) if arguments.json else ": ".join(map(str, facts.values())))
+        return 0 if all(facts["checksum"] == inspection.INTACT for facts in checks) else 2
     for path in arguments.files:
         facts = inspection.describe(path)
         print(json.dumps(facts) if arguments.json else inspection.text(facts))
+    return 0

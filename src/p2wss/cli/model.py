@@ -27,10 +27,14 @@ def model(arguments: argparse.Namespace) -> None:
     """Train, then write the weights and the metrics."""
     set_num_threads(arguments.threads)
     from p2wss import model
+    from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_model
 
     config, code = read_training_config(arguments, "model").model, fingerprint("model")
-    module, dvae_config = model.train(arguments.manifest, arguments.dvae, config, arguments.checkpoints, code)
-    write_trained(
-        arguments, lambda metrics: save_model(module, arguments.out, config, dvae_config, code, metrics)
-    )
+    with training_lock(arguments.checkpoints):
+        module, dvae_config = model.train(
+            arguments.manifest, arguments.dvae, config, arguments.checkpoints, code
+        )
+        write_trained(
+            arguments, lambda metrics: save_model(module, arguments.out, config, dvae_config, code, metrics)
+        )

@@ -10,7 +10,7 @@ from typing import Any
 
 from p2wss.cli.common import Parsers
 from p2wss.config import Config, dataset_name, load, member_places, place_config
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.errors import InputError
 
 
@@ -94,9 +94,8 @@ def _counted_buildings(path: Path) -> dict[str, dict[str, int]]:
     """Buildings per place and tile, from the index of the stage scenes; empty if it has not run."""
     counts: dict[str, dict[str, int]] = {}
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file, delimiter="\t"):
-                counts.setdefault(row["place"], {})[row["tile"]] = int(row["num_buildings"])
+        for row in csv.DictReader(integrity.lines_of(path.read_bytes(), path), delimiter="\t"):
+            counts.setdefault(row["place"], {})[row["tile"]] = int(row["num_buildings"])
     except FileNotFoundError:
         return {}
     except (KeyError, TypeError, ValueError) as error:

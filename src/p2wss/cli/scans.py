@@ -7,7 +7,7 @@ from pathlib import Path
 
 from p2wss.cli.common import Parsers, add_command, add_threads, log, read_config
 from p2wss.config import section_json
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 
@@ -71,3 +71,4 @@ def scans(arguments: argparse.Namespace) -> None:
 
         with files.atomic(arguments.picture) as temporary:
             scan_figure(scan.points, densest_place(scan.points)).savefig(temporary, dpi=110)
+            integrity.append(temporary)

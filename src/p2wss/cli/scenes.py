@@ -18,7 +18,7 @@ from p2wss.cli.common import (
     read_config,
 )
 from p2wss.config import TILE_LISTS, member_places, place_config, section_json
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
@@ -69,7 +69,7 @@ def scenes_index(arguments: argparse.Namespace) -> None:
         region_tiles = set(tiles_of_bounds(region.bounds_m, region.tile_size_m))
         rows += [f"{place}\t{tile}\t{number}\n" for tile, number in counts.items() if tile in region_tiles]
     log.info(f"{arguments.out.name}: {len(rows)} tiles with buildings")
-    files.write_text(arguments.out, "place\ttile\tnum_buildings\n" + "".join(rows))
+    files.write_text(arguments.out, "place\ttile\tnum_buildings\n" + "".join(rows) + integrity.TABLE_TRAILER)
 
 
 def scenes_cut(arguments: argparse.Namespace) -> None:

@@ -1,4 +1,5 @@
-"""Read and write files. Writing is atomic: a file is complete or absent.
+"""Read and write files. Writing is atomic: a file is complete or absent. What is read is what was written: see
+:mod:`p2wss.data.integrity`.
 
 Every Parquet file has a JSON object under the metadata key ``p2wss`` with its provenance (version, config
 sections, code fingerprint, CRS, counts).
@@ -22,10 +23,14 @@ import pyarrow.parquet as pq
 from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
+from p2wss.data import integrity
 from p2wss.data.table_checks import checked
+from p2wss.data.temporary import remove_leftovers, temporary_prefix
 from p2wss.errors import InputError, reading
 
 METADATA_KEY = b"p2wss"
+_CHECKSUM_KEY = b"p2wss.checksum"
+_JSON_CHECKSUM = "checksum"
 # rows that are compressed and read together
 ROW_GROUP_SIZE = 512
 
@@ -39,22 +44,24 @@ def provenance(**facts: Any) -> dict[str, Any]:
 def atomic(path: str | Path) -> Iterator[Path]:
     """A temporary path beside ``path``. It is renamed to ``path`` if the block succeeds, and deleted otherwise.
 
-    It has the suffix of ``path``, from which GDAL and laspy infer the format. A full disk or any other
-    ``OSError`` inside the block is raised as an :class:`InputError` that names ``path``.
+    It has the suffix of ``path``, from which GDAL and laspy infer the format. A slot for a checksum
+    (:mod:`p2wss.data.integrity`) is filled. A full disk or any other ``OSError`` inside the block is raised as an
+    :class:`InputError` that names ``path``. Temporary files that killed processes left in the folder are removed.
     """
     path = Path(path)
     suffix = "".join(path.suffixes)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.name.removesuffix(suffix)}-", suffix=suffix, dir=path.parent
-        )
+        remove_leftovers(path.parent)
+        prefix = temporary_prefix(path.name.removesuffix(suffix))
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
     except OSError as error:
         raise InputError(f"{path}: not written: {error.strerror or error}") from error
     os.close(handle)
     temporary = Path(name)
     try:
         yield temporary
+        integrity.fill(temporary)
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
         temporary.chmod(0o644)
@@ -101,17 +108,20 @@ def table_writer(path: str | Path, schema: pa.Schema) -> Iterator[TableWriter]:
     """Write Parquet (zstd) piece by piece: only one piece is in memory. The file appears at the end of the block."""
     with (
         atomic(path) as temporary,
-        pq.ParquetWriter(temporary, schema, compression="zstd", compression_level=3) as writer,
+        pq.ParquetWriter(
+            temporary, schema, compression="zstd", compression_level=3, write_page_checksum=True
+        ) as writer,
     ):
         table = TableWriter(writer)
         yield table
         writer.add_key_value_metadata({METADATA_KEY: json.dumps(table.metadata).encode()})
+        writer.add_key_value_metadata({_CHECKSUM_KEY: integrity.SLOT.encode()})
 
 
 def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = None) -> pa.Table:
     """Read the columns of ``schema`` from a Parquet file. columns: read only these.
 
-    Raises :class:`InputError` if the file is missing or broken, or lacks one of the columns.
+    Raises :class:`InputError` if the file is missing, broken or damaged, or lacks one of the columns.
     """
     names = columns or schema.names
     with _readable(path) as file:
@@ -164,7 +174,11 @@ def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> 
 
 @contextmanager
 def _readable(path: str | Path) -> Iterator[pq.ParquetFile]:
-    with reading(path, "a readable Parquet file"), pq.ParquetFile(path) as file:
+    integrity.verify(path)
+    with (
+        reading(path, "a readable Parquet file"),
+        pq.ParquetFile(path, page_checksum_verification=True) as file,
+    ):
         yield file
 
 
@@ -183,7 +197,12 @@ def write_geoparquet(
                 place = table.column_names.index(field.name)
                 table = table.set_column(place, field, pa.array([], field.type))
         stored = table.schema.metadata | {METADATA_KEY: json.dumps(metadata).encode()}
-        pq.write_table(table.replace_schema_metadata(stored), temporary, compression="zstd")
+        table = table.replace_schema_metadata(stored)
+        with pq.ParquetWriter(
+            temporary, table.schema, compression="zstd", write_page_checksum=True
+        ) as writer:
+            writer.write_table(table)
+            writer.add_key_value_metadata({_CHECKSUM_KEY: integrity.SLOT.encode()})
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
@@ -230,9 +249,13 @@ class _Facts(dict[str, Any]):
 
 
 def write_json(path: str | Path, value: Any) -> None:
-    """Write ``value`` as indented JSON."""
+    """Write ``value`` as indented JSON; an object gets a first key ``checksum``, see :mod:`p2wss.data.integrity`."""
+    text = json.dumps(value, indent=1, sort_keys=True) + "\n"
+    if isinstance(value, dict):
+        stated = f'{{\n "{_JSON_CHECKSUM}": "{integrity.SLOT}"'
+        text = stated + (f",{text[1:]}" if value else "\n}\n")
     with atomic(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -248,13 +271,14 @@ def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
 
 
 def read_text(path: str | Path) -> str:
-    """The content of a text file. Raises :class:`InputError` if it is missing or not UTF-8."""
+    """The content of a text file. Raises :class:`InputError` if it is missing, damaged or not UTF-8."""
+    integrity.verify(path)
     with reading(path, "UTF-8 text"):
         return Path(path).read_text(encoding="utf-8")
 
 
 def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes") -> Any:
-    """The value in a JSON file.
+    """The value in a JSON file, without its checksum.
 
     kind: the type that it must have, as pydantic understands it, such as a dataclass or ``dict[str, float]``. name:
     of such a file, for messages.
@@ -263,6 +287,8 @@ def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes"
     text = read_text(path)
     with reading(path, "JSON"):
         value = json.loads(text)
+    if isinstance(value, dict) and _JSON_CHECKSUM in value:
+        integrity.require_checksum(str(value.pop(_JSON_CHECKSUM)), path)
     try:
         return value if kind is Any else TypeAdapter(kind).validate_python(value)
     except ValidationError as error:
@@ -275,6 +301,15 @@ def sha256(path: str | Path) -> str:
     """The SHA-256 checksum of a file, hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def reserve(path: str | Path, num_bytes: int) -> None:
+    """Give a new file its size. A full disk is an OSError here, and would be a SIGBUS when the file is mapped."""
+    with open(path, "r+b") as file:
+        if hasattr(os, "posix_fallocate") and num_bytes:
+            os.posix_fallocate(file.fileno(), 0, num_bytes)
+        else:
+            file.truncate(num_bytes)
 
 
 def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -11,10 +11,40 @@ from typing import Any
 
 import numpy as np
 
+from p2wss.data import integrity
+from p2wss.data.schemas.manifest import read_manifest
 from p2wss.errors import InputError, reading
 
 Facts = dict[str, Any]
 _CHUNK_POINTS = 2_000_000
+
+
+INTACT = "intact"
+
+
+def check(path: Path) -> Facts:
+    """Whether a file is what p2wss wrote: its name, and as ``checksum`` :data:`INTACT` or what is the matter.
+
+    Of a manifest, the shards that it lists are checked too.
+    """
+    try:
+        intact = integrity.is_intact(path)
+        if intact is False:
+            result = f"damaged or changed; {integrity.remedy(path)}"
+        elif intact is None:
+            result = "none stated: not a file of p2wss, or one of a version before checksums"
+        else:
+            result = INTACT
+            if path.suffix == ".json" and "shards" in (
+                content := json.loads(path.read_text(encoding="utf-8"))
+            ):
+                for shard in read_manifest(path).shards if content["shards"] else []:
+                    shard.verified()
+    except OSError as error:
+        result = f"not readable: {error.strerror or error}"
+    except InputError as error:
+        result = str(error)
+    return {"file": str(path), "checksum": result}
 
 
 def describe(path: Path) -> Facts:
@@ -30,7 +60,8 @@ def describe(path: Path) -> Facts:
         known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
         raise InputError(f"{path}: unknown type of file; the known types are {known}")
     with reading(path, f"readable as {Path(name).suffix}, or truncated"):
-        return {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
+        facts = {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
+    return facts | {"checksum": check(path)["checksum"]}
 
 
 def text(facts: Facts, indent: str = "") -> str:
@@ -221,6 +252,7 @@ def _json(path: Path) -> Facts:
         return {"kind": "CityJSON", **_city([document])}
     if document.get("type") == "FeatureCollection":
         return _vector(path)
+    document.pop("checksum", None)
     stored = document.pop("p2wss", None) or {
         name: document.pop(name) for name in ("version", "code", "config") if name in document
     }
@@ -232,6 +264,7 @@ def _json(path: Path) -> Facts:
 
 def _json_lines(path: Path) -> Facts:
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    lines = [line for line in lines if list(line) != ["checksum"]]
     if lines and lines[0].get("type") == "CityJSON":
         return {"kind": "CityJSON text sequence", **_city(lines)}
     return {"kind": "JSON lines", "num_lines": len(lines), "first": lines[:1], "last": lines[-1:]}
@@ -285,7 +318,9 @@ def _archive(path: Path) -> Facts:
 def _table(path: Path) -> Facts:
     import pandas as pd
 
-    table = pd.read_csv(path, sep="\t" if path.suffix == ".tsv" else ",")
+    table = pd.read_csv(
+        path, sep="\t" if path.suffix == ".tsv" else ",", comment="#" if path.suffix == ".tsv" else None
+    )
     return {"kind": "table", "num_rows": len(table), "columns": list(table.columns)}
 
 

@@ -10,6 +10,7 @@ from typing import Any, BinaryIO
 
 import laspy
 
+from p2wss.data import integrity
 from p2wss.errors import reading
 
 # the phrase of messages
@@ -26,7 +27,8 @@ _MAX_CHUNK_POINTS = 50_000_000
 @contextmanager
 def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[laspy.LasReader]:
     """``laspy.open`` for reading. Any error of the block is raised as an :class:`InputError` that names ``path`` as no
-    ``kind``."""
+    ``kind``; that of a damaged file says what makes it again."""
+    integrity.verify(path)
     with reading(path, kind):
         check_header(path)
         with laspy.open(path, **options) as reader:

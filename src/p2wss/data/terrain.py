@@ -15,7 +15,7 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 from scipy.ndimage import map_coordinates
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.clouds import same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError, reading
@@ -85,6 +85,7 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
     """
     if not str(path).startswith("/vsi") and not Path(path).exists():
         raise InputError(f"{path}: no such file")
+    integrity.verify(path)
     with reading(path, "a readable raster"), rasterio.open(path) as raster:
         check_size(raster, path)
         heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
@@ -127,3 +128,4 @@ def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[s
             raster.update_tags(p2wss=json.dumps(metadata))
         with files.atomic(path) as temporary:
             temporary.write_bytes(file.getbuffer())
+            integrity.append(temporary)

@@ -14,6 +14,7 @@ import pyogrio
 import pyproj
 import shapely
 
+from p2wss.data import integrity
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError, reading
 
@@ -32,6 +33,7 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
     """
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
+    integrity.verify(path)
     with reading(path, "a readable vector file"):
         if str(path).endswith(".parquet"):
             pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance

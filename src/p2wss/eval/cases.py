@@ -44,12 +44,13 @@ def test_cases(manifest: Manifest) -> Iterator[list[Case]]:
     memory.
     """
     is_empty = True
-    for path, dataset, _ in manifest.shards:
+    for shard in manifest.shards:
+        dataset = shard.dataset
 
         def select(table: pa.Table, dataset: str = dataset) -> np.ndarray:
             return manifest.select(table, dataset, ["test"])
 
-        table = files.read_rows(path, CROPS, ["split", *_KEY_COLUMNS], select)
+        table = files.read_rows(shard.verified(), CROPS, ["split", *_KEY_COLUMNS], select)
         if len(table):
             is_empty = False
             yield from_crops(table, dataset)
@@ -60,9 +61,10 @@ def test_cases(manifest: Manifest) -> Iterator[list[Case]]:
 def cases_of(manifest: Manifest, keys: Collection[Key]) -> dict[Key, Case]:
     """The cases with these keys."""
     cases: dict[Key, Case] = {}
-    for path, dataset, _ in manifest.shards:
+    for shard in manifest.shards:
+        dataset = shard.dataset
         names = {key[1:] for key in keys if key[0] == dataset}
-        table = files.read_rows(path, CROPS, _KEY_COLUMNS, files.rows_with(_KEY_COLUMNS, names))
+        table = files.read_rows(shard.verified(), CROPS, _KEY_COLUMNS, files.rows_with(_KEY_COLUMNS, names))
         cases |= {case.key: case for case in from_crops(table, dataset)}
     return cases
 
@@ -95,7 +97,8 @@ def train_medians(manifest: Manifest) -> Medians:
 
 def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
     heights, angles = [np.zeros(0)], [np.zeros(0)]
-    for path, dataset, _ in manifest.shards:
+    for shard in manifest.shards:
+        dataset = shard.dataset
         if dataset == SIMULATED:
             columns = [
                 "split",
@@ -106,7 +109,7 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
                 "ground_z_m",
                 "angle_deg",
             ]
-            table = files.read_table(path, CROPS, columns=columns)
+            table = files.read_table(shard.verified(), CROPS, columns=columns)
             mask = manifest.select(table, dataset, splits)
             table = table.filter(pa.array(mask))
             lift = table["label_terrain_z_m"].to_numpy() - table["ground_z_m"].to_numpy()

@@ -81,9 +81,9 @@ def read_recording(path: Path) -> Recording:
 
 def _num_evaluated(manifest: Manifest, names: Collection[str]) -> int:
     count = 0
-    for path, dataset, _ in manifest.shards:
-        if dataset == REAL:
-            table = files.read_table(path, CROPS, columns=["split", "tile", ID_FIELD])
+    for shard in manifest.shards:
+        if shard.dataset == REAL:
+            table = files.read_table(shard.verified(), CROPS, columns=["split", "tile", ID_FIELD])
             table = table.filter(pa.array(manifest.select(table, REAL, ["test"])))
             count += len(set(table[ID_FIELD].to_pylist()) & set(names))
     return count

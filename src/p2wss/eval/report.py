@@ -14,7 +14,7 @@ import pyarrow as pa
 from pydantic import TypeAdapter
 
 from p2wss.config import Eval
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.schemas.manifest import read_manifest
@@ -128,7 +128,7 @@ def read(
         provenance,
         config,
         {record["method"]: record["cpu_ms"] for record in records},
-        {_place_and_tile(path): figures.png_uri(path.read_bytes()) for path in scans},
+        {_place_and_tile(path): figures.png_uri(_scan_picture(path)) for path in scans},
         # trained here, not read from elsewhere, and on clouds that were not chosen for one purpose or the other
         bool(training) and uses_lidar and REAL in table["dataset"].unique().to_pylist() and not is_chosen,
     )
@@ -259,13 +259,22 @@ def method_names(runs: Sequence[tables.Run]) -> dict[str, str]:
 _ROW_TITLES = ("μ CD (m)", "Q1 CD (m)", "Q2 CD (m)", "Q3 CD (m)", "σ CD (m)", "μ #T", "σ #T")
 
 
+def _scan_picture(path: Path) -> bytes:
+    """A PNG without what follows its end, the checksum."""
+    integrity.verify(path)
+    content = path.read_bytes()
+    return content[: content.rfind(b"IEND") + len("IEND") + 4]
+
+
 def read_training(path: Path) -> list[dict[str, Any]]:
     """Records of a ``metrics.jsonl``.
 
     Raises :class:`InputError` if it cannot be read or a line is no JSON object with a ``step``.
     """
     records: list[dict[str, Any]] = []
-    for number, line in enumerate(files.read_text(path).splitlines(), 1):
+    with reading(path, "readable metrics"):
+        lines = integrity.lines_of(path.read_bytes(), path)
+    for number, line in enumerate(lines, 1):
         if line.strip():
             with reading(path, f"JSON lines of numbers by name: line {number}"):
                 records.append(_RECORD.validate_json(line))

@@ -15,7 +15,7 @@ import pyogrio
 import pyproj
 import shapely
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.clouds import same_crs
 from p2wss.data.footprint_schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.errors import InputError
@@ -108,3 +108,4 @@ def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[s
     )
     with files.atomic(path) as temporary:
         temporary.write_bytes(file.getbuffer())
+        integrity.append(temporary)

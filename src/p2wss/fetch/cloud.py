@@ -14,7 +14,7 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.clouds import same_crs
 from p2wss.data.las_files import open_cloud
 from p2wss.data.tiling import Bounds
@@ -105,28 +105,27 @@ def write_cloud(
     header.scales, header.offsets = first.scales, first.offsets
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
     num_points = 0
-    with (
-        files.atomic(out) as temporary,
-        laspy.open(temporary, "w", header=header, do_compress=True) as writer,
-    ):
-        for path in paths:
-            with laspy.open(path) as reader:
-                for points in reader.chunk_iterator(_CHUNK_POINTS):
-                    x, y = np.asarray(points.x), np.asarray(points.y)
-                    keep = _in(x, y, bounds)
-                    for hole in holes:
-                        keep &= ~_in(x, y, hole)
-                    inside = points[keep]
-                    piece = laspy.ScaleAwarePointRecord.zeros(len(inside), header=header)
-                    piece.copy_fields_from(inside)
-                    # coordinates must be set as metres: each file has its own scale and offset
-                    piece.x, piece.y, piece.z = (
-                        np.asarray(inside.x),
-                        np.asarray(inside.y),
-                        np.asarray(inside.z),
-                    )
-                    writer.write_points(piece)
-                    num_points += len(piece)
+    with files.atomic(out) as temporary:
+        with laspy.open(temporary, "w", header=header, do_compress=True) as writer:
+            for path in paths:
+                with laspy.open(path) as reader:
+                    for points in reader.chunk_iterator(_CHUNK_POINTS):
+                        x, y = np.asarray(points.x), np.asarray(points.y)
+                        keep = _in(x, y, bounds)
+                        for hole in holes:
+                            keep &= ~_in(x, y, hole)
+                        inside = points[keep]
+                        piece = laspy.ScaleAwarePointRecord.zeros(len(inside), header=header)
+                        piece.copy_fields_from(inside)
+                        # coordinates must be set as metres: each file has its own scale and offset
+                        piece.x, piece.y, piece.z = (
+                            np.asarray(inside.x),
+                            np.asarray(inside.y),
+                            np.asarray(inside.z),
+                        )
+                        writer.write_points(piece)
+                        num_points += len(piece)
+        integrity.append(temporary)
     return num_points
 
 
@@ -159,7 +158,8 @@ def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
 
 
 def _copy(source: Path, target: Path, link: bool) -> None:
-    if link:
+    # a file without a checksum gets one, which the source must not
+    if link and integrity.has_checksum(source):
         try:
             target.unlink()
             os.link(source, target)
@@ -167,3 +167,17 @@ def _copy(source: Path, target: Path, link: bool) -> None:
         except OSError:
             pass  # on another disk, or on one without hard links
     shutil.copyfile(source, target)
+    append_checksum(target)
+
+
+def append_checksum(path: Path) -> None:
+    """Add the checksum at the end of a LAZ file, unless its last bytes have a meaning.
+
+    A file that was written to a pipe ends with the place of its chunk table, and has -1 where others have that.
+    """
+    header = read_header(path)
+    with path.open("rb") as file:
+        file.seek(header.offset_to_point_data)
+        has_table_at_end = file.read(8) == b"\xff" * 8
+    if not has_table_at_end:
+        integrity.seal(path)

@@ -27,7 +27,7 @@ from p2wss.config import Geoplateforme
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
-from p2wss.fetch.cloud import check_cloud
+from p2wss.fetch.cloud import append_checksum, check_cloud
 from p2wss.fetch.http import Client, NotFoundError, RangesUnsupportedError, quote
 from p2wss.fetch.remote_copc import write_window
 from p2wss.fetch.store import Request, Store
@@ -211,6 +211,7 @@ class GeoplateformeSource:
             except InputError:
                 path.unlink()
                 raise
+            append_checksum(path)
         self.store.record(path, request)
         return path
 

@@ -19,9 +19,10 @@ from typing import Any
 from p2wss.config import Prepare
 from p2wss.data import files
 from p2wss.data.las_classes import GROUND_CLASS
+from p2wss.data.temporary import temporary_prefix
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
-from p2wss.fetch.cloud import count_classes
+from p2wss.fetch.cloud import append_checksum, count_classes
 
 CONDITIONAL = "if_no_ground_"  # stages with this tag prefix run only on clouds without ground points
 _NOT_WITHHELD = "Withheld[0:0]"
@@ -138,7 +139,7 @@ def run(
     """
     # PDAL runs in a temporary folder with plain file names: in a container it may see no other folder
     out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as name:
+    with tempfile.TemporaryDirectory(prefix=temporary_prefix(out.name), dir=out.parent) as name:
         folder = Path(name).resolve()
         folder.chmod(0o755)  # a container may run as another user
         local_names = [f"{number}.laz" for number in range(len(paths))]
@@ -168,6 +169,7 @@ def run(
             )
         with files.atomic(out) as temporary:
             os.replace(folder / "out.laz", temporary)
+            append_checksum(temporary)
     names = [str(path) for path in paths]
     files.write_json(out.with_suffix(".pdal.json"), pipeline(names, str(out), window, point_format, stages))
     return {"num_points": classes.total(), "num_ground_points": classes[GROUND_CLASS]}

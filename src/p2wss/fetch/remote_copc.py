@@ -14,7 +14,7 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.http import Client
@@ -83,9 +83,8 @@ def write_window(client: Client, url: str, bounds: Bounds, out: Path, crs: str) 
     except (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, RuntimeError) as error:
         raise InputError(f"{url}: not a readable COPC file: {error}") from error
     header.add_crs(pyproj.CRS.from_user_input(crs))
-    with (
-        files.atomic(out) as temporary,
-        laspy.open(temporary, "w", header=header, do_compress=True) as writer,
-    ):
-        writer.write_points(points)
+    with files.atomic(out) as temporary:
+        with laspy.open(temporary, "w", header=header, do_compress=True) as writer:
+            writer.write_points(points)
+        integrity.append(temporary)
     return len(points)

@@ -9,7 +9,7 @@ from typing import Any
 
 import geopandas as gpd
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 
 
 def write(
@@ -39,3 +39,4 @@ def write(
                 rows.to_file(temporary, driver="GPKG", layer=name, engine="pyogrio", mode="a")
         except RuntimeError as error:  # pyogrio's errors, a full disk among them, are not OSErrors
             raise OSError(str(error)) from error
+        integrity.append(temporary)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import logging
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 from p2wss.data import files
 from p2wss.errors import InputError, reading
 from p2wss.nets import distributed
 
 FILE_NAME = "metrics.jsonl"
+_CHECKSUM = ', "crc32": "'
+log = logging.getLogger("p2wss")
 
 
 class MetricsLog:
@@ -29,12 +33,9 @@ class MetricsLog:
         """Drop the lines after ``step``, which a resumed training writes again."""
         if distributed.rank():
             return
-        lines = []
-        if step and self.path.exists():
-            with reading(self.path, "readable metrics; delete it"):
-                lines = self.path.read_bytes().splitlines()
-        earlier = [line.decode() for line in lines if 0 <= _step(line) <= step]
-        files.write_text(self.path, "".join(line + "\n" for line in earlier))
+        records = _read(self.path) if step and self.path.exists() else []
+        earlier = [record for record in records if record["step"] <= step]
+        files.write_text(self.path, "".join(_line(record) for record in earlier))
 
     def add(self, values: dict[str, Any]) -> None:
         """Append one line; ``values`` hold the step."""
@@ -46,22 +47,36 @@ class MetricsLog:
             self._writer.flush()
         try:
             with open(self.path, "a", encoding="utf-8") as file:
-                file.write(json.dumps(values) + "\n")
+                file.write(_line(values))
         except OSError as error:
             raise InputError(f"{self.path}: not written: {error.strerror or error}") from error
 
 
-def _step(line: bytes) -> int:
-    """The step of a line; -1 for one that is cut off, as by a kill."""
-    try:
-        return int(json.loads(line)["step"])
-    except (ValueError, KeyError, TypeError, RecursionError):
-        return -1
-
-
 def read_metrics(checkpoints: Path) -> str:
     """The metrics of a finished training, one JSON object per line."""
-    return files.read_text(checkpoints / FILE_NAME)
+    return "".join(json.dumps(record) + "\n" for record in _read(checkpoints / FILE_NAME))
+
+
+def _line(values: dict[str, Any]) -> str:
+    """A line of the log: the values, and a checksum of the text before it."""
+    text = json.dumps(values)[:-1]
+    return f'{text}{_CHECKSUM}{crc32(text.encode()):08x}"}}\n'
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    """The records of a log, without those that a kill cut off or that are damaged."""
+    records, num_damaged = [], 0
+    with reading(path, "readable metrics; delete it"):
+        lines = path.read_bytes().splitlines()
+    for line in lines:
+        text, separator, stated = line.rpartition(_CHECKSUM.encode())
+        if separator and stated == f'{crc32(text):08x}"}}'.encode():
+            records.append(json.loads(text + b"}"))
+        else:
+            num_damaged += 1
+    if num_damaged:
+        log.warning("%s: %d damaged or incomplete lines left out", path, num_damaged)
+    return records
 
 
 def last_validation(metrics: str) -> dict[str, float]:

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.progress import Progress
 from p2wss.errors import InputError
 from p2wss.nets import distributed
 from p2wss.nets.batch import UNKNOWN_PATCHES
 from p2wss.nets.dataset import BuildingDataset
 from p2wss.nets.patches import patch_index
+
+log = logging.getLogger("p2wss")
 
 _BATCH_SIZE = 128
 
@@ -43,11 +47,15 @@ def precompute_patches(
         return replace(dataset, patch_index=index)
     name = f"patches-{settings.num_points}-{settings.num_patches}x{settings.patch_size}.i16"
     path = dataset.folder / name
-    if distributed.rank() == 0 and not path.is_file():
+    if distributed.rank() == 0 and not integrity.is_usable(path):
+        if path.is_file():
+            log.warning("%s: damaged; computing the patches again", path)
         with files.atomic(path) as temporary:
-            mapped = np.memmap(temporary, np.int16, "w+", shape=shape)
+            files.reserve(temporary, 2 * math.prod(shape))
+            mapped = np.memmap(temporary, np.int16, "r+", shape=shape)
             _fill_patch_index(dataset, settings, device, mapped)
             mapped.flush()
+            integrity.append(temporary)
     distributed.barrier()
     try:
         mapped = np.memmap(path, np.int16, "r", shape=shape)

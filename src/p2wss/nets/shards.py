@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import tempfile
@@ -17,12 +18,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from p2wss.data import files, reasons
+from p2wss.data import files, integrity, reasons
 from p2wss.data.schemas.crops import CROPS, SIMULATED
 from p2wss.data.schemas.manifest import read_manifest
+from p2wss.data.temporary import remove_leftovers, temporary_prefix
 from p2wss.errors import InputError, reading
 from p2wss.nets import distributed
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
+
+log = logging.getLogger("p2wss")
 
 _CLOUD_COLUMNS = [
     "split",
@@ -39,7 +43,7 @@ _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_terra
 _FLAT_ARRAYS = ("ground_z_m", "xy_m", "angle_deg", "height_m")
 _OFFSETS = ("point_offset", "vertex_offset")
 # version of the layout of the cache: another number decodes the shards anew
-_CACHE_VERSION = 2
+_CACHE_VERSION = 3
 
 
 def load_dataset(
@@ -64,9 +68,10 @@ def load_dataset(
     excluded: Counter[str] = Counter()
 
     def parts() -> Iterator[BuildingDataset]:
-        for path, name, _ in shards:
+        for shard in shards:
+            name = shard.dataset
             select = partial(listing.select, dataset=name, purposes=splits if name == SIMULATED else ["dvae"])
-            part = _read_shard(path, select, limits, labelled, excluded)
+            part = _read_shard(shard.verified(), select, limits, labelled, excluded)
             if len(part):
                 yield part
 
@@ -85,7 +90,7 @@ def load_dataset(
             include_real,
         ]
         folder = cache / blake2b(json.dumps(key).encode(), digest_size=12).hexdigest()
-        if distributed.rank() == 0 and not folder.is_dir():
+        if distributed.rank() == 0 and not (folder.is_dir() and _is_usable(folder)):
             _write_cache(parts(), folder, excluded)
         distributed.barrier()
         dataset = _open_cache(folder)
@@ -125,7 +130,8 @@ def _write_cache(parts: Iterator[BuildingDataset], folder: Path, excluded: Count
     temporary: Path | None = None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=".decoding-", dir=folder.parent))
+        remove_leftovers(folder.parent)
+        temporary = Path(tempfile.mkdtemp(prefix=temporary_prefix("decoding"), dir=folder.parent))
         without_points = []
         with open(temporary / "points_cm.i16", "wb") as file:
             for part in parts:
@@ -134,13 +140,25 @@ def _write_cache(parts: Iterator[BuildingDataset], folder: Path, excluded: Count
         dataset = _concatenate(without_points)
         arrays = {name: getattr(dataset, name) for name in (*_FLAT_ARRAYS, *_OFFSETS)}
         np.savez(temporary / "buildings.npz", **arrays)
-        (temporary / "excluded.json").write_text(json.dumps(excluded))
+        (temporary / "excluded.json").write_text(json.dumps(excluded) + "\n")
+        for path in temporary.iterdir():
+            integrity.seal(path)
         os.replace(temporary, folder)
     except OSError as error:
         raise InputError(f"{folder}: not written: {error.strerror or error}") from error
     finally:
         if temporary is not None:
             shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _is_usable(folder: Path) -> bool:
+    """Whether all files of a cache are what was written; one that is damaged is removed."""
+    names = ("points_cm.i16", "buildings.npz", "excluded.json")
+    damaged = [name for name in names if not integrity.is_usable(folder / name)]
+    if damaged:
+        log.warning("%s: damaged or incomplete; decoding the clouds again", folder / damaged[0])
+        shutil.rmtree(folder)
+    return not damaged
 
 
 def _open_cache(folder: Path) -> BuildingDataset:
@@ -153,7 +171,7 @@ def _open_cache(folder: Path) -> BuildingDataset:
             points = np.memmap(folder / "points_cm.i16", np.int16, "r", shape=(num_points, 3)).view(
                 np.ndarray
             )
-        excluded = files.read_json(folder / "excluded.json", dict[str, int])
+        excluded = json.loads((folder / "excluded.json").read_text().partition("\n")[0])
     return BuildingDataset(points_cm=points, **arrays, num_excluded=excluded, folder=folder)
 
 

@@ -17,7 +17,7 @@ from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
 from p2wss.config import Optimiser
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.nets import distributed
 from p2wss.nets.metrics_log import FILE_NAME
 
@@ -68,6 +68,7 @@ class TrainingState:
         # through memory, because torch reports a full disk as some RuntimeError
         buffer = BytesIO()
         torch.save(checkpoint | {"step": step, "identity": json.dumps(identity, sort_keys=True)}, buffer)
+        buffer.write(integrity.TRAILER)
         files.write_bytes(folder / f"step-{step:08d}.pt", buffer.getbuffer())
         for old in sorted(_checkpoints(folder))[:-MAX_CHECKPOINTS]:
             _checkpoints(folder)[old].unlink()
@@ -77,6 +78,9 @@ class TrainingState:
         and remove the checkpoints of anything else."""
         expected = json.dumps(identity, sort_keys=True)
         for step, path in sorted(_checkpoints(folder).items(), reverse=True):
+            if not integrity.is_usable(path):
+                log.warning("%s: damaged or incomplete; trying the one before", path)
+                continue
             try:
                 checkpoint = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:

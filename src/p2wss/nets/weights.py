@@ -15,7 +15,7 @@ from torch.nn import Module
 from p2wss import __version__
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.errors import InputError
 from p2wss.nets.builders import build_dvae, build_model, build_tokenizer
 from p2wss.nets.discrete_vae import DiscreteVae
@@ -83,11 +83,11 @@ def load_model(path: Path) -> tuple[Point2Wss, ModelConfig, DvaeConfig]:
 
 
 def write_weights(path: Path, state: dict[str, Tensor], metadata: dict[str, Any]) -> None:
-    """Weights as safetensors, with ``metadata`` as JSON in the header under the key ``p2wss``."""
+    """Weights as safetensors, with ``metadata`` as JSON in the header under the key ``p2wss``, and a checksum."""
     from safetensors.torch import save
 
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
-    content = save(tensors, metadata={"p2wss": json.dumps(metadata, sort_keys=True)})
+    content = save(tensors, metadata={"p2wss": json.dumps({"checksum": integrity.SLOT} | metadata)})
     files.write_bytes(path, content)
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from p2wss.config import Reconstruct
+from p2wss.data import integrity
 from p2wss.errors import InputError
 
 # in place of a file of weights: no network
@@ -43,6 +44,7 @@ def read_metadata(path: Path, kind: str) -> dict[str, Any]:
 
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; train it first (p2wss {kind})")
+    integrity.verify(path)
     try:
         with safe_open(path, "np") as file:
             metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
@@ -50,4 +52,4 @@ def read_metadata(path: Path, kind: str) -> dict[str, Any]:
         raise InputError(f"{path}: not a readable safetensors file: {error}") from error
     if not isinstance(metadata, dict) or metadata.get("kind") != kind:
         raise InputError(f"{path}: not a {kind} of p2wss")
-    return dict(metadata)
+    return {name: value for name, value in metadata.items() if name != "checksum"}

@@ -14,6 +14,7 @@ from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
 from p2wss.config import Geoplateforme
+from p2wss.data import integrity
 from p2wss.errors import InputError
 from p2wss.fetch import normalise
 from p2wss.fetch.geoplateforme import GeoplateformeSource
@@ -153,14 +154,16 @@ def test_lidar_tile_from_the_index(source: Any, httpserver: HTTPServer, tmp_path
     )
     service = source()
     paths = service.lidar(BOUNDS)
-    assert [path.read_bytes() for path in paths] == [body]
+    assert [path.read_bytes()[: -len(integrity.TRAILER)] for path in paths] == [body]
+    assert all(integrity.is_intact(path) for path in paths)
     requests = len(httpserver.log)
     assert requests == 3
     assert source().lidar(BOUNDS) == paths
     assert len(httpserver.log) == requests, "a tile that is there is not downloaded again, nor its index"
     record = json.loads(Path(f"{paths[0]}.json").read_text(encoding="utf-8"))
     assert record["request"] == {"url": f"{base}0652-6862_PTS_LAMB93_IGN69.copc.laz"}
-    assert record["num_bytes"] == len(body) and record["sha256"] == hashlib.sha256(body).hexdigest()
+    stored = paths[0].read_bytes()
+    assert record["num_bytes"] == len(stored) and record["sha256"] == hashlib.sha256(stored).hexdigest()
 
 
 def test_the_older_index_is_used_if_the_current_one_is_gone(

@@ -11,6 +11,7 @@ from places import ROOT
 from scipy.spatial import cKDTree
 
 from p2wss.config import Prepare
+from p2wss.data import integrity
 from p2wss.errors import InputError
 from p2wss.fetch.pdal import Window, for_version, pipeline, read_stages
 from p2wss.fetch.prepare import prepare
@@ -41,6 +42,7 @@ def rows(points: np.ndarray) -> list[tuple[int, ...]]:
 
 def test_a_classified_tile_is_linked_unchanged(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", scatter(1000, TILE), 2)
+    integrity.seal(cloud)  # as the stage fetch does
     out = tmp_path / "out" / "0652_6862.laz"
     facts = prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program"))
     assert (facts["by"], facts["num_points"], facts["num_ground_points"]) == ("laspy", 1000, 1000)

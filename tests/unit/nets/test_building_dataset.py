@@ -207,7 +207,7 @@ def test_patches_are_computed_once_and_only_of_clouds_that_are_not_thinned(
 
 
 def test_an_interrupted_computation_of_patches_leaves_nothing(
-    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     train = load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
     before = sorted(tmp_path.rglob("*"))
@@ -221,10 +221,13 @@ def test_an_interrupted_computation_of_patches_leaves_nothing(
     assert sorted(tmp_path.rglob("*")) == before
     monkeypatch.undo()
     loaded = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
-    assert loaded.folder is not None
+    assert loaded.folder is not None and loaded.patch_index is not None
+    expected = loaded.patch_index.copy()
     next(loaded.folder.glob("patches-*")).write_bytes(b"cut off")
-    with pytest.raises(InputError, match=r"patches-1000000-4x8\.i16: not readable .*; delete it"):
-        precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
+    again = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
+    assert "patches-1000000-4x8.i16: damaged; computing the patches again" in caplog.text
+    assert again.patch_index is not None
+    assert np.array_equal(again.patch_index, expected)
 
 
 def test_resident_clouds_give_the_same_batches(manifest: Path) -> None:

@@ -13,7 +13,7 @@ import pyarrow as pa
 from pydantic import Field
 from typing_extensions import TypedDict
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
@@ -47,6 +47,16 @@ class Shard(NamedTuple):
     path: Path
     dataset: str
     sha256: str | None = None
+
+    def verified(self) -> Path:
+        """The file, which has the content that the manifest lists. Raises :class:`InputError` otherwise."""
+        integrity.verify(self.path)
+        if self.sha256 is not None and files.sha256(self.path) != self.sha256:
+            raise InputError(
+                f"{self.path}: not the file that the manifest lists: its content differs; list the shards again"
+                " (snakemake -R crops ..)"
+            )
+        return self.path
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,7 @@ class Manifest:
         by_dataset: dict[str, str | None] = {}
         for shard in self.shards:
             if shard.dataset not in by_dataset:
-                by_dataset[shard.dataset] = files.read_metadata(shard.path).get("crs")
+                by_dataset[shard.dataset] = files.read_metadata(shard.verified()).get("crs")
         return by_dataset
 
 

@@ -17,7 +17,7 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data import files
+from p2wss.data import files, integrity
 from p2wss.data.clouds import Cloud
 from p2wss.data.las_files import open_cloud
 
@@ -60,6 +60,7 @@ def write_scan(
                     writer.write_points(record)
         except lazrs.LazrsError as error:  # a full disk, which files.atomic turns into a message
             raise OSError(str(error)) from error
+        integrity.append(temporary)
 
 
 def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
@@ -67,6 +68,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
 
     Raises :class:`InputError` for a file that is missing, truncated or no such scan.
     """
+    integrity.verify(path)
     needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
     needed |= laspy.DecompressionSelection.POINT_SOURCE_ID
     needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES

@@ -1,0 +1,68 @@
+"""Names of temporary files, by which those of killed processes are known and removed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import socket
+import time
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+
+# a process on another host cannot be asked whether it lives: its files are removed when they are this old
+_ABANDONED_S = 24 * 3600.0
+_NAME = re.compile(r"^\..*~(?P<host>[0-9a-f]{8})-(?P<process>\d+)-")
+# folders that this process has tidied
+_tidied: set[tuple[str, int]] = set()
+
+
+def temporary_prefix(stem: str) -> str:
+    """The beginning of the name of a hidden temporary file: ``stem``, this host and this process."""
+    return f".{stem}~{_host()}-{os.getpid()}-"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files and folders of processes that have ended, once per process and folder."""
+    key = (os.path.abspath(folder), os.getpid())
+    if key in _tidied:
+        return
+    _tidied.add(key)
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            match = _NAME.match(entry.name)
+            if match is None:
+                continue
+            with suppress(OSError):  # another process may be tidying too
+                age_s = time.time() - entry.stat(follow_symlinks=False).st_mtime
+                ended = match["host"] == _host() and not is_running(int(match["process"]))
+                if ended or age_s > _ABANDONED_S:
+                    if entry.is_dir(follow_symlinks=False):
+                        shutil.rmtree(entry.path)
+                    else:
+                        os.unlink(entry.path)
+
+
+def is_running(process: int) -> bool:
+    """Whether a process of this host runs."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # it is another user's
+        return True
+    return True
+
+
+@cache
+def _host() -> str:
+    """Eight digits that stand for this boot of this host, and for the container: numbers of processes mean the same."""
+    parts = [socket.gethostname()]
+    for path in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):
+        with suppress(OSError):
+            parts.append(
+                os.readlink(path) if path.endswith("pid") else Path(path).read_text(encoding="utf-8")
+            )
+    return hashlib.blake2b("\n".join(parts).encode(), digest_size=4).hexdigest()

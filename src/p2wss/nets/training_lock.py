@@ -1,0 +1,104 @@
+"""One training per folder: a second one would read and remove the checkpoints of the first."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from p2wss.data.temporary import is_running
+from p2wss.errors import InputError
+from p2wss.nets import distributed
+
+FILE_NAME = "training.lock"
+
+
+@contextmanager
+def training_lock(checkpoints: Path) -> Iterator[None]:
+    """Hold the folder of a training. The lock ends with the process, however that ends.
+
+    Of several processes of a training the main one holds it. The file ``training.lock`` states host and process; one
+    that a killed training left is taken over. Raises :class:`InputError` if another training holds the folder, or if it
+    cannot be written to.
+    """
+    if not distributed.is_main_process():
+        yield
+        return
+    path = checkpoints / FILE_NAME
+    descriptor = _locked(path)
+    try:
+        holder = {
+            "host": socket.gethostname(),
+            "process": os.getpid(),
+            "since": datetime.now().isoformat()[:19],
+        }
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, (json.dumps(holder) + "\n").encode(), 0)
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(descriptor)
+        if not any(checkpoints.iterdir()):
+            checkpoints.rmdir()
+
+
+def _locked(path: Path) -> int:
+    """The open file of a lock that this process now holds."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            try:
+                _acquire(descriptor, path)
+                if _is_same_file(descriptor, path):  # the one that ended just now may have removed it
+                    return descriptor
+            except BaseException:
+                os.close(descriptor)
+                raise
+            os.close(descriptor)
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+
+
+def _acquire(descriptor: int, path: Path) -> None:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise InputError(_held(path, _holder(descriptor))) from None
+    except OSError as error:
+        if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        # a file system without locks: what the file states must do
+        holder = _holder(descriptor)
+        on_this_host = holder.get("host") == socket.gethostname()
+        if holder and not (on_this_host and not is_running(int(holder["process"]))):
+            raise InputError(f"{_held(path, holder)}; if it does not run any more, delete {path}") from None
+
+
+def _held(path: Path, holder: dict[str, Any]) -> str:
+    return (
+        f"{path.parent}: another training runs in this folder: process {holder.get('process', '?')} on"
+        f" {holder.get('host', '?')}, since {holder.get('since', '?')}"
+    )
+
+
+def _holder(descriptor: int) -> dict[str, Any]:
+    try:
+        holder = json.loads(os.pread(descriptor, 4096, 0))
+    except ValueError:
+        return {}
+    return holder if isinstance(holder, dict) else {}
+
+
+def _is_same_file(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,81 @@
+"""Two trainings in one folder: the second is refused, and what a killed one left is taken over."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from p2wss.errors import InputError
+from p2wss.nets.training_lock import FILE_NAME, training_lock
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from p2wss.nets.training_lock import training_lock
+with training_lock(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_the_second_training_is_refused_and_a_killed_one_replaced(tmp_path: Path) -> None:
+    folder = tmp_path / "checkpoints"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, folder], stdout=subprocess.PIPE, env=environment
+    ) as holder:
+        try:
+            assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
+            with (
+                pytest.raises(InputError, match=rf"another .*process {holder.pid} on"),
+                training_lock(folder),
+            ):
+                pass
+            assert json.loads((folder / FILE_NAME).read_text())["process"] == holder.pid
+        finally:
+            holder.send_signal(signal.SIGKILL)
+            holder.wait()
+    assert (folder / FILE_NAME).exists()
+    with training_lock(folder):
+        assert json.loads((folder / FILE_NAME).read_text())["process"] == os.getpid()
+        (folder / "step-00000001.pt").touch()
+    assert [path.name for path in folder.iterdir()] == ["step-00000001.pt"]
+
+
+def test_a_file_system_without_locks_goes_by_the_process(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def flock(descriptor: int, operation: int) -> None:
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr("p2wss.nets.training_lock.fcntl.flock", flock)
+    with (
+        training_lock(tmp_path),
+        pytest.raises(InputError, match="another training runs"),
+        training_lock(tmp_path),
+    ):
+        pass
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    state = {"host": os.uname().nodename, "process": ended.pid}
+    tmp_path.mkdir(exist_ok=True)
+    (tmp_path / FILE_NAME).write_text(json.dumps(state))
+    with training_lock(tmp_path):
+        pass
+
+
+def test_no_file_is_unpickled() -> None:
+    for path in (ROOT / "src").rglob("*.py"):
+        for call in re.findall(r"\b(?:torch\.load|np\.load)\([^\n]*", path.read_text()):
+            assert "weights_only=True" in call or ("np.load" in call and "allow_pickle" not in call), path
+        assert not re.search(r"^\s*(import|from) (pickle|dill|joblib|cloudpickle)", path.read_text(), re.M), (
+            path
+        )
