@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 from p2wss.data import files, integrity
 from p2wss.data.schemas.crops import SIMULATED
 from p2wss.data.seeds import derive_seed
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 
 class _Entry(TypedDict):
@@ -113,10 +113,11 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
     """
     content = files.read_json(path, _Listing, "a manifest of crops")
     shards = []
-    for entry in content["shards"]:
-        name = Path(entry["path"])
-        beside = Path(path).parent / name
-        shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
+    with reading(path, "a manifest of crops"):  # a name may be none that a file can have
+        for entry in content["shards"]:
+            name = Path(entry["path"])
+            beside = Path(path).parent / name
+            shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
     if only is not None:
         listed = {os.path.abspath(shard.path) for shard in shards}
         wanted = {os.path.abspath(name): name for name in only}
@@ -124,7 +125,8 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
             if place not in listed:
                 raise InputError(f"{path}: does not list {name}; run the stage crops again")
         shards = [shard for shard in shards if os.path.abspath(shard.path) in wanted]
-    missing = [str(shard.path) for shard in shards if not shard.path.exists()]
+    with reading(path, "a manifest of crops"):
+        missing = [str(shard.path) for shard in shards if not shard.path.exists()]
     if missing:
         raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
     selection = content.get("selection", {})
