@@ -30,6 +30,7 @@ def write(folder: Path) -> None:
     toy_crops.make(folder, {"train": 1, "test": 2})
     shutil.copy(folder / "0001_0001.parquet", folder / "crops.parquet")
     manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    manifest.pop("checksum", None)
     ranges = {"simulated": {"test": {"from": 0, "below": 2**62}}}
     files.write_json(folder / "manifest.json", manifest | {"selection": {"ranges": ranges, "seed": 1}})
     files.write_json(folder / "medians.json", {"eave_height_m": 4.5, "angle_deg": 35.0})
