@@ -79,6 +79,26 @@ class Classes(Section):
     ignored: list[int] = Field([7, 18], description="with preset custom: left out, such as noise")
 
 
+class Outlines(Section):
+    """Outlines of buildings from the points alone, without footprints."""
+
+    cell_m: float = Field(
+        0.5,
+        gt=0,
+        le=5,
+        description="cell in which points count; larger where a cell would have fewer than two points",
+    )
+    jump_m: float = Field(
+        1.5,
+        gt=0,
+        description="roofs that touch are two buildings where heights of neighbouring cells differ by more",
+    )
+    min_area_m2: float = Field(10, gt=0, description="smaller groups of buildings that touch are left out")
+    min_part_m2: float = Field(20, ge=0, description="smaller parts between jumps in height join a neighbour")
+    min_hole_m2: float = Field(8, ge=0, description="smaller courtyards are filled")
+    min_edge_m: float = Field(1.2, gt=0, description="shorter edges are removed from outlines")
+
+
 class Reconstruct(Section):
     """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
@@ -166,6 +186,7 @@ class Reconstruct(Section):
     not_representable_m: float = Field(
         0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"
     )
+    outlines: Outlines = Outlines()
     materials: Materials = Materials()
     frequency_ghz: float = Field(
         3.5, gt=0, le=1000, description="frequency for which the materials of a Sionna scene are defined"

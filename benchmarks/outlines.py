@@ -1,0 +1,229 @@
+"""Outlines from points alone against a map and their bars; the last line is JSON.
+
+    python benchmarks/outlines.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
+    .. --picture outlines.png     # the outlines of Delft over the map (needs matplotlib)
+
+Delft west: 74 houses of the map, whose roofs are in a cloud of 15 points/m2. Settings were chosen on the western half
+(houses whose centre lies west of the median), so the eastern half is the test, as are the other two places. The map
+does not have all buildings of the cloud, some of which touch its houses, so outlines are judged where they are at most
+2 m from a block (houses of the map that touch) and not in another block. A house above 30 m2 is found if at least half
+of it is within outlines. IoU, vertices: of the union of the outlines around a block against the block, blocks above 30 m2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pyproj
+import shapely
+from figures import Figures, cpu_seconds
+
+from p2wss import reconstruct
+from p2wss.config import Config
+from p2wss.data import clouds, unclassified
+from p2wss.data.clouds import Cloud
+from p2wss.data.footprints import clean_footprints
+from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.reconstruct.outlines import outline_frame
+
+MIN_AREA_M2 = 30.0
+# houses at most this far apart touch
+TOUCH_M = 0.1
+# vertices nearer than this to the line between their neighbours do not count, in the map and in outlines
+STRAIGHT_M = 0.05
+# outlines are judged this far around a block
+AROUND_M = 2.0
+BARS = {"found": 0.95, "iou": 0.88, "vertices": 1.3, "p2m": 0.18}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Footprints and clouds in files, and their CRS."""
+
+    footprints: Path
+    clouds: tuple[Path, ...]
+    epsg: int
+
+
+def places(folder: Path) -> dict[str, Place]:
+    """The real places below ``folder``."""
+    delft, bresse, crops = (folder / name for name in ("delft_ahn3", "bresse_ign", "lidarhd_crops"))
+    tiles = [path for path in sorted(crops.glob("*.laz")) if "copc" not in path.name]
+    return {
+        "delft": Place(delft / "footprints.gpkg", (delft / "ahn3.laz",), 28992),
+        "lidar hd": Place(crops / "footprints.gpkg", tuple(tiles), 2154),
+        "bresse": Place(bresse / "footprints.gpkg", (bresse / "lidar.laz",), 2154),
+    }
+
+
+def joined(shapes: np.ndarray) -> np.ndarray:
+    """The unions of polygons that touch."""
+    closed = shapely.union_all(shapely.buffer(shapes, TOUCH_M / 2, join_style="mitre"))
+    return shapely.get_parts(shapely.buffer(closed, -TOUCH_M / 2, join_style="mitre"))
+
+
+def vertices(shape: shapely.Geometry) -> np.ndarray:
+    """Vertices where the outline turns, (n, 2)."""
+    rings = shapely.get_rings(shapely.get_parts(shapely.simplify(shape, STRAIGHT_M)))
+    return np.vstack([shapely.get_coordinates(ring)[1:] for ring in rings])
+
+
+def compared(houses: np.ndarray, outlines: np.ndarray) -> list[dict[str, Any]]:
+    """One row per house above 30 m2 and one per block above 30 m2, with the x of its centre."""
+    blocks = joined(houses)
+    rows: list[dict[str, Any]] = []
+    everything = shapely.union_all(outlines)
+    for house in houses[shapely.area(houses) > MIN_AREA_M2]:
+        share = house.intersection(everything).area / house.area
+        rows.append({"kind": "house", "x": house.centroid.x, "found": share >= 0.5})
+    for index, block in enumerate(blocks):
+        if block.area > MIN_AREA_M2:
+            others = shapely.union_all(np.delete(blocks, index))
+            window = block.buffer(AROUND_M, join_style="mitre")
+            shape = everything.intersection(window).difference(others)
+            vertex = shapely.points(vertices(everything))
+            rows.append(
+                {
+                    "kind": "block",
+                    "x": block.centroid.x,
+                    "area": round(block.area, 1),
+                    "iou": shape.intersection(block).area / shape.union(block).area,
+                    "map vertices": len(vertices(block)),
+                    "vertices": int((shapely.distance(vertex, block) <= AROUND_M).sum()),
+                }
+            )
+    return rows
+
+
+def measures(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """found, iou and vertices of these rows."""
+    blocks = [row for row in rows if row["kind"] == "block"]
+    houses = [row for row in rows if row["kind"] == "house"]
+    return {
+        "houses": len(houses),
+        "blocks": len(blocks),
+        "found": float(np.mean([row["found"] for row in houses])),
+        "iou": float(np.mean([row["iou"] for row in blocks])),
+        "vertices": sum(row["vertices"] for row in blocks) / sum(row["map vertices"] for row in blocks),
+    }
+
+
+def judged(frame: gpd.GeoDataFrame, cloud: Cloud, place: Place, judge: Path) -> dict[str, Any]:
+    """Solids on the outlines: their number, which are closed, points to mesh by the judge."""
+    config = Config()
+    cleaned = clean_footprints(frame, reconstruct.footprint_settings(config))
+    results = reconstruct.run(cleaned, cloud, None, "tile", config.reconstruct)
+    with tempfile.TemporaryDirectory() as folder:
+        path, outlines = Path(folder) / "reconstructions.city.jsonl", Path(folder) / "outlines.gpkg"
+        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg)))
+        frame.to_file(outlines)
+        command = [sys.executable, judge, path, outlines, *place.clouds, "--json"]
+        completed = subprocess.run(
+            [str(part) for part in command], capture_output=True, text=True, check=True
+        )
+    rows = json.loads(completed.stdout)["rows"]
+    closed = [result for result in results if result.reconstruction.has_mesh and is_closed(result)]
+    return {
+        "outlines": len(frame),
+        "closed": len(closed) / len(results),
+        "flat": sum(result.status == "flat" for result in results),
+        "p2m": float(np.mean([row["p2m"] for row in rows if "p2m" in row])),
+        "roof": float(np.mean([row["roof"] for row in rows if "roof" in row])),
+    }
+
+
+def is_closed(result: reconstruct.Result) -> bool:
+    """Whether each edge of the mesh is in two triangles, in opposite directions."""
+    triangle = result.reconstruction.triangle
+    edges = np.concatenate([triangle[:, [0, 1]], triangle[:, [1, 2]], triangle[:, [2, 0]]])
+    forward, count = np.unique(edges, axis=0, return_counts=True)
+    backward = np.unique(edges[:, ::-1], axis=0)
+    return bool(len(triangle)) and np.array_equal(forward, backward) and bool((count == 1).all())
+
+
+def without_classes(cloud: Cloud) -> Cloud:
+    """The cloud with building and vegetation points unclassified, then classified by ourselves."""
+    classes = cloud.classification.copy()
+    classes[np.isin(classes, (BUILDING_CLASS, VEGETATION_CLASS, 3, 4))] = UNCLASSIFIED_CLASS
+    bare = Cloud(cloud.x_m, cloud.y_m, cloud.z_m, classes, cloud.crs, cloud.strip, cloud.day)
+    return unclassified.with_classes(bare)[0]
+
+
+def picture(path: Path, houses: np.ndarray, outlines: np.ndarray, cloud: Cloud) -> None:
+    """The outlines over the map and the points on roofs."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(16, 18))
+    roof = cloud.classification == BUILDING_CLASS
+    axes.scatter(cloud.x_m[roof], cloud.y_m[roof], s=0.4, color="0.75")
+    gpd.GeoSeries(houses).boundary.plot(ax=axes, color="tab:red", linewidth=1.2)
+    gpd.GeoSeries(outlines).boundary.plot(ax=axes, color="tab:blue", linewidth=1.6)
+    axes.set_aspect("equal")
+    figure.savefig(path, dpi=75, bbox_inches="tight")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--judge", type=Path, default=None, help="without it, outlines are not reconstructed")
+    parser.add_argument("--places", nargs="+", default=["delft", "lidar hd", "bresse"])
+    parser.add_argument("--picture", type=Path, default=None)
+    parser.add_argument("--rows", action="store_true", help="also print the rows of the blocks")
+    arguments = parser.parse_args()
+    figures = Figures()
+    settings = Config().reconstruct.outlines
+    for name in arguments.places:
+        place = places(arguments.data)[name]
+        houses = gpd.read_file(place.footprints).geometry.to_numpy()
+        cloud = clouds.read_clouds(place.clouds)
+        crs = pyproj.CRS.from_epsg(place.epsg)
+        frame = outline_frame(cloud, settings, crs)
+        rows = compared(houses, frame.geometry.to_numpy())
+        if arguments.rows:
+            for row in rows:
+                print(row)
+        totals = measures(rows)
+        print(name, json.dumps(totals), flush=True)
+        figures.row(name, totals)
+        if name == "delft":
+            middle = float(np.median([row["x"] for row in rows if row["kind"] == "house"]))
+            for half, is_west in (("west (chosen on)", True), ("east (test)", False)):
+                some = measures([row for row in rows if (row["x"] < middle) == is_west])
+                print(f"{name}, {half}", json.dumps(some), flush=True)
+                figures.row(f"{name}, {half}", some)
+            figures.at_least("houses found", totals["found"], BARS["found"])
+            figures.at_least("IoU with blocks of the map", totals["iou"], BARS["iou"])
+            figures.at_most("vertices by those of the map", totals["vertices"], BARS["vertices"])
+            seconds = cpu_seconds(partial(outline_frame, cloud, settings, crs), 1)
+            figures.row("cpu", {"ms per outline": 1000 * seconds / len(frame)})
+        bare = outline_frame(without_classes(cloud), settings, crs).geometry.to_numpy()
+        unclassified_totals = measures(compared(houses, bare))
+        print(f"{name}, without classes", json.dumps(unclassified_totals), flush=True)
+        figures.row(f"{name}, without classes", unclassified_totals)
+        if arguments.picture is not None and name == arguments.places[0]:
+            picture(arguments.picture, houses, frame.geometry.to_numpy(), cloud)
+        if arguments.judge is not None:
+            solids = judged(frame, cloud, place, arguments.judge)
+            print(f"{name}, solids", json.dumps(solids), flush=True)
+            figures.row(f"{name}, solids", solids)
+            if name == "delft":
+                figures.at_least("share of outlines with a closed solid", solids["closed"], 1.0)
+                figures.at_most("points to mesh [m]", solids["p2m"], BARS["p2m"])
+    return figures.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
