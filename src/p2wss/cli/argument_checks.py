@@ -48,6 +48,8 @@ def check(arguments: argparse.Namespace, config: Config) -> Inputs:
     Raises :class:`InputError`, in one line, for an argument that cannot work; logs a warning for one without effect.
     """
     _check_outputs(arguments, config)
+    if arguments.no_footprints:
+        _check_no_footprints(arguments)
     if arguments.tile is not None:
         bounds_of_tile(arguments.tile, config)
     weights = weights_file.weights_to_use(arguments.model, config.reconstruct)
@@ -60,6 +62,9 @@ def check(arguments: argparse.Namespace, config: Config) -> Inputs:
 
     from p2wss.data import clouds, metric_crs
 
+    if arguments.no_footprints:
+        headers, metric = check_clouds(arguments)
+        return Inputs(headers, weights, metric, _terrain(arguments, metric))
     headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
     # a tile may be empty
     may_be_empty = arguments.tile is not None
@@ -75,13 +80,44 @@ def check(arguments: argparse.Namespace, config: Config) -> Inputs:
         log.info("note: %s", text)
     if not may_be_empty and not any(header.num_points for header in headers):
         raise InputError(f"{arguments.clouds[0]}: has no points")
-    terrain = None
-    if arguments.terrain is not None:
-        from p2wss.data.terrain import read_terrain
+    return Inputs(headers, weights, metric, _terrain(arguments, metric))
 
-        terrain, terrain_crs = read_terrain(arguments.terrain, crs.to_wkt())
-        terrain = metric.terrain(terrain, terrain_crs, arguments.terrain)
-    return Inputs(headers, weights, metric, terrain)
+
+def check_clouds(arguments: argparse.Namespace) -> tuple[list[CloudHeader], MetricCrs]:
+    """The clouds without footprints and the CRS of the run. Raises :class:`InputError` if nobody states their CRS."""
+    from p2wss.data import clouds, metric_crs
+
+    headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
+    cloud = clouds.common_header(headers) or headers[0]
+    if cloud.crs is None and arguments.crs is None:
+        raise InputError(f"{cloud.path} does not state its CRS; state it with --crs, such as EPSG:28992")
+    if not any(header.num_points for header in headers):
+        raise InputError(f"{arguments.clouds[0]}: has no points")
+    crs, _ = metric_crs.common_crs(cloud.crs, None, arguments.crs, (str(cloud.path), ""))
+    metric, note = metric_crs.metric_crs(crs, cloud.bounds, str(cloud.path))
+    if note:
+        log.info("note: %s", note)
+    return headers, metric
+
+
+def _terrain(arguments: argparse.Namespace, metric: MetricCrs) -> Terrain | None:
+    if arguments.terrain is None:
+        return None
+    from p2wss.data.terrain import read_terrain
+
+    terrain, terrain_crs = read_terrain(arguments.terrain, metric.source.to_wkt())
+    return metric.terrain(terrain, terrain_crs, arguments.terrain)
+
+
+def _check_no_footprints(arguments: argparse.Namespace) -> None:
+    """Raise :class:`InputError` for an option that needs footprints."""
+    names = ("tile", "id_field", "schema", "height_field", "keep_columns")
+    options = [name for name in names if getattr(arguments, name) is not None]
+    if arguments.register == "on":
+        options.append("register")
+    if options:
+        option = options[0].replace("_", "-")
+        raise InputError(f"--{option}: has no effect with --no-footprints; leave one of the two out")
 
 
 def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:

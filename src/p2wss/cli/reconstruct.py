@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
+from p2wss.cli.outlines import read_outlines
 from p2wss.config import OUTPUT_SUFFIXES, ClassPreset, Config, SchemaName, load, section_json
 from p2wss.data import files
 from p2wss.data.materials import MATERIALS
@@ -23,13 +24,19 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC files, or folders of them"
     )
-    command.add_argument(
+    footprints = command.add_argument(
         "footprints",
         type=Path,
         metavar="FOOTPRINTS",
         help="vector file with polygons; those in another CRS than the clouds are reprojected",
     )
     command.add_argument("out", type=Path, metavar="OUT", help="folder to write")
+    command.add_argument(
+        "--no-footprints",
+        action="store_true",
+        help="without FOOTPRINTS: outlines from the points, as by p2wss outlines",
+    )
+    _allow_no_footprints(command, footprints)
     command.add_argument(
         "--model",
         type=Path,
@@ -126,6 +133,17 @@ def add_parser(stages: Parsers) -> None:
     add_device(command)
 
 
+def _allow_no_footprints(command: argparse.ArgumentParser, footprints: argparse.Action) -> None:
+    """With ``--no-footprints`` the last argument but one is a cloud."""
+    parse = command.parse_known_args
+
+    def parse_known_args(args: Any = None, namespace: Any = None) -> Any:
+        footprints.nargs = "?" if "--no-footprints" in (args or ()) else None
+        return parse(args, namespace)
+
+    command.parse_known_args = parse_known_args  # type: ignore[method-assign]
+
+
 def reconstruct(arguments: argparse.Namespace) -> None:
     """Reconstruct the buildings and write the output files."""
     config = _reconstruct_config(arguments)
@@ -141,31 +159,37 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     weights, crs, terrain = inputs.weights, inputs.crs, inputs.terrain
     predictor = None if weights is None else load_predictor(weights, arguments.device)
     settings = config.reconstruct
-    features = footprints.read_footprints(
-        arguments.footprints,
-        settings.id_field or None,
-        needs_crs=False,
-        schema=settings.footprint_schema,
-        height_field=settings.height_field or None,
-        metric=inputs.metric,
-    )
-    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
+    classes = class_set(**dict(settings.classes))
     tile = (arguments.tile, config.region.tile_size_m)
-    around = frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
-    window = reconstruct.window(around)
-    window_of_clouds = inputs.metric.window_of_clouds(window)
-    near = [header for header in inputs.clouds if header.overlaps(window_of_clouds)]
-    if not near and arguments.tile is None:
-        raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
+    can_register = False
+    if arguments.no_footprints:
+        cloud, outlines = read_outlines(config, inputs)
+        around = footprints.clean_footprints(outlines, reconstruct.footprint_settings(config))
+    else:
+        features = footprints.read_footprints(
+            arguments.footprints,
+            settings.id_field or None,
+            needs_crs=False,
+            schema=settings.footprint_schema,
+            height_field=settings.height_field or None,
+            metric=inputs.metric,
+        )
+        frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
+        around = (
+            frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
+        )
+        window_of_clouds = inputs.metric.window_of_clouds(reconstruct.window(around))
+        near = [header for header in inputs.clouds if header.overlaps(window_of_clouds)]
+        if not near and arguments.tile is None:
+            raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
+        cloud = clouds.read_clouds([header.path for header in near], window_of_clouds, classes)
+        # points that are not the producer's move footprints only if that is asked for
+        can_register = bool((cloud.classification == BUILDING_CLASS).any()) or arguments.register == "on"
+        cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
+        for warning in warnings:
+            log.warning("warning: %s", warning)
     if terrain is not None:
         exports.check_coverage(terrain, around, arguments.terrain)
-    classes = class_set(**dict(settings.classes))
-    cloud = clouds.read_clouds([header.path for header in near], window_of_clouds, classes)
-    # points that are not the producer's move footprints only if that is asked for
-    can_register = (cloud.classification == BUILDING_CLASS).any() or arguments.register == "on"
-    cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
-    for warning in warnings:
-        log.warning("warning: %s", warning)
     if settings.registration and can_register:
         around = reconstruct.register(around, cloud)
     frame = around if arguments.tile is None else reconstruct.of_tile(around, *tile)
@@ -178,7 +202,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
     with Progress("reconstruct", len(frame), "buildings") as progress:
         results = reconstruct.run(frame, cloud, predictor, stem, settings, progress.update, terrain)
-    if arguments.tile is None:
+    if arguments.tile is None and not arguments.no_footprints:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
     if terrain is not None and (difference := exports.terrain_note(results, terrain)):
         log.info("note: %s", difference)

@@ -96,7 +96,7 @@ class Outlines(Section):
     min_area_m2: float = Field(10, gt=0, description="smaller groups of buildings that touch are left out")
     min_part_m2: float = Field(20, ge=0, description="smaller parts between jumps in height join a neighbour")
     min_hole_m2: float = Field(8, ge=0, description="smaller courtyards are filled")
-    min_edge_m: float = Field(1.2, gt=0, description="shorter edges are removed from outlines")
+    min_edge_m: float = Field(0.8, gt=0, description="shorter edges are removed from outlines")
 
 
 class Reconstruct(Section):

@@ -5,6 +5,7 @@ from p2wss.nets.weights_file import shipped_model, weights_to_use
 from p2wss.reconstruct.attributes import TO_3DBAG, attributes, input_footprints, table
 from p2wss.reconstruct.city import city_json, solid
 from p2wss.reconstruct.inputs import around_tile, footprint_settings, of_tile, output_stem, window
+from p2wss.reconstruct.outlines import outline_frame
 from p2wss.reconstruct.pipeline import (
     Result,
     check_overlap,
@@ -32,6 +33,7 @@ __all__ = [
     "metric_crs",
     "no_overlap",
     "of_tile",
+    "outline_frame",
     "output_stem",
     "reconstruct_buildings",
     "register",

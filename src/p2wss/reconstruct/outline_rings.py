@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
 from p2wss.config import Outlines
 
 # Douglas-Peucker on the trace, in cells: the staircase of a raster is within 0.71 of its line
-_TOLERANCE_CELLS = 1.0
+_TOLERANCE_CELLS = 0.7
 # edges that count for the direction of others
 _LONG_CELLS = 8
 # edges at most this far from a main direction get it
@@ -25,11 +26,15 @@ _SNAP_DEG = 22.0
 _SNAP_M = 0.6
 # width of the kernel for the peaks of directions, and the least share of the length of a second peak
 _KERNEL_DEG, _MIN_SHARE, _MAX_DIRECTIONS = 4.0, 0.12, 3
+# an edge in no main direction, at most this long, goes if the tip of its neighbours has at most this area
+_OBLIQUE_M, _TIP_M2 = 3.0, 1.5
 # a fitted line moves by at most this
 _MAX_MOVE_M = 0.8
 # ends of an edge whose points do not count
 _END_M = 0.4
 _MIN_POINTS = 4
+# before an edge, as a share of the density of roofs
+_LEAST_DENSITY = 0.5
 # a regularised outline differs from its trace by at most this share of the area
 _MAX_DIFFERENCE = 0.2
 
@@ -50,6 +55,7 @@ class _Line:
     angle: float
     offset: float
     length: float
+    is_main: bool = True
 
     @property
     def direction(self) -> np.ndarray:
@@ -111,7 +117,7 @@ def regularised(
 
     A ring for which that fails or differs too much from the trace is the simplified trace instead.
     """
-    rings = []
+    rings: list[shapely.Polygon] = []
     for ring in _rings(trace):
         xy_m = _simple(ring, cell_m)
         rough = shapely.Polygon(xy_m)
@@ -119,24 +125,24 @@ def regularised(
         lines = _lines(xy_m, np.asarray(ring.coords), main_deg)
         for fits in (False, True):
             _reduce(lines, settings)
+            _sharpen(lines)
             if fits:
                 lines = _fitted(lines, points, is_hole=bool(rings))
                 _reduce(lines, settings)
+                _sharpen(lines)
             shape = _polygon(lines)
             reference = shapely.Polygon(ring)
             if shape is None or shape.symmetric_difference(reference).area > _MAX_DIFFERENCE * reference.area:
                 break
             best = shape
         rings.append(best)
-    result = rings[0]
+    result: BaseGeometry = rings[0]
     for hole in rings[1:]:
         if result.buffer(-settings.min_edge_m / 2).contains(hole):
             result = result.difference(hole)
-    result = shapely.set_precision(result, 1e-3)
-    if result.geom_type != "Polygon":
-        parts = shapely.get_parts(result)
-        result = parts[np.argmax(shapely.area(parts))]
-    return result
+    parts = shapely.get_parts(shapely.set_precision(result, 1e-3))
+    largest: shapely.Polygon = parts[np.argmax(shapely.area(parts))]
+    return largest
 
 
 def seam_lines(
@@ -200,7 +206,9 @@ def _seam(
 
 def _rings(polygon: shapely.Polygon) -> list[shapely.LinearRing]:
     """Exterior and courtyards, all counter-clockwise."""
-    return [shapely.Polygon(ring).normalize().exterior.reverse() for ring in shapely.get_rings(polygon)]
+    return [
+        shapely.geometry.polygon.orient(shapely.Polygon(ring)).exterior for ring in shapely.get_rings(polygon)
+    ]
 
 
 def _simple(ring: shapely.LinearRing, cell_m: float) -> np.ndarray:
@@ -232,9 +240,10 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
         # a long edge knows its direction, a short one gets that of the building
         most_deg = min(_SNAP_DEG, float(np.degrees(np.arctan2(2 * _SNAP_M, length))))
         turn = min(((np.degrees(angle) - main + 45) % 90 - 45 for main in main_deg), key=abs, default=90.0)
-        if abs(turn) <= most_deg:
+        is_main = abs(turn) <= most_deg
+        if is_main:
             angle -= float(np.radians(turn))
-        line = _Line(angle, 0.0, length)
+        line = _Line(angle, 0.0, length, bool(is_main))
         offset = sides_m[members] @ line.normal
         line.offset = float(np.average(offset, weights=weight[members]))
         result.append(line)
@@ -282,6 +291,23 @@ def _reduce(lines: list[_Line], settings: Outlines) -> None:
             pass
 
 
+def _sharpen(lines: list[_Line]) -> None:
+    """Remove short oblique edges, with which a raster cuts corners off."""
+    while len(lines) > 4:
+        corner, length_m = _corners(lines), _lengths(lines)
+        removable = []
+        for index, line in enumerate(lines):
+            tip = _corner(lines[index - 1], lines[(index + 1) % len(lines)])
+            if line.is_main or length_m[index] > _OBLIQUE_M or tip is None:
+                continue
+            (ax, ay), (bx, by) = corner[index] - tip, corner[(index + 1) % len(lines)] - tip
+            if abs(ax * by - ay * bx) / 2 <= _TIP_M2:
+                removable.append((length_m[index], index))
+        if not removable:
+            break
+        lines.pop(min(removable)[1])
+
+
 def _join_parallel(lines: list[_Line], index: int, min_step_m: float) -> bool:
     """Join a line with the next if they are parallel, or put a step of at least ``min_step_m`` between them."""
     line, following = lines[index], lines[(index + 1) % len(lines)]
@@ -296,7 +322,7 @@ def _join_parallel(lines: list[_Line], index: int, min_step_m: float) -> bool:
         merged = longer
     elif abs(step_m) < min_step_m:
         offset = (line.offset * line.length + following.offset * following.length) / total
-        merged = _Line(longer.angle, offset, total)
+        merged = _Line(longer.angle, offset, total, longer.is_main)
     else:
         # the step is perpendicular, through the end of the first
         start = _corner(lines[index - 1], line)
@@ -355,32 +381,34 @@ def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool) -> list[_Line
     for index, line in enumerate(lines):
         start = corner[index] @ line.direction
         end = corner[(index + 1) % len(lines)] @ line.direction
-        outwards_m = []
-        for xy_m in (points.roof_m, points.ground_m):
-            along = xy_m @ line.direction
-            across = sign * (xy_m @ line.normal - line.offset)
-            near = (along > start + _END_M) & (along < end - _END_M) & (np.abs(across) < _MAX_MOVE_M)
-            outwards_m.append(across[near])
-        move_m = sign * _separation(*outwards_m, density=points.density, length_m=end - start - 2 * _END_M)
-        result.append(_Line(line.angle, line.offset + move_m, line.length))
+        roof_m, ground_m = (
+            _across(xy_m, line, start + _END_M, end - _END_M) * sign
+            for xy_m in (points.roof_m, points.ground_m)
+        )
+        move_m = sign * _separation(roof_m, ground_m, points.density, end - start - 2 * _END_M)
+        result.append(_Line(line.angle, line.offset + move_m, line.length, line.is_main))
     return result
+
+
+def _across(xy_m: np.ndarray, line: _Line, start_m: float, end_m: float) -> np.ndarray:
+    """Distances along the normal of the points in reach of an edge."""
+    along, across_m = xy_m @ line.direction, xy_m @ line.normal - line.offset
+    return across_m[(along > start_m) & (along < end_m) & (np.abs(across_m) < _MAX_MOVE_M)]
 
 
 def _separation(roof: np.ndarray, ground: np.ndarray, density: float, length_m: float) -> float:
     """The offset with the fewest roof points beyond and ground points before it, 0 without evidence.
 
-    Between the last point of a roof and the first on the ground nothing decides; the edge is as far behind the last
-    point as points are apart along it.
+    The strip before the edge must also be as dense as half a roof, which single points on hedges and walls are not.
     """
     if len(roof) < _MIN_POINTS:
         return 0.0
     candidates = np.sort(roof)
     wrong = len(roof) - 1 - np.arange(len(roof)) + np.searchsorted(np.sort(ground), candidates)
-    best = float(candidates[len(candidates) - 1 - np.argmin(wrong[::-1])])
-    beyond = ground[ground > best]
-    gap_m = float(beyond.min()) - best if len(beyond) else np.inf
-    spacing_m = 1 / max(density * max(length_m, 0.5), 1e-9)
-    return float(np.clip(best + min(spacing_m, gap_m / 2, 0.3), -_MAX_MOVE_M, _MAX_MOVE_M))
+    per_metre = max(density * max(length_m, 0.5), 1e-9)
+    best = int(np.argmin(wrong + _LEAST_DENSITY * per_metre * candidates))
+    # the edge is half as far behind the last point as points are apart along it
+    return float(np.clip(candidates[best] + min(0.5 / per_metre, 0.3), -_MAX_MOVE_M, _MAX_MOVE_M))
 
 
 def _apart_deg(first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:

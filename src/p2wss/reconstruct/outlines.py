@@ -262,7 +262,7 @@ def _assembled(
 ) -> list[shapely.Polygon]:
     """The faces, joined by the building that has most of their cells; small ones join a neighbour."""
     row, column = np.nonzero(label)
-    centre = shapely.points(
+    centre: np.ndarray = shapely.points(  # type: ignore[assignment]
         raster.origin_m[0] + (column + 0.5) * raster.cell_m, raster.origin_m[1] + (row + 0.5) * raster.cell_m
     )
     face, cell = shapely.STRtree(centre).query(faces, predicate="contains")
