@@ -92,14 +92,19 @@ def test_measures_that_no_building_has_reach_no_table(value: float, tmp_path: Pa
 
 
 def test_metrics_that_a_kill_cut_off_are_one_line_and_a_resumed_training_drops_them(tmp_path: Path) -> None:
-    from p2wss.nets.metrics_log import MetricsLog
+    from p2wss.nets.metrics_log import MetricsLog, read_metrics
 
-    path = tmp_path / "metrics.jsonl"
+    path = tmp_path / "m.jsonl"
     path.write_text('{"step": 1, "loss": 2}\n{"step": 2, "lo', encoding="utf-8")
     with pytest.raises(InputError, match=r"line 2"):
         report.read_training(path)
-    MetricsLog(tmp_path, False).truncate(5)
-    assert report.read_training(path) == [{"step": 1, "loss": 2}]
+    log = MetricsLog(tmp_path, False)
+    log.add({"step": 1, "loss": 2})
+    with open(log.path, "a", encoding="utf-8") as file:
+        file.write('{"step": 2, "lo')
+    log.truncate(5)
+    assert log.path.read_text(encoding="utf-8").count("\n") == 1
+    assert read_metrics(tmp_path) == '{"step": 1, "loss": 2}\n'
 
 
 def test_a_header_with_4_billion_records_takes_no_time(tmp_path: Path) -> None:

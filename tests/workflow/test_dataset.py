@@ -76,7 +76,8 @@ def test_the_evaluation_is_of_the_chosen_buildings_with_their_places(results):
 def test_the_model_was_trained_by_two_processes(finished, results):
     log = (finished.folder / "logs/dataset/model/train.log").read_text()
     assert log.count("step 10:") == 1, "the first process reports"
-    assert [json.loads(line)["step"] for line in (results / "model/metrics.jsonl").open()][-1] == 10
+    lines = (results / "model/metrics.jsonl").read_text(encoding="utf-8").splitlines()
+    assert json.loads(lines[-2])["step"] == 10 and list(json.loads(lines[-1])) == ["checksum"]
     run = finished.dry_run("-f", "results/dataset/model/model.safetensors", *DATASET)
     assert "torchrun --standalone --nproc-per-node 2 -m p2wss.cli model" in run.stdout + run.stderr
 

@@ -250,6 +250,8 @@ class _Facts(dict[str, Any]):
 
 def write_json(path: str | Path, value: Any) -> None:
     """Write ``value`` as indented JSON; an object gets a first key ``checksum``, see :mod:`p2wss.data.integrity`."""
+    if isinstance(value, dict):  # that of a file from which it was taken is no longer true
+        value = {name: each for name, each in value.items() if name != _JSON_CHECKSUM}
     text = json.dumps(value, indent=1, sort_keys=True) + "\n"
     if isinstance(value, dict):
         stated = f'{{\n "{_JSON_CHECKSUM}": "{integrity.SLOT}"'

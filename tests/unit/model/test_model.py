@@ -14,6 +14,7 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 
 from p2wss import cli, model
 from p2wss.config import Model, load
+from p2wss.data import integrity
 from p2wss.errors import InputError
 from p2wss.model import task
 from p2wss.nets import dataset
@@ -64,7 +65,7 @@ def inputs(buildings: BuildingDataset) -> tuple[list[np.ndarray], list[list[np.n
 
 
 def test_metrics_show_the_constant_predictor_beside_the_model(folder: Path) -> None:
-    records = [json.loads(line) for line in (folder / "m.jsonl").read_text().splitlines()]
+    records = [json.loads(line) for line in integrity.lines_of((folder / "m.jsonl").read_bytes(), "m.jsonl")]
     last = records[-1]
     assert last["step"] == 10 and last["val_height_mae_m"] > 0 and last["val_angle_mae_deg"] > 0
     train = load_dataset(
