@@ -34,7 +34,7 @@ def hostile_page(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
         columns["building_id"] = [f"{HOSTILE[i % 4]}{i}" for i in rows]
         columns["roof_type"] = [None if value is None else HOSTILE[0] for value in columns["roof_type"]]
         files.write_table(folder / f"{name}.parquet", columns, CROPS, {"crs": HOSTILE[1]})
-    listing = json.loads(hamlet.read_text(encoding="utf-8")) | {"version": HOSTILE[0], "code": HOSTILE[1]}
+    listing = files.read_json(hamlet) | {"version": HOSTILE[0], "code": HOSTILE[1]}
     files.write_json(folder / "manifest.json", listing)
     settings = {"eval": {"lidar_name": HOSTILE[0], "attribution": list(HOSTILE)}}
     files.write_text(folder / "config.yaml", yaml.safe_dump(settings))
@@ -57,7 +57,7 @@ def hostile_page(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
               ("measures", "parameters", "methods")}  # fmt: skip
     outputs = [each for name, path in merged.items() for each in (f"--out-{name}", path)]
     run("merge", "--parts", part, "--methods", *methods, *outputs)
-    content = json.loads(merged["methods"].read_text(encoding="utf-8"))
+    content = files.read_json(merged["methods"])
     content["methods"][0]["roofer"] = HOSTILE[1]
     files.write_json(merged["methods"], content)
     metrics = folder / HOSTILE[2].replace("/", "") / "metrics.jsonl"
