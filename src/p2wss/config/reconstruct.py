@@ -95,6 +95,9 @@ class Outlines(Section):
     )
     min_area_m2: float = Field(10, gt=0, description="smaller groups of buildings that touch are left out")
     min_part_m2: float = Field(20, ge=0, description="smaller parts between jumps in height join a neighbour")
+    max_area_m2: float = Field(
+        150, gt=0, description="larger buildings are split again at half the jump, down to 0.4 m"
+    )
     min_hole_m2: float = Field(8, ge=0, description="smaller courtyards are filled")
     min_edge_m: float = Field(0.8, gt=0, description="shorter edges are removed from outlines")
 

@@ -34,6 +34,8 @@ _SQUARE = np.ones((3, 3), bool)
 # the trace of a block is that of a smoothed raster with smaller cells
 _FINER, _SMOOTH_CELLS = 3, 0.8
 _CROSS = ndimage.generate_binary_structure(2, 1)
+# large buildings are split at smaller and smaller jumps, down to this
+_LEAST_JUMP_M = 0.4
 # around the trace of a block
 _POINTS_MARGIN_M = 2.0
 # largest share of its boundary that a part within a roof has in common with the outside
@@ -151,19 +153,30 @@ def _neighbours(label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: float) -> np.ndarray:
-    """The buildings: cells of a block that connect without a jump in height; small ones join a neighbour."""
+    """The buildings: cells of a block that connect without a jump in height; small ones join a neighbour. Large ones
+    are split again at smaller jumps."""
     first, second = _neighbours(block)
     flat, z_m = block.ravel(), height_m.ravel()
-    is_inside = (flat[first] > 0) & (flat[second] > 0)
-    connects = is_inside & (np.abs(z_m[first] - z_m[second]) <= settings.jump_m)
-    graph = coo_array((np.ones(connects.sum()), (first[connects], second[connects])), (flat.size, flat.size))
-    label = connected_components(graph, directed=False)[1]
-    label = np.where(flat > 0, label, -1)
-    _, label = np.unique(label, return_inverse=True)
-    if not (flat == 0).any():
-        label += 1
-    first, second = first[flat[first] + flat[second] > 0], second[flat[first] + flat[second] > 0]
-    return _joined(label, first, second, settings.min_part_m2 / cell_m**2).reshape(block.shape)
+    is_near = flat[first] + flat[second] > 0
+    first, second = first[is_near], second[is_near]
+    jump_m = np.abs(z_m[first] - z_m[second])
+    label = flat.astype(np.int64)
+    is_large = np.ones(label.max() + 1, bool)
+    least_m = settings.jump_m
+    while True:
+        connects = (label[first] == label[second]) & (label[first] > 0)
+        connects &= ~is_large[label[first]] | (jump_m <= least_m)
+        graph = coo_array(
+            (np.ones(connects.sum()), (first[connects], second[connects])), (flat.size, flat.size)
+        )
+        parts = connected_components(graph, directed=False)[1]
+        parts = np.unique(np.where(flat > 0, parts, -1), return_inverse=True)[1]
+        label = _joined(parts, first, second, settings.min_part_m2 / cell_m**2)
+        is_large = np.bincount(label) * cell_m**2 > settings.max_area_m2
+        is_large[0] = False
+        if least_m <= _LEAST_JUMP_M or not is_large.any():
+            return label.reshape(block.shape)
+        least_m = max(least_m / 2, _LEAST_JUMP_M)
 
 
 def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells: float) -> np.ndarray:

@@ -89,8 +89,15 @@ def test_houses_of_different_height_are_apart(angle_deg: float) -> None:
 
 def test_houses_of_one_height_are_one() -> None:
     cloud = scene((shapely.box(0, 0, 9, 10), 6.0), (shapely.box(9, 0, 20, 10), 7.0))
-    assert len(outlines(cloud, Outlines())) == 1
+    assert len(outlines(cloud, Outlines(max_area_m2=1000))) == 1
     assert len(outlines(cloud, Outlines(jump_m=0.5))) == 2
+
+
+def test_large_buildings_are_split_at_smaller_jumps() -> None:
+    # 1 m: less than the jump, more than half of it
+    cloud = scene((shapely.box(0, 0, 9, 10), 6.0), (shapely.box(9, 0, 20, 10), 7.0))
+    assert len(outlines(cloud, Outlines(max_area_m2=190))) == 2
+    assert len(outlines(cloud, Outlines(max_area_m2=220))) == 1
 
 
 @pytest.mark.parametrize("is_classified", [True, False])
