@@ -6,7 +6,7 @@
 
 Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed and
 judged against the footprints and points in place, in two halves (every second building by id). Thresholds were chosen
-on half A with the seeds 0 to 2, so half B and the seeds from 3 are the test. Sheds: squares of 2 to 6 m at random
+on Delft with the seeds 0 to 2, so the seeds from 3 are the test, of both halves. Sheds: squares of 2 to 6 m at random
 places of three clouds where there is no building must stay. ``--data`` and the judge are those of ``real.py``.
 """
 
