@@ -33,8 +33,8 @@ from p2wss.config import Config
 from p2wss.data import clouds, footprints, polygon_arrays
 from p2wss.data.clouds import Cloud
 from p2wss.data.seeds import generator
-from p2wss.reconstruct.footprint_blocks import find_blocks
 from p2wss.reconstruct.registration import COLUMN, NOTHING
+from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.skeleton.types import Polygons
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from p2wss.data import polygon_arrays
-from p2wss.data.coverage import blocks
+from p2wss.data.coverage import block_numbers
 from p2wss.data.seeds import generator
 from p2wss.skeleton.types import Polygons
 
@@ -29,7 +29,7 @@ def with_errors(
     if not (shift_m or noise_m) or not len(polygons.xy_m):
         return polygons
     num_vertices = np.diff(polygons.vertex_offset)
-    of_polygon = blocks(polygon_arrays.to_geometries(polygons), _TOUCHING_M)
+    of_polygon = block_numbers(polygon_arrays.to_geometries(polygons), _TOUCHING_M)
     first: dict[int, str] = {}
     for block, name in zip(of_polygon.tolist(), map(str, names), strict=True):
         first[block] = min(name, first.get(block, name))

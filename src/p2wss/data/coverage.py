@@ -41,7 +41,7 @@ class Cleaning:
     max_shift_m: float = 0.05
 
 
-def blocks(shapes: np.ndarray, snap_m: float) -> np.ndarray:
+def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
     """The number of the block of each polygon, int64 (n,). Polygons at most ``snap_m`` apart are of one block; an empty
     one is a block of its own."""
     a, b = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=snap_m)

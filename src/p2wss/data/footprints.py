@@ -14,7 +14,7 @@ from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.clouds import horizontal
-from p2wss.data.coverage import Cleaning, blocks, clean_block
+from p2wss.data.coverage import Cleaning, block_numbers, clean_block
 from p2wss.data.footprint_limits import repaired
 from p2wss.data.footprint_schemas import building_ids, schema_of, stated_heights_m
 from p2wss.data.metric_crs import MetricCrs, reprojected
@@ -81,8 +81,9 @@ def read_footprints(
 
 
 def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.GeoDataFrame:
-    """The features that intersect a window, and all others of their blocks (:func:`p2wss.data.coverage.blocks`), on
-    which their cleaning depends: what :func:`clean_footprints` makes of a footprint is then the same for any window.
+    """The features that intersect a window, and all others of their blocks
+    (:func:`p2wss.data.coverage.block_numbers`), on which their cleaning depends: what :func:`clean_footprints` makes of
+    a footprint is then the same for any window.
 
     Otherwise as :func:`read_footprints`.
     """
@@ -91,7 +92,7 @@ def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.Ge
     while True:
         frame = read_footprints(path, bounds=window)
         shapes, _ = repaired(frame.geometry.to_numpy())
-        block = blocks(shapes, snap_m)
+        block = block_numbers(shapes, snap_m)
         is_member = np.isin(block, block[shapely.intersects(shapes, shapely.box(*bounds))])
         if not is_member.any():
             return frame[is_member]
@@ -213,7 +214,7 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
 def _clean_blocks(shapes: np.ndarray, rows: np.ndarray, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
     """(rows, clean polygons) of the footprints that share walls with others, among those of ``rows``."""
     rows = rows[shapely.area(shapes[rows]) >= config.min_area_m2]
-    block = blocks(shapes[rows], config.snap_m)
+    block = block_numbers(shapes[rows], config.snap_m)
     order = np.argsort(block, kind="stable")
     cleaning = Cleaning(
         config.snap_m,

@@ -21,7 +21,7 @@ from p2wss.errors import InputError
 from p2wss.formats import gpkg, sionna
 from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
-from p2wss.reconstruct import blocks, terrain_mesh
+from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
 from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
@@ -55,12 +55,12 @@ def write(
         edges = [result.reconstruction.edge for result in results if result.reconstruction.has_mesh]
         is_cut = ground is not None and config.skin_terrain == "cut"
         max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
-        skins = blocks.joined(buildings, edges, config.skin_step_m, max_lowering_m)
+        skins = block_skins.joined(buildings, edges, config.skin_step_m, max_lowering_m)
         if ground is not None and is_cut:
-            skins, with_holes = blocks.on_terrain(skins, ground)
+            skins, with_holes = block_skins.on_terrain(skins, ground)
             ground = with_holes if config.skin else ground
     if config.skin:
-        buildings = blocks.skin_meshes(skins, buildings)
+        buildings = block_skins.skin_meshes(skins, buildings)
     meshes = buildings if ground is None else [*buildings, ground]
     frame = frame_around(meshes, crs.to_string())
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
@@ -89,7 +89,7 @@ def write(
                 write_meshes(folder / stem, output, [single], frame, replace(options, stem=file))
             written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
     if config.wedges:
-        files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", blocks.wedge_columns(skins), WEDGES, facts)
+        files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", block_skins.wedge_columns(skins), WEDGES, facts)
         written.append(f"{stem}{WEDGES_SUFFIX}")
     files.write_json(
         folder / f"{stem}.json",
@@ -100,7 +100,7 @@ def write(
             "axes": {"obj, ply, stl, sionna": AXES, "glb": "y up, see the extras of its asset"},
             "files": written,
             "buildings": counts(results),
-            "skin": blocks.counts(skins) if config.skin else None,
+            "skin": block_skins.counts(skins) if config.skin else None,
             "terrain": None if ground is None else {"mesh": ground.name, "triangles": len(ground.triangle)},
         },
     )

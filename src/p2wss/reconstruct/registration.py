@@ -21,8 +21,8 @@ from p2wss.data import polygon_arrays
 from p2wss.data.clouds import Cloud
 from p2wss.data.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
-from p2wss.reconstruct.footprint_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.footprint_flags import contradictions
+from p2wss.reconstruct.registration_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.shifts import (
     MAX_SHIFT_M,
     WINDOW_M,

@@ -16,7 +16,7 @@ from places import SHARED
 from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.data.coverage import Cleaning, blocks, clean_block
+from p2wss.data.coverage import Cleaning, block_numbers, clean_block
 from p2wss.data.footprints import clean_footprints, read_footprints, read_whole_blocks
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
@@ -233,7 +233,7 @@ def test_blocks_are_those_that_touch() -> None:
     shapes = np.array(
         [shapely.box(0, 0, 5, 5), shapely.box(30, 0, 35, 5), shapely.box(5.09, 0, 9, 5), shapely.Polygon()]
     )
-    number = blocks(shapes, 0.1)
+    number = block_numbers(shapes, 0.1)
     assert number[0] == number[2] and len(set(number[[0, 1, 3]])) == 3
 
 
@@ -257,7 +257,7 @@ def test_a_footprint_of_olemps_depends_on_its_block_only() -> None:
     everything = clean_footprints(frame, Scenes()).set_index("building_id")
     usable = everything[everything["status"] == "ok"]
     assert len(usable) >= 2270
-    number = blocks(frame.geometry.to_numpy(), Scenes().snap_m)
+    number = block_numbers(frame.geometry.to_numpy(), Scenes().snap_m)
     draw = np.random.default_rng(0)
     for _ in range(5):
         some = draw.choice(np.unique(number), 60, replace=False)

@@ -23,7 +23,7 @@ from p2wss.data import files
 from p2wss.data.schemas.wedges import WEDGES
 from p2wss.data.terrain import Terrain, check_terrain_crs
 from p2wss.errors import InputError
-from p2wss.reconstruct import blocks, exports
+from p2wss.reconstruct import block_skins, exports
 
 X, Y = 652000.0, 6861000.0
 EVERYTHING = Reconstruct(outputs=list(OUTPUT_SUFFIXES), per_building=True)
@@ -167,8 +167,8 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["skin"] == {"blocks": 1, "buildings_in_blocks": 2, "not_joined": 0, "cut_from_terrain": 0}
     meshes = [exports.mesh(result, config) for result in row]
-    skins = blocks.joined(meshes, [result.reconstruction.edge for result in row], config.skin_step_m)
-    block, alone = blocks.skin_meshes(skins, meshes)
+    skins = block_skins.joined(meshes, [result.reconstruction.edge for result in row], config.skin_step_m)
+    block, alone = block_skins.skin_meshes(skins, meshes)
     assert (block.name, alone.name) == ("block_a", "alone")
     assert [building.building_id for building in block.buildings] == ["a", "b"]
     # a box of 20 m by 8 m, of which each building has one half

@@ -15,8 +15,8 @@ from p2wss import reconstruct
 from p2wss.config import Reconstruct
 from p2wss.data.clouds import Cloud
 from p2wss.reconstruct import registration
-from p2wss.reconstruct.footprint_blocks import find_blocks
 from p2wss.reconstruct.registration import COLUMN, NEIGHBOURS, NOTHING, block_shifts, decide, register
+from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.reconstruct.shifts import Estimate
 
 POINTS_PER_M2 = 10

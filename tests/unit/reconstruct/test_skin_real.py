@@ -13,7 +13,7 @@ from p2wss import reconstruct
 from p2wss.config import Config, Reconstruct
 from p2wss.data import clouds, footprints
 from p2wss.data.terrain import Terrain
-from p2wss.reconstruct import blocks, exports, terrain_mesh
+from p2wss.reconstruct import block_skins, exports, terrain_mesh
 from p2wss.reconstruct.skin import Solid, skins
 from p2wss.skeleton.types import FaceKind
 
@@ -53,8 +53,8 @@ def test_rows_of_delft_on_their_terrain(results: list[reconstruct.Result]) -> No
     assert ground is not None
     buildings = terrain_mesh.lowered_into(buildings, land)
     edges = [result.reconstruction.edge for result in results]
-    closed = blocks.joined(buildings, edges, config.skin_step_m, np.inf)
-    standing, with_holes = blocks.on_terrain(closed, ground)
+    closed = block_skins.joined(buildings, edges, config.skin_step_m, np.inf)
+    standing, with_holes = block_skins.on_terrain(closed, ground)
     assert all((skin.kind != FaceKind.GROUND).all() for skin in standing)
     corner = ground.vertex_m.min(axis=0)
     place, triangle = together(standing, with_holes, corner)

@@ -1,4 +1,4 @@
-"""Blocks: footprints that share walls, and the edges of a block that are free."""
+"""Blocks of the registration: footprints that share walls and move together, and the edges of a block that are free."""
 
 from __future__ import annotations
 
