@@ -9,13 +9,13 @@ recorded, not made here. The bars are those of the default. The last line is JSO
 from __future__ import annotations
 
 import argparse
-import json
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 from figures import Figures
+from real_places import judged_file
 
 VARIANTS = {
     "--no-fit": ["--no-fit"],
@@ -30,10 +30,7 @@ BARS = {"cd": 0.88, "roof": 0.24, "p2m": 0.117, "tri": 45}
 
 def measures(judge: Path, city_json: Path, place: Path) -> dict[str, float]:
     """Mean measures of a CityJSON file, and the number of watertight buildings."""
-    command = [sys.executable, judge, city_json, place / "footprints.gpkg", place / "ahn3.laz", "--json"]
-    summary = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)[
-        "summary"
-    ]
+    summary = judged_file(judge, city_json, place / "footprints.gpkg", [place / "ahn3.laz"])["summary"]
     means = {name: round(summary[name]["mean"], 3) for name in BARS}
     return means | {"watertight": round(summary["watertight"] * summary["meshes"])}
 

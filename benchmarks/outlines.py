@@ -17,10 +17,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 import tempfile
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,6 +28,7 @@ import numpy as np
 import pyproj
 import shapely
 from figures import Figures, cpu_seconds
+from real_places import Place, judged_rows, places
 
 from p2wss import reconstruct
 from p2wss.config import Config
@@ -49,26 +48,6 @@ AROUND_M = 2.0
 # building points at least this far from the map are of buildings that it lacks
 UNMAPPED_M = 1.5
 BARS = {"found": 0.95, "iou": 0.88, "vertices": 1.3, "p2m": 0.18}
-
-
-@dataclass(frozen=True)
-class Place:
-    """Footprints and clouds in files, and their CRS."""
-
-    footprints: Path
-    clouds: tuple[Path, ...]
-    epsg: int
-
-
-def places(folder: Path) -> dict[str, Place]:
-    """The real places below ``folder``."""
-    delft, bresse, crops = (folder / name for name in ("delft_ahn3", "bresse_ign", "lidarhd_crops"))
-    tiles = [path for path in sorted(crops.glob("*.laz")) if "copc" not in path.name]
-    return {
-        "delft": Place(delft / "footprints.gpkg", (delft / "ahn3.laz",), 28992),
-        "lidar hd": Place(crops / "footprints.gpkg", tuple(tiles), 2154),
-        "bresse": Place(bresse / "footprints.gpkg", (bresse / "lidar.laz",), 2154),
-    }
 
 
 def joined(shapes: np.ndarray) -> np.ndarray:
@@ -148,14 +127,9 @@ def judged(
     cleaned = clean_footprints(frame, reconstruct.footprint_settings(config))
     results = reconstruct.run(cleaned, cloud, None, "tile", config.reconstruct)
     with tempfile.TemporaryDirectory() as folder:
-        path, outlines = Path(folder) / "reconstructions.city.jsonl", Path(folder) / "outlines.gpkg"
-        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg)))
+        outlines = Path(folder) / "outlines.gpkg"
         frame.to_file(outlines)
-        command = [sys.executable, judge, path, outlines, *place.clouds, "--json"]
-        completed = subprocess.run(
-            [str(part) for part in command], capture_output=True, text=True, check=True
-        )
-    rows = json.loads(completed.stdout)["rows"]
+        rows = judged_rows(judge, results, place, outlines)
     shapes = dict(zip(frame["building_id"], frame.geometry, strict=True))
     everything = shapely.union_all(houses)
     on_map = [

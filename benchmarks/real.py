@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,9 +21,9 @@ from typing import Any
 
 import labelled
 import numpy as np
-import pyproj
 import thresholds
 from figures import Figures
+from real_places import Place, judged_rows
 
 from p2wss import reconstruct, scenes
 from p2wss.config import Config, Reconstruct
@@ -115,22 +113,9 @@ def judged(
     """The judge's rows, one per building."""
     place, cloud_files, epsg = SETS[name]
     results = [reconstruct.Result(row, "ok", None, 0, np.nan, np.nan, False) for row in reconstructions]
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "reconstructions.city.jsonl"
-        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(epsg)))
-        data = arguments.data / place
-        command = [
-            sys.executable,
-            arguments.judge,
-            path,
-            data / "footprints.gpkg",
-            *(data / file for file in cloud_files),
-            "--json",
-        ]
-        completed = subprocess.run(
-            [str(part) for part in command], capture_output=True, text=True, check=True
-        )
-    return json.loads(completed.stdout)["rows"]
+    data = arguments.data / place
+    files = Place(data / "footprints.gpkg", tuple(data / file for file in cloud_files), epsg)
+    return judged_rows(arguments.judge, results, files)
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, float]:

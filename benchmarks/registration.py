@@ -14,18 +14,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
-import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
-import pyproj
 import shapely
 from figures import Figures, cpu_seconds
+from real_places import Place, judged_rows, places
 from shapely import affinity
 
 from p2wss import reconstruct
@@ -36,27 +33,6 @@ from p2wss.data.seeds import generator
 from p2wss.reconstruct.registration import COLUMN, NOTHING
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.skeleton.types import Polygons
-
-
-@dataclass(frozen=True)
-class Place:
-    """Footprints and clouds in files, and their CRS."""
-
-    footprints: Path
-    clouds: tuple[Path, ...]
-    epsg: int
-
-
-def places(folder: Path) -> dict[str, Place]:
-    """The real places below ``folder``."""
-    delft, bresse, crops = (folder / name for name in ("delft_ahn3", "bresse_ign", "lidarhd_crops"))
-    tiles = [path for path in sorted(crops.glob("*.laz")) if "copc" not in path.name]
-    return {
-        "delft": Place(delft / "footprints.gpkg", (delft / "ahn3.laz",), 28992),
-        "bresse": Place(bresse / "footprints.gpkg", (bresse / "lidar.laz",), 2154),
-        "lidar hd": Place(crops / "footprints.gpkg", tuple(tiles), 2154),
-    }
-
 
 SHIFTS_M = (0.5, 1.0, 1.5)
 # how much worse than in place: with footprints moved, with footprints in place
@@ -96,14 +72,7 @@ def judged(
 ) -> dict[str, dict[str, Any]]:
     """The judge's rows by id."""
     results = reconstruct.run(frame, cloud, predictor, "tile", Config().reconstruct)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "reconstructions.city.jsonl"
-        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg)))
-        command = [sys.executable, judge, path, place.footprints, *place.clouds, "--json"]
-        completed = subprocess.run(
-            [str(part) for part in command], capture_output=True, text=True, check=True
-        )
-    return {row["id"]: row for row in json.loads(completed.stdout)["rows"]}
+    return {row["id"]: row for row in judged_rows(judge, results, place)}
 
 
 def measures(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, float]]:

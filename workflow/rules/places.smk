@@ -103,11 +103,13 @@ SOURCE_SUFFIXES = {"footprints": listing.VECTOR, "dtm": listing.RASTER, "lidar":
 
 @cache
 def files_of_folder(location, kind):
-    """The files of a source folder; none if there are none, which the command then says better."""
+    """The files of a source folder with their extents; none if there are none, which the command then says better."""
     try:
-        return listing.list_files(location, SOURCE_SUFFIXES[kind], "")
+        files = listing.list_files(location, SOURCE_SUFFIXES[kind], "")
     except InputError:
         return []
+    # read here once: every tile asks for them
+    return [(file, listing.extent_m(file)) for file in files]
 
 
 def source_files(kind, place_of=lambda wildcards: wildcards.place):
@@ -128,8 +130,8 @@ def source_files(kind, place_of=lambda wildcards: wildcards.place):
         in_other_crs = kind == "lidar" and fetch.folder.lidar_crs not in ("", region.crs)
         if kind != "footprints" and not in_other_crs:
             bounds = tile_bounds(wildcards.tile, region.tile_size_m, fetch.margin_m)
-            files = [file for file in files if listing.may_overlap(file, bounds)]
-        return [local(str(part)) for file in files for part in listing.with_companions(file)]
+            files = [(file, extent) for file, extent in files if listing.may_overlap(extent, bounds)]
+        return [local(str(part)) for file, _ in files for part in listing.with_companions(file)]
 
     return paths
 

@@ -7,6 +7,8 @@ import lzma
 import os
 import re
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, cast
 
@@ -47,27 +49,39 @@ def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
 
     Raises :class:`InputError` if the archive is broken, incomplete or needs a password.
     """
+    with _content(archive) as content:
+        grids = {
+            member.filename: folder / Path(member.filename).name
+            for member in content.list()
+            if _intersects(member.filename, f"{archive.name}/{member.filename}", bounds)
+        }
+        for member in content.list():
+            if member.filename in grids and member.uncompressed > _MAX_GRID_BYTES:
+                size = f"{member.uncompressed / 1e9:.1f} GB"
+                raise InputError(f"{archive}: {member.filename} would unpack to {size}, too large for a grid")
+        missing = [name for name, path in grids.items() if not path.is_file()]
+        if missing:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(prefix=".unpacking-", dir=folder) as work:
+                content.extract(work, targets=missing)
+                for name in missing:
+                    with files.atomic(grids[name]) as temporary:
+                        os.replace(Path(work, name), temporary)
+    return sorted(grids.values())
+
+
+def members(archive: Path) -> list[str]:
+    """The names of the files in an archive. Raises :class:`InputError` if the archive is broken or incomplete."""
+    with _content(archive) as content:
+        return content.getnames()
+
+
+@contextmanager
+def _content(archive: Path) -> Iterator[py7zr.SevenZipFile]:
+    """The content of an archive. Any failure to read it is an :class:`InputError`."""
     try:
         with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
-            grids = {
-                member.filename: folder / Path(member.filename).name
-                for member in content.list()
-                if _intersects(member.filename, f"{archive.name}/{member.filename}", bounds)
-            }
-            for member in content.list():
-                if member.filename in grids and member.uncompressed > _MAX_GRID_BYTES:
-                    size = f"{member.uncompressed / 1e9:.1f} GB"
-                    raise InputError(
-                        f"{archive}: {member.filename} would unpack to {size}, too large for a grid"
-                    )
-            missing = [name for name, path in grids.items() if not path.is_file()]
-            if missing:
-                folder.mkdir(parents=True, exist_ok=True)
-                with tempfile.TemporaryDirectory(prefix=".unpacking-", dir=folder) as work:
-                    content.extract(work, targets=missing)
-                    for name in missing:
-                        with files.atomic(grids[name]) as temporary:
-                            os.replace(Path(work, name), temporary)
+            yield content
     except InputError:
         raise
     except py7zr.exceptions.PasswordRequired as error:
@@ -75,18 +89,6 @@ def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
     except _BROKEN as error:
         parts = "; are all of its parts in the folder?" if archive.suffix == ".001" else ""
         raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}{parts}") from error
-    return sorted(grids.values())
-
-
-def members(archive: Path) -> list[str]:
-    """The names of the files in an archive. Raises :class:`InputError` if the archive is broken or incomplete."""
-    try:
-        with _open(archive) as file, py7zr.SevenZipFile(file, "r") as content:
-            return content.getnames()
-    except py7zr.exceptions.PasswordRequired as error:
-        raise InputError(f"{archive}: needs a password; unpack it and name the folder instead") from error
-    except _BROKEN as error:
-        raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}") from error
 
 
 def _open(archive: Path) -> IO[bytes]:

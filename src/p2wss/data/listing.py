@@ -81,9 +81,8 @@ def _asc_extent_m(head: bytes) -> Bounds | None:
     return x, y, x + columns * cell, y + rows * cell
 
 
-def may_overlap(path: Path, bounds: Bounds) -> bool:
-    """Whether a file may have data in ``bounds``: what states no extent may lie anywhere."""
-    extent = extent_m(path)
+def may_overlap(extent: Bounds | None, bounds: Bounds) -> bool:
+    """Whether a file of this :func:`extent_m` may have data in ``bounds``: what states none may lie anywhere."""
     if extent is None:
         return True
     x_min, y_min, x_max, y_max = bounds

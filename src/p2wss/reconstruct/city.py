@@ -15,7 +15,6 @@ from p2wss.data.clouds import horizontal
 from p2wss.data.solids.repair import LabelledMesh, repaired, surfaces_to_write
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Metadata, Solid
-from p2wss.reconstruct import measures
 from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
 from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.valid import labelled_mesh
@@ -94,7 +93,7 @@ def solid(
         return Solid(reconstruction.building_id, np.zeros((0, 3)), [], values)
     mesh = labelled_mesh(reconstruction)
     surfaces = surfaces_to_write(mesh, is_checked=True)[0] if "2.0" in lods else []
-    block = _block(result, mesh) if "1.2" in lods else None
+    block = _block(result) if "1.2" in lods else None
     if block is None:
         return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values)
     return Solid(
@@ -107,10 +106,10 @@ def solid(
     )
 
 
-def _block(result: Result, mesh: LabelledMesh) -> LabelledMesh | None:
+def _block(result: Result) -> LabelledMesh | None:
     """The footprint as a block whose flat roof is as high as 70 % of the building's; None if that is not valid."""
     reconstruction = result.reconstruction
-    height_m = measures.measure(mesh).roof_z_p70_m - reconstruction.ground_z_m
+    height_m = result.mesh_measures.roof_z_p70_m - reconstruction.ground_z_m
     rings = list(reconstruction.rings)
     meshes = skeleton.build(
         Polygons.from_rings([rings]), np.zeros(sum(map(len, rings))), np.array([height_m])

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date, timedelta
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.metrics.surface import distance_to_mesh
-from p2wss.reconstruct.measures import party_wall_areas_m2
+from p2wss.reconstruct.measures import MeshMeasures, measure, party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import COLUMN, Registration
@@ -71,6 +72,11 @@ class Result:
     is_reliable: bool = False
     party_wall_area_m2: float = 0.0
     dates: tuple[date, date] | None = None
+
+    @cached_property
+    def mesh_measures(self) -> MeshMeasures:
+        """Of the mesh, which must exist: several outputs ask for them."""
+        return measure(labelled_mesh(self.reconstruction))
 
 
 def run(

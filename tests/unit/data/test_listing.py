@@ -20,8 +20,8 @@ def test_the_extent_of_a_cloud_is_that_of_its_points(tmp_path, suffix):
     path = tmp_path / f"cloud{suffix}"
     write_cloud(path, [652001.5, 652900.25], [6861010.0, 6861999.5])
     assert listing.extent_m(path) == pytest.approx((652001.5, 6861010.0, 652900.25, 6861999.5))
-    assert listing.may_overlap(path, (652900.0, 6861000.0, 653900.0, 6862000.0))
-    assert not listing.may_overlap(path, (653000.0, 6861000.0, 654000.0, 6862000.0))
+    assert listing.may_overlap(listing.extent_m(path), (652900.0, 6861000.0, 653900.0, 6862000.0))
+    assert not listing.may_overlap(listing.extent_m(path), (653000.0, 6861000.0, 654000.0, 6862000.0))
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_the_extent_of_a_grid_is_that_of_its_cells(tmp_path, anchor, west):
 def test_a_file_that_states_no_extent_may_lie_anywhere(tmp_path, content):
     path = tmp_path / "grid.asc"
     path.write_bytes(content)
-    assert listing.extent_m(path) is None and listing.may_overlap(path, (0, 0, 1, 1))
+    assert listing.extent_m(path) is None and listing.may_overlap(listing.extent_m(path), (0, 0, 1, 1))
 
 
 def test_files_that_belong_together_are_named_together(tmp_path):
