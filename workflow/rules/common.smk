@@ -63,6 +63,8 @@ def variant_section(wildcards):
 # thousands of names part of each command
 TILE_LISTS = configs.TILE_LISTS
 EVERY_TILE_LIST = (*TILE_LISTS, *(f"members.*.region.{name}" for name in TILE_LISTS))
+# what only readers of real clouds depend on: neither footprints, terrain and downloads nor scenes
+OF_CLOUDS = ("classes", "members.*.region.classes")
 # settings that only the report or the rules read: no mesh depends on them
 REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst", "shards_per_job")
 # settings that only the baseline roofer reads

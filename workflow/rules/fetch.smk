@@ -37,7 +37,7 @@ rule fetch_footprints:
         offline=int(settings.fetch.offline),
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, "prepare", "sources", "offline")),
+        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare", "sources", "offline")),
         code=fingerprint("fetch"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
         sizes=source_sizes("footprints"),

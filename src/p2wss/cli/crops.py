@@ -88,6 +88,7 @@ def crops_real(arguments: argparse.Namespace) -> None:
     """Write the crops of real LiDAR."""
     from p2wss import crops
     from p2wss.data import footprints
+    from p2wss.data.las_classes import class_set
 
     config = read_config(arguments)
     tile_size_m = config.region.tile_size_m
@@ -95,7 +96,12 @@ def crops_real(arguments: argparse.Namespace) -> None:
     features = footprints.read_whole_blocks(arguments.footprints, bounds, config.scenes.snap_m)
     frame = footprints.clean_footprints(features, config.scenes)
     columns, num_excluded = crops.crop_real(
-        frame, arguments.clouds, arguments.tile, tile_size_m, config.crops
+        frame,
+        arguments.clouds,
+        arguments.tile,
+        tile_size_m,
+        config.crops,
+        class_set(**dict(config.region.classes)),
     )
     tile = arguments.place + arguments.tile
     columns["tile"] = [tile] * len(columns["num_points"])

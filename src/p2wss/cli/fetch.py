@@ -130,6 +130,7 @@ def fetch_lidar(arguments: argparse.Namespace) -> None:
 
 def fetch_prepare(arguments: argparse.Namespace) -> None:
     """Write the LiDAR of a tile, cropped and with ground points."""
+    from p2wss.data.las_classes import class_set
     from p2wss.fetch import delivery_window
     from p2wss.fetch.prepare import prepare
 
@@ -138,7 +139,14 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
     bounds = bounds_of_tile(arguments.tile, config, config.fetch.margin_m)
     crs, _ = delivery_window(config.region, config.fetch, bounds)
     facts = prepare(
-        arguments.out, arguments.clouds, bounds, holes, config.region.crs, crs, config.fetch.prepare
+        arguments.out,
+        arguments.clouds,
+        bounds,
+        holes,
+        config.region.crs,
+        crs,
+        config.fetch.prepare,
+        class_set(**dict(config.region.classes)).ground,
     )
     log.info(
         f"{arguments.out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}"

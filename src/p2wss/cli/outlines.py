@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, log
@@ -31,7 +31,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--classes",
         choices=get_args(ClassPreset),
-        help="classes of building, ground and ignored points (default: reconstruct.classes of the config)",
+        help="classes of building, ground and ignored points (default: region.classes of the config)",
     )
 
 
@@ -41,10 +41,8 @@ def outlines(arguments: argparse.Namespace) -> None:
         raise InputError(
             f"{arguments.out}: outlines are written as GeoPackage; name a file that ends in .gpkg"
         )
-    options: dict[str, Any] = {}
-    if arguments.classes is not None:
-        options["classes"] = {"preset": arguments.classes}
-    config = load(arguments.config, {"reconstruct": options})
+    options = {} if arguments.classes is None else {"classes": {"preset": arguments.classes}}
+    config = load(arguments.config, {"region": options})
     headers, metric = argument_checks.check_clouds(arguments)
     inputs = argument_checks.Inputs(headers, None, metric, None)
     _, frame = read_outlines(config, inputs)
@@ -61,7 +59,7 @@ def read_outlines(config: Config, inputs: argument_checks.Inputs) -> tuple[Cloud
 
     settings = config.reconstruct
     paths = [header.path for header in inputs.clouds]
-    cloud = clouds.read_clouds(paths, None, class_set(**dict(settings.classes)))
+    cloud = clouds.read_clouds(paths, None, class_set(**dict(config.region.classes)))
     cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
     for warning in warnings:
         log.warning("warning: %s", warning)

@@ -9,7 +9,7 @@ from typing import Any, get_args
 from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
 from p2wss.cli.outlines import read_outlines
-from p2wss.config import OUTPUT_SUFFIXES, ClassPreset, Config, SchemaName, load, section_json
+from p2wss.config import CLASSES_ALONE, OUTPUT_SUFFIXES, ClassPreset, Config, SchemaName, load, section_json
 from p2wss.data import files
 from p2wss.data.materials import MATERIALS
 from p2wss.errors import InputError
@@ -68,7 +68,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--classes",
         choices=get_args(ClassPreset),
-        help="classes of building, ground and ignored points (default: reconstruct.classes of the config)",
+        help="classes of building, ground and ignored points (default: region.classes of the config)",
     )
     command.add_argument("--crs", help="CRS of clouds whose headers do not state it, for example EPSG:28992")
     command.add_argument(
@@ -159,7 +159,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     weights, crs, terrain = inputs.weights, inputs.crs, inputs.terrain
     predictor = None if weights is None else load_predictor(weights, arguments.device)
     settings = config.reconstruct
-    classes = class_set(**dict(settings.classes))
+    classes = class_set(**dict(config.region.classes))
     tile = (arguments.tile, config.region.tile_size_m)
     can_register = False
     if arguments.no_footprints:
@@ -206,7 +206,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
         reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
     if terrain is not None and (difference := exports.terrain_note(results, terrain)):
         log.info("note: %s", difference)
-    sections = section_json(config, "scenes", "reconstruct")
+    sections = section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE)
     code = fingerprint("reconstruct")
     facts = files.provenance(config=sections, code=code, crs=crs.to_string(), model=weights and weights.name)
     facts["clouds"] = [header.path.name for header in inputs.clouds]
@@ -246,8 +246,6 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
             options[name] = value
     if arguments.keep_columns is not None:
         options["keep_columns"] = [name.strip() for name in arguments.keep_columns.split(",") if name.strip()]
-    if arguments.classes is not None:
-        options["classes"] = {"preset": arguments.classes}
     if arguments.frequency_ghz is not None:
         options["frequency_ghz"] = arguments.frequency_ghz
     if arguments.split_materials:
@@ -256,7 +254,8 @@ def _reconstruct_config(arguments: argparse.Namespace) -> Config:
         options["registration"] = arguments.register == "on"
     if arguments.materials is not None:
         options["materials"] = _materials(arguments.materials)
-    return load(arguments.config, {"reconstruct": options})
+    classes = {} if arguments.classes is None else {"classes": {"preset": arguments.classes}}
+    return load(arguments.config, {"reconstruct": options, "region": classes})
 
 
 def _materials(text: str) -> dict[str, str]:

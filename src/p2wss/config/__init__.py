@@ -27,14 +27,12 @@ from p2wss.config.reconstruct import (
     OUTPUT_SUFFIXES,
     TABLES_AND_MODELS,
     WEDGES_SUFFIX,
-    Classes,
-    ClassPreset,
     Outlines,
     Output,
     Reconstruct,
     SchemaName,
 )
-from p2wss.config.region import ALL, TILE_LISTS, Region
+from p2wss.config.region import ALL, CLASSES_ALONE, TILE_LISTS, Classes, ClassPreset, Region
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
 from p2wss.config.sections import Config, ablated
@@ -42,6 +40,7 @@ from p2wss.config.training import Compute, Optimiser
 
 __all__ = [
     "ALL",
+    "CLASSES_ALONE",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",
     "TABLES_AND_MODELS",

@@ -64,19 +64,6 @@ class Materials(Section):
 
 
 SchemaName = Literal["auto", "bdtopo", "overture", "osm", "bag", "3dbag", "swissbuildings"]
-ClassPreset = Literal["las", "lidarhd", "ahn", "swisstopo", "ea", "custom"]
-
-
-class Classes(Section):
-    """Which classes of LiDAR points are building, ground and ignored; all others may be on a building that the
-    classifier has missed."""
-
-    preset: ClassPreset = Field(
-        "las", description="classes of a producer, in p2wss.data.las_classes; custom = the lists below"
-    )
-    building: list[int] = Field([6], description="with preset custom: buildings")
-    ground: list[int] = Field([2], description="with preset custom: ground")
-    ignored: list[int] = Field([7, 18], description="with preset custom: left out, such as noise")
 
 
 class Outlines(Section):
@@ -116,7 +103,6 @@ class Reconstruct(Section):
     keep_columns: list[str] = Field(
         ["all"], description="columns of the footprints to pass through to tables and CityJSON; [all] = all"
     )
-    classes: Classes = Classes()
     outputs: list[Output] = Field(
         ["cityjsonseq", "glb", "gpkg"],
         min_length=1,

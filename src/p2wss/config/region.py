@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -13,10 +13,26 @@ from p2wss.config.base import Section
 ALL = "all"
 # what no tile depends on: which other tiles are processed
 TILE_LISTS = ("tiles", "lidar_tiles")
+# to leave out of the section where only the classes of the clouds matter: a run on files of a user's own
+CLASSES_ALONE = (*TILE_LISTS, "name", "vintage", "crs", "bounds_m", "tile_size_m")
 # France in tiles of 1 km fills a square of about a million
 _MAX_TILES = 2_000_000
 # the farthest coordinate of any projected CRS on Earth
 _FARTHEST_M = 1e8
+
+ClassPreset = Literal["las", "lidarhd", "ahn", "swisstopo", "ea", "custom"]
+
+
+class Classes(Section):
+    """Which classes of LiDAR points are building, ground and ignored, in crops and in reconstruct; all others may be on
+    a building that the classifier has missed."""
+
+    preset: ClassPreset = Field(
+        "las", description="classes of a producer, in p2wss.data.las_classes; custom = the lists below"
+    )
+    building: list[int] = Field([6], description="with preset custom: buildings")
+    ground: list[int] = Field([2], description="with preset custom: ground")
+    ignored: list[int] = Field([7, 18], description="with preset custom: left out, such as noise")
 
 
 class Region(Section):
@@ -47,6 +63,7 @@ class Region(Section):
         ["0653_6861"],
         description="tiles with real (or stand-in) LiDAR, for evaluation and dvae; [] = none, [all] = all of tiles",
     )
+    classes: Classes = Classes()
 
     @field_validator("tiles", "lidar_tiles")
     @classmethod

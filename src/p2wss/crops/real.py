@@ -17,6 +17,7 @@ from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
 from p2wss.data.cloud_crops import GROUND_RINGS_M, crop_cloud
 from p2wss.data.clouds import read_clouds, same_crs
+from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
 from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
@@ -29,13 +30,14 @@ def crop_real(
     tile: str,
     tile_size_m: float,
     settings: Crops,
+    classes: ClassSet = LAS,
 ) -> tuple[dict[str, Any], Counter[str]]:
     """The columns of :data:`p2wss.data.schemas.crops.CROPS` without labels, and the number of excluded footprints
     per reason.
 
     frame: the result of :func:`p2wss.data.footprints.clean_footprints`. Its footprints are assigned to tiles as in
     the scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
-    its margin, in the CRS of ``frame``.
+    its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS.
 
     Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
@@ -45,7 +47,7 @@ def crop_real(
     num_excluded = Counter(frame["status"].to_numpy()[~is_usable])
     frame = frame[is_usable]
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
-    cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)))
+    cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)), classes)
     check_crs(cloud.crs, frame.crs, f"{clouds[0]}")
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)

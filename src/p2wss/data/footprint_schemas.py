@@ -175,6 +175,21 @@ def _unique(names: pd.Series, is_known: np.ndarray) -> pd.Series:
     return pd.Series(result, index=names.index, dtype=str)
 
 
+def taken_part_numbers(names: pd.Series) -> dict[str, set[int]]:
+    """For each name N, the numbers k for which another name is ``N-k``: parts of N cannot have them.
+
+    >>> taken_part_numbers(pd.Series(["A", "A-1", "A-1-7", "B-2"]))
+    {'A': {1}, 'A-1': {7}}
+    """
+    result: dict[str, set[int]] = {}
+    known = set(names)
+    for name in names[names.str.contains(r"-[1-9][0-9]{0,8}$")]:
+        whole, _, number = name.rpartition("-")
+        if whole in known:
+            result.setdefault(whole, set()).add(int(number))
+    return result
+
+
 def _problem(values: pd.Series) -> str | None:
     """Why a column cannot be the id of features as it is, or None."""
     missing = is_missing(values)

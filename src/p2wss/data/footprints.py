@@ -16,7 +16,7 @@ from p2wss.data import polygon_arrays, reasons
 from p2wss.data.clouds import horizontal
 from p2wss.data.coverage import Cleaning, block_numbers, clean_block
 from p2wss.data.footprint_limits import repaired
-from p2wss.data.footprint_schemas import building_ids, schema_of, stated_heights_m
+from p2wss.data.footprint_schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.data.metric_crs import MetricCrs, reprojected
 from p2wss.data.tiling import Bounds, grown
 from p2wss.data.vector_files import read_attributes, read_vector
@@ -29,6 +29,8 @@ _TYPES_WITH_POLYGONS = [
 ]
 # footprints that touch themselves are cut apart with a gap of this width; cleaning would close a smaller one
 _OPENING_M = 0.15
+# column of tuples: the numbers of parts of a feature that would give them the id of another feature of its file
+_TAKEN = "p2wss_taken_part_numbers"
 # options of the kernel's cleaning for which it removes only vertices that are within an edge to a micrometre
 _ONLY_WITHIN_EDGES = {"min_edge_m": 1e-3, "min_turn_deg": 0.0, "min_offset_m": 1e-6, "parallel_deg": 0.0}
 
@@ -42,8 +44,8 @@ def read_footprints(
     height_field: str | None = None,
     metric: MetricCrs | None = None,
 ) -> gpd.GeoDataFrame:
-    """Read a vector file with polygons, in the order of the file, and add the columns ``building_id`` (text) and
-    ``stated_height_m`` (NaN if unknown).
+    """Read a vector file with polygons, in the order of the file, and add the columns ``building_id`` (text),
+    ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
 
     id_field, schema: where the ids come from (:func:`p2wss.data.footprint_schemas.building_ids`); they do not depend on
     ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.data.footprint_schemas.
@@ -70,9 +72,12 @@ def read_footprints(
     if bounds is not None:
         names = [name for name in table.columns if name == id_field or str(name).lower() in columns.ids]
         of_ids = read_attributes(path, tuple(names)) if names else table
-    ids = building_ids(of_ids, columns, id_field, path).reindex(table.index)
+    ids = building_ids(of_ids, columns, id_field, path)
+    taken = taken_part_numbers(ids)
+    ids = ids.reindex(table.index)
     heights_m = stated_heights_m(table, columns, height_field, path)
     frame["building_id"] = ids
+    frame[_TAKEN] = pd.Series([tuple(taken.get(name, ())) for name in ids], index=ids.index, dtype=object)
     frame["stated_height_m"] = heights_m
     if metric is not None:
         frame = frame if frame.crs is not None else frame.set_crs(horizontal(metric.source))
@@ -110,8 +115,9 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float 
 
     Geometries are repaired by :func:`p2wss.data.footprint_limits.repaired`, with ``tolerance_m``. If one then has
     several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
-    suffixes -1, -2, .. in order, without those that are ids of other features. A geometry without polygons keeps its
-    row, with an empty polygon and the reason as ``status``.
+    suffixes -1, -2, .. in order, without those that are ids of other features: of any in the file, also outside the
+    window that was read (:func:`read_footprints`), so that no part has the name of another part or feature in whatever
+    tile. A geometry without polygons keeps its row, with an empty polygon and the reason as ``status``.
     """
     shapes = frame.geometry.to_numpy()
     is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
@@ -141,13 +147,21 @@ def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float 
     result = result.set_geometry(gpd.GeoSeries(parts, crs=frame.crs))
     is_split = np.bincount(row, minlength=len(frame))[row] > 1
     ids = result["building_id"].to_numpy(dtype=object)
-    used, suffix = set(ids), dict.fromkeys(row[is_split], 0)
+    if _TAKEN in frame:
+        taken = dict(zip(frame["building_id"], frame[_TAKEN], strict=True))
+    else:
+        taken = {
+            name: tuple(numbers)
+            for name, numbers in taken_part_numbers(frame["building_id"].astype(str)).items()
+        }
+    suffix = dict.fromkeys(row[is_split], 0)
     for index in np.flatnonzero(is_split):
         name, feature = ids[index], row[index]
-        while ids[index] in used:
+        suffix[feature] += 1
+        while suffix[feature] in taken.get(name, ()):
             suffix[feature] += 1
-            ids[index] = f"{name}-{suffix[feature]}"
-        used.add(ids[index])
+        ids[index] = f"{name}-{suffix[feature]}"
+    result = result.drop(columns=_TAKEN, errors="ignore")
     result["building_id"] = ids
     result["status"] = status[row]
     part_centre = _box_centres(result.geometry.to_numpy())

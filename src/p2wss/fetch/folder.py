@@ -19,8 +19,9 @@ from rasterio.io import DatasetReader
 
 from p2wss.config import Folder
 from p2wss.data.archives import is_archive, unpack, unpacked_folder
-from p2wss.data.clouds import same_crs
+from p2wss.data.clouds import horizontal, same_crs
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
+from p2wss.data.metric_crs import reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
@@ -45,10 +46,15 @@ class FolderSource:
             read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files
         ]
         if len(files) > 1:
-            # numbers of features, ids where a source has none, repeat from file to file
+            # numbers of features, ids where a source has none, repeat from file to file, as may the names of files
+            stems = [path.stem for path in files]
+            names = [
+                stem if stems.count(stem) == 1 else f"{number + 1}-{stem}"
+                for number, stem in enumerate(stems)
+            ]
             frames = [
-                frame.set_axis([f"{path.stem}-{number}" for number in frame.index])
-                for path, frame in zip(files, frames, strict=True)
+                frame.set_axis([f"{name}-{number}" for number in frame.index])
+                for name, frame in zip(names, frames, strict=True)
             ]
         return pd.concat(frames)
 
@@ -87,14 +93,16 @@ def reproject_bounds(bounds: Bounds, crs: str, target_crs: Any) -> Bounds:
 def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
     """The features of a vector file that intersect ``bounds``, read through the file's spatial index.
 
-    layer: name of the layer; a file with a single layer may use another name. Features in degrees, as in
-    IGN's national GeoParquet, are reprojected to ``crs``. Those in another projection are returned unchanged.
+    layer: name of the layer; a file with a single layer may use another name. Features in another CRS, such as IGN's
+    national GeoParquet in degrees, are reprojected to ``crs``, with a note
+    (:func:`p2wss.data.metric_crs.reprojected`); those without a CRS are returned as they are.
 
-    Raises :class:`InputError` if the file is broken, or has several layers and none is called ``layer``.
+    Raises :class:`InputError` if the file is broken, has several layers and none is called ``layer``, or is in a CRS
+    that cannot be transformed.
     """
     try:
         if path.suffix == ".parquet":
-            frame = geoparquet.read_window(path, lambda file_crs: _window(bounds, crs, file_crs))
+            frame = geoparquet.read_window(path, lambda file_crs: _window(path, bounds, crs, file_crs))
         else:
             layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
             if layer not in layers and len(layers) != 1:
@@ -103,7 +111,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
                     "set fetch.folder.footprints_layer"
                 )
             name = layer if layer in layers else layers[0]
-            window = _window(bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
+            window = _window(path, bounds, crs, pyogrio.read_info(path, layer=name)["crs"])
             # IGN's shapefiles are in UTF-8 but lack the .cpg file that would state it
             encoding = "utf-8" if path.suffix == ".shp" and not path.with_suffix(".cpg").exists() else None
             try:
@@ -114,16 +122,27 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
                 frame = pyogrio.read_dataframe(path, layer=name, bbox=window, fid_as_index=True)
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
-    if frame.crs is None or not frame.crs.is_geographic:
+    region_crs = horizontal(pyproj.CRS.from_user_input(crs))
+    if frame.crs is None:
         return frame
-    frame = frame.to_crs(crs)
+    if same_crs(frame.crs, region_crs):
+        return frame.set_crs(region_crs, allow_override=True)
+    frame = reprojected(frame, region_crs, path)
     return frame[frame.intersects(shapely.box(*bounds))]
 
 
-def _window(bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
-    if file_crs is None or not pyproj.CRS.from_user_input(file_crs).is_geographic:
+def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:
+    """``bounds`` in the CRS of a file; as they are for a file without a CRS."""
+    if file_crs is None:
         return bounds
-    return reproject_bounds(bounds, crs, file_crs)
+    try:
+        window = reproject_bounds(bounds, crs, file_crs)
+    except pyproj.exceptions.ProjError:
+        window = (np.inf, np.inf, np.inf, np.inf)
+    if not np.isfinite(window).all():
+        name = pyproj.CRS.from_user_input(file_crs).name
+        raise InputError(f"{path}: is in {name}, to which the bounds of the region cannot be transformed")
+    return window
 
 
 def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:

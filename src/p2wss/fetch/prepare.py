@@ -33,24 +33,27 @@ def prepare(
     crs: str,
     clouds_crs: str,
     config: Prepare,
+    ground: Sequence[int] = (GROUND_CLASS,),
 ) -> dict[str, Any]:
     """Write the points of a tile's cloud in ``bounds``, without those in ``holes``, to ``out``.
 
     paths: the tile's cloud, then those of its neighbours. holes: the bounds of the neighbours, in the same
     order; their points belong to their own files, but help to find the ground near the edges of this tile.
-    clouds_crs: CRS of ``paths``. Returns the program used, the reason for using PDAL, and counts of points.
+    clouds_crs: CRS of ``paths``. ground: the classes that are ground. Returns the program used, the reason for using
+    PDAL, and counts of points.
 
-    Raises :class:`InputError` if PDAL is required but is not installed or fails.
+    Raises :class:`InputError` if PDAL is required but is not installed or fails, or if the class 2 with which it marks
+    the ground is not among ``ground``.
     """
     classes = count_classes(paths[0])
-    num_ground = classes[GROUND_CLASS]
+    num_ground = sum(classes[each] for each in set(ground))
     reason = ""
     if clouds_crs != crs:
         reason = f"clouds in {clouds_crs}"
     elif config.mode == "pdal":
         reason = "fetch.prepare.mode: pdal"
     elif config.mode == "auto" and not num_ground:
-        reason = f"no ground points (class {GROUND_CLASS}) among the classes {sorted(classes)}"
+        reason = f"no ground points (class {', '.join(map(str, ground))}) among the classes {sorted(classes)}"
     command = pdal.find_command(config) if reason else None
     if reason and command is None:
         problem = (
@@ -62,6 +65,10 @@ def prepare(
     if not reason or command is None:
         num_points = write_cloud(out, paths[:1], bounds, crs, holes, link=True)
         return {"by": "laspy", "num_points": num_points, "num_ground_points": num_ground, "reason": reason}
+    if not num_ground and GROUND_CLASS not in ground:
+        raise InputError(
+            f"{paths[0]}: {reason}; PDAL marks the ground by class {GROUND_CLASS}: add it to region.classes.ground"
+        )
     stages = pdal.read_stages(Path(config.pdal_stages))
     if num_ground:
         stages = [stage for stage in stages if not str(stage.get("tag", "")).startswith(pdal.CONDITIONAL)]

@@ -201,3 +201,26 @@ def test_parts_never_get_the_id_of_another_feature() -> None:
         crs=2154,
     )
     assert split_parts(frame, 1.0)["building_id"].tolist() == ["A-1", "A-2", "A-4", "A-3"]
+
+
+def test_parts_have_names_of_their_own_in_every_window(tmp_path: Path) -> None:
+    """What one window does not show has a name too: a part that got it would be there twice in the whole."""
+    squares = [shapely.box(100 * i, 0, 100 * i + 10, 10) for i in range(8)]
+    shapes = [
+        shapely.MultiPolygon(squares[0:2]),
+        shapely.MultiPolygon(squares[2:4]),
+        squares[4],
+        squares[5],
+        shapely.MultiPolygon(squares[6:8]),
+    ]
+    ids = ["A", "A-1", "A-2", "A-1-1", "A-02"]
+    path = tmp_path / "parts.gpkg"
+    gpd.GeoDataFrame({"building_id": ids}, geometry=shapes, crs=2154).to_file(path)
+    whole = split_parts(read_footprints(path), 1.0)
+    expected = ["A-3", "A-4", "A-1-2", "A-1-3", "A-2", "A-1-1", "A-02-1", "A-02-2"]
+    assert whole["building_id"].tolist() == expected
+    windows = [(0.0, -5.0, 150.0, 15.0), (190.0, -5.0, 350.0, 15.0), (390.0, -5.0, 800.0, 15.0)]
+    by_window = [split_parts(read_footprints(path, bounds=bounds), 1.0) for bounds in windows]
+    assert [name for frame in by_window for name in frame["building_id"]] == expected
+    assert list(whole.columns) == list(by_window[0].columns)
+    assert not [name for name in whole.columns if "taken" in name]

@@ -425,3 +425,55 @@ def test_footprints_without_ids_of_several_files(tmp_path: Path) -> None:
     result = normalise(footprints, "EPSG:2154", "f", "auto")
     assert list(result["building_id"]) == ["a-1", "a-2", "b-1", "b-2"]
     assert list(result["hauteur_m"]) == [3.0, 4.0] * 2
+
+
+def test_files_of_one_name_in_several_folders_have_ids_of_their_own(tmp_path: Path) -> None:
+    for name in "ab":
+        (tmp_path / name).mkdir()
+        buildings(2).drop(columns="cleabs").to_file(tmp_path / name / "town.gpkg", layer="batiment")
+    footprints = source(footprints=tmp_path / "*" / "town.gpkg").footprints(
+        (652000, 6861000, 652200, 6861100)
+    )
+    ids = normalise(footprints, "EPSG:2154", "f", "auto")["building_id"]
+    assert list(ids) == ["1-town-1", "1-town-2", "2-town-1", "2-town-2"]
+
+
+@pytest.mark.parametrize("suffix", [".gpkg", ".parquet", ".fgb"])
+@pytest.mark.parametrize("crs", ["EPSG:32631", "EPSG:3857", "EPSG:2154+5720", "EPSG:27572"])
+def test_footprints_in_another_projection_are_reprojected(
+    tmp_path: Path, suffix: str, crs: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    frame = buildings(5)
+    elsewhere = frame.to_crs(crs)
+    path = tmp_path / f"b{suffix}"
+    elsewhere.to_parquet(path) if suffix == ".parquet" else elsewhere.to_file(path)
+    with caplog.at_level("INFO"):
+        features = source(footprints=path).footprints((652015, 6861000, 652055, 6861010))
+    result = normalise(features, "EPSG:2154", "b").set_index("building_id")
+    assert list(result.index) == ["B1", "B2"]
+    expected = gpd.GeoSeries(frame.geometry.to_numpy()[1:3], index=result.index, crs=2154)
+    # the old French datum is known to a metre or two without its grid
+    off_m = result.geometry.hausdorff_distance(expected).max()
+    assert off_m < (3.0 if crs == "EPSG:27572" else 1e-3)
+    assert ("reprojected from" in caplog.text) == ("5720" not in crs)
+
+
+def test_files_in_several_crs(tmp_path: Path) -> None:
+    buildings(3).to_file(tmp_path / "a.gpkg")
+    buildings(5).iloc[2:].to_crs(4326).to_file(tmp_path / "b.gpkg")
+    buildings(6).iloc[4:].to_crs(32631).to_file(tmp_path / "c.gpkg")
+    features = source(footprints=tmp_path).footprints((652000, 6861000, 652200, 6861100))
+    result = normalise(features, "EPSG:2154", "abc")
+    assert list(result["building_id"]) == [f"B{i}" for i in range(6)]
+    np.testing.assert_allclose(result.geometry.area, 100.0, rtol=1e-6)
+
+
+MOON = "+proj=eqc +lon_0=0 +R=1737400 +units=m +no_defs"
+ANTIPODES = "+proj=gnom +lat_0=-45 +lon_0=-170 +datum=WGS84 +type=crs"
+
+
+@pytest.mark.parametrize("crs", [MOON, ANTIPODES])
+def test_a_crs_to_which_the_region_cannot_be_transformed(tmp_path: Path, crs: str) -> None:
+    buildings(2).set_crs(crs, allow_override=True).to_parquet(tmp_path / "b.parquet")
+    with pytest.raises(InputError, match=r"b\.parquet: is in .*the region cannot be transformed"):
+        source(footprints=tmp_path).footprints((652000, 6861000, 652200, 6861100))

@@ -263,3 +263,16 @@ def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
 
 def rows_in_order(cloud: laspy.LasData) -> list[list[int]]:
     return np.round(np.c_[cloud.x, cloud.y, cloud.z, cloud.gps_time * 1e3] * 100).astype(np.int64).tolist()
+
+
+def test_other_classes_can_be_ground(write_points, tmp_path):
+    cloud = write_points("0652_6862.laz", scatter(100, TILE), np.arange(100) % 2 * 8)
+    settings = config(pdal_command="no-such-program")
+    facts = prepare(tmp_path / "out.laz", [cloud], AROUND, [], L93, L93, settings, ground=(8, 11))
+    assert facts["by"] == "laspy" and facts["num_ground_points"] == 50
+    with pytest.raises(InputError, match=r"no ground points \(class 11\)"):
+        prepare(tmp_path / "2.laz", [cloud], AROUND, [], L93, L93, settings, ground=(11,))
+    with pytest.raises(
+        InputError, match=r"PDAL marks the ground by class 2: add it to region\.classes\.ground"
+    ):
+        prepare(tmp_path / "2.laz", [cloud], AROUND, [], L93, L93, config(pdal_command="true"), ground=(11,))
