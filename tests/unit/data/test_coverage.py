@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import combinations, pairwise
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -15,7 +16,7 @@ from places import SHARED
 
 from p2wss import skeleton
 from p2wss.config import Scenes
-from p2wss.data import polygon_arrays
+from p2wss.data import coverage, polygon_arrays
 from p2wss.data.coverage import Cleaning, block_numbers, clean_block
 from p2wss.data.footprints import clean_footprints, read_footprints, read_whole_blocks
 
@@ -162,6 +163,36 @@ def test_without_snap_and_straightening_shared_corners_stay_in_place() -> None:
     result = clean(shared, Scenes(snap_m=0, simplify_m=0, parallel_deg=0))
     for before, after in zip(shared, result, strict=True):
         assert corners(after) <= corners(before)
+
+
+def test_a_short_edge_shrinks_to_the_corner_where_walls_meet() -> None:
+    """The corner that two houses share stays in place, and the vertex beside it, which one of them has, goes."""
+    left = shapely.Polygon([(0, 0), (6, 0), (6, 8), (5.94, 8.03), (0, 8)])
+    right = shapely.box(6, 0, 12, 8)
+    a, b = clean([left, right], Scenes(snap_m=0, simplify_m=0, parallel_deg=0))
+    assert corners(a) == corners(shapely.box(0, 0, 6, 8)) and corners(b) == corners(right)
+
+
+def test_a_footprint_that_straightening_would_break_leaves_the_others_straight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    straightened, num_free = coverage.straightened, []
+
+    def breaking(xy_m: np.ndarray, segment: np.ndarray, *more: Any) -> np.ndarray:
+        """Makes a bow tie of the first polygon unless all its edges are free."""
+        place_m = straightened(xy_m, segment, *more).copy()
+        polygon, of_segment, is_free = more[0], more[1], more[-1]
+        num_free.append(int(is_free.sum()))
+        edges = of_segment[polygon == 0]
+        if not is_free[edges].all():
+            outside = np.setdiff1d(segment[edges], segment[of_segment[polygon == 1]])
+            place_m[outside] = place_m[outside[::-1]]
+        return place_m
+
+    monkeypatch.setattr(coverage, "straightened", breaking)
+    crooked, _, straight = clean_block(np.array(row_of_houses(5, 3, 0.0, 0.008), object), Cleaning())
+    assert num_free == [0, 4]
+    assert _worst_pair_deg(crooked) > 0.01 and _worst_pair_deg(straight) < 1e-6
 
 
 def test_real_overlaps_and_collapsing_footprints_are_no_error() -> None:

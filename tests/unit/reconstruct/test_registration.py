@@ -164,6 +164,12 @@ def test_blocks_are_footprints_that_share_walls() -> None:
     )
 
 
+@pytest.mark.parametrize(("overlap_m", "num_blocks"), [(0.005, 1), (0.3, 2)])
+def test_footprints_that_overlap_share_no_wall(overlap_m: float, num_blocks: int) -> None:
+    pair = np.array([shapely.box(0, 0, 8, 6), shapely.box(8 - overlap_m, 0, 16, 6)], dtype=object)
+    assert len(set(find_blocks(pair).of_footprint)) == num_blocks
+
+
 def estimate(shift: tuple[float, float], sd: tuple[float, float], num_steps: int = 4) -> Estimate:
     return Estimate(np.array(shift), np.diag(1 / np.square(sd)), 0.0, np.inf, 0.1, num_steps, 1.0)
 
