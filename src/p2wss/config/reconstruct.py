@@ -20,14 +20,15 @@ OUTPUT_SUFFIXES = {
     "3dtiles": "_3dtiles/tileset.json",
     "gpkg": ".gpkg",
     "geoparquet": ".parquet",
+    "report": ".html",
 }
 # and of the file of `reconstruct.wedges`
 WEDGES_SUFFIX = ".wedges.parquet"
 Output = Literal[
-    "cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "3dtiles", "gpkg", "geoparquet"
+    "cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "3dtiles", "gpkg", "geoparquet", "report"
 ]
 # those that have no meshes, and so no terrain either
-TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet")
+TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet", "report")
 # explained in p2wss.data.materials
 MaterialName = Literal[
     "concrete",
@@ -104,7 +105,7 @@ class Reconstruct(Section):
         ["all"], description="columns of the footprints to pass through to tables and CityJSON; [all] = all"
     )
     outputs: list[Output] = Field(
-        ["cityjsonseq", "glb", "gpkg"],
+        ["cityjsonseq", "glb", "gpkg", "report"],
         min_length=1,
         description="formats to write, besides a summary in JSON",
     )

@@ -25,6 +25,7 @@ from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
 from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
+from p2wss.reconstruct.shift_page import shift_page
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
@@ -78,6 +79,8 @@ def write(
             if before is not None:
                 rows["input_geometry"] = before.geometry
             files.write_geoparquet(folder / name, rows, facts)
+        elif output == "report":
+            files.write_text(folder / name, shift_page(results, stem, crs))
         elif output in ("cityjson", "cityjsonseq"):
             text = city_json(results, crs, output, facts, config.lods, config.attribute_names)
             files.write_text(folder / name, text)

@@ -9,6 +9,7 @@ metres) away.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -81,7 +82,8 @@ class Registration:
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
     source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. overhang_m: how far the roofs of the block reach
     beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2:
-    what the cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`).
+    what the cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: number of the
+    block in its run, -1 for a footprint that was excluded.
     """
 
     input_polygon: shapely.Polygon
@@ -93,6 +95,7 @@ class Registration:
     flags: tuple[str, ...] = ()
     ground_inside_m2: float = 0.0
     roof_outside_m2: float = 0.0
+    block: int = -1
 
 
 # the column with a Registration per row
@@ -131,6 +134,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
                 evidence.flags[k],
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),
+                block,
             )
         )
     result[COLUMN] = np.array([*rows, None], dtype=object)[:-1]
@@ -142,7 +146,11 @@ def summary(frame: gpd.GeoDataFrame) -> str:
 
     ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 stay with evidence, 0 without; extended: 6``
     """
-    rows: list[Registration] = list(frame[COLUMN])
+    return summary_of(list(frame[COLUMN]))
+
+
+def summary_of(rows: Sequence[Registration]) -> str:
+    """The line of :func:`summary` for these footprints."""
     length_m = [
         float(np.hypot(*row.shift_m)) for row in rows if row.shift_m != (0.0, 0.0) or row.rotation_deg
     ]

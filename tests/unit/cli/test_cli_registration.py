@@ -47,7 +47,7 @@ def place(tmp_path: Path) -> Path:
 
 def reconstructed(place: Path, *options: str, stem: str = "cloud") -> gpd.GeoDataFrame:
     files = [str(place / name) for name in ("cloud.laz", "footprints.gpkg", "out")]
-    options = ("--model", "none", "--format", "gpkg,geoparquet,cityjsonseq", *options)
+    options = ("--model", "none", "--format", "gpkg,geoparquet,cityjsonseq,report", *options)
     assert cli.main(["reconstruct", *files, *options]) == 0
     return gpd.read_file(place / "out" / f"{stem}.gpkg", layer="buildings").set_index("building_id")
 
@@ -66,6 +66,9 @@ def test_moved_by_default_and_kept_beside(place: Path, caplog: pytest.LogCapture
     assert (before.geometry.hausdorff_distance(given.geometry) < 1e-6).all()
     with_columns = gpd.read_parquet(place / "out" / "cloud.parquet")
     assert (with_columns["input_geometry"].hausdorff_distance(before.geometry) < 1e-6).all()
+    page = (place / "out" / "cloud.html").read_text()
+    assert page.count("marker-end") == 2 and "3 of 3 footprints moved" in page
+    assert f">{rows.loc['A', 'shift_x_m']:.2f}</td><td>{rows.loc['A', 'shift_y_m']:.2f}</td>" in page
     assert '"shift_sd_m"' in (place / "out" / "cloud.city.jsonl").read_text()
 
 
@@ -78,6 +81,8 @@ def test_off_leaves_footprints_where_they_are(place: Path) -> None:
         for shape, true in zip(rows.geometry, TRUE, strict=True):
             assert shapely.hausdorff_distance(shape, affinity.translate(true, *SHIFT)) < 1e-6
         assert rows["shift_x_m"].isna().all()
+        page = (place / "out" / "cloud.html").read_text()
+        assert "registration: off" in page and "marker-end" not in page
         assert pyogrio.list_layers(place / "out" / "cloud.gpkg")[:, 0].tolist() == ["buildings"]
 
 
