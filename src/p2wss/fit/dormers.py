@@ -68,21 +68,24 @@ def find_boxes(
     point_m: np.ndarray,
     min_gain_m: float,
     boxes: Boxes,
-) -> tuple[float, list[Box]]:
-    """(sum of the residuals of all points with the boxes, the boxes that the points show on the mesh of ``parts``).
+    loose_share: float = 1.0,
+) -> tuple[float, list[Box], list[Box]]:
+    """(sum of the residuals of all points with the boxes, the boxes that the points show on the mesh of ``parts``, and
+    the same followed by others).
 
-    Each box lowers the sum by at least ``min_gain_m``; the one that gains most comes first. vertex_m (v, 3), triangle
-    (t, 3): the mesh, in the heights of the points (m, 3).
+    Each box lowers the sum by at least ``min_gain_m``, the others by ``loose_share`` of it; the one that gains most
+    comes first. vertex_m (v, 3), triangle (t, 3): the mesh, in the heights of the points (m, 3).
     """
     roof_z, slant = roof_over(vertex_m, triangle, point_m[:, :2])
     x, y, z = np.ascontiguousarray(point_m.T)
     result: list[Box] = []
+    strict_loss, num_strict = None, 0
     footprint, lines = None, []
     orders = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
     grown: dict[tuple[int, bytes], tuple[float, np.ndarray, np.ndarray, float]] = {}
     while True:
         before = np.minimum(np.abs(z - roof_z) * slant, boxes.cap_m)
-        best_gain, best = min_gain_m, None
+        best_gain, best = (min_gain_m if strict_loss is None else loose_share * min_gain_m), None
         for sign in (1, -1) if boxes.recesses else (1,):
             off = sign * (z - roof_z) * slant > boxes.above_m
             seeds = _clusters(point_m, off, boxes.min_points) if len(result) < boxes.max_boxes else []
@@ -109,7 +112,11 @@ def find_boxes(
                     if ring is not None:
                         best_gain, best = gain, (ring, top, sign)
         if best is None:
-            return float(before.sum()), result
+            if strict_loss is None:
+                strict_loss, num_strict = float(before.sum()), len(result)
+                if loose_share < 1.0:
+                    continue
+            return strict_loss, result[:num_strict], result
         ring, top, sign = best
         box = Box(ring, top, sign < 0)
         changed = is_over_boxes([box], point_m) & (sign * (top - roof_z) > 0)

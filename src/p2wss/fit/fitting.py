@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import shapely
@@ -75,7 +76,9 @@ def fit(
         if reconstruction is None:
             reconstruction, parts_fit = task.build_mesh(parts_fit)
         if config.dormers and reconstruction.has_mesh:
-            reconstruction = task.add_boxes(reconstruction, parts_fit)
+            reconstruction, parts_fit = task.add_boxes(reconstruction, parts_fit)
+        if parts_fit.parts:
+            reconstruction = replace(reconstruction, confidence=task.confidence(parts_fit))
         if not reconstruction.has_mesh and task.initial is not None and task.initial.has_mesh:
             reconstruction = replace(task.initial, method=method)
         result.append(reconstruction)
@@ -125,10 +128,10 @@ class _FitTask:
     thresholds: Thresholds
     fitter: Fitter
 
-    def fit_parts(self, max_parts: int, boxes: Sequence[Box] = ()) -> _PartsFit:
-        """At most ``max_parts`` parts, fitted to the points that are not over ``boxes``."""
-        building, config, initial, effort = self.building, self.config, self.initial, self.thresholds.effort
-        cutting = replace(self.thresholds.cutting, max_parts=max_parts)
+    @cached_property
+    def _without_parts(self) -> _PartsFit:
+        """The footprint and the points to which parts are fitted, still without parts."""
+        building, config = self.building, self.config
         rings = list(building.rings)
         rotation = main_frame(rings)
         if not len(building.point_m):
@@ -149,6 +152,15 @@ class _FitTask:
             open_point_m = ground_points(polygon, building.point_m, building.classification, _GROUND_INSIDE_M)
             roof_point_m = np.vstack([roof_point_m, open_point_m])
         roof_point_m = np.column_stack([roof_point_m[:, :2] @ rotation, roof_point_m[:, 2]])
+        return _PartsFit(rings, rotation, [], "", roof_point_m)
+
+    def fit_parts(self, max_parts: int, boxes: Sequence[Box] = ()) -> _PartsFit:
+        """At most ``max_parts`` parts, fitted to the points that are not over ``boxes``."""
+        initial, effort, without_parts = self.initial, self.thresholds.effort, self._without_parts
+        cutting = replace(self.thresholds.cutting, max_parts=max_parts)
+        if without_parts.reason:
+            return without_parts
+        rings, rotation, roof_point_m = without_parts.rings, without_parts.rotation, without_parts.point_m
         point_m = roof_point_m[~is_over_boxes(boxes, roof_point_m)]
         if len(point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
@@ -162,7 +174,7 @@ class _FitTask:
         ):
             parts = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
             return _PartsFit(rings, rotation, parts, "" if parts else reasons.NO_ROOF, roof_point_m)
-        guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + ground
+        guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + self.building.ground_z_m
         prior = make_prior(rotated, len(point_m), guess_deg, initial.class_probability, eave_z_m)
         guess = FittedRoof(rotated, guess_deg, eave_z_m, np.inf, np.inf, len(point_m))
         candidates = [[replace(guess, loss_m=self.fitter.loss(guess, point_m, prior))]]
@@ -184,32 +196,35 @@ class _FitTask:
                 return reconstruction, parts_fit
             parts_fit = self.fit_parts(len(parts_fit.parts) - 1, boxes)
 
-    def add_boxes(self, reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
-        """The building with the boxes that its points show above its roof, as many as have a closed union with it.
+    def add_boxes(
+        self, reconstruction: Reconstruction, parts_fit: _PartsFit
+    ) -> tuple[Reconstruction, _PartsFit]:
+        """The building with the boxes that its points show above its roof, as many as have a closed union with it, and
+        the fit of its parts.
 
         A roof that was fitted to the points of the boxes too lies too high, so it is also fitted without them.
         """
-        cost, boxes = self._find_boxes(reconstruction, parts_fit)
+        cost, boxes, loose_boxes = self._find_boxes(reconstruction, parts_fit, _LOOSE_GAIN_SHARE)
         candidates = [(reconstruction, parts_fit, boxes)]
-        _, loose_boxes = self._find_boxes(reconstruction, parts_fit, _LOOSE_GAIN_SHARE)
         if loose_boxes:
             refit = self.build_mesh(self.fit_parts(self.config.max_parts, loose_boxes), loose_boxes)
             if refit[0].has_mesh:
-                new_cost, new_boxes = self._find_boxes(*refit)
+                new_cost, new_boxes, _ = self._find_boxes(*refit)
                 if new_cost < cost:
                     candidates.insert(0, (*refit, new_boxes))
         for candidate, candidate_fit, candidate_boxes in candidates:
             if not candidate_boxes:
                 if candidate is reconstruction or _is_sound(candidate):
-                    return candidate
+                    return candidate, candidate_fit
                 continue
             mesh = _union_with_boxes(candidate_fit.parts, candidate_boxes, candidate.ground_z_m, self.config)
             if mesh is not None:
                 vertex_m = parts_fit.in_building_frame(mesh.vertex_m)
-                return replace(
+                with_boxes = replace(
                     candidate, vertex_m=vertex_m, triangle=mesh.triangle, kind=mesh.kind, edge=mesh.plane
                 )
-        return reconstruction
+                return with_boxes, candidate_fit
+        return reconstruction, parts_fit
 
     def confidence(self, parts_fit: _PartsFit) -> float | None:
         """The expected share of the building's values that are right."""
@@ -243,7 +258,7 @@ class _FitTask:
             parts_fit.rings,
             eave_height_m,
             transfer_angles(part_rings, part_angles, parts_fit.rings),
-            self.confidence(parts_fit),
+            None,
             parts_fit.in_building_frame(mesh.vertex_m),
             mesh.triangle,
             mesh.kind,
@@ -252,9 +267,10 @@ class _FitTask:
         )
 
     def _find_boxes(
-        self, reconstruction: Reconstruction, parts_fit: _PartsFit, gain_share: float = 1.0
-    ) -> tuple[float, list[Box]]:
-        """(cost of the parts and the boxes, the boxes) where each box gains ``gain_share`` of the usual minimum."""
+        self, reconstruction: Reconstruction, parts_fit: _PartsFit, loose_share: float = 1.0
+    ) -> tuple[float, list[Box], list[Box]]:
+        """(cost of the parts and the boxes, the boxes, the same and others that gain ``loose_share`` of the usual
+        minimum)."""
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
         min_gain_m = thresholds.boxes.min_gain_m(num_points)
         rotated = np.column_stack(
@@ -263,16 +279,18 @@ class _FitTask:
                 reconstruction.vertex_m[:, 2] + reconstruction.ground_z_m,
             ]
         )
-        loss, boxes = find_boxes(
+        loss, boxes, loose_boxes = find_boxes(
             parts_fit.parts,
             rotated,
             reconstruction.triangle,
             parts_fit.point_m,
-            gain_share * min_gain_m,
+            min_gain_m,
             thresholds.boxes,
+            loose_share,
         )
         cost_of_part = thresholds.cutting.min_gain_m(num_points)
-        return loss + len(boxes) * min_gain_m + (len(parts_fit.parts) - 1) * cost_of_part, boxes
+        cost = loss + len(boxes) * min_gain_m + (len(parts_fit.parts) - 1) * cost_of_part
+        return cost, boxes, loose_boxes
 
 
 def _mesh_single_parts(
@@ -286,14 +304,13 @@ def _mesh_single_parts(
     config, parts = tasks[0].config, [parts_fits[i].parts[0] for i in indices]
     ground = [tasks[i].building.ground_z_m for i in indices]
     height = np.array([part.eave_z_m for part in parts]) - ground
-    confidences = [tasks[i].confidence(parts_fits[i]) for i in indices]
     reconstructions = build_meshes(
         [tasks[i].building for i in indices],
         [parts_fits[i].rings for i in indices],
         ground,
         np.maximum(height, config.min_eave_height_m),
         [part.angle_deg for part in parts],
-        np.array([np.nan if confidence is None else confidence for confidence in confidences]),
+        np.full(len(indices), np.nan),
         tasks[0].method,
         config,
         [""] * len(indices),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -215,7 +216,5 @@ class Fitter:
 
 def flat_rings(rings: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """(vertices (n, 2), offsets of the rings) for compiled code."""
-    xy_m = np.ascontiguousarray(np.concatenate(list(rings)), np.float64)
-    offset = np.zeros(len(rings) + 1, np.int64)
-    np.cumsum([len(ring) for ring in rings], out=offset[1:])
-    return xy_m, offset
+    xy_m = np.ascontiguousarray(np.concatenate(list(rings)) if len(rings) > 1 else rings[0], np.float64)
+    return xy_m, np.array([0, *accumulate(map(len, rings))], np.int64)

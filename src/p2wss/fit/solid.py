@@ -149,19 +149,21 @@ def _collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
     """The mesh after vertices have moved along an edge to its other end: those in only two planes, which lie within a
     straight edge, and those at edges shorter than ``short_m``."""
     vertex_m, triangle, plane = mesh.vertex_m, mesh.triangle, mesh.plane
-    rows, place = dict(enumerate(triangle.tolist())), vertex_m.tolist()
+    rows, place, plane_of = dict(enumerate(triangle.tolist())), vertex_m.tolist(), plane.tolist()
     normal_of = _plane_normals(vertex_m, triangle, plane)
     around: dict[int, set[int]] = {}
     for t, corners in rows.items():
         for v in corners:
             around.setdefault(v, set()).add(t)
     for v in sorted(around):
+        is_straight = len({plane_of[t] for t in around[v]}) == 2
+        if not is_straight and not short_m:
+            continue
         planes_of: dict[int, set[int]] = {}
         for t in around[v]:
             for w in rows[t]:
                 if w != v:
-                    planes_of.setdefault(w, set()).add(int(plane[t]))
-        is_straight = len({int(plane[t]) for t in around[v]}) == 2
+                    planes_of.setdefault(w, set()).add(plane_of[t])
         for end in sorted(planes_of):
             along = is_straight and len(planes_of[end]) == 2
             if not along and dist(place[v], place[end]) >= short_m:
