@@ -27,6 +27,8 @@ _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
 _PROGRESS_BYTES = 50_000_000
 _QUOTE_CHARACTERS = 200
+# parts of a file are parts of what it holds, not of a compressed form
+_AS_IT_IS = {"Accept-Encoding": "identity"}
 Result = TypeVar("Result")
 
 
@@ -65,42 +67,61 @@ class Client:
 
         return self._with_retries(url, attempt)
 
-    def range(self, url: str, start: int, end: int) -> tuple[bytes, int]:
-        """Bytes ``start`` to ``end`` (exclusive, clipped to the end of the file), and the size of the file.
+    def range(self, url: str, start: int, end: int) -> tuple[bytes, int, str]:
+        """Bytes ``start`` to ``end`` (exclusive, clipped to the end of the file), the size of the file, its edition.
 
+        The edition, "" if the service states none, is another one once the file has changed.
         Raises :class:`RangesUnsupportedError` if the service sends only whole files.
         """
 
-        def attempt(deadline: float) -> tuple[bytes, int]:
-            with self._response(url, {}, {"Range": f"bytes={start}-{end - 1}"}) as response:
+        def attempt(deadline: float) -> tuple[bytes, int, str]:
+            headers = {"Range": f"bytes={start}-{end - 1}", **_AS_IT_IS}
+            with self._response(url, {}, headers) as response:
                 if response.status_code != 206 or _range_start(response) != start:
                     raise RangesUnsupportedError(
                         f"{url}: the service does not support Range requests (HTTP {response.status_code})"
                     )
                 body = b"".join(_body(response, deadline, self.config.max_response_mb))
-                size = _size_of_file(response)
+                size, edition = _size_of_file(response), _edition(response)
             if len(body) != min(end, size) - start:
                 raise TransientError(f"{len(body)} bytes instead of {min(end, size) - start}")
-            return body, size
+            return body, size, edition
 
         return self._with_retries(url, attempt)
 
     def download(self, url: str, path: Path, magic: bytes) -> None:
         """Download a large file to ``path``, which appears once it is complete; it must begin with ``magic``.
 
-        An incomplete file is kept beside it as ``<name>.part``. The next attempt, or the next run, asks for
-        the rest with a Range request, and starts again if the service sends the whole file.
+        An incomplete file is kept beside it as ``<name>.part``, and as ``<name>.part.edition`` what the service calls
+        this edition of it. The next attempt, or the next run, asks for the rest with a Range request, and starts
+        again if the service sends the whole file or has another edition by now.
         """
         part = path.with_name(f"{path.name}.part")
+        edition_of_part = path.with_name(f"{path.name}.part.edition")
         path.parent.mkdir(parents=True, exist_ok=True)
+
+        def discard() -> None:
+            part.unlink(missing_ok=True)
+            edition_of_part.unlink(missing_ok=True)
 
         def attempt(deadline: float) -> None:
             start = part.stat().st_size if part.exists() else 0
-            with self._response(url, {}, {"Range": f"bytes={start}-"} if start else {}) as response:
+            edition = _stored_edition(edition_of_part) if start else ""
+            headers = {"Range": f"bytes={start}-"} if start else {}
+            with self._response(
+                url, {}, headers | ({"If-Range": edition} if edition else {}) | _AS_IT_IS
+            ) as response:
                 is_resumed = response.status_code == 206 and _range_start(response) == start
                 if response.status_code == 416 or (response.status_code == 206 and not is_resumed):
-                    part.unlink(missing_ok=True)
+                    discard()
                     raise TransientError("the service has no such range")
+                if is_resumed and _edition(response) not in ("", edition):
+                    discard()
+                    raise TransientError("the file has changed since its beginning was downloaded")
+                if not is_resumed:
+                    edition_of_part.unlink(missing_ok=True)
+                    if _edition(response):
+                        edition_of_part.write_text(_edition(response), encoding="utf-8")
                 total = _length(response)
                 if is_resumed and total is not None:
                     total += start
@@ -117,20 +138,21 @@ class Client:
             with part.open("rb") as file:
                 head = file.read(_QUOTE_CHARACTERS)
             if not head.startswith(magic):
-                part.unlink()
+                discard()
                 raise InputError(f"{url}: expected a file that begins with {magic!r}, got {quote(head)}")
             if total is not None and size < total:
                 raise TransientError(f"{size} of {total} bytes")
             if total is not None and size > total:
-                part.unlink()
+                discard()
                 raise TransientError(f"{size} bytes instead of {total}")
             part.replace(path)
+            edition_of_part.unlink(missing_ok=True)
 
         try:
             self._with_retries(url, attempt)
         except OSError as error:
             if error.errno == errno.ENOSPC:
-                part.unlink(missing_ok=True)
+                discard()
             raise InputError(f"{path}: not written: {error.strerror or error}") from error
 
     def _with_retries(self, url: str, attempt: Callable[[float], Result]) -> Result:
@@ -232,15 +254,42 @@ def _body(response: requests.Response, deadline: float, limit_mb: float) -> Iter
 
 
 def _retry_after_s(response: requests.Response) -> float | None:
+    """The wait that the service asks for, if it does.
+
+    A date is compared with the service's own clock where the response states it, because ours may differ. One that
+    has passed asks for nothing: else all attempts would follow at once.
+    """
     value = response.headers.get("Retry-After", "")
     try:
-        return max(0.0, float(value))
+        seconds = float(value)
     except ValueError:  # absent, or a date
-        pass
+        date = _date(value)
+        if date is None:
+            return None
+        seconds = (date - (_date(response.headers.get("Date", "")) or datetime.now(UTC))).total_seconds()
+        return seconds if seconds > 0 else None
+    return seconds if seconds >= 0 else None
+
+
+def _date(value: str) -> datetime | None:
     try:
-        return max(0.0, (parsedate_to_datetime(value) - datetime.now(UTC)).total_seconds())
+        date = parsedate_to_datetime(value)
     except (ValueError, TypeError):
         return None
+    return date.replace(tzinfo=UTC) if date.tzinfo is None else date
+
+
+def _edition(response: requests.Response) -> str:
+    """What tells one edition of a file from another, as ``If-Range`` takes it; "" if the service states nothing."""
+    tag = response.headers.get("ETag", "")
+    return tag if tag and not tag.startswith("W/") else response.headers.get("Last-Modified", "")
+
+
+def _stored_edition(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (FileNotFoundError, UnicodeDecodeError):
+        return ""
 
 
 def _range_start(response: requests.Response) -> int | None:

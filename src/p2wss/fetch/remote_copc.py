@@ -30,6 +30,7 @@ class RemoteFile(io.RawIOBase):
         self.url = url
         self.position = 0
         self.blocks: dict[int, bytes] = {}
+        self.edition = (0, "")  # size, and what the service calls the edition
         self.size = _BLOCK_BYTES  # known after the first request
         self._load(0, 0)
 
@@ -62,7 +63,11 @@ class RemoteFile(io.RawIOBase):
         return end - start
 
     def _load(self, first: int, last: int) -> None:
-        body, self.size = self.client.range(self.url, first * _BLOCK_BYTES, (last + 1) * _BLOCK_BYTES)
+        start, end = first * _BLOCK_BYTES, (last + 1) * _BLOCK_BYTES
+        body, self.size, edition = self.client.range(self.url, start, end)
+        if self.blocks and (self.size, edition) != self.edition:
+            raise InputError(f"{self.url}: the file changed while it was read; run this again")
+        self.edition = self.size, edition
         for index, number in enumerate(range(first, last + 1)):
             self.blocks[number] = body[index * _BLOCK_BYTES : (index + 1) * _BLOCK_BYTES]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import shutil
+import socket
 import socketserver
 import ssl
 import subprocess
@@ -48,6 +49,39 @@ def test_retry_after_may_be_a_date(httpserver: HTTPServer) -> None:
     pauses: list[float] = []
     assert client(pauses).get(httpserver.url_for("/x")) == b"fine"
     assert len(httpserver.log) == 2 and 25 < max(pauses) <= 30
+
+
+@pytest.mark.parametrize("hours", [-48, 48])
+def test_retry_after_is_measured_by_the_clock_of_the_service(hours: float) -> None:
+    """Theirs is two days behind or ahead of ours; what they mean is half a minute."""
+    now = datetime.now(UTC) + timedelta(hours=hours)
+    date, later = (format_datetime(each, usegmt=True) for each in (now, now + timedelta(seconds=30)))
+    busy = raw("503 Busy", b"", Content_Length=0, Date=date, Retry_After=later)
+    pauses: list[float] = []
+    with broken_server([busy, raw("200 OK", b"fine", Content_Length=4)]) as (url, requests):
+        assert client(pauses).get(url) == b"fine"
+    assert len(requests) == 2 and max(pauses) == 30
+
+
+@pytest.mark.parametrize("value", ["Thu, 01 Jan 1970 00:00:00 GMT", "-5", "nan", "soon", "Mon, 99 Foo 2020"])
+def test_a_retry_after_in_the_past_is_no_reason_to_hurry(httpserver: HTTPServer, value: str) -> None:
+    headers = {"Retry-After": value}
+    httpserver.expect_request("/x").respond_with_data("", status=429, headers=headers)
+    pauses: list[float] = []
+    with pytest.raises(InputError, match="HTTP 429, after 3 attempts"):
+        client(pauses, max_attempts=3).get(httpserver.url_for("/x"))
+    assert len(httpserver.log) == 3
+    assert len([pause for pause in pauses if pause >= 1]) == 2, "growing pauses, as without the header"
+
+
+@pytest.mark.parametrize("value", ["Fri, 31 Dec 9999 23:59:59 GMT", "inf", "9" * 30])
+def test_a_retry_after_in_the_far_future_is_an_error_at_once(httpserver: HTTPServer, value: str) -> None:
+    headers = {"Retry-After": value}
+    httpserver.expect_request("/x").respond_with_data("", status=503, headers=headers)
+    pauses: list[float] = []
+    with pytest.raises(InputError, match="HTTP 503, after 1 attempts"):
+        client(pauses, max_wait_s=600).get(httpserver.url_for("/x"))
+    assert len(httpserver.log) == 1 and max(pauses, default=0) < 600
 
 
 def test_a_retry_after_of_a_day_is_an_error(httpserver: HTTPServer) -> None:
@@ -253,6 +287,103 @@ def test_a_range_request_that_returns_the_whole_file(httpserver: HTTPServer, tmp
     client().download(httpserver.url_for("/t"), tmp_path / "t.laz", b"LASF")
     assert (tmp_path / "t.laz").read_bytes() == BODY
     assert len(httpserver.log) == 1
+
+
+OTHER = b"LASF" + bytes(reversed(range(256))) * 400
+
+
+@pytest.mark.parametrize("header", ["ETag", "Last-Modified"])
+@pytest.mark.parametrize("honours_if_range", [True, False])
+def test_a_tile_that_changes_between_attempts_is_downloaded_anew(
+    tmp_path: Path, header: str, honours_if_range: bool
+) -> None:
+    """The first attempt breaks off in one edition, the second finds another one of the same size."""
+    editions = {"ETag": ('"a"', '"b"')}.get(
+        header, ("Sat, 01 Jan 2022 00:00:00 GMT", "Sun, 01 Jan 2023 00:00:00 GMT")
+    )
+    name, half = header.replace("-", "_"), 51_200
+    first = raw("200 OK", BODY[:half], Content_Length=len(BODY), **{name: editions[0]})
+    whole = raw("200 OK", OTHER, Content_Length=len(OTHER), **{name: editions[1]})
+    rest = raw(
+        "206 Partial Content",
+        OTHER[half:],
+        Content_Length=len(OTHER) - half,
+        Content_Range=f"bytes {half}-{len(OTHER) - 1}/{len(OTHER)}",
+        **{name: editions[1]},
+    )
+    (tmp_path / "t.laz.part").write_bytes(BODY[:half])
+    (tmp_path / "t.laz.part.edition").write_text(editions[0])
+    answers = [whole] if honours_if_range else [rest, whole]
+    with broken_server(answers) as (url, requests):
+        client().download(url, tmp_path / "t.laz", b"LASF")
+    assert (tmp_path / "t.laz").read_bytes() == OTHER
+    assert len(requests) == len(answers)
+    assert f"Range: bytes={half}-".encode() in requests[0]
+    assert f"If-Range: {editions[0]}".encode() in requests[0]
+    assert [path.name for path in tmp_path.iterdir()] == ["t.laz"]
+
+    with broken_server([first, *answers]) as (url, requests):  # the same within one run
+        client().download(url, tmp_path / "u.laz", b"LASF")
+    assert (tmp_path / "u.laz").read_bytes() == OTHER
+    assert len(requests) == 1 + len(answers)
+
+
+def test_an_unknown_edition_is_not_completed_by_a_known_one(tmp_path: Path) -> None:
+    (tmp_path / "t.laz.part").write_bytes(BODY[:1000])
+    rest = raw(
+        "206 Partial Content",
+        OTHER[1000:],
+        Content_Length=len(OTHER) - 1000,
+        Content_Range=f"bytes 1000-{len(OTHER) - 1}/{len(OTHER)}",
+        ETag='"b"',
+    )
+    with broken_server([rest, raw("200 OK", OTHER, Content_Length=len(OTHER))]) as (url, requests):
+        client().download(url, tmp_path / "t.laz", b"LASF")
+    assert (tmp_path / "t.laz").read_bytes() == OTHER and len(requests) == 2
+
+
+@pytest.mark.parametrize("stated", [len(BODY) - 1000, len(BODY) + 1000])
+def test_a_wrong_content_length(tmp_path: Path, stated: int) -> None:
+    """Too short a length cuts the body off, whose end nobody sends; too long a one is never reached."""
+    with broken_server([raw("200 OK", BODY, Content_Length=stated)]) as (url, requests):
+        if stated < len(BODY):
+            assert client().get(url) == BODY[:stated] and len(requests) == 1
+        else:
+            with pytest.raises(InputError, match="after 3 attempts"):
+                client(max_attempts=3).get(url)
+            with pytest.raises(InputError, match="after 3 attempts"):
+                client(max_attempts=3).download(url, tmp_path / "t.laz", b"LASF")
+            assert len(requests) == 6 and not (tmp_path / "t.laz").exists()
+
+
+def test_a_service_with_ipv6_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Server(socketserver.ThreadingTCPServer):
+        address_family = socket.AF_INET6
+
+    requests: list[bytes] = []
+
+    class Handler(socketserver.BaseRequestHandler):
+        def handle(self) -> None:
+            requests.append(self.request.recv(65536))
+            self.request.sendall(raw("200 OK", b"fine", Content_Length=4))
+
+    asked = socket.getaddrinfo
+
+    def only_ipv6(host: str, *arguments: Any, **named: Any) -> Any:
+        return asked("::1" if host == "six.test" else host, *arguments, **named)
+
+    monkeypatch.setattr(socket, "getaddrinfo", only_ipv6)
+    try:
+        server = Server(("::1", 0), Handler)
+    except OSError:
+        pytest.skip("no IPv6 here")
+    with server:
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        port = server.server_address[1]
+        for host in ("[::1]", "six.test"):
+            assert client().get(f"http://{host}:{port}/x") == b"fine"
+        server.shutdown()
+    assert len(requests) == 2 and f"Host: [::1]:{port}".encode() in requests[0]
 
 
 def test_a_web_page_is_not_a_tile(httpserver: HTTPServer, tmp_path: Path) -> None:

@@ -61,6 +61,19 @@ def test_reads_of_any_range_in_any_order(httpserver: HTTPServer) -> None:
     assert len(httpserver.log) <= blocks + 1, "what has come once is not asked for again"
 
 
+def test_a_file_that_changes_between_two_reads_is_an_error(httpserver: HTTPServer) -> None:
+    def changed(response: Response) -> Response:
+        response.headers["ETag"] = '"b"'
+        return response
+
+    httpserver.expect_request("/f").respond_with_handler(serve(bytes(400_000), {2: changed}))
+    file = RemoteFile(client(), httpserver.url_for("/f"))
+    file.seek(300_000)
+    with pytest.raises(InputError, match="the file changed while it was read"):
+        file.read(10)
+    assert len(httpserver.log) == 2
+
+
 @needs_copc
 def test_a_remote_window_equals_the_window_of_the_file(httpserver: HTTPServer, tmp_path: Path) -> None:
     httpserver.expect_request("/t.copc.laz").respond_with_handler(serve(COPC.read_bytes()))
