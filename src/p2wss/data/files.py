@@ -28,6 +28,9 @@ from p2wss.data.table_checks import checked
 from p2wss.data.temporary import remove_leftovers, temporary_prefix
 from p2wss.errors import InputError, reading
 
+# GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
+os.environ.setdefault("OGR_CURRENT_DATE", "1970-01-01T00:00:00.000Z")
+
 METADATA_KEY = b"p2wss"
 _CHECKSUM_KEY = b"p2wss.checksum"
 _JSON_CHECKSUM = "checksum"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,14 @@ def test_vector() -> None:
 def test_a_gpkg_of_p2wss_has_its_provenance(tmp_path: Path) -> None:
     gpkg.write(tmp_path / "a.gpkg", gpd.read_file(GPKG).iloc[:3], FACTS)
     assert describe(tmp_path / "a.gpkg")["provenance"] == SHOWN
+
+
+def test_a_gpkg_has_the_same_bytes_whenever_it_is_written(tmp_path: Path) -> None:
+    frame = gpd.read_file(GPKG).iloc[:3]
+    gpkg.write(tmp_path / "a.gpkg", frame, FACTS)
+    time.sleep(0.01)  # times in a GeoPackage have milliseconds
+    gpkg.write(tmp_path / "b.gpkg", frame, FACTS)
+    assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
 
 
 def test_rasters(tmp_path: Path) -> None:
