@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,7 @@ from p2wss.cli.common import (
 )
 from p2wss.config import Config, dataset_name, section_json
 from p2wss.data import files
+from p2wss.data.temporary import temporary_folder
 from p2wss.provenance import fingerprint
 
 
@@ -268,11 +268,11 @@ def _recording(arguments: argparse.Namespace, config: Config, manifest: Any) -> 
     from p2wss.eval.recording import read_recording, write_recording
 
     paths = roofer_command.recorded_files(config.eval) if arguments.name == "roofer" else []
-    with tempfile.TemporaryDirectory(prefix="p2wss-recording-") as folder:
+    with temporary_folder("recording") as folder:
         if arguments.recording is not None:
             yield read_recording(arguments.recording)
         else:
-            yield write_recording(paths, manifest, Path(folder, "recording.parquet")) if paths else None
+            yield write_recording(paths, manifest, folder / "recording.parquet") if paths else None
 
 
 def eval_baseline(arguments: argparse.Namespace) -> None:

@@ -6,7 +6,6 @@ import hashlib
 import lzma
 import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ import py7zr
 
 from p2wss.data import files
 from p2wss.data.listing import with_companions
+from p2wss.data.temporary import temporary_folder
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
@@ -62,7 +62,7 @@ def unpack(archive: Path, bounds: Bounds, folder: Path) -> list[Path]:
         missing = [name for name, path in grids.items() if not path.is_file()]
         if missing:
             folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(prefix=".unpacking-", dir=folder) as work:
+            with temporary_folder("unpacking", folder) as work:
                 content.extract(work, targets=missing)
                 for name in missing:
                     with files.atomic(grids[name]) as temporary:

@@ -1,4 +1,4 @@
-"""Names of temporary files, by which those of killed processes are known and removed."""
+"""Temporary files and folders, and their names, by which those of killed processes are known and removed."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import os
 import re
 import shutil
 import socket
+import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -43,6 +45,18 @@ def remove_leftovers(folder: Path) -> None:
                         shutil.rmtree(entry.path)
                     else:
                         os.unlink(entry.path)
+
+
+@contextmanager
+def temporary_folder(stem: str, parent: str | Path | None = None) -> Iterator[Path]:
+    """A hidden folder in ``parent``, or where the system keeps temporary files; it is removed at the end of the block.
+
+    Those that killed processes left there are removed too.
+    """
+    parent = Path(parent or tempfile.gettempdir())
+    remove_leftovers(parent)
+    with tempfile.TemporaryDirectory(prefix=temporary_prefix(stem), dir=parent) as folder:
+        yield Path(folder)
 
 
 def is_running(process: int) -> bool:

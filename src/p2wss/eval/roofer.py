@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import subprocess
-import tempfile
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -22,6 +21,7 @@ from p2wss.config import Eval
 from p2wss.data import files, reasons
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.schemas.crops import REAL
+from p2wss.data.temporary import temporary_folder
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.recording import ID_FIELD, LOD, Recording
@@ -48,12 +48,12 @@ def run(
     clock = clock or CpuClock()
     for (dataset, tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
         members = list(group)
-        with tempfile.TemporaryDirectory(prefix="p2wss-roofer-") as folder:
-            write_inputs(members, crs.get(dataset), Path(folder))
+        with temporary_folder("roofer") as folder:
+            write_inputs(members, crs.get(dataset), folder)
             with clock.timed(dataset, len(members)):
-                solids, reason = _run_tile(roofer, members, Path(folder), config)
+                solids, reason = _run_tile(roofer, members, folder, config)
             if config.roofer_keep:
-                _keep(_outputs(Path(folder)), dataset, tile, Path(config.roofer_keep))
+                _keep(_outputs(folder), dataset, tile, Path(config.roofer_keep))
         for case in members:
             solid = solids.get(case.building.building_id)
             by_key[case.key] = (

@@ -10,7 +10,6 @@ import os
 import shlex
 import shutil
 import subprocess
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any
 from p2wss.config import Prepare
 from p2wss.data import files
 from p2wss.data.las_classes import GROUND_CLASS
-from p2wss.data.temporary import temporary_prefix
+from p2wss.data.temporary import temporary_folder
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.cloud import append_checksum, count_classes
@@ -139,8 +138,8 @@ def run(
     """
     # PDAL runs in a temporary folder with plain file names: in a container it may see no other folder
     out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=temporary_prefix(out.name), dir=out.parent) as name:
-        folder = Path(name).resolve()
+    with temporary_folder(out.name, out.parent) as folder:
+        folder = folder.resolve()
         folder.chmod(0o755)  # a container may run as another user
         local_names = [f"{number}.laz" for number in range(len(paths))]
         for path, local_name in zip(paths, local_names, strict=True):

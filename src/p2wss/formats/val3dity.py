@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import subprocess
-import tempfile
 from pathlib import Path
 from typing import Any
 
+from p2wss.data.temporary import temporary_folder
 from p2wss.errors import InputError
 
 
@@ -16,8 +16,8 @@ def report(program: str, path: Path) -> dict[str, list[str]]:
 
     Raises :class:`InputError` if it cannot be run or gives no report.
     """
-    with tempfile.TemporaryDirectory(prefix="p2wss-val3dity-") as folder:
-        file = Path(folder) / "report.json"
+    with temporary_folder("val3dity") as folder:
+        file = folder / "report.json"
         try:
             run = subprocess.run(
                 [program, "--report", str(file), str(path.resolve())],

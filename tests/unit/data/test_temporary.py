@@ -23,6 +23,17 @@ with files.atomic(sys.argv[1]) as path:
 """
 
 
+def test_folders_of_killed_processes_are_removed_too(tmp_path: Path) -> None:
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    old = tmp_path / temporary.temporary_prefix("roofer").replace(f"-{os.getpid()}-", f"-{ended.pid}-")
+    old.mkdir()
+    (old / "input.laz").touch()
+    with temporary.temporary_folder("roofer", tmp_path) as folder:
+        assert folder.is_dir() and list(tmp_path.iterdir()) == [folder]
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_files_of_killed_processes_are_removed_and_others_stay(tmp_path: Path) -> None:
     command = [sys.executable, "-c", WRITER]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
