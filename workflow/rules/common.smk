@@ -13,6 +13,8 @@ from p2wss.provenance import fingerprint
 
 # numpy asks the kernel for huge pages, which costs a scan a fifth of its time
 os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
+# a training stops, with a checkpoint, when the Snakemake that started it was killed
+os.environ["P2WSS_WORKFLOW_PROCESS"] = str(os.getpid())
 
 try:
     settings = configs.load(dict(config))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,7 @@ from torch import Tensor, nn
 from p2wss.config import Compute, Optimiser, Section
 from p2wss.data.progress import Progress
 from p2wss.data.seeds import derive_seed
+from p2wss.data.temporary import is_running
 from p2wss.errors import InputError
 from p2wss.nets import distributed
 from p2wss.nets.metrics_log import MetricsLog
@@ -29,6 +31,8 @@ from p2wss.nets.training_state import TrainingState
 log = logging.getLogger("p2wss")
 
 METRICS_EVERY_STEPS = 20
+# the process of the Snakemake that started this one, see workflow/rules/common.smk
+WORKFLOW_VARIABLE = "P2WSS_WORKFLOW_PROCESS"
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,9 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
 
     Checkpoints and ``metrics.jsonl`` are written to the folder ``checkpoints``. If it holds a checkpoint of
     the same ``identity`` (config, code, data; JSON values), training resumes there; one of another identity is
-    discarded. On SIGTERM a checkpoint is written and the process exits with status 0. Of several processes
-    (see :mod:`distributed`) the main one writes. Raises :class:`InputError` when the loss is no longer finite.
+    discarded. On SIGTERM, or when the Snakemake that started it was killed, a checkpoint is written and the
+    process exits with status 0. Of several processes (see :mod:`distributed`) the main one writes. Raises
+    :class:`InputError` when the loss is no longer finite.
     """
     num_steps = plan.optimiser.num_steps
     state = TrainingState(task.module, plan.optimiser, plan.ema_decay)
@@ -76,7 +81,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
     metrics = MetricsLog(checkpoints, plan.compute.tensorboard)
     start = state.resume(checkpoints, identity)
     metrics.truncate(start)
-    with _sigterm_received() as received, Progress("training", num_steps, "steps", start) as progress:
+    with _told_to_stop() as told_to_stop, Progress("training", num_steps, "steps", start) as progress:
         for step in range(start, num_steps):
             rate = state.learning_rate
             losses = _take_step(task, state, plan, step)
@@ -89,7 +94,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
                 progress.update(done, f"loss {averages['loss']:.4f}")
             if checkpoint_due:
                 metrics.add({"step": done, **_validate(task, state, plan, done)})
-            stopping = done < num_steps and _any_process_stops(received(), done)
+            stopping = done < num_steps and _any_process_stops(told_to_stop(), done)
             if checkpoint_due or stopping:
                 state.save(checkpoints, done, identity)
             if stopping:
@@ -135,26 +140,32 @@ def _require_finite(loss: float, step: int) -> None:
         raise InputError(f"training: the loss is {loss} at step {step}: lower the learning rate")
 
 
-def _any_process_stops(received: bool, step: int) -> bool:
-    """Whether any process received the signal to stop. They ask one another only when metrics are due, because
+def _any_process_stops(stops: bool, step: int) -> bool:
+    """Whether any process is to stop. They ask one another only when metrics are due, because
     GPUs have to wait for the answer."""
     if distributed.num_processes() == 1:
-        return received
+        return stops
     if step % METRICS_EVERY_STEPS:
         return False
-    return distributed.average_values({"stop": float(received)})["stop"] > 0
+    return distributed.average_values({"stop": float(stops)})["stop"] > 0
 
 
 @contextmanager
-def _sigterm_received() -> Iterator[Callable[[], bool]]:
-    """Yields a function that says whether SIGTERM was received; the old handler is restored."""
+def _told_to_stop() -> Iterator[Callable[[], bool]]:
+    """Yields a function that says whether SIGTERM was received or Snakemake has ended; the old handler is restored."""
     received: list[int] = []
     try:
         old = signal.signal(signal.SIGTERM, lambda number, _frame: received.append(number))
     except ValueError:  # not in the main thread: the host handles signals
-        yield lambda: False
+        yield _workflow_ended
         return
     try:
-        yield lambda: bool(received)
+        yield lambda: bool(received) or _workflow_ended()
     finally:
         signal.signal(signal.SIGTERM, old)
+
+
+def _workflow_ended() -> bool:
+    """Whether the Snakemake that started this process was killed: the next one would train in the same folder."""
+    process = os.environ.get(WORKFLOW_VARIABLE, "")
+    return process.isdigit() and not is_running(int(process))

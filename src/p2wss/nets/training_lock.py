@@ -5,8 +5,10 @@ from __future__ import annotations
 import errno
 import fcntl
 import json
+import logging
 import os
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
@@ -17,22 +19,26 @@ from p2wss.data.temporary import is_running
 from p2wss.errors import InputError
 from p2wss.nets import distributed
 
+log = logging.getLogger("p2wss")
+
 FILE_NAME = "training.lock"
+# a training whose Snakemake was killed stops at its next step: this long, the one that follows waits for it
+_PATIENCE_S = 60.0
 
 
 @contextmanager
-def training_lock(checkpoints: Path) -> Iterator[None]:
+def training_lock(checkpoints: Path, patience_s: float = _PATIENCE_S) -> Iterator[None]:
     """Hold the folder of a training. The lock ends with the process, however that ends.
 
     Of several processes of a training the main one holds it. The file ``training.lock`` states host and process; one
-    that a killed training left is taken over. Raises :class:`InputError` if another training holds the folder, or if it
-    cannot be written to.
+    that a killed training left is taken over, and for one that is running this waits a little, because it may be about
+    to stop. Raises :class:`InputError` if another training holds the folder, or if it cannot be written to.
     """
     if not distributed.is_main_process():
         yield
         return
     path = checkpoints / FILE_NAME
-    descriptor = _locked(path)
+    descriptor = _patiently_locked(path, time.monotonic() + patience_s)
     try:
         holder = {
             "host": socket.gethostname(),
@@ -47,6 +53,25 @@ def training_lock(checkpoints: Path) -> Iterator[None]:
         os.close(descriptor)
         if not any(checkpoints.iterdir()):
             checkpoints.rmdir()
+
+
+class _HeldError(InputError):
+    """Another training holds the folder."""
+
+
+def _patiently_locked(path: Path, until: float) -> int:
+    """The open file of a lock that this process now holds, or will hold before ``until``."""
+    waiting = False
+    while True:
+        try:
+            return _locked(path)
+        except _HeldError as error:
+            if time.monotonic() >= until:
+                raise
+            if not waiting:
+                log.info("%s; waiting for it to stop", error)
+            waiting = True
+            time.sleep(0.2)
 
 
 def _locked(path: Path) -> int:
@@ -71,7 +96,7 @@ def _acquire(descriptor: int, path: Path) -> None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InputError(_held(path, _holder(descriptor))) from None
+        raise _HeldError(_held(path, _holder(descriptor))) from None
     except OSError as error:
         if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
@@ -79,7 +104,7 @@ def _acquire(descriptor: int, path: Path) -> None:
         holder = _holder(descriptor)
         on_this_host = holder.get("host") == socket.gethostname()
         if holder and not (on_this_host and not is_running(int(holder["process"]))):
-            raise InputError(f"{_held(path, holder)}; if it does not run any more, delete {path}") from None
+            raise _HeldError(f"{_held(path, holder)}; if it does not run any more, delete {path}") from None
 
 
 def _held(path: Path, holder: dict[str, Any]) -> str:

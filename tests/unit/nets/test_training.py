@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,6 +81,28 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     assert expected.keys() == resumed.keys()
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
     assert read_metrics(tmp_path / "one") == read_metrics(tmp_path / "two")
+
+
+def test_a_training_stops_with_a_checkpoint_once_its_snakemake_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = run(tmp_path / "one", Line())
+    snakemake = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+
+    class Orphan(Line):
+        def step(self, step: int) -> dict[str, Tensor]:
+            if step == 33:
+                snakemake.kill()
+                snakemake.wait()
+            return super().step(step)
+
+    monkeypatch.setenv(training.WORKFLOW_VARIABLE, str(snakemake.pid))
+    with pytest.raises(SystemExit) as stopped:
+        run(tmp_path / "two", Orphan())
+    assert stopped.value.code == 0 and (tmp_path / "two/step-00000034.pt").exists()
+    monkeypatch.setenv(training.WORKFLOW_VARIABLE, str(os.getpid()))
+    resumed = run(tmp_path / "two", Line())
+    assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
 def test_a_kill_without_warning_repeats_the_steps_since_the_last_checkpoint(tmp_path: Path) -> None:

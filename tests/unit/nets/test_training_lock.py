@@ -36,7 +36,7 @@ def test_the_second_training_is_refused_and_a_killed_one_replaced(tmp_path: Path
             assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
             with (
                 pytest.raises(InputError, match=rf"another .*process {holder.pid} on"),
-                training_lock(folder),
+                training_lock(folder, patience_s=0),
             ):
                 pass
             assert json.loads((folder / FILE_NAME).read_text())["process"] == holder.pid
@@ -60,7 +60,7 @@ def test_a_file_system_without_locks_goes_by_the_process(
     with (
         training_lock(tmp_path),
         pytest.raises(InputError, match="another training runs"),
-        training_lock(tmp_path),
+        training_lock(tmp_path, patience_s=0),
     ):
         pass
     ended = subprocess.Popen([sys.executable, "-c", ""])
@@ -70,6 +70,19 @@ def test_a_file_system_without_locks_goes_by_the_process(
     (tmp_path / FILE_NAME).write_text(json.dumps(state))
     with training_lock(tmp_path):
         pass
+
+
+def test_a_training_waits_for_one_that_is_about_to_stop(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", HOLDER.replace("60", "1"), tmp_path]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as holder:
+        assert holder.stdout is not None and holder.stdout.readline() == b"held\n"
+        with caplog.at_level("INFO", "p2wss"), training_lock(tmp_path):
+            pass
+    assert holder.returncode == 0
+    assert [record.getMessage() for record in caplog.records if "waiting" in record.getMessage()]
 
 
 def test_no_file_is_unpickled() -> None:
