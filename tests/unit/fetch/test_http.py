@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import requests
 from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
@@ -174,6 +175,17 @@ def test_a_redirect_to_another_host_is_refused_unless_it_is_listed(httpserver: H
         client().get(httpserver.url_for("/old"))
     assert len(httpserver.log) == 1
     assert client(redirect_hosts=["127.0.0.1"]).get(httpserver.url_for("/old")) == b"fine"
+
+
+def test_a_redirect_out_of_tls_is_refused() -> None:
+    response = requests.Response()
+    response.status_code, response.url = 302, "https://data.example/old"
+    session = client().session
+    response.headers["Location"] = "https://data.example/new"
+    assert session.get_redirect_target(response) == "https://data.example/new"
+    response.headers["Location"] = "http://data.example/new"
+    with pytest.raises(InputError, match="/old: redirects from https to http, which is refused"):
+        session.get_redirect_target(response)
 
 
 def test_a_decompression_bomb_is_refused_before_it_is_whole(httpserver: HTTPServer, tmp_path: Path) -> None:

@@ -295,6 +295,11 @@ def test_footprints_that_the_cloud_contradicts_are_flagged_with_the_area() -> No
     assert rows[2].roof_outside_m2 == pytest.approx(25, abs=8)
 
 
+def test_a_building_without_a_footprint_extends_none_of_its_neighbours() -> None:
+    rows = flags_of(BLOCK, shapely.union_all([*BLOCK, shapely.box(21, 0, 27, 6)]))
+    assert [(row.flags, row.roof_outside_m2) for row in rows] == [((), 0.0)] * 3
+
+
 @pytest.mark.parametrize(("roof", "shift"), [(0.9, (0.0, 0.0)), (0.0, (0.2, 0.1)), (-0.5, (0.0, 0.0))])
 def test_eaves_and_small_errors_are_no_contradiction(roof: float, shift: tuple[float, float]) -> None:
     result = register(frame_of(BLOCK, shift), cloud_of(roofs(roof)))

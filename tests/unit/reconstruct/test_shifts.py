@@ -1,0 +1,58 @@
+"""The steps of edges and the shift that follows from them, on points whose answer is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from p2wss.reconstruct.shifts import Steps, edge_steps, solve_shift
+
+# the outside is on the right: at x > 0
+WALL = np.array([[0.0, 0.0, 0.0, 10.0]])
+
+
+def steps_of(roofs: list[tuple[float, float]], footprints: list[tuple[float, float]]) -> Steps:
+    """The steps of the wall. Roofs and footprints of its block: ranges of x; ground everywhere else."""
+    draw = np.random.default_rng(0)
+    x_m, y_m = draw.uniform(-2, 2, 800), draw.uniform(0, 10, 800)
+    weight = np.full(800, -1.0)
+    block_of_point = np.full(800, -1)
+    for low, high in roofs:
+        weight[(x_m > low) & (x_m < high)] = 1.0
+    for low, high in footprints:
+        block_of_point[(x_m > low) & (x_m < high)] = 0
+    return edge_steps(WALL, np.zeros(1, np.int64), x_m, y_m, weight, block_of_point)
+
+
+@pytest.mark.parametrize("offset_m", [-0.3, 0.0, 0.4])
+def test_a_wall_has_its_step_where_the_roof_ends(offset_m: float) -> None:
+    steps = steps_of([(-2, offset_m)], [(-2, 0)])
+    assert steps.offset_m == pytest.approx([offset_m], abs=0.06)
+    assert not steps.is_missing.any()
+
+
+def test_the_other_side_of_a_narrow_yard_is_no_part_of_the_step() -> None:
+    assert steps_of([(-2, 0), (0.5, 2)], [(-2, 0), (0.5, 2)]).offset_m == pytest.approx([0], abs=0.06)
+
+
+def test_ground_behind_a_narrow_part_is_no_part_of_the_step() -> None:
+    assert steps_of([(-0.4, 0)], [(-0.4, 0)]).offset_m == pytest.approx([0], abs=0.06)
+
+
+def test_an_edge_without_a_building_is_missing() -> None:
+    steps = steps_of([], [(-2, 0)])
+    assert np.isnan(steps.offset_m).all() and steps.is_missing.all()
+
+
+def test_one_wrong_step_hardly_moves_a_block() -> None:
+    """Eight edges around a block that is 0.4 m and 0.2 m off; an annex without a footprint hides one of them."""
+    corner = np.array([[0, 0], [6, 0], [12, 0], [12, 5], [12, 10], [6, 10], [0, 10], [0, 5.0]])
+    edge = np.column_stack([corner, np.roll(corner, -1, axis=0)])
+    along = edge[:, 2:] - edge[:, :2]
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    offset_m = normal @ [0.4, 0.2]
+    offset_m[0] += 1.2
+    steps = Steps(offset_m, np.full(8, 0.1), np.zeros(8, bool))
+    estimate = solve_shift(edge, steps, np.zeros(2), 0.0, np.array([6.0, 5.0]), False)
+    assert estimate.shift_m == pytest.approx([0.4, 0.2], abs=0.05)
+    assert estimate.num_steps == 8 and estimate.step_share == 1.0
