@@ -39,7 +39,7 @@ _PAPER = {
 
 
 class Ablation(Section):
-    """Variants of the model with single settings changed (target ablation)."""
+    """Variants of the model with individual settings changed (target ablation)."""
 
     variants: dict[Annotated[str, Field(pattern=r"^[a-z0-9_]+$")], dict[str, Any]] = Field(
         {
@@ -62,5 +62,5 @@ class Ablation(Section):
             "no_edges": _NO_EDGES,
         },
         min_length=1,
-        description="name of a variant: changes to section model; each variant is trained once",
+        description="for each variant, by name: its changes of section model; each variant is trained once",
     )

@@ -19,8 +19,8 @@ class Crops(Section):
     footprint_error_m: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] = (
         Field(
             (0, 0),
-            description="errors of the footprints of simulated crops: standard deviations, along either axis, of the "
-            "shift of each block and of the noise of each vertex; the labels stay exact",
+            description="simulated map errors of footprints: standard deviations, along each axis, of the "
+            "shift of each block and of the noise of each vertex; labels stay exact",
         )
     )
     min_points: int = Field(20, ge=1, description="buildings with fewer points are excluded")
@@ -31,11 +31,13 @@ class Crops(Section):
     )
     split: Literal["blocks", "train", "val", "test"] = Field(
         "blocks",
-        description="blocks = split by location, see below; else all buildings are in the named split",
+        description="blocks = split by location, see below; otherwise all buildings are in the named split",
     )
     block_size_m: float = Field(
         125, gt=0, description="edge length of the square blocks that are assigned to train, val or test"
     )
     guard_m: float = Field(
-        10, ge=0, description="val and test buildings closer than this to another split are not used"
+        10,
+        ge=0,
+        description="val and test buildings closer than this to a building of another split are not used",
     )

@@ -10,20 +10,20 @@ from p2wss.config.base import Section
 
 
 class Member(Section):
-    """A region of the data set: what differs from the other sections of the config."""
+    """A region of the data set: the settings that differ from the other sections of the config."""
 
     name: str = Field(
         pattern=r"^[A-Za-z0-9_-]*[A-Za-z_-][A-Za-z0-9_-]*$",
-        description="names its folders; not a number alone, which would be a draw",
+        description="name of the folders of this member; must not be a number, because numbers name draws",
     )
     draws: int = Field(
         1,
         ge=1,
         le=999,
-        description="times that heights, roofs and survey are drawn, each with seeds of its own",
+        description="number of random draws of heights, roofs and survey, each with its own seeds",
     )
     split: Literal["", "blocks", "train", "val", "test"] = Field(
-        "", description="crops.split of this member; '' = as in section crops"
+        "", description="value of crops.split for this member; '' = as in section crops"
     )
     region: dict[str, Any] = Field({}, description="settings of section region that differ for this member")
     fetch: dict[str, Any] = Field({}, description="settings of section fetch that differ for this member")
@@ -32,23 +32,31 @@ class Member(Section):
 
 
 class Dataset(Section):
-    """Several regions as one data set, and how many of their buildings are used."""
+    """Several regions combined in one data set, and the number of their buildings to use."""
 
     name: str = Field(
         "", pattern=r"^[A-Za-z0-9_-]*$", description="results go to results/<name>; '' = region.name"
     )
-    members: list[Member] = Field([], description="regions with their draws; [] = the one of section region")
-    seed: int = Field(0, ge=0, description="seed of the choice of buildings")
+    members: list[Member] = Field(
+        [], description="regions with their draws; [] = only the region of section region"
+    )
+    seed: int = Field(0, ge=0, description="seed of the selection of buildings")
     num_pairs: int = Field(
         0,
         ge=0,
-        description="simulated buildings to use, chosen at random: 80 % train, 10 % val, 10 % test; 0 = all",
+        description="number of simulated buildings to use, selected at random: 80 % train, 10 % val, 10 % "
+        "test; 0 = all",
     )
     num_lidar_dvae: int = Field(
-        0, ge=0, description="real clouds for the training of the dvae; 0 = all, also those of the test"
+        0,
+        ge=0,
+        description="number of real clouds for the training of the dVAE; 0 = all, including those of the "
+        "test",
     )
     num_lidar_test: int = Field(
-        0, ge=0, description="other real clouds for the evaluation; 0 = all, also those of the dvae"
+        0,
+        ge=0,
+        description="number of other real clouds for the evaluation; 0 = all, including those of the dVAE",
     )
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ class Dvae(Section):
 
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
     num_points: int = Field(
-        768, ge=64, le=1_000_000, description="number of points used per cloud; larger clouds are thinned"
+        768, ge=64, le=1_000_000, description="number of points used per cloud; larger clouds are subsampled"
     )
     min_points: int = Field(64, ge=1, description="clouds with fewer points are not used for training")
     num_patches: int = Field(
@@ -35,7 +35,7 @@ class Dvae(Section):
         0.0625,
         gt=0,
         le=1,
-        description="temperature of the Gumbel softmax from half of the training on; it starts at 1",
+        description="temperature of the Gumbel softmax in the second half of the training; it starts at 1",
     )
     kl_weight: float = Field(
         0.1,
@@ -45,9 +45,9 @@ class Dvae(Section):
     use_lidar: bool = Field(True, description="also train on real LiDAR, because this stage needs no labels")
     optimiser: Optimiser = Optimiser()
     checkpoint_every_steps: int = Field(
-        100, ge=1, description="number of steps between checkpoints; validation runs as often"
+        100, ge=1, description="number of steps between checkpoints, and between validations"
     )
     num_validation: int = Field(
-        128, ge=1, description="number of clouds of the split val that are measured during training"
+        128, ge=1, description="number of clouds of the split val used for validation during training"
     )
     compute: Compute = Compute()

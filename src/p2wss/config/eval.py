@@ -14,17 +14,20 @@ class Eval(Section):
 
     seed: int = Field(0, ge=0, description="seed of the points sampled on meshes")
     baselines: list[Literal["lod1", "constant", "roofer"]] = Field(
-        ["lod1", "constant", "roofer"], description="methods to compare with; roofer only if it is installed"
+        ["lod1", "constant", "roofer"], description="baseline methods; roofer only if it is installed"
     )
     shards_per_job: int = Field(
-        16, ge=1, description="shards (tiles) that one job reconstructs or measures, one after the other"
+        16,
+        ge=1,
+        description="number of shards (tiles) that one job reconstructs or measures, one after the other",
     )
     lidar_name: str = Field(
         "",
-        description="name of the clouds of region.lidar_tiles in the report; '' = the product of fetch.sources",
+        description="name of the clouds of region.lidar_tiles in the report; '' = the product stated in "
+        "fetch.sources",
     )
     attribution: list[str] = Field(
-        [], description="lines in the footer of the report, besides those of fetch.sources"
+        [], description="additional lines in the footer of the report, besides those of fetch.sources"
     )
     num_samples: int = Field(
         2048, gt=0, description="number of points sampled on each mesh for the Chamfer distance"
@@ -32,13 +35,16 @@ class Eval(Section):
     max_num_points: int = Field(
         2048,
         gt=0,
-        description="largest number of points of a cloud used for the Chamfer distance (a random subset)",
+        description="maximum number of points of a cloud used for the Chamfer distance (a random subset)",
     )
     num_resamples: int = Field(
         1000, ge=10, description="number of bootstrap resamples for each 95 % interval"
     )
     num_worst: int = Field(
-        20, ge=0, le=100, description="number of worst buildings shown per dataset, with the likely reason"
+        20,
+        ge=0,
+        le=100,
+        description="number of worst buildings shown per dataset, each with its likely cause",
     )
     num_pictures: int = Field(
         2,
@@ -48,14 +54,17 @@ class Eval(Section):
     )
     roofer_command: str = Field(
         "roofer",
-        description="command and options of Roofer ({folder} = the folder with its files, for containers); '' = never",
+        description="command and options of Roofer ({folder} = the folder with its files, for containers); "
+        "'' = never",
     )
     roofer_recorded: str = Field(
         "",
-        description="recorded results of Roofer (folder of CityJSON), used where it is not installed; '' = none",
+        description="recorded outputs of Roofer (a folder of CityJSON), used if it is not installed; '' = "
+        "none",
     )
     roofer_keep: str = Field(
         "",
-        description="folder in which to keep the output of Roofer, to be given as roofer_recorded later; '' = none",
+        description="folder in which to store the output of Roofer, for later use as roofer_recorded; '' = "
+        "none",
     )
-    roofer_timeout_s: float = Field(3600, gt=0, description="longest run of Roofer on one tile")
+    roofer_timeout_s: float = Field(3600, gt=0, description="time limit of Roofer for one tile")

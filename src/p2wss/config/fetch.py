@@ -19,31 +19,33 @@ class Folder(Section):
     )
     footprints_layer: str = Field("batiment", description="layer to read from a file that has several layers")
     footprints_schema: SchemaName = Field(
-        "bdtopo", description="columns of the footprints (ids, heights, floors); auto = as they look"
+        "bdtopo",
+        description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
+        "recognise it from the columns",
     )
     dtm: str = Field(
         "tests/mini/rgealti",
-        description="RGE ALTI as .asc, in .7z archives as delivered, or as GeoTIFF: a file, a folder or a pattern",
+        description="RGE ALTI as .asc, in .7z archives as delivered, or as GeoTIFF: a file, a folder or a "
+        "pattern",
     )
     lidar: str = Field(
         "tests/mini/lidar", description="LAS, LAZ or COPC files: a file, a folder or a pattern"
     )
     lidar_crs: str = Field(
         "",
-        description="CRS of these clouds if not region.crs; PDAL reprojects them; '' = region.crs",
+        description="CRS of these clouds if it differs from region.crs, so that PDAL reprojects them; '' = "
+        "region.crs",
     )
 
 
 class Geoplateforme(Section):
-    """Source geoplateforme: IGN's services, with names and limits as of 2026."""
+    """Source geoplateforme: IGN's services, with their names and limits as of 2026."""
 
-    wfs_url: str = Field(
-        "https://data.geopf.fr/wfs/ows", description="address of the vector service (WFS 2.0)"
-    )
-    wms_url: str = Field("https://data.geopf.fr/wms-r", description="address of the raster service (WMS 1.3)")
+    wfs_url: str = Field("https://data.geopf.fr/wfs/ows", description="URL of the vector service (WFS 2.0)")
+    wms_url: str = Field("https://data.geopf.fr/wms-r", description="URL of the raster service (WMS 1.3)")
     footprints_type: str = Field("BDTOPO_V3:batiment", description="WFS feature type of the footprints")
     footprints_id: str = Field(
-        "cleabs", description="id attribute; pages are sorted by it, and repeated features are removed by it"
+        "cleabs", description="id attribute, used to sort the pages and to remove duplicate features"
     )
     page_size: int = Field(
         1000, ge=1, le=5000, description="number of features per request; the service allows 5000"
@@ -59,51 +61,64 @@ class Geoplateforme(Section):
         "image/geotiff", description="image format of the heights; both formats hold float32"
     )
     dtm_resolution_m: float = Field(
-        1.0, gt=0, description="cell size of the terrain, cells centred on multiples of it; 0.5 for LiDAR HD"
+        1.0, gt=0, description="cell size of the terrain; cell centres are multiples of it; 0.5 for LiDAR HD"
     )
     dtm_max_pixels: int = Field(
-        4000, ge=1, le=10000, description="pixels per side of one request; the service allows 10000"
+        4000,
+        ge=1,
+        le=10000,
+        description="largest number of pixels per side of a request; the service allows 10000",
     )
     dtm_nodata_below_m: float = Field(
-        -9998, description="lower heights are no data: -9999 in LiDAR HD, -99999 in RGE ALTI"
+        -9998, description="heights below this value mean no data: -9999 in LiDAR HD, -99999 in RGE ALTI"
     )
     lidar_types: list[str] = Field(
         ["IGNF_LIDAR-HD_METADONNEE:metadata", "IGNF_NUAGES-DE-POINTS-LIDAR-HD:dalle"],
         description="WFS feature types that list the LiDAR tiles, tried in order",
     )
     lidar_url_fields: list[str] = Field(
-        ["url_npl", "url"], description="attributes that may hold the address of a LiDAR tile, tried in order"
+        ["url_npl", "url"], description="attributes that may hold the URL of a LiDAR tile, tried in order"
     )
     lidar_window_share: Share = Field(
         0.3,
-        description="read only the needed window of a COPC tile if it is less than this share; 0 = never",
+        description="read only the needed window of a COPC tile if it is less than this share of the tile; 0 "
+        "= never",
     )
     requests_per_s: float = Field(
-        1.0, gt=0, description="highest request rate; the services usually allow more"
+        1.0, gt=0, description="maximum request rate; the services usually allow more"
     )
     timeout_s: float = Field(60, gt=0, description="time without a response after which a request fails")
-    max_attempts: int = Field(6, ge=1, description="attempts per request while the service is busy or fails")
-    max_wait_s: float = Field(600, gt=0, description="longest total time of a request with all its attempts")
+    max_attempts: int = Field(
+        6, ge=1, description="maximum number of attempts per request while the service is busy or fails"
+    )
+    max_wait_s: float = Field(
+        600, gt=0, description="maximum total time of a request, including all attempts"
+    )
     max_response_mb: float = Field(
         500,
         gt=0,
-        description="largest response, after decompression, of a request other than for a LiDAR tile",
+        description="maximum size of a response after decompression, except for LiDAR tiles",
     )
     max_download_mb: float = Field(
-        20_000, gt=0, description="largest LiDAR tile to download; LiDAR HD's have up to about 1,000"
+        20_000,
+        gt=0,
+        description="maximum size of a LiDAR tile to download; tiles of LiDAR HD have up to about 1,000 MB",
     )
     redirect_hosts: list[str] = Field(
-        [], description="other hosts to which a service may redirect; a redirect to any other host is refused"
+        [],
+        description="additional hosts to which a service may redirect; a redirect to any other host is "
+        "rejected",
     )
     user_agent: str = Field("p2wss", description="User-Agent header of the requests")
 
 
 class Prepare(Section):
-    """Preparation of real clouds: crop to the tile and its margin, and find ground points with PDAL."""
+    """Preparation of real clouds: crop to the tile and its margin, and classify ground points with PDAL."""
 
     mode: Literal["never", "auto", "pdal"] = Field(
         "auto",
-        description="when to run PDAL: never, auto = on clouds without ground points (class 2), pdal = on all",
+        description="when to run PDAL: never; auto = on clouds without ground points (class 2); pdal = on "
+        "all clouds",
     )
     pdal_command: str = Field(
         "pdal",
@@ -113,7 +128,7 @@ class Prepare(Section):
         "config/pdal/prepare.json",
         description="PDAL filters in order; those tagged if_no_ground_.. run only on clouds without class 2",
     )
-    pdal_timeout_s: float = Field(7200, gt=0, description="longest run of PDAL on one tile")
+    pdal_timeout_s: float = Field(7200, gt=0, description="time limit of PDAL for one tile")
 
 
 class Fetch(Section):
@@ -125,7 +140,7 @@ class Fetch(Section):
     )
     offline: bool = Field(
         False,
-        description="send no request: use only resources/ign/<vintage>/downloads, and report what is missing",
+        description="send no requests: use only resources/ign/<vintage>/downloads, and report missing files",
     )
     sources: str = Field(
         "config/sources.csv",
@@ -134,7 +149,8 @@ class Fetch(Section):
     margin_m: float = Field(
         100,
         ge=0,
-        description="margin around the region (footprints) or tile (terrain, LiDAR); at least scenes.margin_m + 30",
+        description="margin around the region (footprints) or tile (terrain, LiDAR); at least "
+        "scenes.margin_m + 30",
     )
     prepare: Prepare = Prepare()
     folder: Folder = Folder()

@@ -11,14 +11,16 @@ from p2wss.config.training import Compute, Optimiser
 
 
 class Masking(Section):
-    """What is masked during training, for the model to predict. The paper: random tokens only, of no stated share."""
+    """What is masked during training, for the model to predict. The paper: random tokens only (share not stated)."""
 
     inference_share: Share = Field(
         0.8,
         description="share of samples with all digits of height and angles masked, as at inference",
     )
     table1_share: Share = Field(
-        0.1, description="share of samples with all digits masked; the others have random tokens masked"
+        0.1,
+        description="share of samples with all digits masked; in the remaining samples, random tokens are "
+        "masked",
     )
     random_ratio: tuple[Share, Share] = Field(
         (0.15, 1.0), description="range of the share of tokens masked at random"
@@ -35,7 +37,9 @@ class Augmentation(Section):
     scale: tuple[float, float] = Field(
         (0.8, 1.25), description="range of the scale applied to the whole building; [1, 1] = off"
     )
-    lift_m: float = Field(2.0, ge=0, description="largest shift up or down of everything above the ground")
+    lift_m: float = Field(
+        2.0, ge=0, description="maximum vertical shift, up or down, of everything above the ground"
+    )
     jitter_m: float = Field(0.02, ge=0, description="standard deviation of the noise added to the points")
     keep_points: tuple[Share, Share] = Field(
         (0.4, 1.0), description="range of the share of points that are kept; [1, 1] = off"
@@ -52,16 +56,17 @@ class LossWeights(Section):
     sequence: float = Field(1.0, ge=0, description="weight of predicting masked parameter tokens")
     modal: float = Field(0.1, ge=0, description="weight of the alignment of both encoders")
     match: float = Field(
-        0.1, ge=0, description="weight of the matching of pairs after the cross-modality encoders"
+        0.1, ge=0, description="weight of the matching loss after the cross-modality encoders"
     )
 
 
 class Decoding(Section):
-    """How probabilities of digits become values. The paper: argmax, all, 1."""
+    """How the probabilities of digits are turned into values. The paper: argmax, all, 1."""
 
     mode: Literal["argmax", "median"] = Field(
         "median",
-        description="argmax = likeliest digit at each place; median = of the joint distribution of all digits",
+        description="argmax = the most likely digit at each position; median = the median of the joint "
+        "distribution of all digits",
     )
     angle_support: Literal["roofs", "all"] = Field(
         "roofs", description="angles that may be predicted: roofs = 0, 90 and 20 to 45; all = 0 to 90"
@@ -81,7 +86,7 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
-    weights: str = Field("", description="file of trained weights to use instead of training; '' = train")
+    weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
     max_vertices: int = Field(
         16, ge=3, le=128, description="buildings with more vertices are not used for training"
@@ -94,7 +99,7 @@ class Model(Section):
     num_heads: int = Field(4, ge=1, le=256, description="number of attention heads; must divide dim")
     mlp_ratio: float = Field(4.0, gt=0, le=64, description="hidden width of the MLPs, as a multiple of dim")
     drop_path: Share = Field(
-        0.0, description="rate of stochastic depth at the last block, less in earlier blocks"
+        0.0, description="rate of stochastic depth in the last block; lower in earlier blocks"
     )
     cloud_depth: int = Field(2, ge=1, le=128, description="number of blocks of the point cloud encoder")
     sequence_depth: int = Field(1, ge=1, le=128, description="number of blocks of the parameter encoder")
@@ -106,11 +111,13 @@ class Model(Section):
         0.25,
         gt=0,
         le=1,
-        description="share of a batch with the losses cloud, modal and match; the paper: 1",
+        description="share of each batch for which the losses cloud, modal and match are computed; the "
+        "paper: 1",
     )
     match_balanced: bool = Field(
         True,
-        description="pairs and non-pairs weigh equally in the matching loss; false = 0.1 and 0.9 as in the paper",
+        description="matching and non-matching pairs have equal weight in the matching loss; false = 0.1 and "
+        "0.9 as in the paper",
     )
     ground_relative: bool = Field(True, description="patches also encode their height above the ground")
     numerical_encoding: bool = Field(
@@ -127,7 +134,7 @@ class Model(Section):
         0.99,
         ge=0,
         lt=1,
-        description="decay of the moving average of the weights, which is what is saved; 0 = off",
+        description="decay of the moving average of the weights; the averaged weights are saved; 0 = off",
     )
     loss_weights: LossWeights = LossWeights()
     masking: Masking = Masking()
@@ -135,10 +142,10 @@ class Model(Section):
     decoding: Decoding = Decoding()
     optimiser: ModelOptimiser = ModelOptimiser()
     checkpoint_every_steps: int = Field(
-        200, ge=1, description="number of steps between checkpoints; validation runs as often"
+        200, ge=1, description="number of steps between checkpoints, and between validations"
     )
     num_validation: int = Field(
-        128, ge=1, description="number of buildings of the split val that are measured during training"
+        128, ge=1, description="number of buildings of the split val used for validation during training"
     )
     compute: Compute = Compute()
 

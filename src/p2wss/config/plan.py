@@ -8,11 +8,13 @@ from p2wss.config.base import Section
 
 
 class Plan(Section):
-    """What p2wss plan assumes where nothing is counted yet; no result depends on it."""
+    """Assumptions of p2wss plan where no counts exist yet; no result depends on them."""
 
     buildings_per_km2: float = Field(
-        900, gt=0, description="usable buildings per km2 of the tiles; 900 as in the miniature, a small town"
+        900,
+        gt=0,
+        description="number of usable buildings per km2 of the tiles; 900 as in the miniature, a small town",
     )
     member_buildings_per_km2: dict[str, float] = Field(
-        {}, description="the same for single members of the data set, by their names"
+        {}, description="the same for individual members of the data set, by name"
     )

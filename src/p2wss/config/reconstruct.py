@@ -60,7 +60,8 @@ class Materials(Section):
     ground: MaterialName = Field("medium_dry_ground", description="material of the terrain of --terrain")
     from_footprints: bool = Field(
         True,
-        description="use the materials that BD TOPO's columns materiaux_des_murs and materiaux_de_la_toiture state",
+        description="use the materials stated in the BD TOPO columns materiaux_des_murs and "
+        "materiaux_de_la_toiture",
     )
 
 
@@ -68,62 +69,73 @@ SchemaName = Literal["auto", "bdtopo", "overture", "osm", "bag", "3dbag", "swiss
 
 
 class Outlines(Section):
-    """Outlines of buildings from the points alone, without footprints."""
+    """Building outlines derived from the points alone, without footprints."""
 
     cell_m: float = Field(
         0.5,
         gt=0,
         le=5,
-        description="cell in which points count; larger where a cell would have fewer than two points",
+        description="size of the cells in which points are counted; increased if a cell would hold fewer "
+        "than two points",
     )
     jump_m: float = Field(
         1.5,
         gt=0,
-        description="roofs that touch are two buildings where heights of neighbouring cells differ by more",
+        description="a block is split into buildings where the heights of neighbouring cells differ by more "
+        "than this",
     )
-    min_area_m2: float = Field(10, gt=0, description="smaller groups of buildings that touch are left out")
-    min_part_m2: float = Field(20, ge=0, description="smaller parts between jumps in height join a neighbour")
+    min_area_m2: float = Field(10, gt=0, description="blocks smaller than this are discarded")
+    min_part_m2: float = Field(
+        20,
+        ge=0,
+        description="parts between height discontinuities are merged with a neighbour if they are smaller than "
+        "this",
+    )
     max_area_m2: float = Field(
-        150, gt=0, description="larger buildings are split again at half the jump, down to 0.4 m"
+        150, gt=0, description="larger buildings are split again at half the height difference, down to 0.4 m"
     )
-    min_hole_m2: float = Field(8, ge=0, description="smaller courtyards are filled")
-    min_edge_m: float = Field(0.8, gt=0, description="shorter edges are removed from outlines")
+    min_hole_m2: float = Field(8, ge=0, description="courtyards smaller than this are filled")
+    min_edge_m: float = Field(0.8, gt=0, description="edges shorter than this are removed from outlines")
 
 
 class Reconstruct(Section):
     """Stage reconstruct: buildings from the user's LiDAR and footprints."""
 
     footprint_schema: SchemaName = Field(
-        "auto", description="columns of the footprints (ids, heights, floors); auto = as they look"
+        "auto",
+        description="source of the footprints, which defines the columns of ids, heights and storeys; auto = "
+        "recognise it from the columns",
     )
-    id_field: str = Field("", description="column of building ids; '' = that of the schema")
+    id_field: str = Field("", description="column with building ids; '' = that of footprint_schema")
     height_field: str = Field(
         "",
-        description="column with heights of buildings in metres above the ground; '' = those of the schema",
+        description="column with building heights in metres above the ground; '' = those of footprint_schema",
     )
     keep_columns: list[str] = Field(
-        ["all"], description="columns of the footprints to pass through to tables and CityJSON; [all] = all"
+        ["all"], description="columns of the footprints to copy to tables and CityJSON; [all] = all"
     )
     outputs: list[Output] = Field(
         ["cityjsonseq", "glb", "gpkg", "report"],
         min_length=1,
-        description="formats to write, besides a summary in JSON",
+        description="output formats to write, besides a JSON summary",
     )
     attribute_names: Literal["p2wss", "3dbag"] = Field(
-        "p2wss", description="names of attributes: ours, or those of 3DBAG where it has a name"
+        "p2wss", description="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one"
     )
     lods: list[Literal["1.2", "2.0"]] = Field(
         ["2.0"],
         min_length=1,
-        description="levels of detail in CityJSON; 1.2 = a block as high as 70 % of the roof",
+        description="levels of detail in CityJSON; 1.2 = a block with a flat roof at the 70th percentile of "
+        "the roof height",
     )
     per_building: bool = Field(
         False,
-        description="also write one glb, obj, ply and stl file per building, for those formats among outputs",
+        description="also write one file per building, for the formats glb, obj, ply and stl among outputs",
     )
     registration: bool = Field(
         True,
-        description="move blocks of footprints, by at most 3 m, to where the points clearly show the buildings",
+        description="move blocks of footprints, by at most 3 m, to where the points clearly show the "
+        "buildings",
     )
     buffer_m: float = Field(
         1, ge=0, le=20, description="distance from the footprint within which points belong to a building"
@@ -131,7 +143,8 @@ class Reconstruct(Section):
     min_num_points: int = Field(
         10,
         ge=1,
-        description="buildings with fewer points get a flat roof; those without any, at a stated height",
+        description="buildings with fewer points get a flat roof; without any points, at the height that the "
+        "footprint states",
     )
     simplify_m: float = Field(
         0.3,
@@ -152,29 +165,35 @@ class Reconstruct(Section):
         1,
         ge=1,
         le=36,
-        description="number of rotated views for the network before a fit; without a fit: model.decoding.num_rotations",
+        description="number of rotated views averaged by the network before a fit; without a fit, "
+        "model.decoding.num_rotations applies",
     )
     max_parts: int = Field(
         32,
         ge=1,
         le=64,
-        description="largest number of parts with their own eave height per building; 1 = the paper's model",
+        description="maximum number of parts per building, each with its own eave height; 1 = the model of "
+        "the paper",
     )
     dormers: bool = Field(
         True, description="also fit box dormers and other small boxes that rise out of a fitted roof"
     )
     detail: Literal["low", "normal", "high"] = Field(
         "normal",
-        description="what a part, dormer or recess has to gain: low = fewer triangles, high = nearer to the points",
+        description="level of detail, set by the penalty of a part, dormer or recess: low = fewer triangles, "
+        "high = nearer to the points",
     )
     max_wall_shift_m: float = Field(
         1,
         ge=0,
         le=5,
-        description="walls along which no roof reaches the footprint's edge move inwards by at most this; 0 = none",
+        description="maximum distance by which a wall moves inwards if the roof does not reach the edge of "
+        "the footprint; 0 = no moving",
     )
     not_representable_m: float = Field(
-        0.25, gt=0, description="fitted buildings with a larger mean distance of points to mesh are flagged"
+        0.25,
+        gt=0,
+        description="fitted buildings are flagged if their mean distance from points to mesh is larger",
     )
     outlines: Outlines = Outlines()
     materials: Materials = Materials()
@@ -183,31 +202,34 @@ class Reconstruct(Section):
     )
     split_materials: bool = Field(
         False,
-        description="a shape per material in Sionna scenes, which loses the edges between walls and roofs; "
-        "false = a shape per building, with the material of its walls",
+        description="one shape per material in Sionna scenes, which loses diffraction at the edges between "
+        "walls and roofs;"
+        "false = one shape per building, with the material of its walls",
     )
     map_cell_m: float = Field(
         2.0,
         gt=0,
         le=100,
-        description="cell of the terrain's top in Sionna scenes, the surface for radio maps",
+        description="cell size of the terrain surface for radio maps in Sionna scenes",
     )
     skin: bool = Field(
         False,
-        description="in mesh files, join the buildings of a block into one closed skin without party walls",
+        description="in mesh files, merge the buildings of a block into one closed skin without party walls",
     )
     skin_step_m: float = Field(
         0.1,
         ge=0,
         le=0.5,
-        description="with skin: roofs of neighbours that meet up to this far apart are joined without a step",
+        description="with skin: roofs of neighbours whose heights differ by at most this where they meet are "
+        "joined without a step",
     )
     skin_terrain: Literal["cut", "overlap"] = Field(
         "cut",
-        description="with skin and a terrain: cut = walls end on the terrain, which has a hole below buildings; "
-        "overlap = all are closed solids, and walls reach into the terrain",
+        description="with skin and a terrain: cut = walls end on the terrain, which has a hole below "
+        "buildings;"
+        "overlap = all meshes are closed solids, and walls extend into the terrain",
     )
-    wedges: bool = Field(False, description="also write the convex edges of the skin, as Parquet")
+    wedges: bool = Field(False, description="also write the convex edges of the skin to a Parquet file")
     terrain_tolerance_m: float = Field(
         0.2, gt=0, le=10, description="vertical tolerance of the triangulated terrain of --terrain"
     )

@@ -24,15 +24,19 @@ ClassPreset = Literal["las", "lidarhd", "ahn", "swisstopo", "ea", "custom"]
 
 
 class Classes(Section):
-    """Which classes of LiDAR points are building, ground and ignored, in crops and in reconstruct; all others may be on
-    a building that the classifier has missed."""
+    """Class codes of building, ground and ignored points, for crops and reconstruct.
+
+    Points of all other classes may be on a building that the classifier has missed.
+    """
 
     preset: ClassPreset = Field(
-        "las", description="classes of a producer, in p2wss.data.las_classes; custom = the lists below"
+        "las", description="class codes of a producer, see p2wss.data.las_classes; custom = the lists below"
     )
-    building: list[int] = Field([6], description="with preset custom: buildings")
-    ground: list[int] = Field([2], description="with preset custom: ground")
-    ignored: list[int] = Field([7, 18], description="with preset custom: left out, such as noise")
+    building: list[int] = Field([6], description="with preset custom: class codes of buildings")
+    ground: list[int] = Field([2], description="with preset custom: class codes of ground")
+    ignored: list[int] = Field(
+        [7, 18], description="with preset custom: class codes to ignore, such as noise"
+    )
 
 
 class Region(Section):
@@ -44,10 +48,12 @@ class Region(Section):
     vintage: str = Field(
         "mini",
         pattern=r"^[A-Za-z0-9_-][A-Za-z0-9_.-]*$",
-        description="edition of the source data; they are kept in resources/ign/<vintage>",
+        description="edition of the source data, which are stored in resources/ign/<vintage>",
     )
     crs: str = Field(
-        "EPSG:2154", description="projected CRS in metres, in which footprints, terrain and LiDAR must be"
+        "EPSG:2154",
+        description="projected CRS in metres of tiles and results; the terrain must be in it, other inputs "
+        "can be reprojected",
     )
     bounds_m: tuple[float, float, float, float] = Field(
         (652000, 6860000, 654000, 6862000), description="x_min, y_min, x_max, y_max of the region in the CRS"
@@ -57,11 +63,13 @@ class Region(Section):
     )
     tiles: list[str] = Field(
         ["0652_6862", "0653_6862", "0652_6861"],
-        description="tiles to process; [] = those within the bounds that have buildings, [all] = all within the bounds",
+        description="tiles to process; [] = the tiles within the bounds that have buildings, [all] = all "
+        "tiles within the bounds",
     )
     lidar_tiles: list[str] = Field(
         ["0653_6861"],
-        description="tiles with real (or stand-in) LiDAR, for evaluation and dvae; [] = none, [all] = all of tiles",
+        description="tiles with real (or stand-in) LiDAR, for the evaluation and the dVAE; [] = none, [all] "
+        "= the same tiles as in tiles",
     )
     classes: Classes = Classes()
 

@@ -29,7 +29,7 @@ class PatternShares(Section):
 
 
 class Clutter(Section):
-    """Clutter: objects on, beside and over buildings that are in no label; preset hd only."""
+    """Clutter: objects on, beside and above buildings that are not part of the labels; preset hd only."""
 
     dormer_share: Share = Field(0.1, description="share of buildings with one to three dormers, if they fit")
     chimney_share: Share = Field(0.4, description="share of buildings with a chimney")
@@ -47,14 +47,15 @@ class Clutter(Section):
         0.15, description="share of buildings with a garage or shed that is missing from the footprint"
     )
     trees_per_building: float = Field(
-        0.4, ge=0, le=3, description="mean number of trees per building, beside walls and over roofs"
+        0.4, ge=0, le=3, description="mean number of trees per building, beside walls and above roofs"
     )
     shade_share: Share = Field(
-        0.03, description="share of buildings with a wedge without points, as in a scan shadow"
+        0.03, description="share of buildings with a wedge-shaped gap in the points, as in a scan shadow"
     )
     lower_part_share: Share = Field(
         0.05,
-        description="share of buildings with a low flat part inside the footprint, such as a garage, if it fits",
+        description="share of buildings with a low flat-roofed part inside the footprint, such as a garage, "
+        "if it fits",
     )
     eave_overhang_share: Share = Field(
         0.5, description="share of buildings whose footprint follows the eaves, with walls set back from it"
@@ -70,8 +71,9 @@ class Scans(Section):
     seed: int = Field(0, ge=0, description="seed of the survey and its noise")
     preset: Literal["none", "paper", "hd"] = Field(
         "hd",
-        description="hd: mixed sensors as in LiDAR HD; paper: the paper's simulator, with only density_per_m2 "
-        "of the settings below; none: as hd, without any error",
+        description="hd: various sensors as in LiDAR HD; paper: the simulator of the paper, which uses only "
+        "density_per_m2"
+        "of the settings below; none: as hd, but without errors",
     )
     density_per_m2: float | None = Field(
         8,
@@ -89,24 +91,27 @@ class Scans(Section):
         (18, 22), description="scan angle off nadir, conical pattern"
     )
     line_half_angle_deg: HalfAngleRange = Field(
-        (20, 30), description="largest scan angle off nadir, other patterns"
+        (20, 30), description="maximum scan angle off nadir, other patterns"
     )
     speed_m_per_s: PositiveRange = Field((55, 80), description="speed of the aircraft")
     scan_rate_hz: PositiveRange = Field(
-        (100, 250), description="revolutions, lines or swings of the mirror per second"
+        (100, 250), description="revolutions, lines or oscillations of the mirror per second"
     )
     overlap: Annotated[
         tuple[Annotated[float, Field(ge=0, le=0.9)], Annotated[float, Field(ge=0, le=0.9)]],
         AfterValidator(_in_order),
     ] = Field((0.15, 0.55), description="overlap of neighbouring strips, as a share of the swath")
     cross_strip_share: Share = Field(
-        0.1, description="share of scenes with an additional strip across the others"
+        0.1, description="share of scenes with an additional strip perpendicular to the others"
     )
     drift_m: float = Field(
-        0.3, ge=0, le=10, description="standard deviation of the aircraft's deviation from its line, per axis"
+        0.3,
+        ge=0,
+        le=10,
+        description="standard deviation of the distance of the aircraft from its flight line, per axis",
     )
     attitude_deg: NonNegativeRange = Field(
-        (0.3, 1), description="largest roll, pitch and yaw of the aircraft"
+        (0.3, 1), description="maximum roll, pitch and yaw of the aircraft"
     )
     divergence_mrad: NonNegativeRange = Field((0.18, 0.3), description="beam divergence, full angle at 1/e2")
     range_noise_m: NonNegativeRange = Field(
@@ -134,15 +139,16 @@ class Scans(Section):
         0.03,
         ge=0,
         le=1,
-        description="weakest return: reflectance times cosine of incidence, at the planned altitude",
+        description="detection threshold of a return: reflectance times cosine of incidence, at the planned "
+        "altitude",
     )
     speckle: float = Field(
-        0.3, ge=0, le=1, description="relative standard deviation of the strength of a return"
+        0.3, ge=0, le=1, description="relative standard deviation of the intensity of a return"
     )
     clutter: Clutter = Clutter()
-    max_returns: int = Field(1, ge=1, le=7, description="hd: largest number of returns per pulse")
+    max_returns: int = Field(1, ge=1, le=7, description="hd: maximum number of returns per pulse")
     return_separation_m: float = Field(
-        0.8, gt=0, le=10, description="smallest distance between two returns of a pulse, along the beam"
+        0.8, gt=0, le=10, description="minimum distance between two returns of a pulse, along the beam"
     )
     keep_margin_m: float = Field(
         5, ge=0, le=100, description="margin around the tile and its buildings within which points are kept"

@@ -10,10 +10,10 @@ from p2wss.config.base import Section, Share
 
 
 class RoofShares(Section):
-    """Relative frequency of each roof type; a type impossible on a footprint is replaced by the nearest one."""
+    """Relative frequency of each roof type; a type that is impossible on a footprint is replaced by the nearest one."""
 
     gable: float = Field(
-        0.44, ge=0, description="two slopes, with a gable at each end; each wing has its own gables"
+        0.44, ge=0, description="two slopes with a gable at each end; each wing has its own gables"
     )
     hip: float = Field(0.18, ge=0, description="slopes on all sides")
     half_hip: float = Field(0.1, ge=0, description="one end hipped, the other a gable")
@@ -29,19 +29,20 @@ class RoofShares(Section):
 
 
 class Scenes(Section):
-    """Stage scenes: cut tiles, clean footprints, draw missing heights and roof angles."""
+    """Stage scenes: cut tiles, clean footprints, draw missing heights and roof angles at random."""
 
-    seed: int = Field(0, ge=0, description="seed of drawn heights and roof angles")
+    seed: int = Field(0, ge=0, description="seed of the random heights and roof angles")
     margin_m: float = Field(
         60,
         ge=0,
-        description="width of the margin whose buildings are also in the scene, because they occlude the tile",
+        description="width of the margin around a tile; its buildings are part of the scene because they may "
+        "occlude the tile",
     )
     snap_m: float = Field(
         0.1,
         ge=0,
         le=0.5,
-        description="gaps and overlaps of neighbouring footprints up to this width are closed; 0 = none",
+        description="gaps and overlaps between neighbouring footprints are closed up to this width; 0 = none",
     )
     simplify_m: float = Field(
         0.2,
@@ -53,35 +54,45 @@ class Scenes(Section):
         2.5,
         ge=0,
         le=10,
-        description="footprint edges parallel to within this angle become exactly parallel; 0 = no straightening",
+        description="footprint edges that are parallel to within this angle are made exactly parallel; 0 = "
+        "no straightening",
     )
     max_shift_m: float = Field(
-        0.05, ge=0, le=1, description="no footprint corner moves further than this to straighten edges"
+        0.05, ge=0, le=1, description="maximum displacement of a footprint corner by straightening"
     )
-    min_edge_m: float = Field(0.1, ge=0.01, le=5, description="shorter footprint edges are removed")
+    min_edge_m: float = Field(0.1, ge=0.01, le=5, description="footprint edges shorter than this are removed")
     min_area_m2: float = Field(
-        2, gt=0, description="smaller footprints are excluded, smaller courtyards are filled"
+        2,
+        gt=0,
+        description="footprints smaller than this are excluded, and courtyards smaller than this are filled",
     )
     max_edges: int = Field(1000, ge=3, le=5000, description="footprints with more edges are excluded")
-    min_eave_height_m: float = Field(1.5, gt=0, description="lower eave heights count as unknown")
-    max_eave_height_m: float = Field(99, gt=0, description="buildings with higher eaves are excluded")
+    min_eave_height_m: float = Field(1.5, gt=0, description="eave heights below this count as unknown")
+    max_eave_height_m: float = Field(
+        99, gt=0, description="buildings with eaves above this height are excluded"
+    )
     storey_height_m: float = Field(
-        3, gt=0, description="height of a storey, for buildings of which only the number of floors is known"
+        3,
+        gt=0,
+        description="height of a storey, for buildings with a known number of storeys but no known height",
     )
     min_terrain_share: Share = Field(
-        0.5, description="footprints of whose perimeter a smaller share has terrain data are excluded"
+        0.5,
+        description="footprints are excluded if terrain data cover less than this share of their perimeter",
     )
     sampler: Literal["realistic", "uniform"] = Field(
         "realistic",
-        description="realistic = angles of a drawn roof type; uniform = each edge from 0, 90, 20..45 as in the paper",
+        description="realistic = draw a roof type and angles that produce it; uniform = draw each angle from "
+        "0, 90 and 20 to 45, as in the paper",
     )
     roof_shares: RoofShares = RoofShares()
     max_rise_m: float = Field(
         7,
         gt=0,
-        description="highest rise of a roof above its eaves, which limits the angles of wide buildings",
+        description="maximum rise of a roof above its eaves, which limits the angles of wide buildings",
     )
     max_failed_fraction: Share = Field(
         0.1,
-        description="the job fails if a larger share of the footprints is excluded, those too small not counted",
+        description="the job fails if a larger share of the footprints is excluded; footprints that are too "
+        "small do not count",
     )

@@ -27,7 +27,7 @@ class Optimiser(Section):
 
 
 class Compute(Section):
-    """Where and how training runs; results depend on it only through rounding."""
+    """Where and how training runs; it affects results only by rounding."""
 
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="where to train; auto = a GPU if there is one"
@@ -35,13 +35,14 @@ class Compute(Section):
     num_gpus: int = Field(
         1,
         ge=1,
-        description="GPUs of the job in the workflow; torchrun starts a process for each, or for as many CPUs",
+        description="number of GPUs of the job in the workflow; torchrun starts one process per GPU, or as "
+        "many on CPUs",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="precision of matrix products (autocast); weights and losses stay in float32"
     )
     compile: bool = Field(
-        False, description="compile the networks with torch.compile; pays off in long trainings only"
+        False, description="compile the networks with torch.compile; worthwhile only for long trainings"
     )
     resident: bool = Field(False, description="keep all clouds in device memory; faster if they fit")
     tensorboard: bool = Field(False, description="also write metrics for TensorBoard, beside the checkpoints")
