@@ -105,6 +105,19 @@ def test_open_tiles_wait_for_the_checkpoint(fresh):
     assert "index_scenes" in jobs and "cut_scene" not in jobs
 
 
+def test_a_damaged_index_of_the_scenes_is_one_clear_line(project):
+    index = project.folder / "results/mini/scenes/index.tsv"
+    index.parent.mkdir(parents=True)
+    index.write_text(f"place\ttile\tnum_buildings\n\t0652_6861\t7\n# p2wss-sha256:{'5' * 64}\n")
+    run = project.dry_run("--config", "region={tiles: []}", check=False)
+    assert run.returncode != 0
+    message = f"{index.relative_to(project.folder)}: damaged; delete it, and the next run makes it again"
+    assert message in run.stdout + run.stderr and "InputFunctionException" not in run.stdout + run.stderr
+    project.dry_run()  # the tiles are pinned: nobody reads it
+    index.unlink()
+    assert "index_scenes" in rules_to_run(project.dry_run("--config", "region={tiles: []}"))
+
+
 @pytest.mark.parametrize(
     "several", [["--config", "model={compute: {num_gpus: 3}}"], ["--set-resources", "model:gpu=3"]]
 )

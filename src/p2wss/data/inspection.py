@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.data import integrity
+from p2wss.data import files, integrity
 from p2wss.data.schemas.manifest import read_manifest
 from p2wss.errors import InputError, reading
 
@@ -25,7 +25,8 @@ INTACT = "intact"
 def check(path: Path) -> Facts:
     """Whether a file is what p2wss wrote: its name, and as ``checksum`` :data:`INTACT` or what is the matter.
 
-    Of a manifest, the shards that it lists are checked too.
+    Of a manifest, the shards that it lists are checked too, and of the summary of a reconstruction the files that were
+    delivered with it.
     """
     try:
         intact = integrity.is_intact(path)
@@ -35,16 +36,29 @@ def check(path: Path) -> Facts:
             result = "none stated: not a file of p2wss, or one of a version before checksums"
         else:
             result = INTACT
-            if path.suffix == ".json" and "shards" in (
-                content := json.loads(path.read_text(encoding="utf-8"))
-            ):
-                for shard in read_manifest(path).shards if content["shards"] else []:
+            content = files.read_json(path) if path.suffix == ".json" else None
+            if isinstance(content, dict) and content.get("shards"):
+                for shard in read_manifest(path).shards:
                     shard.verified()
+            elif isinstance(content, dict) and isinstance(content.get("sha256"), dict):
+                result = _check_listed(path.parent, content["sha256"])
     except OSError as error:
         result = f"not readable: {error.strerror or error}"
     except InputError as error:
         result = str(error)
     return {"file": str(path), "checksum": result}
+
+
+def _check_listed(folder: Path, sums: dict[str, str]) -> str:
+    """:data:`INTACT`, or which of the files with these SHA-256 are not what was written."""
+    wrong = []
+    for name, stated in sums.items():
+        try:
+            if files.sha256(folder / name) != stated:
+                wrong.append(f"{name}: damaged or changed")
+        except OSError as error:
+            wrong.append(f"{name}: not readable: {error.strerror or error}")
+    return "; ".join(wrong) or INTACT
 
 
 def describe(path: Path) -> Facts:

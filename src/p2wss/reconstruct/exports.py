@@ -43,6 +43,7 @@ def write(
 ) -> list[str]:
     """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the names.
 
+    ``STEM.json`` lists the SHA-256 of each of the others, which ``p2wss inspect --verify STEM.json`` compares.
     With a terrain the meshes stand in a block of it (:mod:`p2wss.reconstruct.terrain_mesh`), and with ``config.skin``
     those of touching buildings become one (:mod:`p2wss.reconstruct.skin`); CityJSON does not change.
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
@@ -67,7 +68,8 @@ def write(
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
     before = input_footprints(results, crs)
     results = [with_columns(result, config.keep_columns) for result in results]
-    written = []
+    written: list[str] = []
+    delivered: list[Path] = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "gpkg":
@@ -85,15 +87,19 @@ def write(
             text = city_json(results, crs, output, facts, config.lods, config.attribute_names)
             files.write_text(folder / name, text)
         else:
-            write_meshes(folder, output, meshes, frame, options)
+            delivered += write_meshes(folder, output, meshes, frame, options)
+        if output not in MESH_WRITERS:
+            delivered.append(folder / name)
         written.append(name)
         if config.per_building and output in SINGLE_FILES:
             for single, file in zip(meshes, file_names([mesh.name for mesh in meshes]), strict=True):
-                write_meshes(folder / stem, output, [single], frame, replace(options, stem=file))
+                single_options = replace(options, stem=file)
+                delivered += write_meshes(folder / stem, output, [single], frame, single_options)
             written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
     if config.wedges:
         files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", block_skins.wedge_columns(skins), WEDGES, facts)
         written.append(f"{stem}{WEDGES_SUFFIX}")
+        delivered.append(folder / f"{stem}{WEDGES_SUFFIX}")
     files.write_json(
         folder / f"{stem}.json",
         {
@@ -102,6 +108,7 @@ def write(
             "origin_m": frame.origin_m.tolist(),
             "axes": {"obj, ply, stl, sionna": AXES, "glb": "y up, see the extras of its asset"},
             "files": written,
+            "sha256": {path.relative_to(folder).as_posix(): files.sha256(path) for path in delivered},
             "buildings": counts(results),
             "skin": block_skins.counts(skins) if config.skin else None,
             "terrain": None if ground is None else {"mesh": ground.name, "triangles": len(ground.triangle)},
@@ -112,10 +119,12 @@ def write(
 
 def write_meshes(
     folder: Path, output: str, meshes: Sequence[Mesh], frame: Frame, options: FileOptions
-) -> None:
-    """Write the files of one of the formats :data:`~p2wss.formats.outputs.MESH_WRITERS`."""
-    for name, content in MESH_WRITERS[output](meshes, frame, options).items():
+) -> list[Path]:
+    """Write the files of one of the formats :data:`~p2wss.formats.outputs.MESH_WRITERS`. Returns their paths."""
+    contents = MESH_WRITERS[output](meshes, frame, options)
+    for name, content in contents.items():
         files.write_bytes(folder / name, content)
+    return [folder / name for name in contents]
 
 
 def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> Mesh | None:

@@ -11,6 +11,7 @@ from places import ROOT
 from small_networks import SMALL_DVAE, SMALL_MODEL
 
 from p2wss.config import load
+from p2wss.data.integrity import is_intact
 from p2wss.errors import InputError
 from p2wss.nets.builders import build_model, build_tokenizer
 from p2wss.nets.weights import load_dvae, load_model, read_weights, save_model, write_weights
@@ -41,6 +42,16 @@ def test_the_shipped_weights_load_whatever_their_metadata_was_called_when_they_w
     module, config, dvae_config = load_model(SHIPPED)
     assert tuple(metadata["vocabulary"]) == module.tokenizer.vocabulary
     assert (config.dim, config.decoding.num_rotations, dvae_config.num_tokens) == (128, 4, 512)
+
+
+def test_the_shipped_weights_state_their_checksum(tmp_path: Path) -> None:
+    assert is_intact(SHIPPED) is True
+    content = bytearray(SHIPPED.read_bytes())
+    content[len(content) // 2] ^= 1
+    path = tmp_path / "w.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="damaged or changed"):
+        load_model(path)
 
 
 def test_metadata_with_former_names_loads_as_metadata_with_present_ones(tmp_path: Path) -> None:

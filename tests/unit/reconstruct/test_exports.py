@@ -19,7 +19,7 @@ from toy_clouds import LAMBERT, cleaned, cloud_over
 
 from p2wss import reconstruct
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
-from p2wss.data import files
+from p2wss.data import files, inspection
 from p2wss.data.schemas.wedges import WEDGES
 from p2wss.data.terrain import Terrain, check_terrain_crs
 from p2wss.errors import InputError
@@ -39,6 +39,30 @@ def results() -> list[reconstruct.Result]:
         crs=LAMBERT,
     )
     return reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
+
+
+def test_the_summary_tells_whether_a_delivered_file_is_damaged(
+    results: list[reconstruct.Result], tmp_path: Path
+) -> None:
+    config = EVERYTHING.model_copy(update={"per_building": True})
+    exports.write(tmp_path, "out", results, LAMBERT, {}, config)
+    delivered = {path for path in tmp_path.rglob("*") if path.is_file()} - {tmp_path / "out.json"}
+    assert len(delivered) > 10
+    summary = tmp_path / "out.json"
+    assert set(json.loads(summary.read_text())["sha256"]) == {
+        path.relative_to(tmp_path).as_posix() for path in delivered
+    }
+    assert inspection.check(summary)["checksum"] == inspection.INTACT
+    for path in delivered:
+        content = path.read_bytes()
+        place = len(content) // 2
+        path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+        assert inspection.check(summary)["checksum"] == (
+            f"{path.relative_to(tmp_path).as_posix()}: damaged or changed"
+        )
+        path.write_bytes(content)
+    path.unlink()
+    assert "not readable: No such file" in inspection.check(summary)["checksum"]
 
 
 def test_every_format_has_the_same_content(results: list[reconstruct.Result], tmp_path: Path) -> None:
