@@ -16,7 +16,7 @@ import shapely
 from scipy import ndimage
 
 from p2wss.fit.intervals import grow_box
-from p2wss.fit.one_height import FittedRoof, Gain
+from p2wss.fit.one_height import FittedRoof, Fitter, Gain
 
 _CELL_M = 0.8
 # a side within this distance of the footprint's edge is moved onto it
@@ -62,21 +62,20 @@ class Box:
 
 
 def find_boxes(
+    fitter: Fitter,
     parts: Sequence[FittedRoof],
-    vertex_m: np.ndarray,
-    triangle: np.ndarray,
     point_m: np.ndarray,
     min_gain_m: float,
     boxes: Boxes,
     loose_share: float = 1.0,
 ) -> tuple[float, list[Box], list[Box]]:
-    """(sum of the residuals of all points with the boxes, the boxes that the points show on the mesh of ``parts``, and
-    the same followed by others).
+    """(sum of the residuals of all points with the boxes, the boxes that the points show on the roofs of ``parts``,
+    and the same followed by others).
 
     Each box lowers the sum by at least ``min_gain_m``, the others by ``loose_share`` of it; the one that gains most
-    comes first. vertex_m (v, 3), triangle (t, 3): the mesh, in the heights of the points (m, 3).
+    comes first. point_m: (m, 3).
     """
-    roof_z, slant = roof_over(vertex_m, triangle, point_m[:, :2])
+    roof_z, slant = _roof_over(fitter, parts, point_m)
     x, y, z = np.ascontiguousarray(point_m.T)
     result: list[Box] = []
     strict_loss, num_strict = None, 0
@@ -137,21 +136,18 @@ def _covers_any(low: np.ndarray, high: np.ndarray, point_m: np.ndarray) -> bool:
     return bool(((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1).any())
 
 
-def roof_over(vertex_m: np.ndarray, triangle: np.ndarray, xy_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(height of the mesh's topmost face, z of its unit normal) over each position (m, 2); minus infinity and 1 outside
-    the mesh."""
-    corner = vertex_m[triangle]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    length = np.linalg.norm(normal, axis=1)
-    upward = normal[:, 2] > 1e-6 * np.maximum(length, 1e-9)
-    height, slant = np.full(len(xy_m), -np.inf), np.ones(len(xy_m))
-    for (a, b, c), n, size in zip(corner[upward], normal[upward], length[upward], strict=True):
-        within = np.ones(len(xy_m), bool)
-        for p, q in ((a, b), (b, c), (c, a)):
-            within &= (q[0] - p[0]) * (xy_m[:, 1] - p[1]) - (q[1] - p[1]) * (xy_m[:, 0] - p[0]) >= -1e-9
-        z = a[2] - ((xy_m - a[:2]) @ n[:2]) / n[2]
-        higher = within & (z > height)
-        height[higher], slant[higher] = z[higher], n[2] / size
+def _roof_over(
+    fitter: Fitter, parts: Sequence[FittedRoof], point_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(height of the topmost roof, z of its unit normal) over each point (m, 3); minus infinity and 1 outside the
+    parts."""
+    height, slant = np.full(len(point_m), -np.inf), np.ones(len(point_m))
+    for part in parts:
+        low, high = part.rings[0].min(axis=0), part.rings[0].max(axis=0)
+        near = np.flatnonzero(((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1))
+        z, of_part = fitter.roof_over(part, point_m[near])
+        higher = z > height[near]
+        height[near[higher]], slant[near[higher]] = z[higher], of_part[higher]
     return height, slant
 
 

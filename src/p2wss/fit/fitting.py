@@ -72,11 +72,7 @@ def fit(
     parts_fits = [task.fit_parts(config.max_parts) for task in tasks]
     result = []
     for task, parts_fit, single in zip(tasks, parts_fits, _mesh_single_parts(tasks, parts_fits), strict=True):
-        reconstruction = single
-        if reconstruction is None:
-            reconstruction, parts_fit = task.build_mesh(parts_fit)
-        if config.dormers and reconstruction.has_mesh:
-            reconstruction, parts_fit = task.add_boxes(reconstruction, parts_fit)
+        reconstruction, parts_fit = task.reconstruct(parts_fit, single)
         if parts_fit.parts:
             reconstruction = replace(reconstruction, confidence=task.confidence(parts_fit))
         if not reconstruction.has_mesh and task.initial is not None and task.initial.has_mesh:
@@ -187,7 +183,25 @@ class _FitTask:
                 parts = min(parts, without_network, key=lambda parts: cost_m(parts, cutting))
         return _PartsFit(rings, rotation, parts, "", roof_point_m)
 
-    def build_mesh(self, parts_fit: _PartsFit, boxes: Sequence[Box] = ()) -> tuple[Reconstruction, _PartsFit]:
+    def reconstruct(
+        self, parts_fit: _PartsFit, single: Reconstruction | None
+    ) -> tuple[Reconstruction, _PartsFit]:
+        """The reconstruction and the fit that it shows: with boxes if there are any, and with fewer parts if there is
+        no closed union of all. single: the mesh of a fit that has one part."""
+        has_boxes = self.config.dormers and bool(parts_fit.parts) and (single is None or single.has_mesh)
+        with_boxes = self._with_boxes(parts_fit) if has_boxes else None
+        if with_boxes is not None:
+            return with_boxes
+        if single is not None:
+            return single, parts_fit
+        reconstruction, closed_fit = self._build_mesh(parts_fit)
+        if has_boxes and reconstruction.has_mesh and closed_fit is not parts_fit:
+            with_boxes = self._with_boxes(closed_fit)
+        return with_boxes or (reconstruction, closed_fit)
+
+    def _build_mesh(
+        self, parts_fit: _PartsFit, boxes: Sequence[Box] = ()
+    ) -> tuple[Reconstruction, _PartsFit]:
         """The mesh of a fit, or of one with fewer parts until their union is closed, and that fit. ``boxes``: over
         which points are ignored."""
         while True:
@@ -196,35 +210,33 @@ class _FitTask:
                 return reconstruction, parts_fit
             parts_fit = self.fit_parts(len(parts_fit.parts) - 1, boxes)
 
-    def add_boxes(
-        self, reconstruction: Reconstruction, parts_fit: _PartsFit
-    ) -> tuple[Reconstruction, _PartsFit]:
+    def _with_boxes(self, parts_fit: _PartsFit) -> tuple[Reconstruction, _PartsFit] | None:
         """The building with the boxes that its points show above its roof, as many as have a closed union with it, and
-        the fit of its parts.
+        the fit of its parts. None without boxes.
 
-        A roof that was fitted to the points of the boxes too lies too high, so it is also fitted without them.
+        A roof that was fitted to the points of the boxes too lies too high, so it is also fitted without them, and that
+        may be better even without any box.
         """
-        cost, boxes, loose_boxes = self._find_boxes(reconstruction, parts_fit, _LOOSE_GAIN_SHARE)
-        candidates = [(reconstruction, parts_fit, boxes)]
+        cost, boxes, loose_boxes = self._find_boxes(parts_fit, _LOOSE_GAIN_SHARE)
+        candidates = [(parts_fit, boxes)]
         if loose_boxes:
-            refit = self.build_mesh(self.fit_parts(self.config.max_parts, loose_boxes), loose_boxes)
-            if refit[0].has_mesh:
-                new_cost, new_boxes, _ = self._find_boxes(*refit)
+            refit = self.fit_parts(self.config.max_parts, loose_boxes)
+            if refit.parts:
+                new_cost, new_boxes, _ = self._find_boxes(refit)
                 if new_cost < cost:
-                    candidates.insert(0, (*refit, new_boxes))
-        for candidate, candidate_fit, candidate_boxes in candidates:
-            if not candidate_boxes:
-                if candidate is reconstruction or _is_sound(candidate):
-                    return candidate, candidate_fit
-                continue
-            mesh = _union_with_boxes(candidate_fit.parts, candidate_boxes, candidate.ground_z_m, self.config)
-            if mesh is not None:
-                vertex_m = parts_fit.in_building_frame(mesh.vertex_m)
-                with_boxes = replace(
-                    candidate, vertex_m=vertex_m, triangle=mesh.triangle, kind=mesh.kind, edge=mesh.plane
+                    candidates.insert(0, (refit, new_boxes))
+        for candidate, candidate_boxes in candidates:
+            if candidate_boxes:
+                mesh = _union_with_boxes(
+                    candidate.parts, candidate_boxes, self.building.ground_z_m, self.config
                 )
-                return with_boxes, candidate_fit
-        return reconstruction, parts_fit
+                if mesh is not None:
+                    return self._of_mesh(candidate, mesh), candidate
+            elif candidate is not parts_fit:
+                reconstruction, closed_fit = self._build_mesh(candidate, loose_boxes)
+                if reconstruction.has_mesh and _is_sound(reconstruction):
+                    return reconstruction, closed_fit
+        return None
 
     def confidence(self, parts_fit: _PartsFit) -> float | None:
         """The expected share of the building's values that are right."""
@@ -241,13 +253,20 @@ class _FitTask:
         if single is not None:
             return single
         ground = building.ground_z_m
-        largest = max(parts_fit.parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
-        eave_height_m = max(largest.eave_z_m - ground, config.min_eave_height_m)
         mesh = union(parts_fit.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
         if mesh is None:
             return no_mesh(building, self.method, reasons.NO_CLOSED_UNION)
-        part_rings = [ring @ parts_fit.rotation.T for part in parts_fit.parts for ring in part.rings]
-        part_angles = np.concatenate([part.angle_deg for part in parts_fit.parts])
+        return self._of_mesh(parts_fit, mesh)
+
+    def _of_mesh(self, parts_fit: _PartsFit, mesh: Mesh) -> Reconstruction:
+        """The reconstruction with the parts of a fit and a mesh in their frame."""
+        building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
+        largest = max(parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
+        angle_deg = largest.angle_deg
+        if len(parts) > 1:
+            part_rings = [ring @ parts_fit.rotation.T for part in parts for ring in part.rings]
+            part_angles = np.concatenate([part.angle_deg for part in parts])
+            angle_deg = transfer_angles(part_rings, part_angles, parts_fit.rings)
         return Reconstruction(
             building.building_id,
             building.tile,
@@ -256,37 +275,27 @@ class _FitTask:
             building.origin_xy_m,
             ground,
             parts_fit.rings,
-            eave_height_m,
-            transfer_angles(part_rings, part_angles, parts_fit.rings),
+            max(largest.eave_z_m - ground, self.config.min_eave_height_m),
+            angle_deg,
             None,
             parts_fit.in_building_frame(mesh.vertex_m),
             mesh.triangle,
             mesh.kind,
             mesh.plane,
-            len(parts_fit.parts),
+            len(parts),
         )
 
     def _find_boxes(
-        self, reconstruction: Reconstruction, parts_fit: _PartsFit, loose_share: float = 1.0
+        self, parts_fit: _PartsFit, loose_share: float = 1.0
     ) -> tuple[float, list[Box], list[Box]]:
         """(cost of the parts and the boxes, the boxes, the same and others that gain ``loose_share`` of the usual
         minimum)."""
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
         min_gain_m = thresholds.boxes.min_gain_m(num_points)
-        rotated = np.column_stack(
-            [
-                reconstruction.vertex_m[:, :2] @ parts_fit.rotation,
-                reconstruction.vertex_m[:, 2] + reconstruction.ground_z_m,
-            ]
-        )
+        lowest_z_m = self.building.ground_z_m + self.config.min_eave_height_m
+        parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts_fit.parts]
         loss, boxes, loose_boxes = find_boxes(
-            parts_fit.parts,
-            rotated,
-            reconstruction.triangle,
-            parts_fit.point_m,
-            min_gain_m,
-            thresholds.boxes,
-            loose_share,
+            self.fitter, parts, parts_fit.point_m, min_gain_m, thresholds.boxes, loose_share
         )
         cost_of_part = thresholds.cutting.min_gain_m(num_points)
         cost = loss + len(boxes) * min_gain_m + (len(parts_fit.parts) - 1) * cost_of_part

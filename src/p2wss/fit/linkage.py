@@ -41,9 +41,9 @@ def _code() -> Code:
         evaluate=address_of(evaluate, problem, work, row, 1.0, 1.0),
         improve=address_of(improve, problem, work, row, 1.0, 1.0, 1, True, True, 1.0),
         search=address_of(search, problem, work, settings, grid, row, 1, 1.0, 1.0),
-        fit_roof=address_of(fit_roof, *polygon, *points, grid, *common),
+        fit_roof=address_of(fit_roof, *polygon, *points, grid, 1.0, 1.0, *common),
         improve_roof=address_of(improve_roof, *polygon, *points, row, 1.0, 1.0, 1, *common),
         side_of_cut=address_of(side_of_cut, *polygon, 1, 1.0, True),
         is_sound=address_of(is_sound, *polygon, 1.0, work),
-        fit_side=address_of(fit_side, *polygon, row, grid, 1, 1.0, True, 1, 1, 1.0, *common),
+        fit_side=address_of(fit_side, *polygon, row, grid, 1, 1.0, True, 1, 1, 1.0, row, 1.0, 1.0, *common),
     )

@@ -13,6 +13,7 @@ from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof import fit_roof, improve_roof, tidy_roof
 from p2wss.fit.solve import IMPOSSIBLE
 from p2wss.fit.work import NO_PRIOR, FitWork, Prior, Settings
+from p2wss.skeleton.queries import OUTSIDE
 
 # fewer points show no roof
 MIN_NUM_POINTS = 3
@@ -127,6 +128,8 @@ class Fitter:
             ring_offset,
             *self._points(point_m, effort),
             rows,
+            IMPOSSIBLE,
+            0.0,
             self.work(len(xy_m), len(point_m)),
             self.settings(effort),
             prior,
@@ -180,6 +183,15 @@ class Fitter:
             self.settings(all_points),
             prior,
         )
+
+    def roof_over(self, roof: FittedRoof, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(height of a roof, z of its unit normal) over each point (m, 3); minus infinity and 1 outside its polygon."""
+        if self.loss(roof, point_m) >= IMPOSSIBLE or not len(point_m):
+            return np.full(len(point_m), -np.inf), np.ones(len(point_m))
+        work = self.work(0, len(point_m))
+        face, rise = work.face[: len(point_m)], work.rise[: len(point_m)]
+        height = np.where(face == OUTSIDE, -np.inf, roof.eave_z_m + rise)
+        return height, np.where(face >= 0, work.cosine[face], 1.0)
 
     def settings(self, effort: Effort) -> Settings:
         """Effort and limits in the form that compiled code takes."""

@@ -15,7 +15,7 @@ from p2wss.fit.cutting import is_sound
 from p2wss.fit.merging import merged_rings
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Gain, flat_rings
 from p2wss.fit.points import even_order
-from p2wss.fit.screen import Side, split_roof
+from p2wss.fit.screen import split_roof
 from p2wss.fit.starts import edge_groups
 from p2wss.fit.work import NO_PRIOR, Prior
 
@@ -151,7 +151,7 @@ def _best_split(
     if part.cost_m - _NOISE_M * count < min_gain or count < 2 * cutting.min_points:
         return None
     xy_m, offset = flat_rings(part.roof.rings)
-    cut = split_roof(
+    _, axis, position, *roofs = split_roof(
         xy_m,
         offset,
         part.roof.angle_deg,
@@ -164,19 +164,28 @@ def _best_split(
         fitter.settings(_SCREEN),
         fitter.settings(replace(effort, max_rounds=1)),
     )
-    if cut is None:
+    if axis < 0:
         return None
-    axis, position, low, high = cut
     is_high = part.point_m[axis] >= position
-    sides = _side(part, ~is_high, low), _side(part, is_high, high)
+    sides = _side(part, ~is_high, *roofs[0]), _side(part, is_high, *roofs[1])
     gain = part.cost_m - sides[0].cost_m - sides[1].cost_m
     return _Split(gain, sides) if gain >= min_gain else None
 
 
-def _side(part: Part, mask: np.ndarray, side: Side) -> Part:
+def _side(
+    part: Part,
+    mask: np.ndarray,
+    loss_m: float,
+    eave_z_m: float,
+    top_m: float,
+    angle_deg: np.ndarray,
+    xy_m: np.ndarray,
+    ring_offset: np.ndarray,
+) -> Part:
+    """The part on one side of a cut, with the points in ``mask`` and the roof that :func:`split_roof` returns."""
     point_m = np.compress(mask, part.point_m, axis=1)
-    rings = [side.xy_m[first:last] for first, last in pairwise(side.ring_offset.tolist())]
-    roof = FittedRoof(rings, side.angle_deg, side.eave_z_m, side.top_m, side.loss_m, point_m.shape[1])
+    rings = [xy_m[first:last] for first, last in pairwise(ring_offset.tolist())]
+    roof = FittedRoof(rings, angle_deg, eave_z_m, top_m, loss_m, point_m.shape[1])
     return Part(point_m, roof, roof.total_loss_m)
 
 

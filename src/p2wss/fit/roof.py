@@ -118,11 +118,13 @@ def with_flat_top(settings, flat_top):
 
 
 @entry
-def fit_roof(xy_m, ring_offset, x, y, z, guesses, work, settings, prior):
+def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, settings, prior):
     """(loss, eave, top, angles) of the best roof over a polygon; the loss is ``IMPOSSIBLE`` if the kernel refuses it.
 
     xy_m (n, 2), ring_offset: the polygon. x, y, z: points in even order; the search takes a sample of them and the
-    last rounds take all. guesses: (num_guesses, n), degrees. settings, prior: of :mod:`p2wss.fit.work`.
+    last rounds take all. guesses: (num_guesses, n), degrees. known_loss, known_eave: of the only guess, if this
+    function has returned it for the same points without flat tops, so that only those are searched; else
+    ``IMPOSSIBLE`` and 0. settings, prior: of :mod:`p2wss.fit.work`.
     """
     n = len(xy_m)
     # the search grows with the cube of the number of edges
@@ -130,17 +132,21 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, work, settings, prior):
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
     sample = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
     status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
-    rows = start_angles(direction, axis, guesses)
-    if status != _OK:
-        return IMPOSSIBLE, 0.0, np.inf, rows[0]
     tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / len(sample.z))
-    tops = np.empty(len(rows))
-    for i in range(len(rows)):
-        tops[i] = np.inf
-    loss, eave, top, row = search_at(
-        work.code, sample, work, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
-    )
-    angle_deg = rows[row].copy()
+    loss, eave, top = known_loss, known_eave, np.inf
+    if loss < IMPOSSIBLE:
+        angle_deg = guesses[0].copy()
+    else:
+        rows = start_angles(direction, axis, guesses)
+        if status != _OK:
+            return IMPOSSIBLE, 0.0, np.inf, rows[0]
+        tops = np.empty(len(rows))
+        for i in range(len(rows)):
+            tops[i] = np.inf
+        loss, eave, top, row = search_at(
+            work.code, sample, work, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
+        )
+        angle_deg = rows[row].copy()
     if loss >= IMPOSSIBLE:
         return loss, eave, top, angle_deg
     if settings.flat_top and loss > _LOW_LOSS_M:

@@ -3,8 +3,6 @@ either side of it."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from p2wss.fit.cutting import (
@@ -14,7 +12,6 @@ from p2wss.fit.cutting import (
     side_of_cut_at,
 )
 from p2wss.fit.jumps import candidates
-from p2wss.fit.points import every_kth
 from p2wss.fit.roof import (
     every_kth_value,
     fit_roof_at,
@@ -22,9 +19,9 @@ from p2wss.fit.roof import (
     with_flat_top,
 )
 from p2wss.fit.solve import IMPOSSIBLE
-from p2wss.fit.work import NO_PRIOR, FitWork, Prior, Settings
+from p2wss.fit.work import NO_PRIOR, Prior
 from p2wss.skeleton.compiled import allocating, by_address, entry, inner
-from p2wss.skeleton.ordering import stable_order
+from p2wss.skeleton.ordering import sort_first, stable_order
 
 _NUM_POINTS = 160
 # this many of the cuts, if their cost is at most this multiple of the best, are evaluated again with flat tops; the
@@ -37,96 +34,115 @@ _SHIFT_ROUNDS = 2
 _OFF_CORNER_RATIO, _ON_CORNER_M = 1.02, 1e-6
 
 
-class Side(NamedTuple):
-    """The roof on one side of a cut, whose polygon has vertices ``xy_m`` (n, 2) and rings at ``ring_offset``.
-
-    loss_m: mean over its points, ``IMPOSSIBLE`` if there is none. angle_deg: float64 (n,).
-    """
-
-    loss_m: float
-    eave_z_m: float
-    top_m: float
-    angle_deg: np.ndarray
-    xy_m: np.ndarray
-    ring_offset: np.ndarray
-
-
+@entry
 def split_roof(
-    xy_m: np.ndarray,
-    ring_offset: np.ndarray,
-    angle_deg: np.ndarray,
-    points: np.ndarray,
-    cost_m: float,
-    min_gain: float,
-    min_points: int,
-    slope_cost_m: float,
-    work: FitWork,
-    screen: Settings,
-    settings: Settings,
-) -> tuple[int, float, Side, Side] | None:
-    """(axis, position, low side, high side) of the best cut through a part, or None if no cut gains ``min_gain``.
+    xy_m, ring_offset, angle_deg, points, cost_m, min_gain, min_points, slope_cost_m, work, screen, settings
+):  # fmt: skip
+    """(cost, axis, position, low side, high side) of the best cut through a part; the axis is -1 if no cut gains
+    ``min_gain``. The sides are as :func:`fit_side` returns them.
 
     xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points in even order. cost_m: of
     the part, the sum of its residuals and ``slope_cost_m`` for each of its slopes. min_points: on either side. screen:
     settings of the quick fits. settings: of the fits of the two sides.
     """
-    sample = np.take(points, every_kth(points.shape[1], _NUM_POINTS), axis=1)
+    sample = _every_kth_point(points, _NUM_POINTS)
     clearance = clearance_m(xy_m, ring_offset, work)
-    axes, positions = candidates(xy_m, *points)
+    axes, positions = candidates(xy_m, points[0], points[1], points[2])
+    # as the gain is the difference, rounding may decide otherwise about a cut that gains as much exactly
     limit_m = cost_m - min_gain
-    part = (xy_m, ring_offset, angle_deg, points)
-    limits = (min_points, clearance)
-    cost, index, *sides = best_cut(
-        *part, sample, axes, positions, *limits, work, screen, settings, slope_cost_m, limit_m + min_gain
-    )
-    if index < 0:
-        return None
-    axis, position = int(axes[index]), float(positions[index])
-    nearby_positions = _positions_near(xy_m, axis, position)
-    costs = np.zeros(len(nearby_positions))
+    max_cost = limit_m + min_gain
+    cost, axis, position = IMPOSSIBLE, -1, 0.0
+    low = high = (IMPOSSIBLE, 0.0, np.inf, angle_deg, xy_m, ring_offset)
+    for is_moved in (False, True):
+        new_cost, index, new_low, new_high = best_cut(
+            xy_m, ring_offset, angle_deg, points, sample, axes, positions, min_points, clearance, work, screen,
+            settings, slope_cost_m, max_cost,
+        )  # fmt: skip
+        if index < 0:
+            break
+        cost, axis, position, low, high = new_cost, axes[index], positions[index], new_low, new_high
+        if is_moved:
+            break
+        nearby = _best_nearby(
+            xy_m, ring_offset, points, sample, axis, position, low, high, min_points, clearance, work, screen
+        )
+        if nearby == position:
+            break
+        axes, positions = axes[:1], positions[:1]
+        axes[0], positions[0] = axis, nearby
+        max_cost = cost * _OFF_CORNER_RATIO
+    return cost, (axis if cost <= limit_m else -1), position, low, high
+
+
+@allocating
+def _every_kth_point(points, max_count):
+    """At most ``max_count`` of the points (3, m), evenly spaced."""
+    num = min(points.shape[1], max_count)
+    result = np.empty((3, num))
+    for axis in range(3):
+        values = every_kth_value(points[axis], max_count)
+        for k in range(num):
+            result[axis, k] = values[k]
+    return result
+
+
+@allocating
+def _best_nearby(
+    xy_m, ring_offset, points, sample, axis, position, low, high, min_points, min_clearance_m, work, screen
+):  # fmt: skip
+    """The best of a position, of others a little beside it, and of the corners nearby, by roofs that are only improved.
+    The position itself if no cut can be made."""
+    corners = xy_m[:, axis].copy()
+    sort_first(corners, len(corners))
+    nearby = np.empty(1 + len(_SHIFTS_M) + len(corners))
+    nearby[0], count = position, 1
+    for shift in _SHIFTS_M:
+        nearby[count] = position + shift
+        count += 1
+    for i in range(len(corners)):
+        if abs(corners[i] - position) < _NEARBY_M and (i == 0 or corners[i] != corners[i - 1]):
+            nearby[count] = corners[i]
+            count += 1
+    nearby, costs = nearby[:count], np.zeros(count)
     for is_high in (False, True):
-        _, *roof = sides[is_high]
+        _, eave, top, side_deg, side_xy, side_offset = high if is_high else low
         costs += _costs_of_positions(
-            *roof, xy_m, ring_offset, sample, points[axis], axis, position, is_high, nearby_positions, *limits, work,
-            screen, NO_PRIOR,
+            eave, top, side_deg, side_xy, side_offset, xy_m, ring_offset, sample, points[axis], axis, position,
+            is_high, nearby, min_points, min_clearance_m, work, screen, NO_PRIOR,
         )  # fmt: skip
-    off_corner = (np.abs(xy_m[:, axis] - nearby_positions[:, None]) >= _ON_CORNER_M).all(axis=1)
-    costs[off_corner] *= _OFF_CORNER_RATIO
-    nearby = float(nearby_positions[costs.argmin()])
-    if np.isfinite(costs).any() and nearby != position:
-        moved_cost, moved_index, *moved = best_cut(
-            *part, sample, axes[:1] * 0 + axis, np.array([nearby]), *limits, work, screen, settings, slope_cost_m,
-            cost * _OFF_CORNER_RATIO,
-        )  # fmt: skip
-        if moved_index >= 0 and moved_cost < cost * _OFF_CORNER_RATIO:
-            cost, position, sides = moved_cost, nearby, moved
-    return None if cost > limit_m else (axis, position, Side(*sides[0]), Side(*sides[1]))
-
-
-def _positions_near(xy_m: np.ndarray, axis: int, position: float) -> np.ndarray:
-    """A position, others a little beside it, and the corners nearby."""
-    corners = np.unique(xy_m[:, axis])
-    return np.concatenate([[position], position + _SHIFTS_M, corners[np.abs(corners - position) < _NEARBY_M]])
+    best, best_cost = position, np.inf
+    for k in range(count):
+        gap = np.inf
+        for corner in corners:
+            gap = min(gap, abs(corner - nearby[k]))
+        cost = costs[k] * _OFF_CORNER_RATIO if gap >= _ON_CORNER_M else costs[k]
+        if cost < best_cost:
+            best, best_cost = nearby[k], cost
+    return best
 
 
 @entry
 def fit_side(
-    xy_m, ring_offset, angle_deg, points, axis, position, is_high, min_points, max_points, min_clearance_m, work,
-    settings, prior,
+    xy_m, ring_offset, angle_deg, points, axis, position, is_high, min_points, max_points, min_clearance_m,
+    known_deg, known_loss, known_eave, work, settings, prior,
 ):  # fmt: skip
     """(loss per point, eave, top, angles, vertices, offsets) of one side of a cut, fitted to at most ``max_points`` of
-    its points. The loss is ``IMPOSSIBLE`` if the side has fewer than ``min_points`` or is not sound."""
+    its points. The loss is ``IMPOSSIBLE`` if the side has fewer than ``min_points`` or is not sound. known_deg,
+    known_loss, known_eave: what this function returned without flat tops; else ``IMPOSSIBLE`` as the loss."""
     side_xy, side_offset = side_of_cut_at(work.code, xy_m, ring_offset, axis, position, is_high)
     side_points = _points_of_side(points, axis, position, is_high)
-    if side_points.shape[1] < min_points or not is_sound_at(
-        work.code, side_xy, side_offset, min_clearance_m, work
+    is_known = known_loss < IMPOSSIBLE
+    if side_points.shape[1] < min_points or not (
+        is_known or is_sound_at(work.code, side_xy, side_offset, min_clearance_m, work)
     ):
         return IMPOSSIBLE, 0.0, np.inf, angle_deg, side_xy, side_offset
-    guess = inherited_angles(xy_m, ring_offset, angle_deg, side_xy, side_offset, axis, position, 90.0)
+    guess = known_deg
+    if not is_known:
+        guess = inherited_angles(xy_m, ring_offset, angle_deg, side_xy, side_offset, axis, position, 90.0)
     loss, eave, top, angle = fit_roof_at(
         work.code, side_xy, side_offset, every_kth_value(side_points[0], max_points),
         every_kth_value(side_points[1], max_points), every_kth_value(side_points[2], max_points),
-        guess.reshape(1, -1), work, settings, prior,
+        guess.reshape(1, -1), known_loss, known_eave, work, settings, prior,
     )  # fmt: skip
     return loss, eave, top, angle, side_xy, side_offset
 
@@ -159,7 +175,7 @@ def slope_prior(num_edges, cost_m):
     return Prior(class_cost_m, np.full(num_edges, 38.0), 0.0, np.zeros(0), 0.0)
 
 
-@entry
+@allocating
 def best_cut(
     xy_m, ring_offset, angle_deg, points, sample, axes, positions, min_points, min_clearance_m, work, screen,
     settings, slope_cost_m, limit_m,
@@ -173,10 +189,12 @@ def best_cut(
     sample and of those to all points. The second side of a cut is not fitted if the first alone costs too much.
     """
     m, max_points, max_edges = points.shape[1], screen.num_search_points, 2 * len(xy_m) + 8
+    # what the first round finds for either side of each cut: loss, eave, number of edges; and the angles
+    known, known_deg = np.full((len(axes), 2, 3), IMPOSSIBLE), np.empty((len(axes), 2, max_edges))
     costs, num_low = np.empty(len(axes)), np.empty(len(axes), np.int64)
     for c in range(len(axes)):
         costs[c], num_low[c] = IMPOSSIBLE, _count_below(points[axes[c]], positions[c])
-    no_prior = slope_prior(0, 0.0)
+    no_prior, no_angles = slope_prior(0, 0.0), np.empty(0)
     order, num_tried = stable_order(costs), len(axes)
     if num_tried > _NUM_FITTED:
         for flat_top in (False, True):
@@ -186,17 +204,33 @@ def best_cut(
                 costs[c] = IMPOSSIBLE
                 if min(num_low[c], m - num_low[c]) < min_points:
                     continue
-                low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], False, 1,
-                    max_points, min_clearance_m, work, round_settings, no_prior,
-                )  # fmt: skip
-                if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > _FINALIST_RATIO * min_cost:
+                cost = 0.0
+                for side in range(2):
+                    count = m - num_low[c] if side else num_low[c]
+                    num_known = int(known[c, side, 2]) if flat_top else 0
+                    result = fit_side_at(
+                        work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], side == 1, 1,
+                        max_points, min_clearance_m, known_deg[c, side, :num_known], known[c, side, 0],
+                        known[c, side, 1], work, round_settings, no_prior,
+                    )  # fmt: skip
+                    if result[0] >= IMPOSSIBLE:
+                        cost = IMPOSSIBLE
+                        break
+                    cost += result[0] * count
+                    if not flat_top:
+                        num_edges = len(result[3])
+                        known[c, side, 0], known[c, side, 1], known[c, side, 2] = (
+                            result[0],
+                            result[1],
+                            num_edges,
+                        )
+                        known_deg[c, side, :num_edges] = result[3]
+                    if side == 0 and cost > _FINALIST_RATIO * min_cost:
+                        cost = IMPOSSIBLE
+                        break
+                if cost >= IMPOSSIBLE:
                     continue
-                high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], True, 1,
-                    max_points, min_clearance_m, work, round_settings, no_prior,
-                )  # fmt: skip
-                if high[0] >= IMPOSSIBLE:
-                    continue
-                costs[c] = low[0] * num_low[c] + high[0] * (m - num_low[c])
+                costs[c] = cost
                 min_cost = min(min_cost, costs[c])
             order = stable_order(costs)
             num_tried = min(num_tried, _NUM_FITTED if flat_top else _MAX_FINALISTS)
@@ -210,13 +244,15 @@ def best_cut(
         if min(num_low[c], m - num_low[c]) < min_points:
             continue
         low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], False, min_points,
-            settings.num_points, min_clearance_m, work, settings, slope_prior(max_edges, slope_cost_m / num_low[c]),
+            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work, settings,
+            slope_prior(max_edges, slope_cost_m / num_low[c]),
         )  # fmt: skip
         if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > best_cost:
             continue
         num_high = m - num_low[c]
         high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], True, min_points,
-            settings.num_points, min_clearance_m, work, settings, slope_prior(max_edges, slope_cost_m / num_high),
+            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work, settings,
+            slope_prior(max_edges, slope_cost_m / num_high),
         )  # fmt: skip
         cost = low[0] * num_low[c] + high[0] * num_high
         if cost < best_cost:
@@ -243,7 +279,7 @@ def _angle_on_cut(xy_m, ring_offset, angle_deg, axis, position):
     return 90.0
 
 
-@entry
+@allocating
 def _costs_of_positions(
     eave, top, side_deg, side_xy, side_offset, xy_m, ring_offset, sample, along, axis, position, is_high, positions,
     min_points, min_clearance_m, work, settings, prior,

@@ -7,7 +7,6 @@ from test_one_height import sample
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
-from p2wss.fit.dormers import roof_over
 from p2wss.fit.fitting import fit
 from p2wss.fit.solid import is_closed
 
@@ -17,6 +16,24 @@ TAN = np.tan(np.radians(40.0))
 RIDGE_M = EAVE_M + TAN * DEEP_M / 2
 # x from, x to, y from, y to, top: a box at the wall and one within the slope; both end in the roof
 AT_WALL, WITHIN = (2.0, 5.0, 0.0, 3.0, 7.4), (8.0, 11.0, 1.2, 3.6, 7.9)
+
+
+def roof_over(vertex_m: np.ndarray, triangle: np.ndarray, xy_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(height of the mesh's topmost face, z of its unit normal) over each position (m, 2); minus infinity and 1 outside
+    the mesh."""
+    corner = vertex_m[triangle]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(normal, axis=1)
+    upward = normal[:, 2] > 1e-6 * np.maximum(length, 1e-9)
+    height, slant = np.full(len(xy_m), -np.inf), np.ones(len(xy_m))
+    for (a, b, c), n, size in zip(corner[upward], normal[upward], length[upward], strict=True):
+        within = np.ones(len(xy_m), bool)
+        for p, q in ((a, b), (b, c), (c, a)):
+            within &= (q[0] - p[0]) * (xy_m[:, 1] - p[1]) - (q[1] - p[1]) * (xy_m[:, 0] - p[0]) >= -1e-9
+        z = a[2] - ((xy_m - a[:2]) @ n[:2]) / n[2]
+        higher = within & (z > height)
+        height[higher], slant[higher] = z[higher], n[2] / size
+    return height, slant
 
 
 def roof_z(xy_m: np.ndarray) -> np.ndarray:
