@@ -50,7 +50,9 @@ def judged_rows(
     """What the judge says of reconstructions, one row per building. footprints: others than those of the place."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "reconstructions.city.jsonl"
-        path.write_text(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg)), encoding="utf-8")
+        path.write_text(
+            "".join(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg))), encoding="utf-8"
+        )
         rows: list[dict[str, Any]] = judged_file(judge, path, footprints or place.footprints, place.clouds)[
             "rows"
         ]

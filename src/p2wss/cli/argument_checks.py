@@ -137,9 +137,7 @@ def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:
 
 def _check_folder(out: Path) -> None:
     """Raise :class:`InputError` if ``out`` is not a folder, or no file can be written there."""
-    folder = out
-    while not os.path.lexists(folder):
-        folder = folder.parent
+    folder = existing_folder(out)
     if not folder.is_dir():
         raise InputError(f"{out}: not written: {folder} is a file; name a folder for the outputs")
     try:
@@ -147,6 +145,13 @@ def _check_folder(out: Path) -> None:
             pass
     except OSError as error:
         raise InputError(f"{out}: not written: {error.strerror or error}") from error
+
+
+def existing_folder(out: Path) -> Path:
+    """``out``, or the nearest folder above it that exists."""
+    while not os.path.lexists(out):
+        out = out.parent
+    return out
 
 
 def _check_device(device: str) -> None:

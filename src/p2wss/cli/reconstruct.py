@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
@@ -15,6 +15,10 @@ from p2wss.data.materials import MATERIALS
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 
+if TYPE_CHECKING:
+    from p2wss.data.cloud_index import CloudIndex
+    from p2wss.reconstruct import Area
+
 
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss reconstruct`` to the parser."""
@@ -22,13 +26,12 @@ def add_parser(stages: Parsers) -> None:
         stages, "reconstruct", reconstruct, "reconstruct buildings from your own LiDAR and footprints"
     )
     command.add_argument(
-        "clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC files, or folders of them"
-    )
-    footprints = command.add_argument(
-        "footprints",
+        "inputs",
         type=Path,
-        metavar="FOOTPRINTS",
-        help="vector file with polygons; those in another CRS than the clouds are reprojected",
+        nargs="+",
+        metavar="CLOUD .. FOOTPRINTS",
+        help="LAS, LAZ or COPC files, or folders of them, and after these a vector file with polygons, reprojected if"
+        " it is in another CRS",
     )
     command.add_argument("out", type=Path, metavar="OUT", help="folder to write")
     command.add_argument(
@@ -36,7 +39,6 @@ def add_parser(stages: Parsers) -> None:
         action="store_true",
         help="without FOOTPRINTS: outlines from the points, as by p2wss outlines",
     )
-    _allow_no_footprints(command, footprints)
     command.add_argument(
         "--model",
         type=Path,
@@ -133,38 +135,26 @@ def add_parser(stages: Parsers) -> None:
     add_device(command)
 
 
-def _allow_no_footprints(command: argparse.ArgumentParser, footprints: argparse.Action) -> None:
-    """With ``--no-footprints`` the last argument but one is a cloud."""
-    parse = command.parse_known_args
-
-    def parse_known_args(args: Any = None, namespace: Any = None) -> Any:
-        footprints.nargs = "?" if "--no-footprints" in (args or ()) else None
-        return parse(args, namespace)
-
-    command.parse_known_args = parse_known_args  # type: ignore[method-assign]
-
-
 def reconstruct(arguments: argparse.Namespace) -> None:
     """Reconstruct the buildings and write the output files."""
+    _split_inputs(arguments)
     config = _reconstruct_config(arguments)
     inputs = argument_checks.check(arguments, config)
     set_num_threads(arguments.threads)
     from p2wss import reconstruct
-    from p2wss.data import clouds, footprints, unclassified
-    from p2wss.data.las_classes import BUILDING_CLASS, class_set
+    from p2wss.data import footprints
+    from p2wss.data.cloud_index import CloudIndex
     from p2wss.data.progress import Progress
+    from p2wss.data.spool import Spool
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
 
     weights, crs, terrain = inputs.weights, inputs.crs, inputs.terrain
     predictor = None if weights is None else load_predictor(weights, arguments.device)
     settings = config.reconstruct
-    classes = class_set(**dict(config.region.classes))
-    tile = (arguments.tile, config.region.tile_size_m)
-    can_register = False
+    cloud = None
     if arguments.no_footprints:
-        cloud, outlines = read_outlines(config, inputs)
-        around = footprints.clean_footprints(outlines, reconstruct.footprint_settings(config))
+        cloud, features = read_outlines(config, inputs)
     else:
         features = footprints.read_footprints(
             arguments.footprints,
@@ -174,45 +164,85 @@ def reconstruct(arguments: argparse.Namespace) -> None:
             height_field=settings.height_field or None,
             metric=inputs.metric,
         )
-        frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
-        around = (
-            frame if arguments.tile is None else reconstruct.around_tile(frame, *tile, config.reconstruct)
+    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
+    area = reconstruct.Area(
+        frame, reconstruct.in_tile(frame, arguments.tile, config.region.tile_size_m), settings
+    )
+    folder = argument_checks.existing_folder(arguments.out)
+    with (
+        CloudIndex(area.boxes, folder, adds_classes=cloud is None) as points,
+        Spool[reconstruct.Result](len(area.numbers), folder) as store,
+    ):
+        if cloud is None:
+            _read_clouds(arguments, config, inputs, area, points)
+            # points that are not the producer's move footprints only if that is asked for
+            registers = area.may_move(points) | (settings.registration and arguments.register == "on")
+        else:
+            points.append(cloud)
+            cloud, registers = None, area.is_chosen & False
+        chosen = frame[area.is_chosen]
+        if terrain is not None:
+            exports.check_coverage(terrain, chosen, arguments.terrain)
+        for note in exports.notes(settings, chosen, terrain is not None):
+            log.info("note: %s", note)
+        method = "fit to the points without a network" if weights is None else f"model {weights}"
+        log.info("%d footprints, %d points around them; %s", len(chosen), points.num_points, method)
+        stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
+        with Progress("reconstruct", len(area.numbers), "buildings") as progress:
+            reconstruct.run_area(
+                area, points, predictor, stem, settings, store, registers, progress.update, terrain
+            )
+        results = store[: len(chosen)]
+        if registers[area.is_chosen].any():
+            log.info("%s", reconstruct.registration_summary(result.registration for result in results))
+        if arguments.tile is None and not arguments.no_footprints:
+            reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
+        if terrain is not None and (difference := exports.terrain_note(results, terrain)):
+            log.info("note: %s", difference)
+        sections = section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE)
+        code = fingerprint("reconstruct")
+        facts = files.provenance(
+            config=sections, code=code, crs=crs.to_string(), model=weights and weights.name
         )
-        window_of_clouds = inputs.metric.window_of_clouds(reconstruct.window(around))
-        near = [header for header in inputs.clouds if header.overlaps(window_of_clouds)]
-        if not near and arguments.tile is None:
-            raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
-        cloud = clouds.read_clouds([header.path for header in near], window_of_clouds, classes)
-        # points that are not the producer's move footprints only if that is asked for
-        can_register = bool((cloud.classification == BUILDING_CLASS).any()) or arguments.register == "on"
-        cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
-        for warning in warnings:
-            log.warning("warning: %s", warning)
-    if terrain is not None:
-        exports.check_coverage(terrain, around, arguments.terrain)
-    if settings.registration and can_register:
-        around = reconstruct.register(around, cloud)
-    frame = around if arguments.tile is None else reconstruct.of_tile(around, *tile)
-    if settings.registration and can_register:
-        log.info("%s", reconstruct.registration_summary(frame))
-    for note in exports.notes(config.reconstruct, frame, terrain is not None):
-        log.info("note: %s", note)
-    method = "fit to the points without a network" if weights is None else f"model {weights}"
-    log.info("%d footprints, %d points around them; %s", len(frame), len(cloud), method)
-    stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
-    with Progress("reconstruct", len(frame), "buildings") as progress:
-        results = reconstruct.run(frame, cloud, predictor, stem, settings, progress.update, terrain)
-    if arguments.tile is None and not arguments.no_footprints:
-        reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
-    if terrain is not None and (difference := exports.terrain_note(results, terrain)):
-        log.info("note: %s", difference)
-    sections = section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE)
-    code = fingerprint("reconstruct")
-    facts = files.provenance(config=sections, code=code, crs=crs.to_string(), model=weights and weights.name)
-    facts["clouds"] = [header.path.name for header in inputs.clouds]
-    outputs = exports.write(arguments.out, stem, results, crs, facts, config.reconstruct, terrain)
-    log.info("%s: %s", arguments.out, ", ".join(outputs))
-    log.info("%s", reconstruct.summary(results))
+        facts["clouds"] = [header.path.name for header in inputs.clouds]
+        outputs = exports.write(arguments.out, stem, results, crs, facts, settings, terrain)
+        log.info("%s: %s", arguments.out, ", ".join(outputs))
+        log.info("%s", reconstruct.summary(results))
+
+
+def _split_inputs(arguments: argparse.Namespace) -> None:
+    """Split the paths before OUT into ``clouds`` and ``footprints``, which is None with ``--no-footprints``."""
+    arguments.clouds, arguments.footprints = arguments.inputs, None
+    if not arguments.no_footprints:
+        *arguments.clouds, arguments.footprints = arguments.inputs
+    if not arguments.clouds:
+        raise InputError("FOOTPRINTS or CLOUD is missing: p2wss reconstruct CLOUD .. FOOTPRINTS OUT")
+
+
+def _read_clouds(
+    arguments: argparse.Namespace,
+    config: Config,
+    inputs: argument_checks.Inputs,
+    area: Area,
+    points: CloudIndex,
+) -> None:
+    """Put the points of the clouds into the index, with warnings where they lack classes.
+
+    Raises :class:`InputError` if no cloud is near the footprints; a tile may be empty."""
+    from p2wss import reconstruct
+    from p2wss.data import clouds, unclassified
+    from p2wss.data.las_classes import class_set
+
+    metric, frame = inputs.metric, area.frame
+    window = metric.window_of_clouds(reconstruct.window(frame))
+    if arguments.tile is None and not any(header.overlaps(window) for header in inputs.clouds):
+        raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
+    window = metric.window_of_clouds(points.bounds)
+    near = [header.path for header in inputs.clouds if header.overlaps(window)]
+    for chunk in clouds.read_in_chunks(near, window, class_set(**dict(config.region.classes))):
+        points.append(metric.cloud(chunk))
+    for warning in unclassified.warnings(*area.missing_classes(points)):
+        log.warning("warning: %s", warning)
 
 
 def _reconstruct_config(arguments: argparse.Namespace) -> Config:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
 
 import laspy
@@ -22,7 +24,9 @@ _SUFFIXES = (".las", ".laz")
 _SIGNATURE = b"LASF"
 # headers may state bounds that are rounded
 _HEADER_MARGIN_M = 1.0
-_CHUNK_POINTS = 2_000_000
+_CHUNK_POINTS = 500_000
+# a window that covers more of a COPC file is not worth a query: all points are decoded
+_MAX_WINDOW_SHARE = 0.5
 _WEEK_S = 604_800
 
 
@@ -136,16 +140,38 @@ def read_clouds(
 
     Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
-    parts: list[tuple[np.ndarray, ...]] = [
-        (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, np.uint8), *[np.zeros(0, np.uint16)] * 2)
-    ]
+    parts = list(_parts(paths, bounds, classes, None))
+    return Cloud(
+        np.concatenate([np.zeros(0), *(part.x_m for part in parts)]),
+        np.concatenate([np.zeros(0), *(part.y_m for part in parts)]),
+        np.concatenate([np.zeros(0), *(part.z_m for part in parts)]),
+        np.concatenate([np.zeros(0, np.uint8), *(part.classification for part in parts)]),
+        parts[-1].crs if parts else None,
+        np.concatenate([np.zeros(0, np.uint16), *(part.strip for part in parts if part.strip is not None)]),
+        np.concatenate([np.zeros(0, np.uint16), *(part.day for part in parts if part.day is not None)]),
+    )
+
+
+def read_in_chunks(
+    paths: Sequence[str | Path], bounds: Bounds | None = None, classes: ClassSet = LAS
+) -> Iterator[Cloud]:
+    """The points of :func:`read_clouds`, about half a million at a time; those of COPC files in another order.
+
+    The CRS of a chunk is the first that is known.
+    """
+    return _parts(paths, bounds, classes, _CHUNK_POINTS)
+
+
+def _parts(
+    paths: Sequence[str | Path], bounds: Bounds | None, classes: ClassSet, max_points: int | None
+) -> Iterator[Cloud]:
     crs: pyproj.CRS | None = None
     crs_path: str | Path = ""
     for path in paths:
         if not Path(path).is_file():
             raise InputError(f"{path}: no such file")
         with reading(path, KIND):
-            for header, points in _chunks(path, bounds):
+            for header, points in _chunks(path, bounds, max_points):
                 file_crs = header.parse_crs()
                 if file_crs is not None:
                     if crs is not None and not same_crs(crs, file_crs):
@@ -154,18 +180,20 @@ def read_clouds(
                             "reproject one of them"
                         )
                     crs, crs_path = crs or file_crs, crs_path or path
-                parts.append(_filter(points, bounds, header, classes))
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return Cloud(columns[0], columns[1], columns[2], columns[3], crs, columns[4], columns[5])
+                x_m, y_m, z_m, classification, strip, day = _filter(points, bounds, header, classes)
+                yield Cloud(x_m, y_m, z_m, classification, crs, strip, day)
 
 
 def _chunks(
-    path: str | Path, bounds: Bounds | None
+    path: str | Path, bounds: Bounds | None, max_points: int | None
 ) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
+    """The points of a file, piece by piece. max_points: about as many at a time from a window of a COPC file; None for
+    all of them at once, in the order of its nodes."""
     with open_cloud(path) as reader:
         header = reader.header
         is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
-        if bounds is None or not is_copc:
+        share = 1.0 if bounds is None else _share_of_file(header, bounds)
+        if bounds is None or not is_copc or (max_points is not None and share > _MAX_WINDOW_SHARE):
             num_read = 0
             for points in reader.chunk_iterator(_CHUNK_POINTS):
                 num_read += len(points)
@@ -175,17 +203,42 @@ def _chunks(
             if num_read == 0:
                 yield header, laspy.ScaleAwarePointRecord.zeros(0, header=header)
             return
+    count = 1 if max_points is None else math.ceil(math.sqrt(share * header.point_count / max_points))
     with laspy.CopcReader.open(path) as reader:
-        x_min, y_min, x_max, y_max = bounds
-        window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))
-        points = reader.query(bounds=window)
-        # laspy silently returns no points for chunks beyond the end of a truncated file
-        info, size = reader.copc_info, Path(path).stat().st_size
-        ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
-        end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
-        if end > size:
-            raise EOFError(f"{size} of {end} bytes")
-        yield reader.header, points
+        for window in _windows(bounds, max(count, 1)):
+            mins, maxs = np.array(window[:2]), np.array(window[2:])
+            points = reader.query(bounds=laspy.copc.Bounds(mins=mins, maxs=maxs))
+            # laspy silently returns no points for chunks beyond the end of a truncated file
+            info, size = reader.copc_info, Path(path).stat().st_size
+            ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
+            end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
+            if end > size:
+                raise EOFError(f"{size} of {end} bytes")
+            # a point on the border of two windows is one of the lower window
+            x, y = np.asarray(points.x), np.asarray(points.y)
+            is_first = window[0] == bounds[0], window[1] == bounds[1]
+            mask = ((x > window[0]) | is_first[0]) & ((y > window[1]) | is_first[1])
+            yield reader.header, points if mask.all() else points[mask]
+
+
+def _share_of_file(header: laspy.LasHeader, bounds: Bounds) -> float:
+    """The share of a file's area that is in a window; 1 where the header does not state the area."""
+    (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
+    area = float((x_max - x_min) * (y_max - y_min))
+    width, height = (
+        min(bounds[2], x_max) - max(bounds[0], x_min),
+        min(bounds[3], y_max) - max(bounds[1], y_min),
+    )
+    return float(max(width, 0) * max(height, 0)) / area if area > 0 else 1.0
+
+
+def _windows(bounds: Bounds, count: int) -> Iterator[Bounds]:
+    """A window in ``count`` times ``count`` pieces."""
+    x = [*(bounds[0] + (bounds[2] - bounds[0]) * np.arange(count) / count).tolist(), bounds[2]]
+    y = [*(bounds[1] + (bounds[3] - bounds[1]) * np.arange(count) / count).tolist(), bounds[3]]
+    for low_y, high_y in pairwise(y):
+        for low_x, high_x in pairwise(x):
+            yield low_x, low_y, high_x, high_y
 
 
 def _filter(

@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -263,10 +263,10 @@ def write_json(path: str | Path, value: Any) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Write a text file."""
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+def write_text(path: str | Path, text: str | Iterable[str]) -> None:
+    """Write a text file, of one text or of pieces that follow each other."""
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines([text] if isinstance(text, str) else text)
 
 
 def write_bytes(path: str | Path, content: bytes | memoryview) -> None:

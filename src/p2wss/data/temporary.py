@@ -13,6 +13,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from p2wss.errors import InputError
 
 # a process on another host cannot be asked whether it lives: its files are removed when they are this old
 _ABANDONED_S = 24 * 3600.0
@@ -80,3 +84,55 @@ def _host() -> str:
                 os.readlink(path) if path.endswith("pid") else Path(path).read_text(encoding="utf-8")
             )
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=4).hexdigest()
+
+
+class Scratch:
+    """A file without a name, for what memory has no room for: it vanishes when it is closed or the process ends.
+
+    Raises :class:`InputError` if the disk of ``folder`` is full. content: what the file holds, for that message.
+    """
+
+    def __init__(self, folder: Path, content: str) -> None:
+        self.num_bytes = 0
+        self._folder, self._content = folder, content
+        try:
+            self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def append(self, content: bytes | memoryview) -> None:
+        """Add bytes at the end."""
+        rest = memoryview(content)
+        try:
+            self._file.seek(self.num_bytes)
+            while len(rest):
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            raise self._failure(error) from error
+        self.num_bytes += len(content)
+
+    def read_into(self, place: int, buffer: memoryview) -> None:
+        """Fill ``buffer`` with the bytes from ``place`` on."""
+        self._file.seek(place)
+        while len(buffer):
+            count = self._file.readinto(buffer)
+            if not count:
+                raise EOFError(f"{self._folder}: the temporary file of {self._content} is too short")
+            buffer = buffer[count:]
+
+    def read(self, place: int, size: int) -> bytes:
+        """The bytes from ``place`` on."""
+        content = bytearray(size)
+        self.read_into(place, memoryview(content))
+        return bytes(content)
+
+    def _failure(self, error: OSError) -> InputError:
+        return InputError(f"{self._folder}: temporary file of {self._content}: {error.strerror or error}")

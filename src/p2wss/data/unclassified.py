@@ -34,6 +34,14 @@ _MAX_DISTANCE_M = 2.0
 _MAX_ROUGHNESS_M = 0.12
 _MIN_UPRIGHT = np.cos(np.radians(75))
 _CHUNK = 100_000
+_WITHOUT_GROUND = (
+    "the lowest points without buildings and trees count as ground; points of the producer, or of PDAL's filters.smrf,"
+    " may be more accurate"
+)
+_WITHOUT_BUILDINGS = (
+    "points 2 m above the ground that lie on planes count as buildings (where a footprint has fewer than ten, all"
+    " points 2 m above the ground), and no footprint moves (--register on: as with classes)"
+)
 
 
 def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
@@ -42,27 +50,33 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     The classes of all points but unclassified ones, vegetation and those of numbers without a meaning in LAS stay.
     """
     classes = cloud.classification
-    warnings: list[str] = []
     if not len(cloud):
-        return cloud, warnings
-    if not (classes == GROUND_CLASS).any():
-        warnings.append(
-            "no point around the footprints has class 2 (ground): the lowest points without buildings and trees count"
-            " as ground; points of the producer, or of PDAL's filters.smrf, may be more accurate"
-        )
+        return cloud, []
+    has_ground, has_buildings = (classes == GROUND_CLASS).any(), (classes == BUILDING_CLASS).any()
+    if not has_ground:
         classes = np.where(_is_open(classes) & _lowest(cloud), GROUND_CLASS, classes).astype(np.uint8)
-    if not (classes == BUILDING_CLASS).any():
-        warnings.append(
-            "no point around the footprints has class 6 (building): points 2 m above the ground that lie on planes"
-            " count as buildings (where a footprint has fewer than ten, all points 2 m above the ground), and no"
-            " footprint moves (--register on: as with classes)"
-        )
+    if not has_buildings:
         height_m = cloud.z_m - _ground_z_m(cloud, classes == GROUND_CLASS)
         candidates = np.flatnonzero(_is_open(classes) & (height_m >= MIN_HEIGHT_M))
         is_planar = _planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
         classes = classes.copy()
         classes[candidates] = np.where(is_planar, BUILDING_CLASS, VEGETATION_CLASS)
-    return replace(cloud, classification=classes), warnings
+    return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 1)
+
+
+def warnings(num_without_ground: int, num_without_buildings: int, num_footprints: int) -> list[str]:
+    """A warning for each class that the points around some footprints lack."""
+    result: list[str] = []
+    for count, number, text in (
+        (num_without_ground, "2 (ground)", _WITHOUT_GROUND),
+        (num_without_buildings, "6 (building)", _WITHOUT_BUILDINGS),
+    ):
+        if count:
+            which = (
+                "the footprints" if count == num_footprints else f"{count} of the {num_footprints} footprints"
+            )
+            result.append(f"no point around {which} has class {number}: {text}")
+    return result
 
 
 def _is_open(classes: np.ndarray) -> np.ndarray:

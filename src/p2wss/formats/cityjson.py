@@ -87,26 +87,42 @@ def lines(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[
         yield _compact(_header(translate, metadata))
 
 
-def document(solids: Sequence[Solid], metadata: Metadata | int | None) -> str:
+def document(solids: Iterable[Solid], metadata: Metadata | int | None) -> str:
     """The same content as :func:`lines`, as a single CityJSON object."""
-    texts = map(json.loads, lines(solids, metadata))
-    city = next(texts)
-    vertices: list[list[int]] = city["vertices"]
-    for feature in texts:
-        first = len(vertices)
-        vertices += feature["vertices"]
+    return "".join(document_pieces(solids, metadata))
+
+
+def document_pieces(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[str]:
+    """The text of :func:`document`, building by building. In memory are only the coordinates, as text."""
+    texts = lines(solids, metadata)
+    city = json.loads(next(texts))
+    stated = city.pop("metadata", None)
+    del city["CityObjects"], city["vertices"]
+    yield _compact(city)[:-1] + ',"CityObjects":{'
+    vertices: list[str] = []
+    num_vertices, separator = 0, ""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for text in texts:
+        feature = json.loads(text)
         for city_object in feature["CityObjects"].values():
             for geometry in city_object.get("geometry", []):
                 geometry["boundaries"] = [
-                    [[[vertex + first for vertex in ring] for ring in rings] for rings in shell]
+                    [[[vertex + num_vertices for vertex in ring] for ring in rings] for rings in shell]
                     for shell in geometry["boundaries"]
                 ]
-        city["CityObjects"] |= feature["CityObjects"]
-    if vertices:
-        corner = np.array(vertices) * SCALE_M + city["transform"]["translate"]
-        extent = [*corner.min(axis=0), *corner.max(axis=0)]
-        city.setdefault("metadata", {})["geographicalExtent"] = [round(float(v), 4) for v in extent]
-    return _compact(city)
+        yield separator + _compact(feature["CityObjects"])[1:-1]
+        separator = ","
+        if feature["vertices"]:
+            corner = np.array(feature["vertices"])
+            low, high = np.minimum(low, corner.min(axis=0)), np.maximum(high, corner.max(axis=0))
+            vertices.append(_compact(feature["vertices"])[1:-1])
+            num_vertices += len(corner)
+    yield f'}},"vertices":[{",".join(vertices)}]'
+    if num_vertices:
+        translate = city["transform"]["translate"]
+        extent = [*(low * SCALE_M + translate), *(high * SCALE_M + translate)]
+        stated = (stated or {}) | {"geographicalExtent": [round(float(v), 4) for v in extent]}
+    yield (f',"metadata":{_compact(stated)}' if stated else "") + "}"
 
 
 def _header(translate: np.ndarray, metadata: Metadata) -> dict[str, Any]:
@@ -204,5 +220,5 @@ def _plane(grid: np.ndarray, surfaces: Sequence[Surface], metadata: Metadata) ->
     return attributes | {"area_m2": round(math.hypot(x, y, z), 3)}
 
 
-def _compact(value: dict[str, Any]) -> str:
+def _compact(value: Any) -> str:
     return json.dumps(value, separators=(",", ":"), ensure_ascii=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -31,29 +31,37 @@ def city_json(
     facts: Mapping[str, Any] | None = None,
     lods: Sequence[str] = ("2.0",),
     names: str = P2WSS,
-) -> str:
-    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``. A building without a
-    mesh has no geometry.
+) -> Iterator[str]:
+    """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``, in pieces of text. A
+    building without a mesh has no geometry.
 
     facts: of the run, for attributes and metadata. lods: levels of detail, from 1.2 and 2.0. names: of attributes.
     """
     facts = facts or {}
-    ordered = sorted(results, key=lambda result: not result.reconstruction.has_mesh)
-    solids = [solid(result, facts, lods, names) for result in ordered]
-    metadata = _metadata(results, crs, facts, names)
+    has_mesh: list[bool] = []
+    days: set[str] = set()
+    for result in results:
+        has_mesh.append(result.reconstruction.has_mesh)
+        days |= {day.isoformat() for day in result.dates or ()}
+    order = sorted(range(len(results)), key=lambda number: not has_mesh[number])
+    solids = (solid(results[number], facts, lods, names) for number in order)
+    metadata = _metadata(sorted(days), crs, facts, names)
     if output == "cityjson":
-        return cityjson.document(solids, metadata) + "\n"
-    return "\n".join(cityjson.lines(solids, metadata)) + "\n"
+        yield from cityjson.document_pieces(solids, metadata)
+        yield "\n"
+        return
+    for line in cityjson.lines(solids, metadata):
+        yield line
+        yield "\n"
 
 
-def _metadata(results: Sequence[Result], crs: pyproj.CRS, facts: Mapping[str, Any], names: str) -> Metadata:
+def _metadata(days: Sequence[str], crs: pyproj.CRS, facts: Mapping[str, Any], names: str) -> Metadata:
     """Title and reference date name version and sources: CityJSON has no other place for them."""
     title = f"Buildings by p2wss {__version__}"
     clouds = facts.get("clouds", [])
     if clouds:
         more = len(clouds) - _MAX_CLOUDS
         title += f" from {', '.join(clouds[:_MAX_CLOUDS])}" + (f" and {more} more" if more > 0 else "")
-    days = sorted({day.isoformat() for result in results for day in result.dates or ()})
     if days:
         title += f", points of {days[0]}" + (f" to {days[-1]}" if len(days) > 1 else "")
     own = {"slope": "slope_deg", "azimuth": "azimuth_deg"}

@@ -16,6 +16,7 @@ from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.data import files
 from p2wss.data.materials import materials_of
 from p2wss.data.schemas.wedges import WEDGES
+from p2wss.data.spool import Lazy
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.formats import gpkg, sionna
@@ -44,17 +45,22 @@ def write(
     """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the names.
 
     ``STEM.json`` lists the SHA-256 of each of the others, which ``p2wss inspect --verify STEM.json`` compares.
-    With a terrain the meshes stand in a block of it (:mod:`p2wss.reconstruct.terrain_mesh`), and with ``config.skin``
-    those of touching buildings become one (:mod:`p2wss.reconstruct.skin`); CityJSON does not change.
+    results: may be read from a file at each access. Skins and terrains hold all meshes in memory, tables and mesh files
+    their content, CityJSON nothing. With a terrain the meshes stand in a block of it
+    (:mod:`p2wss.reconstruct.terrain_mesh`), and with ``config.skin`` those of touching buildings become one
+    (:mod:`p2wss.reconstruct.skin`); CityJSON does not change.
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
-    buildings = [mesh(result, config) for result in results if result.reconstruction.has_mesh]
+    with_mesh = [number for number, result in enumerate(results) if result.reconstruction.has_mesh]
+    buildings: Sequence[Mesh] = Lazy(lambda number: mesh(results[number], config), with_mesh)
+    if terrain is not None or config.skin or config.wedges:
+        buildings = list(buildings)
     ground = None if terrain is None else block(buildings, terrain, config)
     if terrain is not None:
         buildings = terrain_mesh.lowered_into(buildings, terrain)
     skins = []
     if config.skin or config.wedges:
-        edges = [result.reconstruction.edge for result in results if result.reconstruction.has_mesh]
+        edges = [results[number].reconstruction.edge for number in with_mesh]
         is_cut = ground is not None and config.skin_terrain == "cut"
         max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
         skins = block_skins.joined(buildings, edges, config.skin_step_m, max_lowering_m)
@@ -67,7 +73,7 @@ def write(
     frame = frame_around(meshes, crs.to_string())
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
     before = input_footprints(results, crs)
-    results = [with_columns(result, config.keep_columns) for result in results]
+    results = Lazy(lambda result: with_columns(result, config.keep_columns), results)
     written: list[str] = []
     delivered: list[Path] = []
     for output in dict.fromkeys(config.outputs):
@@ -84,8 +90,8 @@ def write(
         elif output == "report":
             files.write_text(folder / name, shift_page(results, stem, crs))
         elif output in ("cityjson", "cityjsonseq"):
-            text = city_json(results, crs, output, facts, config.lods, config.attribute_names)
-            files.write_text(folder / name, text)
+            pieces = city_json(results, crs, output, facts, config.lods, config.attribute_names)
+            files.write_text(folder / name, pieces)
         else:
             delivered += write_meshes(folder, output, meshes, frame, options)
         if output not in MESH_WRITERS:
@@ -181,12 +187,19 @@ def notes(config: Reconstruct, frame: gpd.GeoDataFrame, has_terrain: bool) -> li
 
 def counts(results: Sequence[Result]) -> dict[str, Any]:
     """Numbers of buildings by status, reason and method."""
+    status, reasons, methods = Counter[str](), Counter[str](), Counter[str]()
+    not_representable = 0
+    for result in results:
+        status[result.status] += 1
+        reasons.update(filter(None, [result.reason]))
+        methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
+        not_representable += result.not_representable
     return {
         "total": len(results),
-        "status": dict(Counter(result.status for result in results)),
-        "reasons": dict(Counter(result.reason for result in results if result.reason)),
-        "methods": dict(Counter(r.reconstruction.method for r in results if r.reconstruction.has_mesh)),
-        "not_representable": sum(result.not_representable for result in results),
+        "status": dict(status),
+        "reasons": dict(reasons),
+        "methods": dict(methods),
+        "not_representable": not_representable,
     }
 
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 
-from p2wss.config import Config, Reconstruct, Scenes
+from p2wss.config import Config, Scenes
 from p2wss.data.cloud_crops import GROUND_RINGS_M
 from p2wss.data.tiling import Bounds, tiles_of_points
-from p2wss.reconstruct.registration import context
 
 
 def footprint_settings(config: Config) -> Scenes:
@@ -28,24 +27,15 @@ def window(frame: gpd.GeoDataFrame) -> Bounds:
     return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
 
-def of_tile(frame: gpd.GeoDataFrame, tile: str, tile_size_m: float) -> gpd.GeoDataFrame:
-    """The footprints whose centre is in the tile."""
-    frame = frame[np.isfinite(frame["centre_x_m"])]
-    in_tile = tiles_of_points(frame["centre_x_m"], frame["centre_y_m"], tile_size_m) == tile
-    return frame[in_tile].reset_index(drop=True)
-
-
-def around_tile(
-    frame: gpd.GeoDataFrame, tile: str, tile_size_m: float, config: Reconstruct
-) -> gpd.GeoDataFrame:
-    """The footprints of :func:`of_tile`, and those on which their registration depends."""
-    is_in_tile = np.zeros(len(frame), bool)
+def in_tile(frame: gpd.GeoDataFrame, tile: str | None, tile_size_m: float) -> np.ndarray:
+    """Whether the centre of each footprint is in the tile, bool (footprints,); all are without a tile."""
+    if tile is None:
+        return np.ones(len(frame), bool)
+    result = np.zeros(len(frame), bool)
     is_known = np.isfinite(frame["centre_x_m"]).to_numpy()
     centre = frame.loc[is_known, ["centre_x_m", "centre_y_m"]].to_numpy()
-    is_in_tile[is_known] = tiles_of_points(centre[:, 0], centre[:, 1], tile_size_m) == tile
-    if config.registration:
-        is_in_tile = context(frame, is_in_tile)
-    return frame[is_in_tile].reset_index(drop=True)
+    result[is_known] = tiles_of_points(centre[:, 0], centre[:, 1], tile_size_m) == tile
+    return result
 
 
 def output_stem(cloud: Path) -> str:

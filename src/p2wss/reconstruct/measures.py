@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import shapely
@@ -18,6 +19,8 @@ FLAT, FLATS, SLOPE, SLOPES = "flat", "several-flats", "single-slope", "several-s
 # walls within this distance of each other, and with directions up to this angle apart, stand against each other
 _PARTY_M, _PARTY_COSINE = 0.1, -np.cos(np.radians(5))
 _BISECTIONS = 24
+# buildings whose walls are kept while pairs are measured
+_MAX_WALLS = 4096
 
 
 @dataclass(frozen=True)
@@ -118,20 +121,18 @@ def _ridge_z(mesh: LabelledMesh, face: np.ndarray, cross: np.ndarray, is_sloped:
 
 def party_wall_areas_m2(meshes: Sequence[LabelledMesh]) -> np.ndarray:
     """(b,) areas of the walls of each building that stand against walls of other buildings of ``meshes``: within
-    0.1 m, and facing each other up to 5 degrees."""
+    0.1 m, and facing each other up to 5 degrees. meshes: may be computed at each access."""
     result = np.zeros(len(meshes))
-    usable = [i for i, mesh in enumerate(meshes) if len(mesh.triangle)]
-    boxes = shapely.box(
-        *np.array([[*meshes[i].vertex_m[:, :2].min(0), *meshes[i].vertex_m[:, :2].max(0)] for i in usable])
-        .reshape(-1, 4)
-        .T
-    )
-    first, second = shapely.STRtree(boxes).query(boxes, predicate="dwithin", distance=_PARTY_M)
-    walls = {i: _walls(meshes[i]) for i in usable}
-    for a, b in zip(first.tolist(), second.tolist(), strict=True):
-        if a < b:
-            area = _common_area_m2(walls[usable[a]], walls[usable[b]])
-            result[[usable[a], usable[b]]] += area
+    box_m = np.full((len(meshes), 4), np.nan)
+    for i, mesh in enumerate(meshes):
+        if len(mesh.triangle):
+            box_m[i] = [*mesh.vertex_m[:, :2].min(axis=0), *mesh.vertex_m[:, :2].max(axis=0)]
+    usable = np.flatnonzero(np.isfinite(box_m[:, 0]))
+    boxes = shapely.box(*box_m[usable].T)
+    pairs = np.sort(usable[shapely.STRtree(boxes).query(boxes, predicate="dwithin", distance=_PARTY_M)].T)
+    walls = lru_cache(_MAX_WALLS)(lambda i: _walls(meshes[i]))
+    for a, b in np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0).tolist():
+        result[[a, b]] += _common_area_m2(walls(a), walls(b))
     return result
 
 

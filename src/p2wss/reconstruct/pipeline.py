@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from datetime import date, timedelta
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import geopandas as gpd
 import numpy as np
@@ -22,6 +22,7 @@ from p2wss.data.cloud_crops import CloudCrops, crop_cloud
 from p2wss.data.clouds import GPS_EPOCH, Cloud
 from p2wss.data.cropping import seen_share
 from p2wss.data.points import on_millimetres
+from p2wss.data.spool import Lazy
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.metrics.surface import distance_to_mesh
@@ -96,25 +97,78 @@ def run(
     time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
     that their footprint states; else it is that of the neighbourhood.
     """
-    polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
-    cropped = crop_cloud(cloud, polygons, config.buffer_m)
-    origin_xy_m = polygon_arrays.origins(polygons)
-    stated_height_m = frame.get("stated_height_m", pd.Series(np.nan, index=frame.index)).to_numpy(np.float64)
-    ground_z_m = _ground_z_m(cropped, polygons, origin_xy_m, terrain)
-    names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
-    results: list[Result] = []
-    dates: list[tuple[date, date] | None] = []
-    for first in range(0, len(frame), _BATCH):
-        buildings = []
-        rows = range(first, min(first + _BATCH, len(frame)))
-        for i in rows:
-            point = _in_order(cloud, cropped.of(i))
-            dates.append(_dates(cloud, point))
-            xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
-            buildings.append(
-                Building(
+    results: dict[int, Result] = {}
+    rows = Rows(len(frame), results, predictor, tile, config, terrain)
+    rows.reconstruct(np.arange(len(frame)), frame, cloud, progress)
+    rows.finish()
+    return [results[number] for number in range(len(frame))]
+
+
+class Store(Protocol):
+    """Results by number: a dictionary, or a :class:`p2wss.data.spool.Spool`."""
+
+    def __getitem__(self, index: int, /) -> Result: ...
+
+    def __setitem__(self, index: int, value: Result, /) -> None: ...
+
+
+class Rows:
+    """The rows of a run, reconstructed part by part, and at the end what depends on several parts.
+
+    num_rows: of the run. results: where they are stored. The other arguments are those of :func:`run`.
+    """
+
+    def __init__(
+        self,
+        num_rows: int,
+        results: Store,
+        predictor: Predictor | None,
+        tile: str,
+        config: Reconstruct,
+        terrain: Terrain | None = None,
+    ) -> None:
+        self._num_rows, self._results = num_rows, results
+        self._predictor, self._tile = predictor, tile
+        self._config, self._terrain = config, terrain
+        self._origin_xy_m = np.full((num_rows, 2), np.nan)
+        # of buildings with points
+        self._ground_z_m = np.full(num_rows, np.nan)
+        # buildings without points whose ground is that of others
+        self._pending: list[tuple[int, Building, str, dict[str, Any]]] = []
+
+    def reconstruct(
+        self,
+        numbers: np.ndarray,
+        frame: gpd.GeoDataFrame,
+        cloud: Cloud,
+        progress: Callable[[int], object] = lambda num_done: None,
+    ) -> None:
+        """Reconstruct the rows of a frame. numbers: of each in the results. cloud: all points within
+        64 m of them. progress: called with the number of rows of the frame that are done."""
+        polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
+        cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
+        origin_xy_m = polygon_arrays.origins(polygons)
+        stated_height_m = frame.get("stated_height_m", pd.Series(np.nan, index=frame.index)).to_numpy(
+            np.float64
+        )
+        ground_z_m, is_pending = _ground_z_m(cropped, polygons, self._terrain)
+        self._origin_xy_m[numbers] = origin_xy_m
+        self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
+        names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
+        registrations = frame[COLUMN] if COLUMN in frame else [None] * len(frame)
+        facts = [
+            {"columns": columns, "registration": registration}
+            for columns, registration in zip(input_columns(frame), registrations, strict=True)
+        ]
+        for first in range(0, len(frame), _BATCH):
+            batch: list[tuple[int, Building, str, dict[str, Any]]] = []
+            for i in range(first, min(first + _BATCH, len(frame))):
+                point = _in_order(cloud, cropped.of(i))
+                facts[i]["dates"] = _dates(cloud, point)
+                xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
+                building = Building(
                     str(names[i]),
-                    tile,
+                    self._tile,
                     (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
                     [ring - origin_xy_m[i] for ring in polygons.rings(i)],
                     on_millimetres(xyz_m, origin_xy_m[i]),
@@ -122,45 +176,58 @@ def run(
                     float(ground_z_m[i]),
                     float(stated_height_m[i]),
                 )
-            )
-        results += _results(buildings, [str(status[i]) for i in rows], predictor, config)
-        progress(len(results))
-    registrations = frame[COLUMN] if COLUMN in frame else [None] * len(frame)
-    party_wall_area_m2 = party_wall_areas_m2([labelled_mesh(result.reconstruction) for result in results])
-    return [
-        replace(
-            result,
-            columns=columns,
-            registration=registration,
-            party_wall_area_m2=float(area_m2),
-            dates=of_points,
+                row = (int(numbers[i]), building, str(status[i]), facts[i])
+                (self._pending if is_pending[i] else batch).append(row)
+            self._store(batch)
+            progress(min(first + _BATCH, len(frame)))
+
+    def finish(self) -> None:
+        """Reconstruct the buildings whose ground is the median of the nearest ones with points, and measure party
+        walls."""
+        known = np.flatnonzero(np.isfinite(self._ground_z_m))
+        tree = cKDTree(self._origin_xy_m[known]) if len(known) else None
+        for k, (number, building, status, facts) in enumerate(self._pending):
+            if tree is not None:
+                nearest = tree.query(
+                    building.origin_xy_m, np.arange(1, min(_NUM_NEIGHBOURS, len(known)) + 1)
+                )[1]
+                ground_z_m = float(np.median(self._ground_z_m[known][nearest]))
+                self._pending[k] = (number, replace(building, ground_z_m=ground_z_m), status, facts)
+        for first in range(0, len(self._pending), _BATCH):
+            self._store(self._pending[first : first + _BATCH])
+        meshes = Lazy(
+            lambda number: labelled_mesh(self._results[number].reconstruction), range(self._num_rows)
         )
-        for result, columns, registration, area_m2, of_points in zip(
-            results, input_columns(frame), registrations, party_wall_area_m2, dates, strict=True
-        )
-    ]
+        area_m2 = party_wall_areas_m2(meshes)
+        for number in np.flatnonzero(area_m2).tolist():
+            self._set(number, replace(self._results[number], party_wall_area_m2=float(area_m2[number])))
+
+    def _store(self, rows: Sequence[tuple[int, Building, str, dict[str, Any]]]) -> None:
+        buildings = [building for _, building, _, _ in rows]
+        results = _results(buildings, [status for _, _, status, _ in rows], self._predictor, self._config)
+        for (number, _, _, facts), result in zip(rows, results, strict=True):
+            self._set(number, replace(result, **facts))
+
+    def _set(self, number: int, result: Result) -> None:
+        if result.reconstruction.has_mesh:
+            _ = result.mesh_measures  # stored with the result, as several outputs ask for them
+        self._results[number] = result
 
 
 def _ground_z_m(
-    cropped: CloudCrops, polygons: Polygons, origin_xy_m: np.ndarray, terrain: Terrain | None
-) -> np.ndarray:
-    """The ground of each building. Of those without points it is the mean of the terrain at the vertices of the
-    footprint, else what ground the cloud has nearby, else the median of the nearest buildings with points."""
+    cropped: CloudCrops, polygons: Polygons, terrain: Terrain | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(the ground of each building, whether it is that of others). Of those without points it is the mean of the
+    terrain at the vertices of the footprint, else what ground the cloud has nearby, else that of others."""
     result = cropped.ground_z_m.copy()
-    has_points = np.diff(cropped.offset) > 0
-    pending = np.flatnonzero(~has_points & (np.diff(polygons.vertex_offset) > 0))
+    is_pending = (np.diff(cropped.offset) == 0) & (np.diff(polygons.vertex_offset) > 0)
     if terrain is not None:
-        for i in pending:
+        for i in np.flatnonzero(is_pending):
             x_m, y_m = polygons.xy_m[polygons.vertex_offset[i] : polygons.vertex_offset[i + 1]].T
             height_m = terrain.interpolated(x_m, y_m)
             if np.isfinite(height_m).any():
                 result[i] = np.nanmean(height_m)
-    pending = pending[np.isnan(result[pending])]
-    known = np.flatnonzero(has_points & np.isfinite(result))
-    if len(pending) and len(known):
-        nearest = cKDTree(origin_xy_m[known]).query(origin_xy_m[pending], min(_NUM_NEIGHBOURS, len(known)))[1]
-        result[pending] = np.median(result[known][nearest.reshape(len(pending), -1)], axis=1)
-    return result
+    return result, is_pending & np.isnan(result)
 
 
 def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
@@ -283,13 +350,17 @@ def summary(results: Sequence[Result]) -> str:
 
     ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``
     """
+    reasons: dict[str, Counter[str]] = {status: Counter() for status in ("ok", "flat", "none")}
+    num_with_status: Counter[str] = Counter()
+    num_flagged = 0
+    for result in results:
+        num_with_status[result.status] += 1
+        reasons[result.status].update(filter(None, [result.reason]))
+        num_flagged += result.not_representable
     parts = []
-    for status in ("ok", "flat", "none"):
-        with_status = [result for result in results if result.status == status]
-        reasons = Counter(result.reason for result in with_status if result.reason)
-        text = ", ".join(f"{reason}: {count}" for reason, count in sorted(reasons.items()))
-        if with_status or status == "ok":
-            parts.append(f"{len(with_status)} {status}" + (f" ({text})" if text else ""))
-    num_flagged = sum(result.not_representable for result in results)
+    for status, of_status in reasons.items():
+        text = ", ".join(f"{reason}: {count}" for reason, count in sorted(of_status.items()))
+        if num_with_status[status] or status == "ok":
+            parts.append(f"{num_with_status[status]} {status}" + (f" ({text})" if text else ""))
     flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
     return f"{len(results)} buildings: " + ", ".join(parts) + flagged

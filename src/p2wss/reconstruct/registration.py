@@ -9,7 +9,7 @@ metres) away.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -36,6 +36,8 @@ from p2wss.skeleton.types import Polygons
 
 # blocks whose centres are nearer form a neighbourhood
 NEIGHBOURHOOD_M = 100.0
+# footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
+_BESIDE_M = 20.0
 # points this far from a block matter to it
 REACH_M = MAX_SHIFT_M + WINDOW_M + 0.25
 # a point that is neither on a building nor on the ground is half a sign that there is no building
@@ -105,7 +107,8 @@ COLUMN = "p2wss_registration"
 def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
     """``frame`` with its footprints where the cloud shows the buildings, and with the column :data:`COLUMN`.
 
-    frame: what :func:`p2wss.data.footprints.clean_footprints` returns, with all footprints of :func:`context`.
+    frame: what :func:`p2wss.data.footprints.clean_footprints` returns, with all footprints of
+    :meth:`Surroundings.around`.
     """
     shapes = frame.geometry.to_numpy()
     blocks = find_blocks(shapes)
@@ -141,49 +144,66 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
     return result
 
 
-def summary(frame: gpd.GeoDataFrame) -> str:
-    """One line: how many footprints were moved, and which the cloud contradicts.
+def summary(registrations: Iterable[Registration | None]) -> str:
+    """One line: how many footprints were moved, and which the cloud contradicts; None counts as without evidence.
 
     ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 stay with evidence, 0 without; extended: 6``
     """
-    return summary_of(list(frame[COLUMN]))
-
-
-def summary_of(rows: Sequence[Registration]) -> str:
-    """The line of :func:`summary` for these footprints."""
-    length_m = [
-        float(np.hypot(*row.shift_m)) for row in rows if row.shift_m != (0.0, 0.0) or row.rotation_deg
-    ]
-    num_without = sum(row.source == NOTHING for row in rows)
-    text = f"registration: {len(length_m)} of {len(rows)} footprints moved"
+    length_m: list[float] = []
+    flags: Counter[str] = Counter()
+    num_rows = num_without = 0
+    for row in registrations:
+        num_rows += 1
+        num_without += row is None or row.source == NOTHING
+        if row is not None:
+            flags.update(row.flags)
+            if row.shift_m != (0.0, 0.0) or row.rotation_deg:
+                length_m.append(float(np.hypot(*row.shift_m)))
+    text = f"registration: {len(length_m)} of {num_rows} footprints moved"
     if length_m:
         text += f", {min(length_m):.2f} to {max(length_m):.2f} m"
-    text += f"; {len(rows) - len(length_m) - num_without} stay with evidence, {num_without} without"
-    flags = Counter(flag for row in rows for flag in row.flags)
+    text += f"; {num_rows - len(length_m) - num_without} stay with evidence, {num_without} without"
     return text + "".join(f"; {name}: {count}" for name, count in sorted(flags.items()))
 
 
-def context(frame: gpd.GeoDataFrame, is_chosen: np.ndarray) -> np.ndarray:
-    """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
+class Surroundings:
+    """The blocks of all footprints of a run, and which of them the registration of others depends on."""
 
-    These are all footprints of their blocks, of the blocks up to ``NEIGHBOURHOOD_M`` away, and of those beyond with
-    which these compete for points.
-    """
-    shapes = frame.geometry.to_numpy()
-    present = np.flatnonzero(~shapely.is_empty(shapes))
-    of_present = connected(shapes[present])
-    count = int(of_present.max(initial=-1)) + 1
-    bounds = np.full((count, 4), np.inf)
-    corners = shapely.bounds(shapes[present]) * [1, 1, -1, -1]
-    np.minimum.at(bounds, of_present, corners)
-    box = shapely.box(*(bounds * [1, 1, -1, -1]).T)
-    tree = shapely.STRtree(box)
-    blocks = np.unique(of_present[is_chosen[present]])
-    for distance_m in (NEIGHBOURHOOD_M, *[2 * REACH_M] * _HOPS):
-        blocks = np.unique(tree.query(box[blocks], predicate="dwithin", distance=distance_m)[1])
-    result = is_chosen.copy()
-    result[present[np.isin(of_present, blocks)]] = True
-    return result
+    def __init__(self, footprints: np.ndarray) -> None:
+        """footprints: object array of polygons."""
+        self._present = np.flatnonzero(~shapely.is_empty(footprints))
+        self._of_present = connected(footprints[self._present])
+        # the block of each footprint, -1 of an empty one
+        self.block = np.full(len(footprints), -1, np.int64)
+        self.block[self._present] = self._of_present
+        count = int(self._of_present.max(initial=-1)) + 1
+        bounds = np.full((count, 4), np.inf)
+        corners = shapely.bounds(footprints[self._present]) * [1, 1, -1, -1]
+        np.minimum.at(bounds, self._of_present, corners)
+        self._box = shapely.box(*(bounds * [1, 1, -1, -1]).T)
+        self._tree = shapely.STRtree(self._box)
+
+    def around(self, is_chosen: np.ndarray) -> np.ndarray:
+        """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
+
+        These are all footprints of their blocks, those beside them, which their flags depend on, the blocks up to
+        ``NEIGHBOURHOOD_M`` away from all these, and those beyond with which these compete for points.
+        """
+        blocks = np.unique(self._of_present[is_chosen[self._present]])
+        for distance_m in (_BESIDE_M, NEIGHBOURHOOD_M, *[2 * REACH_M] * _HOPS):
+            blocks = np.unique(
+                self._tree.query(self._box[blocks], predicate="dwithin", distance=distance_m)[1]
+            )
+        result = is_chosen.copy()
+        result[self._present[np.isin(self._of_present, blocks)]] = True
+        return result
+
+    def whole_blocks(self, is_chosen: np.ndarray) -> np.ndarray:
+        """All footprints of the blocks of the chosen ones, bool (footprints,)."""
+        blocks = self._of_present[is_chosen[self._present]]
+        result = is_chosen.copy()
+        result[self._present[np.isin(self._of_present, blocks)]] = True
+        return result
 
 
 def moved(

@@ -11,7 +11,8 @@ from p2wss.data.clouds import horizontal
 from p2wss.formats import shift_map
 from p2wss.formats.shift_map import Block, Footprint
 from p2wss.reconstruct.pipeline import Result, summary
-from p2wss.reconstruct.registration import NEIGHBOURS, NOTHING, Registration, summary_of
+from p2wss.reconstruct.registration import NEIGHBOURS, NOTHING, Registration
+from p2wss.reconstruct.registration import summary as registration_summary
 
 
 def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
@@ -34,7 +35,11 @@ def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
         blocks[row.block] = Block(
             _action(row), *row.shift_m, row.shift_sd_m, row.rotation_deg, row.overhang_m
         )
-    text = summary_of(rows) if rows else "registration: off, or without points of class building to go by"
+    text = (
+        registration_summary(rows)
+        if rows
+        else "registration: off, or without points of class building to go by"
+    )
     return shift_map.page(stem, horizontal(crs).name, [summary(results), text], footprints, blocks)
 
 

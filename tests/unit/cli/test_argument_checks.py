@@ -217,9 +217,9 @@ def test_a_folder_of_clouds_names_the_outputs_and_files_elsewhere_are_not_read(
     write_cloud(folder / "a.las", ground_class=1)
     (folder / "notes.txt").write_text("no cloud")
     read: list[Path] = []
-    read_clouds = clouds.read_clouds
+    read_in_chunks = clouds.read_in_chunks
     monkeypatch.setattr(
-        clouds, "read_clouds", lambda paths, *more: read.extend(paths) or read_clouds(paths, *more)
+        clouds, "read_in_chunks", lambda paths, *more: read.extend(paths) or read_in_chunks(paths, *more)
     )
     assert run(place, cloud="survey") == 0
     assert read == [folder / "a.las", folder / "b.LAZ"]

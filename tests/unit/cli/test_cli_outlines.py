@@ -32,8 +32,10 @@ def test_reconstruct_without_footprints(place: Path, where: str) -> None:
 
 
 def test_footprints_are_still_required(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["reconstruct", str(place / "cloud.laz"), str(place / "out")]) == 2
+    assert "FOOTPRINTS or CLOUD is missing" in capsys.readouterr().err
     with pytest.raises(SystemExit, match="2"):
-        main(["reconstruct", str(place / "cloud.laz"), str(place / "out")])
+        main(["reconstruct", str(place / "out"), "--no-footprints"])
     assert "required: OUT" in capsys.readouterr().err
 
 

@@ -27,6 +27,7 @@ def test_files_named_after_the_cloud(place: Path) -> None:
         "cloud.city.jsonl",
         "cloud.glb",
         "cloud.gpkg",
+        "cloud.html",
         "cloud.json",
     ]
     (row,) = gpd.read_file(place / "out" / "cloud.gpkg").to_dict("records")

@@ -153,7 +153,7 @@ def test_a_block_of_lod_1_2_stands_beside_the_roof() -> None:
     facts = {"clouds": ["a.laz", "b.laz", "c.laz", "d.laz"]}
     results[0] = replace(results[0], dates=(date(2021, 3, 1), date(2021, 3, 1)))
     for lods, expected in ((["1.2", "2.0"], ["1.2", "2.0"]), (["1.2"], ["1.2"]), (["2.0"], ["2.0"])):
-        text = reconstruct.city_json(results, LAMBERT, "cityjsonseq", facts, lods)
+        text = "".join(reconstruct.city_json(results, LAMBERT, "cityjsonseq", facts, lods))
         header, *features = map(json.loads, text.splitlines())
         assert header["metadata"]["title"].endswith(
             "from a.laz, b.laz, c.laz and 1 more, points of 2021-03-01"
@@ -164,7 +164,7 @@ def test_a_block_of_lod_1_2_stands_beside_the_roof() -> None:
             assert [geometry["lod"] for geometry in geometries] == expected
         assert not any(solid_rules.codes_of_text(text).values())
         assert cityjson_rules.assert_sequence([header, *features]) == 2 * len(lods)
-    document = json.loads(reconstruct.city_json(results, LAMBERT, "cityjson", facts, ["1.2", "2.0"]))
+    document = json.loads("".join(reconstruct.city_json(results, LAMBERT, "cityjson", facts, ["1.2", "2.0"])))
     assert cityjson_rules.assert_document(document) == 4
     block, _ = document["CityObjects"]["a"]["geometry"]
     used = {v for rings in block["boundaries"][0] for ring in rings for v in ring}
@@ -174,7 +174,7 @@ def test_a_block_of_lod_1_2_stands_beside_the_roof() -> None:
 
 
 def test_slopes_have_the_names_of_3dbag_too() -> None:
-    text = reconstruct.city_json([result(building("a", BOX, GABLE))], LAMBERT, names="3dbag")
+    text = "".join(reconstruct.city_json([result(building("a", BOX, GABLE))], LAMBERT, names="3dbag"))
     (geometry,) = json.loads(text.splitlines()[1])["CityObjects"]["a"]["geometry"]
     roofs = [s for s in geometry["semantics"]["surfaces"] if s["type"] == "RoofSurface"]
     assert sorted(roof["b3_azimut"] for roof in roofs) == [0, 180]

@@ -91,7 +91,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
     assert back["angle_deg"].iloc[0].split() == ["35"] * 4
     assert back.geometry.iloc[1].equals(far)
 
-    header, *features = map(json.loads, reconstruct.city_json(results, LAMBERT).splitlines())
+    header, *features = map(json.loads, "".join(reconstruct.city_json(results, LAMBERT)).splitlines())
     assert header["metadata"]["referenceSystem"].endswith("/2154")
     assert sorted(f["id"] for f in features) == sorted(frame["building_id"])
     with_mesh = {f["id"] for f in features if "geometry" in f["CityObjects"][f["id"]]}
@@ -120,7 +120,7 @@ def test_nothing_at_all_can_be_written() -> None:
     empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
     results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", NETWORK_ALONE)
     assert results == []
-    assert len(reconstruct.city_json(results, LAMBERT).splitlines()) == 1
+    assert len("".join(reconstruct.city_json(results, LAMBERT)).splitlines()) == 1
     assert len(reconstruct.table(results, LAMBERT)) == 0
 
 
@@ -146,7 +146,7 @@ def test_real_clouds_give_watertight_buildings(
     results = reconstruct.run(cleaned(frame), points, Oracle(), place, NETWORK_ALONE)
     assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
     path = tmp_path / "out.city.jsonl"
-    path.write_text(reconstruct.city_json(results, crs))
+    path.write_text("".join(reconstruct.city_json(results, crs)))
     judge = [sys.executable, SHARED / "tools" / "evaluate_cityjson.py", path, folder / "footprints.gpkg"]
     completed = subprocess.run([*judge, folder / cloud, "--json"], capture_output=True, text=True, check=True)
     summary = json.loads(completed.stdout)["summary"]

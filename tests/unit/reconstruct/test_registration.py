@@ -236,7 +236,7 @@ def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
     assert np.median([np.linalg.norm(shift_of(whole, k) + by_block[k]) for k in range(48)]) < 0.1
     is_chosen = np.zeros(48, bool)
     is_chosen[1] = True
-    rows = registration.context(frame, is_chosen)
+    rows = registration.Surroundings(frame.geometry.to_numpy()).around(is_chosen)
     assert 6 < rows.sum() < 48
     subset = frame[rows].reset_index(drop=True)
     x_min, y_min, x_max, y_max = subset.total_bounds
@@ -310,7 +310,7 @@ def test_the_log_counts_what_was_moved_and_flagged() -> None:
     gone = shapely.box(22, -10, 28, -2)
     far = affinity.translate(shapely.box(0, 0, 5, 5), 500, 0)
     frame = frame_of([*[affinity.translate(shape, 1.0, 0.0) for shape in BLOCK], gone, far])
-    line = reconstruct.registration_summary(register(frame, cloud_of(roofs())))
+    line = reconstruct.registration_summary(register(frame, cloud_of(roofs()))[COLUMN])
     assert line.startswith("registration: 3 of 5 footprints moved, ")
     assert line.endswith(" m; 0 stay with evidence, 2 without; no-building: 1")
 
@@ -325,5 +325,5 @@ def test_nothing_to_register() -> None:
         assert [row.source for row in register(hollow, cloud)[COLUMN]] == [NOTHING] * 3
     rows = register(frame, empty)[COLUMN]
     assert [(row.shift_m, row.shift_sd_m, row.flags) for row in rows] == [((0.0, 0.0), None, ())] * 3
-    assert registration.context(hollow, np.ones(3, bool)).all()
-    assert registration.context(frame.iloc[:0], np.zeros(0, bool)).tolist() == []
+    assert registration.Surroundings(hollow.geometry.to_numpy()).around(np.ones(3, bool)).all()
+    assert registration.Surroundings(frame.geometry.to_numpy()[:0]).around(np.zeros(0, bool)).tolist() == []

@@ -1,0 +1,183 @@
+"""An area, with or without limits, batch by batch: memory holds the points and footprints of one batch.
+
+A batch is some of the footprints. With it come the footprints on which its registration depends, and the points around
+both, so that a building is the same in any batch, in any tile, and alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+
+import geopandas as gpd
+import numpy as np
+import shapely
+
+from p2wss.config import Reconstruct
+from p2wss.data.cloud_crops import GROUND_RINGS_M
+from p2wss.data.cloud_index import CloudIndex
+from p2wss.data.clouds import Cloud
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.terrain import Terrain
+from p2wss.reconstruct.network import Predictor
+from p2wss.reconstruct.pipeline import Rows, Store
+from p2wss.reconstruct.registration import COLUMN, Surroundings, register
+from p2wss.reconstruct.shifts import MAX_SHIFT_M
+
+# a building depends on points up to so far from its footprint, which may move and turn
+MARGIN_M = GROUND_RINGS_M[-1] + 2 * MAX_SHIFT_M
+# and those that only take part in its registration on points up to so far from theirs
+_AROUND_MARGIN_M = 16.0
+# footprints this near may share walls
+_BESIDE_M = 0.5
+# of a batch, without what is around it
+MAX_POINTS = 3_000_000
+MAX_FOOTPRINTS = 2_000
+
+
+class Area:
+    """Footprints to reconstruct, and those around on which they depend.
+
+    frame: all footprints, as :func:`p2wss.data.footprints.clean_footprints` returns them. is_chosen: bool
+    (footprints,), those whose results are asked for. is_built: these and those that may share walls with them.
+    """
+
+    def __init__(self, frame: gpd.GeoDataFrame, is_chosen: np.ndarray, config: Reconstruct) -> None:
+        self.frame, self.is_chosen = frame, is_chosen
+        shapes = frame.geometry.to_numpy()
+        self._box = shapely.bounds(shapes)
+        self._surroundings = Surroundings(shapes) if config.registration else None
+        self.is_built = is_chosen | self._beside(is_chosen)
+        self._is_around = self._around(self.is_built)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """Rows of the footprints to build, the chosen ones first."""
+        chosen, beside = np.flatnonzero(self.is_chosen), np.flatnonzero(self.is_built & ~self.is_chosen)
+        return np.concatenate([chosen, beside])
+
+    @property
+    def boxes(self) -> np.ndarray:
+        """Places whose points are needed, (n, 4)."""
+        return self._boxes(self.is_built, self._is_around)
+
+    def batches(self, points: CloudIndex) -> Iterator[np.ndarray]:
+        """The footprints to build in compact groups, ascending numbers of rows."""
+        centre = np.nan_to_num((self._box[:, :2] + self._box[:, 2:]) / 2)
+        pending = [np.flatnonzero(self.is_built)]
+        while pending:
+            rows = pending.pop()
+            num_points = points.count(_grown(self._box[rows], MARGIN_M))
+            is_small = len(rows) <= MAX_FOOTPRINTS and num_points <= MAX_POINTS
+            if is_small or len(rows) < 2:
+                if len(rows):
+                    yield np.sort(rows)
+                continue
+            axis = int(np.ptp(centre[rows], axis=0).argmax())
+            rows = rows[np.argsort(centre[rows, axis], kind="stable")]
+            pending += [rows[len(rows) // 2 :], rows[: len(rows) // 2]]
+
+    def read(
+        self, rows: np.ndarray, points: CloudIndex, registers: np.ndarray
+    ) -> tuple[gpd.GeoDataFrame, Cloud]:
+        """The footprints ``rows``, where the cloud shows them, and the points around them.
+
+        registers: of all footprints, those that may be moved, bool (footprints,).
+        """
+        is_row = np.zeros(len(self.frame), bool)
+        is_row[rows] = True
+        is_around = self._around(is_row)
+        cloud = points.near(self._boxes(is_row, is_around))
+        around = self.frame[is_around]
+        may_move = registers[is_around]
+        if may_move.any() and self._surroundings is not None:
+            around = around.copy()
+            registered = register(around[may_move], cloud)
+            geometry = around.geometry.to_numpy().copy()
+            geometry[may_move] = registered.geometry.to_numpy()
+            registrations = np.full(len(around), None, dtype=object)
+            # blocks have the numbers that they have in the run
+            block = self._surroundings.block[is_around][may_move].tolist()
+            rows_of_blocks = zip(registered[COLUMN], block, strict=True)
+            registrations[may_move] = [replace(row, block=number) for row, number in rows_of_blocks]
+            around = around.set_geometry(gpd.GeoSeries(geometry, index=around.index, crs=around.crs))
+            around[COLUMN] = registrations
+        return around[is_row[is_around]].reset_index(drop=True), cloud
+
+    def may_move(self, points: CloudIndex) -> np.ndarray:
+        """The footprints of blocks around which the producer has points of class building, bool (footprints,): what
+        :mod:`p2wss.data.unclassified` takes for buildings moves no footprint."""
+        if self._surroundings is None:
+            return np.zeros(len(self.frame), bool)
+        return self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))
+
+    def missing_classes(self, points: CloudIndex) -> tuple[int, int, int]:
+        """Chosen footprints with points around them: those of which none is ground, none is building, and all."""
+        x_m, y_m = self._centre_m()
+        x_m, y_m = x_m[self.is_chosen], y_m[self.is_chosen]
+        has_points = points.has_points(x_m, y_m)
+        num_missing = [
+            int((has_points & ~points.has_points(x_m, y_m, number)).sum())
+            for number in (GROUND_CLASS, BUILDING_CLASS)
+        ]
+        return num_missing[0], num_missing[1], int(has_points.sum())
+
+    def _centre_m(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.frame["centre_x_m"].to_numpy(float), self.frame["centre_y_m"].to_numpy(float)
+
+    def _around(self, is_row: np.ndarray) -> np.ndarray:
+        return is_row if self._surroundings is None else self._surroundings.around(is_row)
+
+    def _beside(self, is_row: np.ndarray) -> np.ndarray:
+        """The footprints that touch some of the rows or, after the registration, may do so."""
+        if is_row.all():
+            return is_row
+        present = np.flatnonzero(np.isfinite(self._box[:, 0]))
+        boxes = np.asarray(shapely.box(*self._box[present].T))
+        near = shapely.STRtree(boxes).query(boxes[is_row[present]], predicate="dwithin", distance=_BESIDE_M)[
+            1
+        ]
+        result = np.zeros(len(is_row), bool)
+        result[present[near]] = True
+        # blocks move apart
+        return result if self._surroundings is None else result & self._surroundings.whole_blocks(is_row)
+
+    def _boxes(self, is_row: np.ndarray, is_around: np.ndarray) -> np.ndarray:
+        rows = _grown(self._box[is_row], MARGIN_M)
+        return np.concatenate([rows, _grown(self._box[is_around & ~is_row], _AROUND_MARGIN_M)])
+
+
+def run_area(
+    area: Area,
+    points: CloudIndex,
+    predictor: Predictor | None,
+    tile: str,
+    config: Reconstruct,
+    results: Store,
+    registers: np.ndarray,
+    progress: Callable[[int], object] = lambda num_done: None,
+    terrain: Terrain | None = None,
+) -> None:
+    """Put a result per row of ``area.numbers`` into ``results``, by its position there.
+
+    points: those in ``area.boxes``. registers: see :meth:`Area.read`. The other arguments are those of
+    :func:`p2wss.reconstruct.pipeline.run`.
+    """
+    position = np.empty(len(area.frame), np.int64)
+    position[area.numbers] = np.arange(len(area.numbers))
+    rows = Rows(len(area.numbers), results, predictor, tile, config, terrain)
+    num_done = 0
+    for batch in area.batches(points):
+        frame, cloud = area.read(batch, points, registers)
+        rows.reconstruct(position[batch], frame, cloud, partial(_report, progress, num_done))
+        num_done += len(batch)
+    rows.finish()
+
+
+def _report(progress: Callable[[int], object], num_before: int, num_done: int) -> None:
+    progress(num_before + num_done)
+
+
+def _grown(box: np.ndarray, margin_m: float) -> np.ndarray:
+    return box + margin_m * np.array([-1, -1, 1, 1])
