@@ -1,4 +1,4 @@
-"""The one exception a user sees, and how the errors of libraries that read files become it."""
+"""The one exception that users see, and the conversion of errors of file-reading libraries into it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _MAX_REASON = 300
 
 
 class InputError(Exception):
-    """Something the user can mend: the message is one line that names the file, the building and what to do.
+    """An error that the user can correct: the message is one line that names the file, the building and what to do.
 
     The command line prints it as it is and exits with status 2.
     """

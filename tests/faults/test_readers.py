@@ -128,7 +128,7 @@ def test_a_config_whose_aliases_grow_without_bounds_is_refused(tmp_path: Path) -
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 10)]
     path = tmp_path / "c.yaml"
     path.write_text("\n".join(lines), encoding="utf-8")
-    with pytest.raises(InputError, match="aliases stand for more"):
+    with pytest.raises(InputError, match="aliases expand to more"):
         load(path)
 
 

@@ -117,7 +117,7 @@ def _check_no_footprints(arguments: argparse.Namespace) -> None:
         options.append("register")
     if options:
         option = options[0].replace("_", "-")
-        raise InputError(f"--{option}: has no effect with --no-footprints; leave one of the two out")
+        raise InputError(f"--{option}: has no effect with --no-footprints; omit one of the two")
 
 
 def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:
@@ -129,7 +129,7 @@ def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:
     if arguments.terrain is not None:
         raise InputError(
             f"--terrain {arguments.terrain}: {names} cannot hold a terrain; add a mesh format to --format, such as"
-            " glb, or leave --terrain out"
+            " glb, or omit --terrain"
         )
     if arguments.per_building:
         log.warning("warning: --per-building has no effect: none of %s is a mesh format", names)

@@ -14,9 +14,9 @@ def add_parser(stages: Parsers) -> None:
     """Add ``p2wss check`` to the parser."""
     command = stages.add_parser(
         "check",
-        help="test whether solids are valid",
-        description="Test the solids of CityJSON files by the rules of ISO 19107, with the default tolerances of "
-        "val3dity. Prints one line per invalid solid; the exit status is 1 if there is any.",
+        help="validate the solids of CityJSON files",
+        description="Validate the solids of CityJSON files against the rules of ISO 19107, with the default tolerances "
+        "of val3dity. Prints one line per invalid solid. The exit status is 1 if there is one.",
     )
     command.add_argument(
         "files", type=Path, nargs="+", metavar="FILE", help="CityJSON files or CityJSON text sequences"
@@ -24,7 +24,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--val3dity",
         metavar="PROGRAM",
-        help="also run this val3dity, of your own, and print what it reports",
+        help="also run this installation of val3dity and print its report",
     )
     command.set_defaults(run=check)
 

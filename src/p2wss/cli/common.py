@@ -41,14 +41,18 @@ def add_command(parsers: Parsers, name: str, run: Command, description: str) -> 
 def add_place(command: argparse.ArgumentParser) -> None:
     """Add ``--place``, see :mod:`p2wss.config.places`."""
     command.add_argument(
-        "--place", default="", help="place of the tile in a data set of several regions, such as paris/2/"
+        "--place",
+        default="",
+        help="member and draw of the tile in a data set of several regions, such as paris/2/",
     )
 
 
 def add_tile(command: argparse.ArgumentParser) -> None:
     """Add the option ``--tile``."""
     command.add_argument(
-        "--tile", required=True, help="name of the tile: kilometres of its north-west corner, as in 0652_6862"
+        "--tile",
+        required=True,
+        help="name of the tile: its north-west corner in kilometres, such as 0652_6862",
     )
 
 

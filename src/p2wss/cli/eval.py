@@ -29,7 +29,10 @@ def add_parser(stages: Parsers) -> None:
     """Add ``p2wss eval`` to the parser."""
     parts = add_group(stages, "eval", "evaluate the methods and write the report")
     command = add_command(
-        parts, "medians", eval_medians, "find the heights and angles that the constant predictor gives"
+        parts,
+        "medians",
+        eval_medians,
+        "compute the median height and angle that the constant baseline predicts",
     )
     _add_manifest(command)
     command.add_argument("--out", type=Path, required=True, help="JSON to write: the medians of the labels")
@@ -51,7 +54,7 @@ def add_parser(stages: Parsers) -> None:
     add_device(command)
 
     command = add_command(
-        parts, "fit", eval_fit, "reconstruct the same buildings as p2wss reconstruct does, with a fit"
+        parts, "fit", eval_fit, "reconstruct the same buildings with the fit, as p2wss reconstruct does"
     )
     _add_shards(command)
     command.add_argument(
@@ -73,7 +76,9 @@ def add_parser(stages: Parsers) -> None:
         help="Parquet written by p2wss eval recording (default: eval.roofer_recorded of the config)",
     )
 
-    command = add_command(parts, "recording", eval_recording, "read recorded outputs of Roofer once")
+    command = add_command(
+        parts, "recording", eval_recording, "read recorded outputs of Roofer, once for all groups"
+    )
     _add_manifest(command)
     command.add_argument(
         "--recorded", type=Path, nargs="+", required=True, metavar="CITYJSON", help="outputs of Roofer"
@@ -140,13 +145,13 @@ def add_parser(stages: Parsers) -> None:
         help="metrics written by p2wss dvae and p2wss model",
     )
     command.add_argument(
-        "--scans", type=Path, nargs="*", default=[], metavar="PNG", help="pictures written by p2wss scans"
+        "--scans", type=Path, nargs="*", default=[], metavar="PNG", help="images written by p2wss scans"
     )
     command.add_argument(
         "--out",
         type=Path,
         required=True,
-        help="folder to write: report.html, and its tables as CSV and LaTeX",
+        help="output folder: report.html, and its tables as CSV and LaTeX",
     )
 
 
@@ -180,8 +185,8 @@ def _add_parts(command: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="FOLDER",
-        help="a folder for each group of shards: METHOD.parquet and cpu/METHOD.json of each method, measures.parquet, "
-        "masked_errors.json (predict), variant_errors.json (measure)",
+        help="one folder per group of shards, with METHOD.parquet and cpu/METHOD.json of each method, "
+        "measures.parquet, masked_errors.json (predict), variant_errors.json (measure)",
     )
 
 

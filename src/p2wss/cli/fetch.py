@@ -33,7 +33,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument("--out", type=Path, help="LAZ file to write", required=True)
     _add_downloads(command)
     command = add_command(
-        parts, "prepare", fetch_prepare, "crop the LiDAR of one tile and find its ground points"
+        parts, "prepare", fetch_prepare, "crop the LiDAR of one tile and classify its ground points"
     )
     add_tile(command)
     command.add_argument(
@@ -41,10 +41,13 @@ def add_parser(stages: Parsers) -> None:
         type=Path,
         nargs="+",
         required=True,
-        help="delivered clouds, named TILE.laz: first that of the tile, then those of its neighbours",
+        help="delivered clouds, named TILE.laz: that of the tile first, then those of its neighbours",
     )
     command.add_argument(
-        "--out", type=Path, required=True, help="LAZ file to write; a pipeline run by PDAL is kept beside it"
+        "--out",
+        type=Path,
+        required=True,
+        help="LAZ file to write; if PDAL runs, its pipeline is stored beside it",
     )
 
 
@@ -180,7 +183,7 @@ def _add_fetch_group(stages: Parsers) -> Parsers:
         "fetch",
         help="get footprints, terrain and LiDAR of a region",
         description="Get footprints, terrain and LiDAR of a region from IGN's services or from files on disk. "
-        "With --region: estimate and download everything. The parts are the single steps of the workflow.",
+        "With --region: estimate and download everything. The parts are the individual steps of the workflow.",
     )
     parser.add_argument(
         "--bbox",
@@ -190,12 +193,14 @@ def _add_fetch_group(stages: Parsers) -> Parsers:
         help="create a new region with these bounds, in metres in --crs; rounded outwards to whole tiles",
     )
     parser.add_argument(
-        "--region", metavar="NAME", help="name of the region: new with --bbox, else config/regions/NAME.yaml"
+        "--region",
+        metavar="NAME",
+        help="name of the region: a new one with --bbox, otherwise config/regions/NAME.yaml",
     )
     parser.add_argument(
         "--vintage",
         default="",
-        help="edition of the data of a new region, names its folder (default: this year)",
+        help="edition of the data of a new region, which names its folder (default: this year)",
     )
     parser.add_argument(
         "--crs", default="EPSG:2154", help="projected CRS of a new region (default: EPSG:2154, Lambert-93)"

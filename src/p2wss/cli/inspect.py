@@ -20,7 +20,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--verify",
         action="store_true",
-        help="check that files are what p2wss wrote, by their checksums; exit status 2 if one is not",
+        help="verify the checksums of files; the exit status is 2 if a file is damaged or has no checksum",
     )
     command.add_argument("--json", action="store_true", help="print one line of JSON per file")
     command.set_defaults(run=inspect)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss outlines`` to the parser."""
     command = add_command(
-        stages, "outlines", outlines, "outlines of buildings from LiDAR, without footprints"
+        stages, "outlines", outlines, "derive building outlines from LiDAR, without footprints"
     )
     command.add_argument(
         "clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC files, or folders of them"

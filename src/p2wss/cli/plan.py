@@ -35,7 +35,7 @@ def add_parser(stages: Parsers) -> None:
         "--pin",
         type=Path,
         metavar="YAML",
-        help="write a config that names all tiles, to be given to snakemake as a last --configfile",
+        help="write a config that names all tiles, for use as the last --configfile of snakemake",
     )
     command.add_argument(
         "--costs",

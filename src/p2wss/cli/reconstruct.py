@@ -37,7 +37,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--no-footprints",
         action="store_true",
-        help="without FOOTPRINTS: outlines from the points, as by p2wss outlines",
+        help="omit FOOTPRINTS and use outlines derived from the points, as by p2wss outlines",
     )
     command.add_argument(
         "--model",
@@ -45,16 +45,18 @@ def add_parser(stages: Parsers) -> None:
         help="weights of the network (safetensors), or none to fit without a network "
         "(default: the weights that come with p2wss)",
     )
-    command.add_argument("--no-fit", action="store_true", help="keep the network's values, do not fit them")
+    command.add_argument(
+        "--no-fit", action="store_true", help="keep the values predicted by the network, without the fit"
+    )
     command.add_argument(
         "--id-field",
         metavar="COLUMN",
-        help="column of FOOTPRINTS with building ids (default: that of the schema, else the numbers of features)",
+        help="column of FOOTPRINTS with building ids (default: that of the schema, otherwise feature numbers)",
     )
     command.add_argument(
         "--schema",
         choices=get_args(SchemaName),
-        help="columns of FOOTPRINTS: ids, heights, floors (default: reconstruct.footprint_schema of the config)",
+        help="source of FOOTPRINTS, which defines its columns (default: reconstruct.footprint_schema of the config)",
     )
     command.add_argument(
         "--height-field",
@@ -64,7 +66,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--keep-columns",
         metavar="A,B,..",
-        help="columns of FOOTPRINTS to pass through to tables and CityJSON, or all "
+        help="columns of FOOTPRINTS to copy to tables and CityJSON, or all "
         "(default: reconstruct.keep_columns of the config)",
     )
     command.add_argument(
@@ -84,7 +86,7 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--attributes",
         choices=("p2wss", "3dbag"),
-        help="names of attributes: ours, or those of 3DBAG where it has a name (default: p2wss)",
+        help="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one (default: p2wss)",
     )
     command.add_argument(
         "--lod",
@@ -102,15 +104,15 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--skin",
         action="store_true",
-        help="join the buildings of a block into one closed skin without party walls, in mesh files",
+        help="in mesh files, merge the buildings of a block into one closed skin without party walls",
     )
     command.add_argument(
-        "--wedges", action="store_true", help="also write the convex edges of the skin, as Parquet"
+        "--wedges", action="store_true", help="also write the convex edges of the skin to a Parquet file"
     )
     command.add_argument(
         "--materials",
         metavar="wall=A,roof=B,ground=C",
-        help="materials in mesh files of buildings whose footprints state none, and of the terrain "
+        help="materials in mesh files: of the terrain, and of buildings whose footprints state none "
         "(default: reconstruct.materials of the config)",
     )
     command.add_argument(
@@ -123,12 +125,12 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--split-materials",
         action="store_true",
-        help="a shape per material in Sionna scenes; loses the diffracting edges between walls and roofs",
+        help="one shape per material in Sionna scenes; edges between walls and roofs then do not diffract",
     )
     command.add_argument(
         "--register",
         choices=["on", "off"],
-        help="whether to move footprints to where the clouds show the buildings "
+        help="move footprints to where the clouds show the buildings, or not "
         "(default: reconstruct.registration of the config)",
     )
     add_threads(command)

@@ -53,7 +53,7 @@ def scans(arguments: argparse.Namespace) -> None:
     bare = scan.facts["buildings_on_nodata"]
     if bare:
         log.warning(
-            f"{arguments.dtm}: no data under {len(bare)} buildings, the first is {bare[0]}; no ground there"
+            f"{arguments.dtm}: no data under {len(bare)} buildings (the first is {bare[0]}); they get no ground points"
         )
     survey = scan.facts["survey"]
     log.info(

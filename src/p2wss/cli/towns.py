@@ -1,4 +1,4 @@
-"""``p2wss towns``: a made-up town in IGN's file formats."""
+"""``p2wss towns``: a synthetic town in IGN's file formats."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ def add_parser(stages: Parsers) -> None:
     """Add ``p2wss towns`` to the parser."""
     command = stages.add_parser(
         "towns",
-        help="draw a made-up town in IGN's file formats",
-        description="Draw a made-up town: footprints, terrain and stand-in LiDAR in IGN's file formats.",
+        help="generate a synthetic town in IGN's file formats",
+        description="Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats.",
     )
     command.add_argument(
-        "--seed", type=int, required=True, help="number of the town; each gives another town"
+        "--seed", type=int, required=True, help="seed of the town; each seed gives a different town"
     )
     command.add_argument(
-        "--out", type=Path, required=True, help="folder to write, with bdtopo/, rgealti/ and lidar/"
+        "--out", type=Path, required=True, help="output folder, with bdtopo/, rgealti/ and lidar/"
     )
     command.add_argument(
         "--lidar", action="store_true", help="also simulate stand-in LiDAR for tile 0653_6861"

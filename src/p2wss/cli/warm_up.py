@@ -22,7 +22,7 @@ def add_parser(stages: Parsers) -> None:
     """Add ``p2wss warm-up`` to the parser."""
     command = stages.add_parser(
         "warm-up",
-        help="compile ahead of the first use",
+        help="compile the code before the first use",
         description="Compile the code that p2wss reconstruct needs, once for this computer.",
     )
     command.add_argument("--all", action="store_true", help="also compile the code that p2wss scans needs")
@@ -35,7 +35,7 @@ def add_parser(stages: Parsers) -> None:
 def warm_up(arguments: argparse.Namespace) -> None:
     marker = _marker(arguments.all)
     if marker is not None and marker.exists():
-        log.info("everything is compiled")
+        log.info("all code is already compiled")
         return
     from p2wss.data.progress import Progress
     from p2wss.reconstruct import warm_up as of_reconstruct

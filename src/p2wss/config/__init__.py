@@ -1,7 +1,7 @@
 """Every setting of the pipeline with its type, bounds, default (for the miniature) and description.
 
 ``config/default.yaml`` and ``config/schema.json`` are generated from this package by ``make config``. It
-imports nothing heavy, because the Snakefile imports it at every start.
+imports no slow modules, because the Snakefile imports it at every start.
 """
 
 from p2wss.config.ablation import Ablation

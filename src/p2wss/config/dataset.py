@@ -65,5 +65,5 @@ class Dataset(Section):
         if len(set(names)) < len(names):
             raise ValueError("members must have different names")
         if (self.num_lidar_dvae == 0) != (self.num_lidar_test == 0):
-            raise ValueError("num_lidar_dvae and num_lidar_test must both be 0 or both be given")
+            raise ValueError("num_lidar_dvae and num_lidar_test must both be 0 or both be above 0")
         return self

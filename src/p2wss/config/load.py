@@ -37,7 +37,7 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
 
 
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
-    """The named sections as one line of JSON, readable by :func:`load`. without: keys to leave out, ``a.b`` in a
+    """The named sections as one line of JSON, readable by :func:`load`. without: keys to omit, ``a.b`` in a
     nested section, ``a.*.b`` in each item of a list."""
     exclude: dict[str, Any] = {}
     for key in without:
@@ -72,7 +72,7 @@ def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_size(root: yaml.Node | None) -> None:
-    """Raise ValueError for a document that grows without bounds when its aliases are written out."""
+    """Raise ValueError for a document that becomes too large when its aliases are expanded."""
     sizes: dict[int, int] = {}
 
     def size(node: yaml.Node) -> int:
@@ -84,7 +84,7 @@ def _check_size(root: yaml.Node | None) -> None:
         return sizes[id(node)]
 
     if root is not None and size(root) > _MAX_VALUES:
-        raise ValueError(f"its aliases stand for more than {_MAX_VALUES} values")
+        raise ValueError(f"its aliases expand to more than {_MAX_VALUES} values")
 
 
 def _suggestion(error: Any) -> str:

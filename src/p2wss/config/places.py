@@ -1,8 +1,8 @@
-"""Places: where the files of a member and of a draw stand in the folders of a data set.
+"""Places: where the files of a member and of a draw are in the folders of a data set.
 
 A place is the part of a path before the name of a tile: "" for a config without members, ``paris/`` for a member
-with one draw, ``paris/1/``, ``paris/2/`` for the draws of a member with several. What no draw changes, such as
-footprints and real LiDAR, stands at the place of the member: ``paris/``.
+with one draw, ``paris/1/``, ``paris/2/`` for the draws of a member with several. Files that no draw changes, such as
+footprints and real LiDAR, are at the place of the member: ``paris/``.
 """
 
 from __future__ import annotations

@@ -77,7 +77,7 @@ class Region(Section):
     @classmethod
     def _all_stands_alone(cls, names: list[str]) -> list[str]:
         if ALL in names and len(names) > 1:
-            raise ValueError(f"{ALL} stands alone")
+            raise ValueError(f"{ALL} must be the only entry")
         return names
 
     @model_validator(mode="after")

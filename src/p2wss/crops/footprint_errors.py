@@ -1,4 +1,4 @@
-"""Footprints of simulated crops that lie wrong, as those of maps do."""
+"""Displaced footprints for simulated crops, which imitate errors of maps."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def unpacked_folder(archive: Path, folder: Path) -> Path:
     """The folder below ``folder`` for the grids of an archive.
 
     Its name ends in a digest of the sizes and times of the archive's parts: an archive that replaces another under the
-    same name is unpacked anew.
+    same name is unpacked again.
     """
     state = [(part.name, part.stat().st_size, part.stat().st_mtime_ns) for part in with_companions(archive)]
     digest = hashlib.blake2b(repr(state).encode(), digest_size=4).hexdigest()
@@ -85,7 +85,9 @@ def _content(archive: Path) -> Iterator[py7zr.SevenZipFile]:
     except InputError:
         raise
     except py7zr.exceptions.PasswordRequired as error:
-        raise InputError(f"{archive}: needs a password; unpack it and name the folder instead") from error
+        raise InputError(
+            f"{archive}: is password-protected; unpack it and name the folder instead"
+        ) from error
     except _BROKEN as error:
         parts = "; are all of its parts in the folder?" if archive.suffix == ".001" else ""
         raise InputError(f"{archive}: not a readable 7z archive, or truncated: {error}{parts}") from error

@@ -18,8 +18,8 @@ class Building:
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
     classification: uint8 (m,), LAS classes. ground_z_m: z of the ground at the building as the cloud shows it
-    (:func:`p2wss.data.cloud_crops.crop_cloud`), the zero of all its heights; NaN only without points. stated_height_m:
-    height above the ground that the footprint states; NaN if unknown.
+    (:func:`p2wss.data.cloud_crops.crop_cloud`), to which all its heights refer; NaN only without points.
+    stated_height_m: height above the ground that the footprint states; NaN if unknown.
     """
 
     building_id: str
@@ -52,8 +52,8 @@ class Reconstruction:
     parts with their own eave height; with several, ``eave_height_m`` is that of the largest part, and ``angle_deg``
     are the angles of the parts along the footprint. confidence: expected share of correct values, 0 to 1.
     class_probability: (edges, 3), the network's probabilities that an edge has 0 degrees, 90 degrees or a slope.
-    status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat roof as a
-    substitute.
+    status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat roof used
+    as a fallback.
     """
 
     building_id: str

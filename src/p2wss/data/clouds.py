@@ -35,8 +35,8 @@ class Cloud:
     """Points in a projected CRS.
 
     x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. strip: the
-    flight line (point source ID), uint16 (n,), None if unknown. day: on which the point was taken or, where its time
-    does not tell, its file was created: uint16 (n,), days since :data:`GPS_EPOCH`, 0 or None if unknown.
+    flight line (point source ID), uint16 (n,), None if unknown. day: on which the point was recorded or, if its time
+    does not state it, its file was created: uint16 (n,), days since :data:`GPS_EPOCH`, 0 or None if unknown.
     """
 
     x_m: np.ndarray
@@ -84,7 +84,7 @@ def list_clouds(paths: Sequence[Path]) -> list[Path]:
         if path.is_dir():
             found = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
             if not found:
-                raise InputError(f"{path}: this folder has no LAS or LAZ file")
+                raise InputError(f"{path}: has no LAS or LAZ file")
             result += found
         else:
             result.append(path)

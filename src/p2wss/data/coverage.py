@@ -53,7 +53,7 @@ def clean_block(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
     """The polygons of a block as a coverage, an object array in the same order; None for a polygon that cannot be part
     of it, for instance because it is so narrow that it collapses.
 
-    shapes: valid polygons. What neighbours share has the same vertices in both, to the bit. A vertex of one of them
+    shapes: valid polygons. Shared walls have bit-identical vertices in both polygons. A vertex of one of them
     within an edge of another is on it to the rounding of coordinates, and a vertex of both. The result does not depend
     on the order of the polygons. Never raises for valid polygons.
     """

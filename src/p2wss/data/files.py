@@ -1,4 +1,4 @@
-"""Read and write files. Writing is atomic: a file is complete or absent. What is read is what was written: see
+"""Read and write files. Writing is atomic: a file is complete or absent. Reading verifies checksums: see
 :mod:`p2wss.data.integrity`.
 
 Every Parquet file has a JSON object under the metadata key ``p2wss`` with its provenance (version, config

@@ -1,6 +1,7 @@
 """Repair of geometries, with limits: each is repaired in seconds, or has a reason.
 
-A ring of many vertices is thinned before anything whose cost grows with their square; all others stay as they are.
+A ring with many vertices is simplified before any step whose cost grows with the square of their number. All other
+rings stay unchanged.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from p2wss.data import reasons
 
 # no building is longer; the largest has 1.7 km
 MAX_EXTENT_M = 5000.0
-# rings with more vertices are thinned
+# rings with more vertices are simplified
 _MANY_VERTICES = 2000
 # Douglas-Peucker takes seconds for a ring of so many vertices that it cannot thin
 _MAX_THINNED = 30_000
@@ -32,8 +33,8 @@ def repaired(shapes: np.ndarray, tolerance_m: float = 0.2) -> tuple[np.ndarray, 
     """(valid 2D geometries, reason of each or "ok"); those with a reason are empty polygons.
 
     Invalid geometries are repaired by shapely's ``make_valid`` (method "structure"). tolerance_m: a ring of more than
-    2000 vertices is thinned by at most this much. Of a collection, only the polygons stay, if it has any; other
-    geometries that are no polygons stay as they are.
+    2000 vertices is simplified by at most this much. A collection is reduced to its polygons, if it has any; other
+    geometries that are not polygons stay unchanged.
     """
     shapes = shapely.force_2d(shapes)
     for i in np.flatnonzero(shapely.get_type_id(shapes) == shapely.GeometryType.GEOMETRYCOLLECTION):
@@ -71,7 +72,7 @@ def _polygons_of(collection: Any) -> Any:
 
 
 def _thinned(shape: Any, tolerance_m: float) -> Any:
-    """The geometry with thinned rings, those of few vertices as they are; None if a ring keeps too many vertices."""
+    """The geometry with simplified rings, those of few vertices unchanged; None if a ring keeps too many vertices."""
     if isinstance(shape, shapely.MultiPolygon):
         parts = [_thinned(part, tolerance_m) for part in shape.geoms]
         return None if any(part is None for part in parts) else shapely.MultiPolygon(parts)

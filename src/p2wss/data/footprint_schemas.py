@@ -1,4 +1,4 @@
-"""The columns of the sources of footprints that users have: ids, heights, numbers of floors."""
+"""Columns of common footprint sources: ids, heights, numbers of storeys."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FOOT_M = 0.3048
 
 @dataclass(frozen=True)
 class FootprintSchema:
-    """Names of columns, in upper or lower case, the first that a file has counts.
+    """Names of columns, in any case; the first one that a file has is used.
 
     evidence: a file has this schema if it has a column of each of these groups. ids, heights_m: height of the building
     above the ground. roof_and_ground: columns whose difference is the height. floors: number of floors, of 3 m each.
@@ -80,7 +80,7 @@ GENERIC = FootprintSchema(
 
 
 def schema_of(columns: Sequence[str], name: str = "auto") -> FootprintSchema:
-    """The schema of this name, or for "auto" the one that the columns show, :data:`GENERIC` if none."""
+    """The schema of this name, or for "auto" the one recognised from the columns, :data:`GENERIC` if none."""
     if name != "auto":
         return SCHEMAS[name]
     return SCHEMAS.get(detected(columns) or "", GENERIC)
@@ -109,8 +109,8 @@ def building_ids(
 
     Ids are those of the column ``id_field``, else of the first column of the schema without missing or repeated values,
     else of its first with any. A missing id becomes the number of the feature. A repeated one gets a suffix _2, _3, ..
-    from its second occurrence on; all others stay. Without such a column, ids are the numbers. A warning tells all that
-    differs from the file.
+    from its second occurrence on; all others stay. Without such a column, ids are the numbers. A warning reports
+    all that differs from the file.
 
     Raises :class:`InputError` if there is no column ``id_field``.
     """
@@ -130,15 +130,15 @@ def building_ids(
     if column is None and candidates:
         column = candidates[0]
         log.warning(
-            "warning: %s: column %s, the ids: %s; repeated ids end in _2, _3, .., and a missing one becomes the number"
-            " of its feature (--id-field chooses another column)",
+            "warning: %s: id column %s: %s; repeated ids get the suffixes _2, _3, .., and missing ids become the number"
+            " of the feature (--id-field selects another column)",
             path,
             column,
             problems[column],
         )
     elif candidates and column != candidates[0]:
         log.warning(
-            "warning: %s: column %s: %s; ids are those of column %s (--id-field chooses another)",
+            "warning: %s: column %s: %s; ids are taken from column %s instead (--id-field selects another)",
             path,
             candidates[0],
             problems[candidates[0]],

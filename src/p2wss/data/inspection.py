@@ -23,7 +23,7 @@ INTACT = "intact"
 
 
 def check(path: Path) -> Facts:
-    """Whether a file is what p2wss wrote: its name, and as ``checksum`` :data:`INTACT` or what is the matter.
+    """Verify a file: its name, and as ``checksum`` :data:`INTACT` or a description of the problem.
 
     Of a manifest, the shards that it lists are checked too, and of the summary of a reconstruction the files that were
     delivered with it.

@@ -1,11 +1,11 @@
-"""Checksums inside files: what was read is what was written, or the file is named as damaged.
+"""Checksums inside files, which reveal files that differ from what was written.
 
 A file of p2wss holds the text ``p2wss-sha256:`` and 64 hexadecimal digits, the SHA-256 of the whole file with zeros in
 place of those digits. So the checksum covers headers, metadata and content of any format, and needs no file beside it.
-It stands where the readers of the format ignore it: in the metadata of Parquet and safetensors, in the key ``checksum``
+It is stored where readers of the format ignore it: in the metadata of Parquet and safetensors, in the key ``checksum``
 of JSON, and else in a last line that follows the content (LAZ, TIFF, GeoPackage, PNG, arrays, checkpoints and tables).
 
-A file without a checksum is someone else's, and is read as it is.
+A file without a checksum was not written by p2wss, and is read without verification.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def is_intact(path: str | Path) -> bool | None:
 
 
 def require_checksum(text: str, path: str | Path) -> None:
-    """Raise :class:`InputError` unless what stands in the place of a checksum is one: else it was not verified."""
+    """Raise :class:`InputError` if the value in place of a checksum is not one: the file was then not verified."""
     if not text.startswith(PREFIX):
         raise InputError(_damaged(path))
 
@@ -132,7 +132,7 @@ def lines_of(content: bytes, name: str | Path) -> list[str]:
 
 
 def is_usable(path: Path) -> bool:
-    """Whether a file of a cache is there, with its checksum, and intact."""
+    """Whether a file of a cache exists, has a checksum and is intact."""
     try:
         return is_intact(path) is True
     except OSError:
@@ -140,7 +140,7 @@ def is_usable(path: Path) -> bool:
 
 
 def verify(path: str | Path) -> None:
-    """Raise :class:`InputError`, which says how to make it again, for a damaged file. A missing one is left alone."""
+    """Raise :class:`InputError`, which says how to make it again, for a damaged file. A missing file is ignored."""
     try:
         intact = is_intact(path)
     except FileNotFoundError:
@@ -152,9 +152,9 @@ def verify(path: str | Path) -> None:
 
 
 def remedy(path: str | Path) -> str:
-    """What makes a file again, in words."""
+    """The instruction that makes a file again."""
     rule = rule_of(path)
-    return f"make it again (snakemake -R {rule} ..)" if rule else "make it again or copy it anew"
+    return f"make it again (snakemake -R {rule} ..)" if rule else "make or copy it again"
 
 
 def _damaged(path: str | Path) -> str:
@@ -164,7 +164,7 @@ def _damaged(path: str | Path) -> str:
 
 
 def rule_of(path: str | Path) -> str | None:
-    """The rule of the workflow that writes a file; None if its path tells of none."""
+    """The rule of the workflow that writes a file; None if no rule writes to its path."""
     name = Path(os.path.abspath(path)).as_posix()
     # folders above the results may have the name of a stage too: the shortest end of the path counts
     matches = []

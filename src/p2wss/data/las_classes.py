@@ -17,7 +17,7 @@ NOISE_CLASSES = (7, 18)  # low and high noise
 
 @dataclass(frozen=True)
 class ClassSet:
-    """The classes of a producer: buildings, ground, and those to leave out. All others are "other": they may be on a
+    """The classes of a producer: buildings, ground, and those to ignore. All others are "other": they may be on a
     building that the classifier has missed."""
 
     building: tuple[int, ...] = (BUILDING_CLASS,)

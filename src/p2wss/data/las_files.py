@@ -1,4 +1,4 @@
-"""Open LAS, LAZ and COPC files whose headers have been tested, so that none takes all time or memory."""
+"""Open LAS, LAZ and COPC files after checking their headers, so that none uses unbounded time or memory."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: in
         file.seek(size - 8)
         (table_at,) = struct.unpack("<q", _exactly(file, 8))
     if not points_at < table_at <= size - 8:
-        raise ValueError("its table of chunks is not in the file")
+        raise ValueError("its chunk table is not within the file")
     file.seek(table_at + 4)
     (num_chunks,) = struct.unpack("<I", _exactly(file, 4))
     if num_chunks > size - points_at:

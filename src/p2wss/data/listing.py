@@ -1,7 +1,7 @@
-"""The files of a source ``folder``: which there are, and which of them may concern a tile.
+"""The files of a source ``folder``, and which of them may overlap a tile.
 
-The rules ask here too, so that a replaced file reruns what was made of it. They are read at every start of Snakemake:
-only the standard library is used, and of a file at most its header is read.
+The rules use this too, so that a replaced file reruns everything that depends on it. It runs at every start of
+Snakemake, so it uses only the standard library and reads at most the header of a file.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Clouds, footprints and terrains in one projected CRS in metres: which one, and how each gets there."""
+"""Choose one projected CRS in metres for clouds, footprints and terrain, and transform them into it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SAME_PLACE_M = 1e-4
 
 @dataclass(frozen=True)
 class MetricCrs:
-    """The CRS of a run, and how coordinates of the clouds' own get into it.
+    """The CRS of a run, and the conversion from the CRS of the clouds into it.
 
     source: of the clouds. crs: the same with metres in place of other units; of clouds in degrees the zone of UTM.
     horizontal_m, vertical_m: lengths of the source's units; the first is None for degrees.
@@ -95,9 +95,9 @@ def common_crs(
 ) -> tuple[pyproj.CRS, str | None]:
     """The CRS of the clouds, and a note if it was assumed.
 
-    cloud, frame: the CRS that clouds and footprints state, if any. stated: the one of the clouds that the user states.
-    names: of the two files. Raises :class:`InputError` if the user states another CRS than the clouds, or if nobody
-    states one.
+    cloud, frame: the CRS that clouds and footprints state, if any. stated: the CRS of the clouds that the user states.
+    names: of the two files. Raises :class:`InputError` if the user states another CRS than the clouds, or if no CRS
+    is stated.
     """
     note = None
     if stated is not None:
@@ -106,15 +106,13 @@ def common_crs(
         except pyproj.exceptions.CRSError as error:
             raise InputError(f"--crs {stated}: no such CRS; state one such as EPSG:28992") from error
         if cloud is not None and not same_crs(cloud, stated_crs):
-            raise InputError(
-                f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; leave --crs out"
-            )
+            raise InputError(f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; omit --crs")
         # heights that the user states are part of the CRS
         cloud = stated_crs if cloud is None or not cloud.is_compound else cloud
     if cloud is None and frame is not None and frame.is_geographic:
         raise InputError(
-            f"{names[0]} does not state its CRS, and {names[1]} is in degrees, which clouds hardly are; state that of"
-            " the clouds with --crs, such as EPSG:28992"
+            f"{names[0]} does not state its CRS, and {names[1]} is in degrees, which is unlikely for clouds; state that"
+            " of the clouds with --crs, such as EPSG:28992"
         )
     crs = cloud or frame
     if crs is None:
@@ -129,7 +127,7 @@ def common_crs(
 
 
 def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[MetricCrs, str | None]:
-    """The CRS of a run on clouds in ``source``, and a note if it is another.
+    """The CRS of a run on clouds in ``source``, and a note if it differs.
 
     A CRS in feet is replaced by the one of EPSG that is the same in metres, else by a CRS of the same name and
     "(metres)"; heights in feet by heights in metres above the same datum. Heights whose unit is not stated are taken to
@@ -141,7 +139,7 @@ def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[Me
     if flat.is_geographic and bounds is not None:
         crs = pyproj.CRS.from_epsg(_utm_code(flat, bounds, name))
         vertical_m = _vertical_m(source) or 1.0
-        note = f"the clouds are in {source.name}, in degrees; the run and its outputs are in {crs.name}"
+        note = f"the clouds are in {source.name}, in degrees; processing and outputs are in {crs.name}"
         return MetricCrs(source, crs, None, vertical_m), note
     factors = {axis.unit_conversion_factor for axis in flat.axis_info}
     if not flat.is_projected or len(factors) != 1:
@@ -159,8 +157,8 @@ def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[Me
         crs = pyproj.crs.CompoundCRS(f"{crs.name} + {vertical.name}", [crs, vertical])
     assumed = "" if stated_vertical_m is not None else " (heights assumed to be in the unit of x and y)"
     note = (
-        f"the clouds are in {source.name}, whose units are {horizontal_m:.10g} m and, of heights, {vertical_m:.10g} m"
-        f"{assumed}; the run and its outputs are in metres, in {crs.name}"
+        f"the clouds are in {source.name}, with units of {horizontal_m:.10g} m, and {vertical_m:.10g} m for heights"
+        f"{assumed}; processing and outputs are in metres, in {crs.name}"
     )
     return MetricCrs(source, crs, horizontal_m, vertical_m), note
 
@@ -207,7 +205,7 @@ def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
         )
     found = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
     if not found:
-        raise InputError(f"{name}: is in {crs.name}, in degrees, where UTM has no zone; reproject it")
+        raise InputError(f"{name}: is in {crs.name}, in degrees, outside all UTM zones; reproject it")
     return int(found[0].code)
 
 
@@ -239,8 +237,8 @@ def reprojected(frame: gpd.GeoDataFrame, crs: pyproj.CRS, path: str | Path) -> g
     log.info("note: %s: reprojected from %s to %s, %s", path, frame.crs.name, target.name, text)
     if accuracy_m is None or accuracy_m > _ACCURATE_M:
         log.warning(
-            "warning: %s: footprints may be off by the accuracy of this transformation; PROJ has no better one without"
-            " its grids (projsync installs them), and footprints in %s need none",
+            "warning: %s: footprints may be displaced by up to this accuracy; a more accurate transformation needs"
+            " PROJ's grids (projsync installs them); footprints in %s need no transformation",
             path,
             target.name,
         )

@@ -55,7 +55,7 @@ def points_on_buildings(
 def on_millimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
     """Points (n, 3) with x and y relative to an origin of whole metres, on a grid of millimetres.
 
-    A point that a cloud states in whole centimetres is then the same to the bit as out of a crop, which stores it so;
+    A point in whole centimetres is then bit-identical to the same point of a crop, which stores centimetres;
     without the grid, its coordinates would depend on the rounding of large numbers.
     """
     return np.rint(1000 * (xyz_m - [*origin_xy_m, 0.0])) / 1000

@@ -48,9 +48,9 @@ PARTLY_DEMOLISHED = "partly-demolished"
 EXTENDED = "extended"
 
 FLAGS: dict[str, str] = {
-    NO_BUILDING: "inside the footprint is ground",
-    PARTLY_DEMOLISHED: "inside the footprint is a compact area of ground: a demolished part, or a courtyard",
-    EXTENDED: "beside the footprint is a compact area of roof outside all footprints: an extension, or a neighbour",
+    NO_BUILDING: "the area inside the footprint is ground",
+    PARTLY_DEMOLISHED: "a contiguous area inside the footprint is ground: a demolished part, or a courtyard",
+    EXTENDED: "a contiguous area beside the footprint and outside all footprints is roof: an extension, or a neighbour",
 }
 
 MEANINGS: dict[str, str] = {
@@ -66,7 +66,7 @@ MEANINGS: dict[str, str] = {
     TOO_FEW_POINTS: "fewer points than crops.min_points or, of a reconstruction, reconstruct.min_num_points",
     NO_GROUND: "the ground is unknown",
     NO_LABELS: "the labels of training are missing",
-    HAS_COURTYARDS: "the footprint has courtyards, for which a token sequence has no place",
+    HAS_COURTYARDS: "the footprint has courtyards, which a token sequence cannot represent",
     TOO_MANY_VERTICES: "the footprint has more vertices than model.max_vertices",
     HEIGHT_OUT_OF_RANGE: "the eave height is not in the range of the network's tokens",
     FOOTPRINT_TOO_LARGE: "the footprint is larger than the range of the network's tokens",
@@ -75,23 +75,23 @@ MEANINGS: dict[str, str] = {
     TOO_FEW_ROOF_POINTS: "fewer than three points on the roof",
     NO_HEIGHT: "the method has no height for the building",
     HEIGHT_FROM_ATTRIBUTE: "no point shows the building: a flat roof at the height that its footprint states",
-    NO_ROOF: "the fit has no roof for the points",
+    NO_ROOF: "the fit found no roof for the points",
     NO_CLOSED_UNION: "the parts of the building have no closed union",
-    INVALID_SOLID: "the solid breaks a rule of ISO 19107, and so do simpler ones with a fitted roof",
-    ROOFER_FAILED: "Roofer ended with an error; the log has it",
+    INVALID_SOLID: "the solid violates a rule of ISO 19107, and so do simpler solids with a fitted roof",
+    ROOFER_FAILED: "Roofer ended with an error; see the log",
     ROOFER_TIMEOUT: "Roofer took longer than eval.roofer_timeout_s",
-    NO_ROOFER_MESH: "Roofer gave no mesh",
+    NO_ROOFER_MESH: "Roofer produced no mesh",
     NOT_RECORDED: "the building is not among the recorded outputs of Roofer",
     # of the kernel, in the order of its checks
-    "too-small": "the footprint has less than the smallest area (scenes.min_area_m2)",
-    TOO_MANY_EDGES: "the footprint has more edges than scenes.max_edges, or a ring more than the kernel can take",
+    "too-small": "the footprint is smaller than scenes.min_area_m2",
+    TOO_MANY_EDGES: "the footprint has more edges than scenes.max_edges, or a ring has more than the kernel supports",
     "not-simple": "a ring of the footprint crosses or touches itself or another ring",
     "courtyard-outside": "a courtyard is outside the exterior, or inside another courtyard",
     "not-clean": "a ring has the wrong orientation, or an edge shorter than a millimetre",
     "bad-angle": "an angle is not 0, 90 or within 5 to 85 degrees",
-    "bad-height": "a height is not finite, the walls have none, or a maximum is negative",
+    "bad-height": "a height is not finite, the walls have no height, or a maximum is negative",
     "too-many-events": "the wavefront of the skeleton has more events than a polygon can have",
-    "broken-wavefront": "the wavefront of the skeleton came apart",
+    "broken-wavefront": "the wavefront of the skeleton became inconsistent",
     "no-event": "the wavefront of the skeleton still moves but meets nothing",
     "overflow": "a work array of the kernel is full",
     "open-face": "a face of the solid has an open boundary",

@@ -1,4 +1,4 @@
-"""Tests of tables that were read: types, missing values, lengths of lists, and values that no building has."""
+"""Checks of tables after reading: types, missing values, lengths of lists, and implausible values."""
 
 from __future__ import annotations
 

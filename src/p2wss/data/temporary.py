@@ -1,4 +1,4 @@
-"""Temporary files and folders, and their names, by which those of killed processes are known and removed."""
+"""Temporary files and folders, named so that those of killed processes can be recognised and removed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Building and ground points for clouds whose producer classified none, from heights above the ground and planarity.
+"""Building and ground points for clouds without these classes, from heights above the ground and planarity.
 
 Ground: the lowest points of cells of 1 m, opened with growing windows; what an opening lowers by more than a slope
 allows is not ground (K. Pingel et al. 2013, "An improved simple morphological filter for the terrain classification of
@@ -35,19 +35,19 @@ _MAX_ROUGHNESS_M = 0.12
 _MIN_UPRIGHT = np.cos(np.radians(75))
 _CHUNK = 100_000
 _WITHOUT_GROUND = (
-    "the lowest points without buildings and trees count as ground; points of the producer, or of PDAL's filters.smrf,"
-    " may be more accurate"
+    "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
+    " more accurate"
 )
 _WITHOUT_BUILDINGS = (
-    "points 2 m above the ground that lie on planes count as buildings (where a footprint has fewer than ten, all"
-    " points 2 m above the ground), and no footprint moves (--register on: as with classes)"
+    "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than ten of"
+    " them, all points 2 m above the ground), and footprints are not moved (--register on moves them nevertheless)"
 )
 
 
 def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
     """The cloud with ground and building points where it has none at all of a class, and a warning for each class.
 
-    The classes of all points but unclassified ones, vegetation and those of numbers without a meaning in LAS stay.
+    Only points that are unclassified, vegetation or of a class without a meaning in LAS get another class.
     """
     classes = cloud.classification
     if not len(cloud):

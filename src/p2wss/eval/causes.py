@@ -1,4 +1,4 @@
-"""Why a mesh is far from its points: what the report says of the worst buildings, with the figures behind it."""
+"""Why a mesh is far from its points: the causes that the report states for the worst buildings, with figures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _EDGE_M = 1.0
 
 @dataclass(frozen=True)
 class Cause:
-    """kind: a short phrase, for counting. sentence: the same for the reader, with the figures that led to it."""
+    """kind: a short phrase, for counting. sentence: the same as a sentence, with the figures that led to it."""
 
     kind: str
     sentence: str

@@ -102,19 +102,19 @@ class Gallery:
             Counterpart(
                 "7 (1)",
                 "Height error, simulated LiDAR",
-                "network alone: the largest error of the eave height where the angles are right within 5°",
+                "network alone: the largest error of the eave height where the angles are correct within 5°",
                 self._top(SIMULATED, NETWORK, _height_errors, count, _height_sentence),
             ),
             Counterpart(
                 "7 (2)",
                 "Height error, real LiDAR",
-                "network alone: the whole roof too high or too low by the most",
+                "network alone: the largest vertical offset of the whole roof",
                 self._top(REAL, NETWORK, _shifts, count),
             ),
             Counterpart(
                 "8",
                 "Discontinuous heights",
-                "network alone, of buildings that the fit divides into parts: the most points far from the mesh",
+                "network alone, buildings with several parts in the fit: the largest share of points far from the mesh",
                 self._several_heights(count),
             ),
             Counterpart(
@@ -244,7 +244,7 @@ def _small_faces(rows: pd.DataFrame) -> pd.Series:
 
 
 def _height_sentence(row: Row) -> str:
-    return f"Eave height wrong by {row.height_error_m:.2f} m, angles by {row.angle_error_deg:.1f}°."
+    return f"Eave height off by {row.height_error_m:.2f} m, angles by {row.angle_error_deg:.1f}°."
 
 
 def _missing_sentence(row: Row) -> str:

@@ -33,7 +33,7 @@ _MAX_ERROR = 1e5
 
 def _plausible(value: float) -> float:
     if not (math.isnan(value) or 0 <= value <= _MAX_ERROR):
-        raise ValueError(f"{value:g} is no error that a building can have")
+        raise ValueError(f"{value:g} is not a plausible error of a building")
     return value
 
 
@@ -153,7 +153,7 @@ def errors_of(pairs: Sequence[tuple[Case, Reconstruction]]) -> dict[str, dict[st
     """Errors of height and angles: ``height_m`` and ``angle_deg`` over all values, ``height_seen_m`` and
     ``angle_seen_deg`` over those that the points determine (:func:`seen_edges`).
 
-    Reconstructions without parameters, or with other edges than the label, are left out.
+    Reconstructions without parameters, or with other edges than the label, are excluded.
     """
     usable = [
         (case, reconstruction, reconstruction.angle_deg)

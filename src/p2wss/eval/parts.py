@@ -1,4 +1,4 @@
-"""Parts: what the jobs of one group of shards write, and how the parts become one.
+"""Parts: the files that the jobs of one group of shards write, and how they are merged.
 
 A part is a folder with the reconstructions and the CPU times of each method, the measures of all methods, and the
 errors of Table 1. Reconstructions stay in the parts; the rest is merged one part at a time.

@@ -48,7 +48,7 @@ def fit(
     config: Reconstruct,
     clock: CpuClock | None = None,
 ) -> list[Reconstruction]:
-    """What ``p2wss reconstruct`` makes of each case, in order: fitted from the network (method ``point2wss+fit``)
+    """The result of ``p2wss reconstruct`` for each case, in order: fitted from the network (method ``point2wss+fit``)
     or, without a predictor, from the points alone (``fit``).
 
     A flat roof that the product falls back to counts as the method's, with the reason as its status.

@@ -1,4 +1,4 @@
-"""Outputs of an earlier run of Roofer, parsed and judged once for all groups of shards."""
+"""Outputs of an earlier run of Roofer, parsed once for all groups of shards."""
 
 from __future__ import annotations
 

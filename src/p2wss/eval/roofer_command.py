@@ -1,7 +1,7 @@
 """Whether Roofer can be run here, in which version, and which recorded outputs replace it if it cannot.
 
-Imports nothing heavy: the Snakefile asks at every start, because a new installation or another version of Roofer is
-a reason to run the baseline again.
+Imports no slow modules, because the Snakefile uses it at every start: a new installation or another version of Roofer
+reruns the baseline.
 """
 
 from __future__ import annotations

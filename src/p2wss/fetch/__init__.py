@@ -91,6 +91,6 @@ def known_height_share(terrain: Terrain, bounds: Bounds, name: str) -> float:
     share = float(np.isfinite(terrain.cut(bounds).height_m).mean())
     if share == 0:
         raise InputError(
-            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}: all cells are no data"
+            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}: no cell has data"
         )
     return share

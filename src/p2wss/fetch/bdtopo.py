@@ -39,7 +39,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
 
     Missing attributes become null (text) or NaN (numbers). Of a building that occurs more than once, one row
     is kept. name: the file or service, used in messages. schema: of :data:`p2wss.data.footprint_schemas.SCHEMAS`, or
-    "auto"; those other than "bdtopo" give ids, heights and floors, and all that repeats an id is told.
+    "auto"; those other than "bdtopo" give ids, heights and floors, and repeated ids are reported.
 
     Raises :class:`InputError` if a required column is missing, a building has no id, or the CRS is missing or
     differs from ``crs``.
@@ -81,7 +81,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
 def _as_in_bdtopo(frame: gpd.GeoDataFrame, schema: str, name: str) -> gpd.GeoDataFrame:
     """The ids, heights and floors of footprints of another schema under BD TOPO's names.
 
-    Features with the id and the geometry of another one, as at the seams of files, are left out.
+    Features with the id and the geometry of another one, as at the seams of files, are dropped.
     """
     table = pd.DataFrame(frame.drop(columns=frame.geometry.name))
     columns = schema_of(list(table.columns), schema)

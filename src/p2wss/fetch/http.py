@@ -33,7 +33,7 @@ Result = TypeVar("Result")
 
 
 class TransientError(Exception):
-    """A failure that the next attempt may not meet. retry_after_s: the wait that the service asked for."""
+    """A failure that may not occur again. retry_after_s: the wait that the service asked for."""
 
     def __init__(self, reason: str, retry_after_s: float | None = None) -> None:
         super().__init__(reason)
@@ -200,7 +200,7 @@ class Client:
                 yield response
         except requests.exceptions.SSLError as error:
             raise InputError(
-                f"{url}: its TLS certificate does not verify: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
+                f"{url}: its TLS certificate cannot be verified: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
             ) from error
         except requests.RequestException as error:
             raise TransientError(
@@ -211,7 +211,7 @@ class Client:
 class _Session(requests.Session):
     """A session that follows redirects to the same host, or to one of ``hosts``, and refuses all others.
 
-    A config names its services; whoever can make one of them redirect must not choose what else this machine asks.
+    The config names the services. A service that was made to redirect must not choose which other hosts are contacted.
     """
 
     def __init__(self, hosts: Collection[str]) -> None:
@@ -225,11 +225,11 @@ class _Session(requests.Session):
         before, after = urlsplit(resp.url), urlsplit(urljoin(resp.url, location))
         if after.hostname != before.hostname and after.hostname not in self.hosts:
             raise InputError(
-                f"{resp.url}: redirects to {after.hostname}, which is refused; if that is right, add the host to"
+                f"{resp.url}: redirects to {after.hostname}, which is not permitted; if the host is correct, add it to"
                 " fetch.geoplateforme.redirect_hosts"
             )
         if before.scheme == "https" and after.scheme != "https":
-            raise InputError(f"{resp.url}: redirects from https to {after.scheme}, which is refused")
+            raise InputError(f"{resp.url}: redirects from https to {after.scheme}, which is not permitted")
         return location
 
 
@@ -280,7 +280,7 @@ def _date(value: str) -> datetime | None:
 
 
 def _edition(response: requests.Response) -> str:
-    """What tells one edition of a file from another, as ``If-Range`` takes it; "" if the service states nothing."""
+    """What identifies an edition of a file, as ``If-Range`` expects it; "" if the service states nothing."""
     tag = response.headers.get("ETag", "")
     return tag if tag and not tag.startswith("W/") else response.headers.get("Last-Modified", "")
 

@@ -1,4 +1,4 @@
-"""GeoPackage tables, written whole or not at all."""
+"""GeoPackage tables, written completely or not at all."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def properties(itu_type: str, frequency_ghz: float) -> Properties:
     """The properties of a type of :data:`ITU_TYPES`.
 
     Where the recommendation does not define them, the complex permittivity of the nearest frequency at which it does
-    is held. The conductivity then grows in proportion to the frequency.
+    is used. The conductivity then grows in proportion to the frequency.
     """
     fits = _TABLE[itu_type]
     for fit in fits:

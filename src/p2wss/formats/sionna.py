@@ -120,7 +120,7 @@ def notes(
     is_mixed: bool,
     split_materials: bool,
 ) -> list[str]:
-    """What a user of the scene must know: materials that are not defined at the frequency, a missing ground, wedges.
+    """Notes for the user of the scene: materials not defined at the frequency, a missing ground, wedges.
 
     materials: of the shapes. is_mixed: whether a building has several materials.
     """
@@ -131,16 +131,18 @@ def notes(
             low, high = values.valid_ghz
             result.append(
                 f"ITU-R P.2040 defines {itu_type} from {low:g} to {high:g} GHz, not at {frequency_ghz:g} GHz"
-                f" (--frequency-ghz); the scene holds its permittivity of {values.held_from_ghz:g} GHz"
+                f" (--frequency-ghz); the scene uses its permittivity at {values.held_from_ghz:g} GHz"
             )
     if not has_terrain:
         result.append("the scene has no ground; --terrain adds it")
     if is_mixed and split_materials:
-        result.append("shapes are split by material; Sionna RT finds no diffracting edge between two shapes")
+        result.append(
+            "shapes are split by material; Sionna RT does not find diffracting edges between two shapes"
+        )
     elif is_mixed:
         result.append(
-            "each shape has the material of most of its walls, because Sionna RT finds diffracting edges within one"
-            " shape only; --split-materials makes a shape per material"
+            "each shape has the material of most of its walls, because Sionna RT finds diffracting edges only within a"
+            " shape; --split-materials writes one shape per material"
         )
     return result
 
@@ -225,7 +227,7 @@ def _ply(vertex_m: np.ndarray, triangle: np.ndarray) -> bytes:
 
 
 def _bsdf_id(name: str, values: Properties, frequency_ghz: float) -> str:
-    """The id of a material. Sionna RT refuses names of ITU types for materials of constant properties."""
+    """The id of a material. Sionna RT rejects names of ITU types for materials with constant properties."""
     if values.held_from_ghz is None:
         return f"mat-{name}"
     return f"mat-{name}-{round(frequency_ghz * 1000)}-MHz"

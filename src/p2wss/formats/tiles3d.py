@@ -1,7 +1,7 @@
 """3D Tiles 1.1: a tree of glTF tiles on the globe, as web maps (CesiumJS, three.js, deck.gl, QGIS) stream it.
 
 Specifications: https://docs.ogc.org/cs/22-025r4/22-025r4.html (OGC 22-025r4), and of the glTF extensions
-``EXT_mesh_features`` and ``EXT_structural_metadata``, by which a viewer tells the building of a face.
+``EXT_mesh_features`` and ``EXT_structural_metadata``, by which a viewer identifies the building of a face.
 """
 
 from __future__ import annotations

@@ -53,6 +53,6 @@ def build_model(config: ModelConfig, dvae_config: DvaeConfig, tokenizer: Tokeniz
 def training_limits(config: ModelConfig, dvae_config: DvaeConfig, tokenizer: Tokenizer) -> TrainingLimits:
     """The limits within which every augmentation keeps a building representable in tokens."""
     largest_m = 10.0 ** (tokenizer.places[0] + 1)
-    # 0.9, because the centroid of a thinned cloud is not that of the whole one
+    # 0.9, because the centroid of a subsampled cloud is not that of the whole one
     length_m = 0.9 * (largest_m / max(config.augmentation.scale[1], 1.0)) - config.augmentation.lift_m
     return TrainingLimits(dvae_config.min_points, config.max_vertices, length_m)

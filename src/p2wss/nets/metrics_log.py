@@ -75,7 +75,7 @@ def _read(path: Path) -> list[dict[str, Any]]:
         else:
             num_damaged += 1
     if num_damaged:
-        log.warning("%s: %d damaged or incomplete lines left out", path, num_damaged)
+        log.warning("%s: skipped %d damaged or incomplete lines", path, num_damaged)
     return records
 
 

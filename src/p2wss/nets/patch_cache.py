@@ -24,7 +24,7 @@ _BATCH_SIZE = 128
 
 @dataclass(frozen=True)
 class PatchSettings:
-    """How clouds are cut into patches; clouds of more than ``num_points`` are thinned before."""
+    """How clouds are cut into patches; clouds of more than ``num_points`` are subsampled before."""
 
     num_points: int
     num_patches: int
@@ -36,7 +36,7 @@ def precompute_patches(
 ) -> BuildingDataset:
     """The same buildings with the patches of every cloud that no batch thins (``settings.num_points``).
 
-    They are computed once and written to one file beside the decoded clouds, whole or not at all; of several
+    They are computed once and written to one file beside the decoded clouds, completely or not at all; of several
     processes the main one does it and the others wait. A dataset without a folder keeps them in memory. Raises
     :class:`InputError` for a file that cannot be written or read.
     """
@@ -67,7 +67,7 @@ def precompute_patches(
 def _fill_patch_index(
     dataset: BuildingDataset, settings: PatchSettings, device: torch.device, index: np.ndarray
 ) -> None:
-    """Fill ``index`` (n, g, k), with ``UNKNOWN_PATCHES`` for clouds that are thinned."""
+    """Fill ``index`` (n, g, k), with ``UNKNOWN_PATCHES`` for clouds that are subsampled."""
     count = np.diff(dataset.point_offset)
     # clouds of similar size together: little of a batch is padding
     order = np.argsort(count, kind="stable")

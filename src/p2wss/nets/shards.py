@@ -42,7 +42,7 @@ _CLOUD_COLUMNS = [
 _LABEL_COLUMNS = ["footprint_xy_m", "ring_offset", "eave_height_m", "label_terrain_z_m", "angle_deg"]
 _FLAT_ARRAYS = ("ground_z_m", "xy_m", "angle_deg", "height_m")
 _OFFSETS = ("point_offset", "vertex_offset")
-# version of the layout of the cache: another number decodes the shards anew
+# version of the layout of the cache: another number decodes the shards again
 _CACHE_VERSION = 3
 
 
@@ -57,7 +57,7 @@ def load_dataset(
     """Buildings of the ``splits`` from the shards that ``manifest`` lists.
 
     ``include_real`` adds real LiDAR, which has no labels, to an unlabelled dataset. The shards are decoded into a
-    new folder within ``cache``, whole or not at all, and mapped into memory; the next call with shards of the
+    new folder within ``cache``, completely or not at all, and mapped into memory; the next call with shards of the
     same content and the same arguments uses that folder. Without ``cache`` the arrays are held in memory. Raises
     :class:`InputError` for a broken manifest or shard, or when no building remains.
     """

@@ -1,7 +1,7 @@
 """The training loop of both stages: seeds, checkpoints, metrics.
 
 Everything random in step i follows from (seed, i) alone. A run that was stopped and resumed therefore takes the
-same steps as one that was not, to the bit on a CPU.
+same steps as one that was not, bit for bit on a CPU.
 """
 
 from __future__ import annotations

@@ -79,15 +79,18 @@ class TrainingState:
         expected = json.dumps(identity, sort_keys=True)
         for step, path in sorted(_checkpoints(folder).items(), reverse=True):
             if not integrity.is_usable(path):
-                log.warning("%s: damaged or incomplete; trying the one before", path)
+                log.warning("%s: damaged or incomplete; trying the previous one", path)
                 continue
             try:
                 checkpoint = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:
-                log.warning("%s: not readable (%s); trying the one before", path, type(error).__name__)
+                log.warning("%s: not readable (%s); trying the previous one", path, type(error).__name__)
                 continue
             if checkpoint["identity"] != expected:
-                log.warning("%s: of another configuration, code or data; starting afresh", folder)
+                log.warning(
+                    "%s: belongs to another configuration, code or data set; starting from the beginning",
+                    folder,
+                )
                 break
             for name, part in self._parts().items():
                 part.load_state_dict(checkpoint[name])

@@ -28,7 +28,7 @@ _RENAMED_KEYS = {"words": "vocabulary"}
 
 
 def save_dvae(module: DiscreteVae, path: Path, config: DvaeConfig, code: str, metrics: str) -> None:
-    """Write the tokenizer's weights, whole or not at all. ``metrics``: lines of ``metrics.jsonl``."""
+    """Write the tokenizer's weights, completely or not at all. ``metrics``: lines of ``metrics.jsonl``."""
     metadata = files.provenance(
         kind="dvae", config=config.model_dump(mode="json"), code=code, measures=last_validation(metrics)
     )
@@ -49,7 +49,7 @@ def load_dvae(path: Path) -> tuple[DiscreteVae, DvaeConfig]:
 def save_model(
     module: Point2Wss, path: Path, config: ModelConfig, dvae_config: DvaeConfig, code: str, metrics: str
 ) -> None:
-    """Write the weights that inference needs, whole or not at all. ``metrics``: lines of ``metrics.jsonl``."""
+    """Write the weights that inference needs, completely or not at all. ``metrics``: lines of ``metrics.jsonl``."""
     metadata = files.provenance(
         kind="model",
         config=config.model_dump(mode="json"),

@@ -26,7 +26,7 @@ def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
         weights = None
     if weights is None and not config.fit:
         raise InputError(
-            "without the fit (--no-fit, reconstruct.fit) a network is needed: give one with --model"
+            "without the fit (--no-fit, reconstruct.fit) a network is required; name one with --model"
         )
     return weights
 

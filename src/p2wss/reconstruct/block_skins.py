@@ -38,7 +38,7 @@ def joined(
     if apart:
         example = f"{apart[0].building_ids[0]}: {apart[0].failure}"
         log.warning(
-            "%d buildings stay single solids because they do not fit their neighbours (%s)",
+            "%d buildings remain separate solids because they do not match their neighbours (%s)",
             len(apart),
             example,
         )
@@ -50,7 +50,7 @@ def on_terrain(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Me
     result, with_holes = cut(skin_list, terrain)
     whole = sum((skin.kind == FaceKind.GROUND).any() for skin in result)
     if whole:
-        log.warning("%d skins overlap the terrain, which is not cut there", whole)
+        log.warning("%d skins remain closed solids that overlap the terrain", whole)
     return result, with_holes
 
 
@@ -88,7 +88,7 @@ def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
     parts: list[dict[str, np.ndarray]] = []
     for number, skin in enumerate(skin_list):
         edges = wedges(skin)
-        # a triangle of each face tells its kind and building
+        # a triangle of each face states its kind and building
         faces, example = np.unique(skin.face, return_index=True)
         triangle = example[np.searchsorted(faces, edges.face)]
         names = np.array(skin.building_ids, dtype=object)

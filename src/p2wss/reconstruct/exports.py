@@ -1,4 +1,4 @@
-"""The output files of ``p2wss reconstruct``, all from the same results, each written whole or not at all."""
+"""The output files of ``p2wss reconstruct``, all from the same results, each written completely or not at all."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
 
 
 def notes(config: Reconstruct, frame: gpd.GeoDataFrame, has_terrain: bool) -> list[str]:
-    """What a user should know of the outputs before the work. frame: cleaned footprints with the input's columns."""
+    """Notes on the outputs for the user, before the work. frame: cleaned footprints with the input's columns."""
     if "sionna" not in config.outputs:
         return []
     rows = [surface_materials(columns, config) for columns in input_columns(frame)]
@@ -211,7 +211,7 @@ def mesh(result: Result, config: Reconstruct) -> Mesh:
 
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:
-    """The result with these columns of its footprint, those of other names left out; ["all"] for all."""
+    """The result with these columns of its footprint only; ["all"] for all."""
     if "all" in names:
         return result
     return replace(result, columns={name: result.columns[name] for name in names if name in result.columns})

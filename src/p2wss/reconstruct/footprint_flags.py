@@ -30,7 +30,7 @@ _NEIGHBOURS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the cloud says against n footprints.
+    """The evidence in the cloud that contradicts n footprints.
 
     ground_inside_m2: compact ground area inside each, (n,). roof_outside_m2: compact roof area outside all footprints
     and nearest to each, up to 6 m away, (n,). flags: per footprint the names of the flags that follow

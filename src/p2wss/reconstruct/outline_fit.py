@@ -74,7 +74,7 @@ def fit_outline(
 def _evidence(
     eave_height_m: float, point_m: np.ndarray, classification: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points (k, 3) that speak, and their weights (k,): 1 on the roof, -1 on the ground, less on walls."""
+    """The points (k, 3) that are evidence, and their weights (k,): 1 on the roof, -1 on the ground, less on walls."""
     weight = np.zeros(len(point_m))
     on_building = classification == BUILDING_CLASS
     weight[np.isin(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0

@@ -3,7 +3,7 @@
 Cells with points of class building, connected, are a block: buildings that touch. A block is split where the height of
 its roofs jumps. The edge of a block is traced on the raster, regularised and fitted to the points
 (:mod:`p2wss.reconstruct.outline_rings`); the seams between its buildings are straight lines through it, so that
-neighbours share their walls to the bit. Outlines are those of roofs, which overhang the walls.
+neighbours share bit-identical walls. Outlines are those of roofs, which overhang the walls.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
     raster = rasterised(cloud, settings)
     traces = _block_traces(raster, settings)
     if not traces:
-        raise InputError(f"no outlines: no building has {settings.min_area_m2:g} m2")
+        raise InputError(f"no outlines: no building has at least {settings.min_area_m2:g} m2")
     polygons = np.array([trace.polygon for trace in traces], dtype=object)
     arrays = polygon_arrays.to_polygons(polygons)
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, arrays, _POINTS_MARGIN_M)

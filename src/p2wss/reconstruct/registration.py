@@ -1,8 +1,8 @@
 """Registration: footprints moved to where the cloud shows the buildings, block by block.
 
 Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruct.shifts`). It is used only where the
-points speak for it clearly; where they speak weakly, it is drawn towards the shift of the blocks around; where they do
-not speak, the block stays. A block's shift depends only on blocks and points up to ``NEIGHBOURHOOD_M`` (and a few
+evidence of the points is clear. Weak evidence is combined with the shift of the blocks around; without evidence the
+block is not moved. A block's shift depends only on blocks and points up to ``NEIGHBOURHOOD_M`` (and a few
 metres) away.
 """
 
@@ -84,7 +84,7 @@ class Registration:
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
     source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. overhang_m: how far the roofs of the block reach
     beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2:
-    what the cloud says against the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: number of the
+    how the cloud contradicts the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: number of the
     block in its run, -1 for a footprint that was excluded.
     """
 
@@ -147,7 +147,8 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
 def summary(registrations: Iterable[Registration | None]) -> str:
     """One line: how many footprints were moved, and which the cloud contradicts; None counts as without evidence.
 
-    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 stay with evidence, 0 without; extended: 6``
+    ``registration: 12 of 74 footprints moved, 0.26 to 1.62 m; 62 not moved with evidence, 0 without evidence;
+    extended: 6``
     """
     length_m: list[float] = []
     flags: Counter[str] = Counter()
@@ -162,7 +163,8 @@ def summary(registrations: Iterable[Registration | None]) -> str:
     text = f"registration: {len(length_m)} of {num_rows} footprints moved"
     if length_m:
         text += f", {min(length_m):.2f} to {max(length_m):.2f} m"
-    text += f"; {num_rows - len(length_m) - num_without} stay with evidence, {num_without} without"
+    num_others = num_rows - len(length_m) - num_without
+    text += f"; {num_others} not moved with evidence, {num_without} without evidence"
     return text + "".join(f"; {name}: {count}" for name, count in sorted(flags.items()))
 
 
@@ -209,7 +211,7 @@ class Surroundings:
 def moved(
     xy_m: np.ndarray, of_vertex: np.ndarray, blocks: Blocks, shift_m: np.ndarray, rotation_rad: np.ndarray
 ) -> np.ndarray:
-    """Vertices (v, 2) of blocks, moved; equal vertices of a block stay equal to the bit."""
+    """Vertices (v, 2) of blocks, moved; equal vertices of a block stay bit-identical."""
     if not len(blocks):
         return xy_m
     result = xy_m + shift_m[of_vertex]
@@ -334,7 +336,7 @@ def decide(
     building_share: np.ndarray,
     gain: np.ndarray,
 ) -> Shifts:
-    """The movements that are used: the rule of the evidence."""
+    """The movements that are applied, decided by the evidence."""
     count = len(estimates)
     clear, weak = np.zeros(count, bool), np.zeros(count, bool)
     found_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)

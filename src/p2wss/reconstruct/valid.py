@@ -1,4 +1,4 @@
-"""Reconstructions whose solids follow the rules of ISO 19107: repaired, or replaced by simpler ones."""
+"""Make the solids of reconstructions valid by the rules of ISO 19107: repair them, or replace them by simpler ones."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def with_valid_solids(
     """The reconstructions, all of whose meshes are valid solids once they are stored in a file, with outer walls on the
     edges of the footprints (:mod:`p2wss.fit.walls`).
 
-    A solid that breaks a rule is repaired by moving vertices by millimetres; otherwise it is replaced by the first
+    A solid that violates a rule is repaired by moving vertices by millimetres; otherwise it is replaced by the first
     valid one of ``simpler``; otherwise the building has no mesh, for the reason ``invalid-solid``.
     """
     result = list(reconstructions)

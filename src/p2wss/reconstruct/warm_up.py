@@ -1,6 +1,6 @@
-"""Compiles all that ``p2wss reconstruct`` calls, by reconstructing three small made-up buildings.
+"""Compile all code that ``p2wss reconstruct`` calls, by reconstructing three small synthetic buildings.
 
-The tasks are independent, for processes of their own; two that compile the same function at once do no harm, as
+The tasks are independent and may run in separate processes; two may compile the same function at once, because
 each function is compiled for one set of types. Imports are inside, so that each loads only what it needs.
 """
 

@@ -1,4 +1,4 @@
-"""Where every made-up town stands: four tiles of a kilometre, and the ground under them."""
+"""The site of every synthetic town: four tiles of a kilometre, and the ground under them."""
 
 from __future__ import annotations
 

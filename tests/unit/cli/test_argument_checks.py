@@ -51,11 +51,11 @@ def write_files(place: Path) -> None:
 # (cloud, footprints, options, message)
 WRONG = [
     ("gone.laz", "footprints.gpkg", [], "gone.laz: no such file"),
-    ("empty", "footprints.gpkg", [], "empty: this folder has no LAS or LAZ file"),
+    ("empty", "footprints.gpkg", [], "empty: has no LAS or LAZ file"),
     ("text.laz", "footprints.gpkg", [], "text.laz: not a LAS, LAZ or COPC file"),
     ("footprints.gpkg", "cloud.laz", [], "footprints.gpkg: not a LAS, LAZ or COPC file"),
     ("cloud.laz", "footprints.gpkg", ["--crs", "EPSG:28992"], "but --crs states Amersfoort / RD New"),
-    ("unstated.laz", "degrees.gpkg", [], "degrees.gpkg is in degrees, which clouds hardly are"),
+    ("unstated.laz", "degrees.gpkg", [], "degrees.gpkg is in degrees, which is unlikely for clouds"),
     ("cloud.laz", "gone.gpkg", [], "gone.gpkg: no such file"),
     ("cloud.laz", "none.gpkg", [], "none.gpkg: has no features"),
     ("cloud.laz", "lines.gpkg", [], "lines.gpkg: has no polygons"),
@@ -185,9 +185,9 @@ def test_a_cloud_without_points_of_a_class_is_a_warning(
     [
         ({"id": ["a", "b", "c"]}, ["a", "b", "c"], None),
         ({"name": ["x", "x", "x"]}, ["1", "2", "3"], None),
-        ({"id": ["a", "a", "c"]}, ["a", "a_2", "c"], "id, the ids: a occurs more than once; repeated ids end in"),
-        ({"id": ["a", None, "c"]}, ["a", "2", "c"], "column id, the ids: 1 of 3 values are missing; repeated ids end"),
-        ({"building_id": [7, 7, 8], "OSM_ID": [4, 5, 6]}, ["4", "5", "6"], "; ids are those of column OSM_ID"),
+        ({"id": ["a", "a", "c"]}, ["a", "a_2", "c"], "id column id: a occurs more than once; repeated ids get"),
+        ({"id": ["a", None, "c"]}, ["a", "2", "c"], "id column id: 1 of 3 values are missing; repeated ids get"),
+        ({"building_id": [7, 7, 8], "OSM_ID": [4, 5, 6]}, ["4", "5", "6"], "; ids are taken from column OSM_ID"),
     ],
 )  # fmt: skip
 def test_ids_that_cannot_be_used_are_a_warning(

@@ -55,6 +55,6 @@ def test_nothing_to_do_the_second_time(
     monkeypatch.setattr(of_reconstruct, "warm_product", last)
     with caplog.at_level("INFO", logger="p2wss"):
         assert cli.main(["warm-up", "--jobs", "1"]) == 0
-        assert "compiled in" in caplog.text and "everything is compiled" not in caplog.text
+        assert "compiled in" in caplog.text and "all code is already compiled" not in caplog.text
         assert cli.main(["warm-up", "--jobs", "1"]) == 0
-    assert "everything is compiled" in caplog.text
+    assert "all code is already compiled" in caplog.text

@@ -73,7 +73,7 @@ def test_all_is_inherited_by_members_and_stands_alone() -> None:
     config = load({"region": {"tiles": ["all"]}, "dataset": {"members": [{"name": "a"}]}})
     assert place_config(config, "a/").region.tiles == ["all"]
     assert place_config(config, "a/").region.lidar_tiles == [], "names of tiles are those of one region"
-    with pytest.raises(InputError, match=r"region.lidar_tiles: .*all stands alone"):
+    with pytest.raises(InputError, match=r"region.lidar_tiles: .*all must be the only entry"):
         load({"region": {"lidar_tiles": ["all", "0652_6862"]}})
 
 

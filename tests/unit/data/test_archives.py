@@ -72,7 +72,7 @@ def test_an_archive_with_a_password_is_one_clear_line(tmp_path):
     with py7zr.SevenZipFile(archive, "w", password="secret") as content:
         for grid in sorted(GRIDS.glob("*.asc")):
             content.write(grid, f"{INSIDE.format(1)}/{grid.name}")
-    with pytest.raises(InputError, match=r"a\.7z: needs a password"):
+    with pytest.raises(InputError, match=r"a\.7z: is password-protected"):
         unpack(archive, WINDOW, tmp_path / "grids")
 
 

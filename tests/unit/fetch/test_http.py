@@ -171,7 +171,7 @@ def test_a_redirect_to_another_host_is_refused_unless_it_is_listed(httpserver: H
     assert "127.0.0.1" in elsewhere and "localhost" in httpserver.url_for("/old")
     httpserver.expect_request("/old").respond_with_data("", status=302, headers={"Location": elsewhere})
     httpserver.expect_request("/new").respond_with_data("fine")
-    with pytest.raises(InputError, match=r"/old: redirects to 127\.0\.0\.1, which is refused"):
+    with pytest.raises(InputError, match=r"/old: redirects to 127\.0\.0\.1, which is not permitted"):
         client().get(httpserver.url_for("/old"))
     assert len(httpserver.log) == 1
     assert client(redirect_hosts=["127.0.0.1"]).get(httpserver.url_for("/old")) == b"fine"
@@ -184,7 +184,7 @@ def test_a_redirect_out_of_tls_is_refused() -> None:
     response.headers["Location"] = "https://data.example/new"
     assert session.get_redirect_target(response) == "https://data.example/new"
     response.headers["Location"] = "http://data.example/new"
-    with pytest.raises(InputError, match="/old: redirects from https to http, which is refused"):
+    with pytest.raises(InputError, match="/old: redirects from https to http, which is not permitted"):
         session.get_redirect_target(response)
 
 
@@ -233,7 +233,7 @@ def test_a_certificate_that_does_not_verify_is_not_asked_again(tmp_path: Path) -
     context.load_cert_chain(certificate, key)
     with HTTPServer(ssl_context=context) as server:
         server.expect_request("/x").respond_with_data("fine")
-        with pytest.raises(InputError, match="its TLS certificate does not verify"):
+        with pytest.raises(InputError, match="its TLS certificate cannot be verified"):
             client().get(server.url_for("/x"))
         assert len(server.log) == 0
 

@@ -151,7 +151,7 @@ def test_split_materials(meshes: list[Mesh], tmp_path: Path) -> None:
     roof = np.isin(meshes[1].kind, (FaceKind.ROOF, FaceKind.FLAT)).sum()
     assert len(scene.shapes["B_2-tile"].triangle) == roof
     assert len(scene.shapes["B_2-brick"].triangle) == len(meshes[1].triangle) - roof
-    assert any("no diffracting edge between two shapes" in note for note in scene.facts["notes"])
+    assert any("does not find diffracting edges between two shapes" in note for note in scene.facts["notes"])
 
 
 def test_a_skin_has_the_material_of_most_of_its_walls(meshes: list[Mesh], tmp_path: Path) -> None:

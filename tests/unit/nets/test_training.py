@@ -127,7 +127,7 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path: Path, caplog: pytest.LogCa
     assert [path.name for path in last] == ["step-00000040.pt", "step-00000060.pt"]
     last[-1].write_bytes(last[-1].read_bytes()[:500])
     resumed = run(tmp_path, Line())
-    assert "step-00000060.pt: damaged or incomplete; trying the one before" in caplog.text
+    assert "step-00000060.pt: damaged or incomplete; trying the previous one" in caplog.text
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
@@ -135,7 +135,7 @@ def test_checkpoints_of_another_config_are_not_used(tmp_path: Path, caplog: pyte
     with pytest.raises(SystemExit):
         run(tmp_path, Line(stop_after=30), identity={"config": {"a": 2}, "code": "x"})
     resumed = run(tmp_path, Line())
-    assert "starting afresh" in caplog.text
+    assert "starting from the beginning" in caplog.text
     expected = run(tmp_path / "other", Line())
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 

@@ -145,5 +145,5 @@ def test_clouds_without_outlines() -> None:
         outlines(empty, Outlines())
     with pytest.raises(InputError, match="class 6"):
         outlines(replace(cloud, classification=np.full(len(cloud), 2, np.uint8)), Outlines())
-    with pytest.raises(InputError, match="no building has 1000 m2"):
+    with pytest.raises(InputError, match="no building has at least 1000 m2"):
         outlines(cloud, Outlines(min_area_m2=1000))

@@ -46,7 +46,7 @@ def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
         (LAMBERT, LAMBERT, "EPSG:28992", "--crs states Amersfoort"),
         (None, None, None, "state it with --crs"),
         (None, None, "EPSG:999999", "no such CRS"),
-        (None, WGS84, None, "b.gpkg is in degrees, which clouds hardly are"),
+        (None, WGS84, None, "b.gpkg is in degrees, which is unlikely for clouds"),
     ],
 )
 def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, message: str) -> None:

@@ -32,7 +32,7 @@ def write_scan(
     crs: pyproj.CRS,
     threads: int = 1,
 ) -> None:
-    """Write points as LAZ, whole or not at all.
+    """Write points as LAZ, completely or not at all.
 
     chunks: arrays of shape (n,) by LAS dimension, ``X``, ``Y`` and ``Z`` int32 in millimetres from ``origin_m``
     (float64 (3,), whole metres), ``building_id`` and ``face_id`` among them.

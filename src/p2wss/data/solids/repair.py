@@ -1,4 +1,4 @@
-"""Makes the solid of a mesh one that follows the rules, as far as moving vertices by millimetres can."""
+"""Repair solids that violate a rule of ISO 19107, by moving vertices by millimetres."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LabelledMesh(NamedTuple):
 def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
     """(vertices as a file stores them, int64 (v, 3) in units of ``SCALE_M``; the surfaces of these vertices).
 
-    Vertices that are at one place in the file are one, so a ring may become shorter; it is left out below three.
+    Vertices that are at one place in the file are one, so a ring may become shorter; it is dropped below three.
     """
     grid = np.round(np.asarray(vertex_m, float).reshape(-1, 3) / SCALE_M).astype(np.int64)
     place, index = np.unique(grid, axis=0, return_inverse=True)
@@ -85,7 +85,7 @@ def _triangles(mesh: LabelledMesh, surface: Surface) -> list[Surface]:
 
 
 def repaired(mesh: LabelledMesh) -> LabelledMesh | None:
-    """The mesh, in the CRS, if its solid follows the rules; else one with vertices merged or moved by millimetres that
+    """The mesh, in the CRS, if its solid is valid; else one with vertices merged or moved by millimetres that
     does; None if there is none."""
     if not surfaces_to_write(mesh)[1]:
         return mesh

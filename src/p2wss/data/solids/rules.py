@@ -1,4 +1,4 @@
-"""Whether a solid follows the rules of ISO 19107, as validators of city models test them.
+"""Validate a solid against the rules of ISO 19107, as validators of city models do.
 
 The numbers of the rules and the tolerances are those of val3dity (Ledoux 2018, "val3dity: validation of 3D GIS
 primitives according to the international standards", https://doi.org/10.1186/s40965-018-0043-x;

@@ -35,7 +35,7 @@ class _Body:
 def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     """The skins without floors, their walls down to the terrain, and the terrain with a hole below each.
 
-    The lower edges of the walls are edges of the terrain, with the same vertices to the bit. A skin that could not be
+    The lower edges of the walls are edges of the terrain, with bit-identical vertices. A skin that could not be
     joined, or part of which is buried, stays a solid, and so does the terrain around it. skin_list: skins whose floors
     are level, each, and below the terrain. terrain: a closed block.
     """

@@ -1,4 +1,4 @@
-"""Walls of two buildings that lie on each other vanish, as far as they do; what is left of each stays its own."""
+"""Remove walls of two buildings where they coincide; the remaining parts stay with their buildings."""
 
 from __future__ import annotations
 
