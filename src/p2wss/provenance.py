@@ -1,7 +1,7 @@
-"""Which code made a result: a fingerprint of a stage's module and of all it imports from this package.
+"""The code that made a result: a fingerprint of a stage's module and of everything it imports from this package.
 
-Snakemake reruns a rule when its ``params`` change. A fingerprint among them makes an edit of the code a
-change, and leaves out what cannot change a result: layout and comments, and words that only people read, which
+Snakemake reruns a rule when its ``params`` change. A fingerprint among them makes an edit of the code such a
+change. It excludes what cannot change a result: layout and comments, and words that only people read, which
 are docstrings, descriptions (of columns, options and settings), messages of errors and assertions, and what is
 logged. Names, numbers and values such as a status or a reason count: a text without a space is a value even in
 an error. Values of columns and titles of tables are results, and count.
@@ -45,7 +45,7 @@ def fingerprint(*stages: str) -> str:
     A package named here counts with all its modules, one that is imported with what its ``__init__`` imports.
     A folder of other files, such as "eval.templates", counts with their contents.
 
-    Raises ``ModuleNotFoundError`` for a stage that is nothing of the package.
+    Raises ``ModuleNotFoundError`` for a stage that is not in the package.
     """
     digests: dict[str, str] = {}
     pending = [part for stage in stages for part in _parts(f"{PACKAGE}.{stage}")]

@@ -1,4 +1,4 @@
-"""Which tokens the network has to restore during training."""
+"""The choice of tokens that the network has to restore during training."""
 
 from __future__ import annotations
 

@@ -110,5 +110,5 @@ def cut_patches(points: Tensor, index: Tensor) -> Patches:
 
 
 def make_patches(points: Tensor, valid: Tensor, num_patches: int, patch_size: int) -> Patches:
-    """PatchSettings clouds (b, p, 3) into patches; ``valid`` (b, p) is false for padding."""
+    """Cut clouds (b, p, 3) into patches; ``valid`` (b, p) is false for padding."""
     return cut_patches(points, patch_index(points, valid, num_patches, patch_size))

@@ -152,7 +152,7 @@ def _write_cache(parts: Iterator[BuildingDataset], folder: Path, excluded: Count
 
 
 def _is_usable(folder: Path) -> bool:
-    """Whether all files of a cache are what was written; one that is damaged is removed."""
+    """Whether all files of a cache are intact; a damaged one is removed."""
     names = ("points_cm.i16", "buildings.npz", "excluded.json")
     damaged = [name for name in names if not integrity.is_usable(folder / name)]
     if damaged:

@@ -1,4 +1,4 @@
-"""All that changes while a network trains, and its checkpoints."""
+"""The state of a training: everything that changes while a network trains, and its checkpoints."""
 
 from __future__ import annotations
 

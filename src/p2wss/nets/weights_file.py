@@ -1,4 +1,4 @@
-"""Files of weights: the one that comes with the package, and what a file states. Imports no torch."""
+"""Files of weights: the one that comes with the package, and the metadata of a file. Imports no torch."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def shipped_model() -> Path | None:
 
 
 def read_metadata(path: Path, kind: str) -> dict[str, Any]:
-    """What a file of weights states. Raises :class:`InputError` for a file that is missing, unreadable or not of this
-    ``kind``."""
+    """The metadata of a file of weights. Raises :class:`InputError` for a file that is missing, unreadable or not of
+    this ``kind``."""
     from safetensors import SafetensorError, safe_open
 
     if not Path(path).is_file():

@@ -1,9 +1,9 @@
-"""Made-up towns in IGN's own file formats, so that the whole pipeline runs, and trains, without a network.
+"""Synthetic towns in IGN's own file formats, so that the whole pipeline runs, and trains, without internet access.
 
-A town is footprints as BD TOPO delivers them, with its gaps and blemishes, terrain as RGE ALTI delivers it, and
-on request a *stand-in* for one LiDAR HD tile. Every town stands on the same ground; its seed decides the rest.
-The roofs of the stand-in come from the wings drawn here and never from the package's geometry kernel: an
-independent truth has to stay independent, so nothing here imports ``p2wss.skeleton``.
+A town consists of footprints as BD TOPO delivers them, with its gaps and defects, terrain as RGE ALTI delivers it, and
+on request a *stand-in* for one LiDAR HD tile. All towns have the same terrain; the seed decides the rest.
+The roofs of the stand-in come from the wings generated here and never from the package's geometry kernel: the
+ground truth has to be independent, so nothing here imports ``p2wss.skeleton``.
 """
 
 from __future__ import annotations

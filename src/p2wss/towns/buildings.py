@@ -1,4 +1,4 @@
-"""A building as it is drawn: wings with simple roofs. Not the kernel's roofs, so that they can judge them."""
+"""A building as it is generated: wings with simple roofs, independent of the kernel, so that they can test it."""
 
 from __future__ import annotations
 

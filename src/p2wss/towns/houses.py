@@ -1,4 +1,4 @@
-"""What stands on a block: closed blocks around a court, row houses, detached houses, halls."""
+"""The buildings of a town block: closed blocks around a court, row houses, detached houses, halls."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ USAGE = {
 
 
 def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Generator) -> None:
-    """Write a GeoPackage: layer ``batiment`` with the columns of BD TOPO, and with its gaps and blemishes.
+    """Write a GeoPackage: layer ``batiment`` with the columns of BD TOPO, and with its gaps and defects.
 
     Heights are null or 0 here and there, some vertices are at Z = -1000, repeated or near-collinear, and a few
     records have two parts.

@@ -1,4 +1,4 @@
-"""A stand-in for one LiDAR HD tile: a pendulum scanner over the surface of a town. No LiDAR HD, no truth.
+"""A stand-in for one LiDAR HD tile: an oscillating scanner over the surface of a town. It is not LiDAR HD data.
 
 Its roofs come from the drawn wings and not from the kernel, and its buildings have what the training data
 lacks: dormers, chimneys, garages lower than their house, trees.
@@ -49,7 +49,7 @@ def write_lidar(town: list[DrawnBuilding], path: Path, rng: np.random.Generator)
 
 
 def _scan(surface: Surface, trees: np.ndarray, strip: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """One strip: pulses of a mirror that swings to and fro, each followed down to the first surface."""
+    """One strip: pulses of an oscillating mirror, each followed down to the first surface."""
     heading = np.radians(90 - HEADINGS_DEG[strip])
     forward, right = (
         np.array([np.cos(heading), np.sin(heading)]),

@@ -1,4 +1,4 @@
-"""Helpers of the drawing: sides of a block, places along a street, lots, and numbers drawn for a roof."""
+"""Helpers of the generator: sides of a block, places along a street, lots, and random numbers for a roof."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the stand-in survey sees from above: ground, roofs, dormers and chimneys on a fine raster, and trees."""
+"""The surface that the stand-in survey scans: ground, roofs, dormers and chimneys on a fine raster, and trees."""
 
 from __future__ import annotations
 
