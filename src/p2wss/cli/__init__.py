@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
+import signal
 import sys
 
 from p2wss import __version__
@@ -59,7 +61,12 @@ def main(arguments: list[str] | None = None) -> int:
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("pyogrio").setLevel(logging.WARNING)  # pyogrio reports every file that it writes
     try:
-        return parsed.run(parsed) or 0
+        status = parsed.run(parsed) or 0
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:  # whoever reads what this prints has stopped, as head does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 128 + signal.SIGPIPE
     except InputError as error:
         print(f"p2wss: error: {error}", file=sys.stderr)
         return 2

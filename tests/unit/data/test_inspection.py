@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -157,3 +159,11 @@ def test_command(tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "a.xyz").write_text("1 2 3")
     assert main(["inspect", str(tmp_path / "a.xyz")]) == 2
     assert "unknown type of file" in capsys.readouterr().err
+
+
+def test_a_reader_that_stops_ends_the_command_without_a_traceback() -> None:
+    command = [sys.executable, "-c", "from p2wss.cli import main; raise SystemExit(main())", "inspect"]
+    with subprocess.Popen([*command, GPKG], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        assert run.stdout is not None and run.stderr is not None
+        run.stdout.close()
+        assert run.stderr.read() == b"" and run.wait() == 141
