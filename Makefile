@@ -2,6 +2,7 @@
 # make dry-run       install, then the plan of the miniature: its jobs, none of which runs
 # make test          install, then format, lint, types and tests, a real run of the reduced miniature among them
 # make audit         known vulnerabilities of the pinned packages, from a service: needs the network
+# make test-faults   kills of the workflow, 10,000 damaged files, determinism of results: the slow tests of tests/faults
 # make test-slurm    the reduced miniature on a Slurm of this machine alone; as root, with Debian's packages of Slurm
 PYTHON ?= python3
 BIN := .venv/bin
@@ -11,7 +12,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-slow test-slurm lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-slow test-faults test-slurm lint audit format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -36,6 +37,9 @@ test: install lint
 
 test-slow: install
 	pytest -m slow --timeout 3600
+
+test-faults: install
+	pytest -m slow --timeout 7200 tests/faults
 
 test-slurm: engines
 	pytest -m slow --timeout 3600 -s tests/workflow/test_slurm.py
