@@ -84,3 +84,10 @@ def test_the_plugins_are_locked_to_what_goes_with_the_lock_file():
 
 def versions(name: str) -> dict[str, str]:
     return dict(re.findall(r"^([\w.-]+)==([\w.+!-]+)", (ROOT / "envs" / name).read_text(), re.M))
+
+
+@pytest.mark.parametrize("name", ["default", "slurm", "kubernetes"])
+def test_the_scheduler_looks_for_jobs_every_minute(name: str) -> None:
+    """Each job that ends starts one more timer, which by Snakemake's default goes off every second."""
+    profile = yaml.safe_load((ROOT / f"profiles/{name}/config.yaml").read_text())
+    assert profile["max-jobs-per-timespan"].endswith("/60s")
