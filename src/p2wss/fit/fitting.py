@@ -20,7 +20,7 @@ from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Lim
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.points import ground_points, roof_points
 from p2wss.fit.prior import make_prior
-from p2wss.fit.roof_edges import move_walls
+from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
 from p2wss.fit.solid import Mesh, is_sound, union
 
 METHOD = "fit"
@@ -137,10 +137,12 @@ class _FitTask:
         ground = building.ground_z_m
         polygon = shapely.Polygon(rings[0], rings[1:])
         roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
-        rings = move_walls(
-            rings, roof_point_m, building.point_m, building.classification, config.max_wall_shift_m
-        )
+        max_overhang_m = MAX_OVERHANG_M if config.overhang == "move" else 0.0
+        points = (roof_point_m, building.point_m, building.classification)
+        rings = move_walls(rings, *points, config.max_wall_shift_m, max_overhang_m)
         polygon = shapely.Polygon(rings[0], rings[1:])
+        if max_overhang_m:
+            roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
         roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)

@@ -1,4 +1,5 @@
-"""Walls where the points show them: a footprint that is drawn too large is not where the roof ends."""
+"""Where roofs end beside the edges of a footprint, and walls that move there: inwards where open ground lies within the
+footprint, and, on request, outwards by the overhang of the eaves."""
 
 from __future__ import annotations
 
@@ -24,6 +25,11 @@ _MIN_SHIFT_M = 0.3
 # this distance beyond the edge at most so many points are of buildings for each of the ground. In a row of houses, a
 # neighbour's wall or lower roof is there instead.
 _GROUND_SHARE, _BEYOND_M, _MOST_BUILDING = 0.2, 1.0, 0.25
+# a wall moves outwards by at least this much, and with at least so many points of the ground beyond it; points further
+# out than this are not at hand
+_MIN_OVERHANG_M, _MIN_GROUND_POINTS, MAX_OVERHANG_M = 0.1, 3, 1.0
+# the points of the building this near to the end of the roof are of the same edge
+_NEAR_EDGE_M = 0.1
 # nearly straight corners cannot be found from the lines of their edges
 _MIN_TURN = 0.2
 
@@ -34,21 +40,27 @@ def move_walls(
     point_m: np.ndarray,
     classification: np.ndarray,
     max_shift_m: float,
+    max_overhang_m: float = 0.0,
 ) -> list[np.ndarray]:
-    """The rings with edges of the exterior moved inwards to where the points of the building (k, 3) begin, by at most
-    ``max_shift_m``. The number of vertices stays, and those between edges that stay.
+    """The rings with edges of the exterior moved to where the roof ends: inwards to where the points of the building
+    (k, 3) begin, by at most ``max_shift_m``, or outwards by its overhang, by at most ``max_overhang_m``. The number of
+    vertices stays, and those between edges that stay.
 
-    Only an edge moves along which there is open ground within the footprint instead of a roof, so never a party wall.
-    point_m (m, 3), classification (m,): all points in and around the footprint.
+    Only an edge moves along which there is open ground instead of a roof, within the footprint or beyond the eaves
+    (:func:`overhangs_m`), so never a party wall. point_m (m, 3), classification (m,): all points in and around the
+    footprint.
     """
     ring = rings[0]
-    if max_shift_m < _MIN_SHIFT_M or len(roof_point_m) < _MIN_POINTS:
+    if max(max_shift_m, max_overhang_m) < _MIN_OVERHANG_M or len(roof_point_m) < _MIN_POINTS:
         return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
     after = np.roll(ring, -1, axis=0)
     shift_m = np.zeros(len(ring))
+    if max_overhang_m >= _MIN_OVERHANG_M:
+        overhang_m = np.minimum(overhangs_m(ring, point_m, classification), max_overhang_m)
+        shift_m = np.where(overhang_m >= _MIN_OVERHANG_M, -overhang_m, 0.0)
     for i, ends in enumerate(zip(ring, after, strict=True)):
-        if not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
+        if max_shift_m < _MIN_SHIFT_M or not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
             continue
         shift = _shift_m(*ends, roof_point_m, max_shift_m)
         if shift > 0 and _is_open(*ends, shift, ground_m, building_m, _GROUND_SHARE):
@@ -62,7 +74,7 @@ def move_walls(
         matrix, shifts = normal[[i - 1, i]], shift_m[[i - 1, i]]
         if shifts.any():
             if abs(np.linalg.det(matrix)) < _MIN_TURN:
-                shifts[:] = shifts.min()
+                shifts[:] = shifts[np.abs(shifts).argmin()]
             moved[i] += np.linalg.lstsq(matrix, shifts)[0]
     polygon, original = shapely.Polygon(moved, rings[1:]), shapely.Polygon(ring, rings[1:])
     keeps_direction = (((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1) > 0.5).all()
@@ -71,15 +83,65 @@ def move_walls(
     return [moved, *rings[1:]]
 
 
+def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
+    """How far the roof of class building reaches beyond each edge (e, 2), negative where it ends within; NaN where the
+    points do not show it, as along party walls: the ground must begin where the roof ends, within 1 m of the edge.
+
+    ring: (e, 2), counter-clockwise. point_m (m, 3), classification (m,): all points up to 1 m around the footprint.
+    """
+    building_m, ground_m = (point_m[classification == each] for each in (BUILDING_CLASS, GROUND_CLASS))
+    result = np.full(len(ring), np.nan)
+    if len(building_m) < _MIN_POINTS or len(ground_m) < _MIN_GROUND_POINTS:
+        return result
+    for i, (start, end) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True)):
+        begins_m = _begins_m(start, end, building_m, -MAX_OVERHANG_M)
+        if not len(begins_m):
+            continue
+        length = float(np.hypot(*(end - start)))
+        along = (end - start) / length
+        depths_m = []
+        for xy_m in (building_m[:, :2], ground_m[:, :2]):
+            place, depth = (xy_m - start) @ along, (xy_m - start) @ np.array([-along[1], along[0]])
+            depths_m.append(depth[(place > _AT_CORNER_M) & (place < length - _AT_CORNER_M)])
+        # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
+        num_behind = int(((depths_m[0] > _NEAR_M) & (depths_m[0] < _FAR_M)).sum())
+        gap_m = np.log(2) * (_FAR_M - _NEAR_M) * (length - 2 * _AT_CORNER_M) / max(num_behind, 1)
+        reach_m = min(float(gap_m - np.median(begins_m)), MAX_OVERHANG_M)
+        outer_m = -reach_m - _NEAR_EDGE_M
+        beyond = [int(((depth < outer_m) & (depth >= -MAX_OVERHANG_M)).sum()) for depth in depths_m[::-1]]
+        if beyond[0] >= _MIN_GROUND_POINTS and beyond[1] <= _MOST_BUILDING * beyond[0]:
+            result[i] = reach_m
+    return result
+
+
+def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> float:
+    """The mean of :func:`overhangs_m` over the length of the edges that show one; NaN if none does."""
+    overhang_m = overhangs_m(ring, point_m, classification)
+    is_known = np.isfinite(overhang_m)
+    if not is_known.any():
+        return float("nan")
+    length_m = np.hypot(*(np.roll(ring, -1, axis=0) - ring).T)
+    return float(np.average(overhang_m[is_known], weights=length_m[is_known]))
+
+
 def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_m: float) -> float:
     """How far behind an edge the roof begins, 0 where it does so at the edge or where that is not clear."""
+    begins_m = _begins_m(start, end, point_m, 0.0)
+    if not len(begins_m) or np.quantile(begins_m, 0.25) < _MIN_SHIFT_M:
+        return 0.0
+    return float(min(np.median(begins_m), max_shift_m))
+
+
+def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float) -> np.ndarray:
+    """How far behind an edge the roof begins in each metre of its length, ``least_m`` or more; empty where too few show
+    it."""
     length = float(np.hypot(*(end - start)))
     if length < _MIN_EDGE_M:
-        return 0.0
+        return np.zeros(0)
     along = (end - start) / length
     offset = point_m[:, :2] - start
     place, depth = offset @ along, offset @ np.array([-along[1], along[0]])
-    near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M) & (depth > 0) & (depth < _FAR_M)
+    near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M) & (depth > least_m) & (depth < _FAR_M)
     place, depth, z = place[near] - _AT_CORNER_M, depth[near], point_m[near, 2]
     num_bins = max(1, int((length - 2 * _AT_CORNER_M) / _BIN_M))
     number = np.minimum((place * num_bins / (length - 2 * _AT_CORNER_M)).astype(int), num_bins - 1)
@@ -92,9 +154,7 @@ def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_
             slope = min(max(next_m - height_m, 0.0), _STEEPEST)
             roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
             begins_m.append(depth[here & (z > roof_m - _BELOW_ROOF_M)].min())
-    if len(begins_m) < _MIN_BINS_SHARE * num_bins or np.quantile(begins_m, 0.25) < _MIN_SHIFT_M:
-        return 0.0
-    return float(min(np.median(begins_m), max_shift_m))
+    return np.array(begins_m if len(begins_m) >= _MIN_BINS_SHARE * num_bins else [])
 
 
 def _is_open(

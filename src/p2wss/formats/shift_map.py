@@ -29,11 +29,11 @@ _SCALE_SHARE, _MAX_ROWS = 0.25, 2000
 
 @dataclass(frozen=True)
 class Footprint:
-    """A footprint on the map. block: number of its block. before, after: polygons in metres; ``after`` is used. flags:
+    """A footprint on the map. block: name of its block. before, after: polygons in metres; ``after`` is used. flags:
     by which the cloud contradicts it, with the areas ground_inside_m2 and roof_outside_m2."""
 
     building_id: str
-    block: int
+    block: str
     before: shapely.Polygon
     after: shapely.Polygon
     flags: tuple[str, ...] = ()
@@ -54,9 +54,9 @@ class Block:
 
 
 def page(
-    title: str, crs: str, summary: Sequence[str], footprints: Sequence[Footprint], blocks: dict[int, Block]
+    title: str, crs: str, summary: Sequence[str], footprints: Sequence[Footprint], blocks: dict[str, Block]
 ) -> str:
-    """The page. crs: its name, for the caption. summary: sentences above the map. blocks: by their numbers."""
+    """The page. crs: its name, for the caption. summary: sentences above the map. blocks: by their names."""
     shapes = [shape for footprint in footprints for shape in (footprint.before, footprint.after)]
     shapes = [shape for shape in shapes if not shape.is_empty]
     x_min, y_min, x_max, y_max = shapely.total_bounds(shapes) if shapes else (0.0, 0.0, 1.0, 1.0)
@@ -67,11 +67,11 @@ def page(
     factor = max(
         (each for each in _FACTORS if each * longest_m <= _LONGEST_SHARE * max(width_m, height_m)), default=1
     )
-    members: dict[int, list[Footprint]] = {}
+    members: dict[str, list[Footprint]] = {}
     for footprint in footprints:
         members.setdefault(footprint.block, []).append(footprint)
     rows = [
-        _row(blocks[number], members[number], frame, factor) for number in sorted(members) if number in blocks
+        _row(name, blocks[name], members[name], frame, factor) for name in sorted(members) if name in blocks
     ]
     rows.sort(key=lambda row: -row["length_m"])
     counts = {action: sum(row["action"] == action for row in rows) for action in LEGEND}
@@ -125,7 +125,7 @@ class _Frame:
         )
 
 
-def _row(block: Block, members: Sequence[Footprint], frame: _Frame, factor: int) -> dict[str, Any]:
+def _row(name: str, block: Block, members: Sequence[Footprint], frame: _Frame, factor: int) -> dict[str, Any]:
     """The row of a block in the table, with the ends of its arrow: from where it was, ``factor`` times as long."""
     shift_m = np.array([block.shift_x_m, block.shift_y_m])
     length_m = float(np.hypot(*shift_m))
@@ -135,7 +135,7 @@ def _row(block: Block, members: Sequence[Footprint], frame: _Frame, factor: int)
         centre_m = (bounds[:2] + bounds[2:]) / 2
         arrow = (*frame.point(centre_m), *frame.point(centre_m + factor * shift_m))
     return vars(block) | {
-        "name": members[0].building_id,
+        "name": name,
         "num_others": len(members) - 1,
         "length_m": length_m,
         "arrow": arrow,
@@ -206,7 +206,7 @@ block{% if factor > 1 %}, drawn {{ factor }} times as long{% endif %}. Bar: {{ "
 </ul>
 
 <h2>Blocks</h2>
-<p class="note">A block is the footprints that share walls, named after its first one. Shifts are those that were applied; the standard
+<p class="note">A block is the footprints that share walls, named after the least of their ids. Shifts are those that were applied; the standard
 deviation is that of the worse direction; the overhang is how far roofs reach beyond the footprint's edges.</p>
 <div class="scroll"><table>
 <thead><tr><th class="text">block</th><th>shift_x_m</th><th>shift_y_m</th><th>shift_sd_m</th><th>rotation_deg</th><th>overhang_m</th><th class="text">what</th></tr></thead>

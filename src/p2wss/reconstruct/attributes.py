@@ -92,6 +92,7 @@ def _attributes(result: Result) -> dict[str, Any]:
         "num_parts": reconstruction.num_parts if reconstruction.has_mesh else None,
         "num_triangles": len(reconstruction.triangle),
         **_mesh_attributes(result),
+        "overhang_m": _rounded(result.overhang_m),
         **_registration_attributes(result.registration),
         "points_date": None if result.dates is None else result.dates[1].isoformat(),
     }
@@ -99,7 +100,7 @@ def _attributes(result: Result) -> dict[str, Any]:
 
 def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
     movement = ("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source")
-    names = (*movement, "overhang_m", "footprint_flags", "ground_inside_m2", "roof_outside_m2")
+    names = (*movement, "footprint_flags", "ground_inside_m2", "roof_outside_m2")
     if registration is None:
         return dict.fromkeys(names)
     values = (
@@ -108,7 +109,6 @@ def _registration_attributes(registration: Registration | None) -> dict[str, Any
         _rounded(registration.shift_sd_m),
         _rounded(registration.rotation_deg),
         registration.source,
-        _rounded(registration.overhang_m),
         " ".join(registration.flags) or None,
         registration.ground_inside_m2,
         registration.roof_outside_m2,

@@ -25,6 +25,7 @@ from p2wss.data.points import on_millimetres
 from p2wss.data.spool import Lazy
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
+from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.metrics.surface import distance_to_mesh
 from p2wss.reconstruct.measures import MeshMeasures, measure, party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
@@ -56,7 +57,8 @@ class Result:
     where there is no value. registration: how the footprint was moved, None without a registration. rmse_m,
     share_within_20cm: of the same distances as the residual. is_reliable: a reconstruction that the points support.
     party_wall_area_m2: of the walls that stand against other buildings of the run. dates: the first and the last day of
-    its points; None if unknown.
+    its points; None if unknown. overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the
+    length of those where points show it, negative where they end within; NaN where none shows it.
     """
 
     reconstruction: Reconstruction
@@ -73,6 +75,7 @@ class Result:
     is_reliable: bool = False
     party_wall_area_m2: float = 0.0
     dates: tuple[date, date] | None = None
+    overhang_m: float = float("nan")
 
     @cached_property
     def mesh_measures(self) -> MeshMeasures:
@@ -308,6 +311,9 @@ def _result(building: Building, reconstruction: Reconstruction, config: Reconstr
     is_fitted = config.fit or reconstruction.method == FIT
     is_far = residual_m > config.not_representable_m
     visible_share = _visible_share(building, on_building)
+    overhang_m = float("nan")
+    if building.rings:
+        overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
     return Result(
         reconstruction,
         status,
@@ -318,6 +324,7 @@ def _result(building: Building, reconstruction: Reconstruction, config: Reconstr
         is_fitted and status == "ok" and is_far,
         rmse_m=rmse_m,
         share_within_20cm=share_within_20cm,
+        overhang_m=overhang_m,
         is_reliable=status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5,
     )
 

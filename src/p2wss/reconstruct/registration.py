@@ -84,8 +84,8 @@ class Registration:
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
     source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. overhang_m: how far the roofs of the block reach
     beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2:
-    how the cloud contradicts the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: number of the
-    block in its run, -1 for a footprint that was excluded.
+    how the cloud contradicts the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: the least id of
+    its footprints; empty for a footprint that was excluded.
     """
 
     input_polygon: shapely.Polygon
@@ -97,7 +97,7 @@ class Registration:
     flags: tuple[str, ...] = ()
     ground_inside_m2: float = 0.0
     roof_outside_m2: float = 0.0
-    block: int = -1
+    block: str = ""
 
 
 # the column with a Registration per row
@@ -120,6 +120,9 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
     geometries = polygon_arrays.to_geometries(moved_polygons)
     result = frame.set_geometry(gpd.GeoSeries(geometries, index=frame.index, crs=frame.crs))
     evidence = contradictions(moved_polygons, cloud)
+    least_id: dict[int, str] = {}
+    for block, name in zip(blocks.of_footprint.tolist(), frame["building_id"].astype(str), strict=True):
+        least_id[block] = min(name, least_id.get(block, name))
     rows = []
     for k, block in enumerate(blocks.of_footprint.tolist()):
         if block < 0:
@@ -137,7 +140,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
                 evidence.flags[k],
                 float(evidence.ground_inside_m2[k]),
                 float(evidence.roof_outside_m2[k]),
-                block,
+                least_id[block],
             )
         )
     result[COLUMN] = np.array([*rows, None], dtype=object)[:-1]

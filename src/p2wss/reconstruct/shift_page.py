@@ -25,7 +25,7 @@ def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
             continue
         rows.append(row)
         rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
-        if row.block < 0 or not rings:
+        if not row.block or not rings:
             continue
         used = shapely.Polygon(rings[0], rings[1:])
         evidence = (row.flags, row.ground_inside_m2, row.roof_outside_m2)

@@ -22,16 +22,16 @@ def square(x: float) -> shapely.Polygon:
 @pytest.fixture(scope="module")
 def page() -> str:
     footprints = [
-        Footprint("A", 0, square(0), affinity.translate(square(0), 0.6, -0.8)),
-        Footprint("B", 0, square(10), affinity.translate(square(10), 0.6, -0.8), ("extended",), 0.0, 42.0),
-        Footprint(HOSTILE, 3, square(40), square(40)),
-        Footprint("D", 5, square(80), square(80)),
-        Footprint("empty", -1, shapely.Polygon(), shapely.Polygon()),
+        Footprint("A", "A", square(0), affinity.translate(square(0), 0.6, -0.8)),
+        Footprint("B", "A", square(10), affinity.translate(square(10), 0.6, -0.8), ("extended",), 0.0, 42.0),
+        Footprint(HOSTILE, HOSTILE, square(40), square(40)),
+        Footprint("D", "D", square(80), square(80)),
+        Footprint("empty", "", shapely.Polygon(), shapely.Polygon()),
     ]
     blocks = {
-        0: Block(MOVED, 0.6, -0.8, 0.07, 0.0, 0.31),
-        3: Block(STAYED, 0.0, 0.0, 0.2, 0.0, -0.1),
-        5: Block(UNKNOWN, 0.0, 0.0, None, 0.0, None),
+        "A": Block(MOVED, 0.6, -0.8, 0.07, 0.0, 0.31),
+        HOSTILE: Block(STAYED, 0.0, 0.0, 0.2, 0.0, -0.1),
+        "D": Block(UNKNOWN, 0.0, 0.0, None, 0.0, None),
     }
     return shift_map.page(HOSTILE, "Lambert & Co", ["5 buildings"], footprints, blocks)
 
@@ -90,7 +90,7 @@ def test_a_run_without_footprints() -> None:
 
 
 def test_long_lists_are_cut() -> None:
-    footprints = [Footprint(f"f{i}", i, square(20 * i), square(20 * i)) for i in range(2100)]
-    blocks = {i: Block(STAYED, 0.0, 0.0, 0.1, 0.0, 0.1) for i in range(2100)}
+    footprints = [Footprint(f"f{i}", f"f{i}", square(20 * i), square(20 * i)) for i in range(2100)]
+    blocks = {f"f{i}": Block(STAYED, 0.0, 0.0, 0.1, 0.0, 0.1) for i in range(2100)}
     page = shift_map.page("x", "y", [], footprints, blocks)
     assert page.count("<tr><td") == 2000 and "100 more blocks" in page
