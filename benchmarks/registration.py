@@ -11,7 +11,7 @@ on Delft with the seeds 0 to 2, so the seeds from 3 are the test, of both halves
 places of three clouds where there is no building must stay. ``--data`` and the judge are those of ``real.py``.
 
 The default of ``reconstruct.overhang`` must be the better one in both halves, by roof CD and points to mesh: means over
-the cloud as it is and two copies jittered by 2.5 mm. Roof points of the judge are those within the footprints of the map.
+the cloud as it is and two copies jittered by 2.5 mm. The judge counts roof points within the footprints of the map.
 """
 
 from __future__ import annotations
