@@ -7,7 +7,6 @@ both, so that a building is the same in any batch, in any tile, and alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 
 import geopandas as gpd
@@ -97,10 +96,7 @@ class Area:
             geometry = around.geometry.to_numpy().copy()
             geometry[may_move] = registered.geometry.to_numpy()
             registrations = np.full(len(around), None, dtype=object)
-            # blocks have the numbers that they have in the run
-            block = self._surroundings.block[is_around][may_move].tolist()
-            rows_of_blocks = zip(registered[COLUMN], block, strict=True)
-            registrations[may_move] = [replace(row, block=number) for row, number in rows_of_blocks]
+            registrations[may_move] = registered[COLUMN].to_numpy()
             around = around.set_geometry(gpd.GeoSeries(geometry, index=around.index, crs=around.crs))
             around[COLUMN] = registrations
         return around[is_row[is_around]].reset_index(drop=True), cloud
