@@ -4,8 +4,8 @@
     python benchmarks/load.py --data ../shared/data --copies 16      # 1,184 buildings
 
 The area is the cloud of Delft (AHN3) and its 74 footprints, repeated on a grid, one LAZ file per row of the grid. Each
-run of the command is a process of its own: 1 copy, 4 copies, all copies, one tile of the large area with ``--tile``,
-and again 1 and 4 copies. Measured are the peak memory of the process and its children, and CPU time per building: of
+run of the command is a process of its own: 1 copy, 4 copies, one tile of the large area with ``--tile``, again 1 and 4
+copies, and all copies. Measured are the peak memory of the process and its children, and CPU time per building: of
 the whole process, and without what the run of one copy takes (start of the program, network).
 
 Whether a building is the same in every copy: coordinates are multiples of 2**-10 m and copies are moved by whole
@@ -20,6 +20,7 @@ import argparse
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -73,6 +74,7 @@ def moves_m(num_copies: int) -> list[tuple[int, int]]:
 
 def write_area(place: Path, num_copies: int, folder: Path) -> tuple[gpd.GeoDataFrame, int]:
     """Write clouds and footprints; returns the footprints and the number of points."""
+    shutil.rmtree(folder, ignore_errors=True)
     (folder / "clouds").mkdir(parents=True)
     source, frame = laspy.read(place / "ahn3.laz"), gpd.read_file(place / "footprints.gpkg")
     frame.geometry = shapely.transform(frame.geometry.to_numpy(), lambda xy: np.round(xy / SCALE_M) * SCALE_M)
@@ -100,36 +102,31 @@ def write_area(place: Path, num_copies: int, folder: Path) -> tuple[gpd.GeoDataF
     return footprints, len(source) * num_copies
 
 
-def reconstruct(folder: Path, *options: str) -> Run:
-    """One run of the command on the area in ``folder``, with default formats."""
-    with tempfile.TemporaryDirectory(dir=folder) as name:
-        out, peak = Path(name, "out"), Path(name, "peak")
-        words = [
-            "reconstruct",
-            folder / "clouds",
-            folder / "footprints.gpkg",
-            out,
-            "--crs",
-            "EPSG:28992",
-            *options,
-        ]
-        process = subprocess.Popen(
-            [sys.executable, "-c", WRAPPER, peak, *words], stderr=subprocess.PIPE, text=True
-        )
-        tree_kb = 0
-        while process.poll() is None:
-            tree_kb = max(tree_kb, sum(map(rss_kb, tree(process.pid))))
-            time.sleep(0.1)
+def reconstruct(area: Path, name: str, *options: str) -> Run:
+    """One run of the command on the area in a folder, with default formats. Its outputs and figures go to ``name``
+    beside that folder, and a run that has been made is not repeated."""
+    folder = area.parent / name
+    out, done = folder / "out", folder / "done"
+    if not done.exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        inputs = [area / "clouds", area / "footprints.gpkg", out, "--crs", "EPSG:28992"]
+        command = [sys.executable, "-c", WRAPPER, folder / "peak", "reconstruct", *inputs, *options]
+        with (folder / "log").open("w", encoding="utf-8") as log:
+            process = subprocess.Popen(command, stderr=log)
+            tree_kb = 0
+            while process.poll() is None:
+                tree_kb = max(tree_kb, sum(map(rss_kb, tree(process.pid))))
+                time.sleep(0.1)
         if process.returncode:
-            raise SystemExit(process.stderr.read() if process.stderr else 1)
-        process_kb, cpu_s = map(float, peak.read_text(encoding="utf-8").split())
-        (sequence,) = out.glob("*.city.jsonl")
-        run = Run(max(tree_kb, process_kb) * 1024 / 1e6, cpu_s, sequence.stat().st_size, buildings(sequence))
+            raise SystemExit((folder / "log").read_text(encoding="utf-8"))
+        done.write_text(f"{tree_kb} {(folder / 'peak').read_text(encoding='utf-8')}", encoding="utf-8")
+    tree_kb, process_kb, cpu_s = map(float, done.read_text(encoding="utf-8").split())
+    (sequence,) = out.glob("*.city.jsonl")
+    run = Run(max(tree_kb, process_kb) * 1024 / 1e6, cpu_s, sequence.stat().st_size, buildings(sequence))
     rate_ms = 1000 * run.cpu_s / len(run.buildings)
-    title = " ".join([folder.name, *options])
     print(
-        f"{title}: {len(run.buildings)} buildings, {run.peak_mb:.0f} MB, {rate_ms:.1f} CPU-ms each",
-        flush=True,
+        f"{name}: {len(run.buildings)} buildings, {run.peak_mb:.0f} MB, {rate_ms:.1f} CPU-ms each", flush=True
     )
     return run
 
@@ -183,18 +180,22 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, required=True, help="folder with delft_ahn3")
     parser.add_argument("--copies", type=int, default=NUM_COPIES)
+    parser.add_argument(
+        "--folder", type=Path, help="keep areas and runs there, and continue from those that it has"
+    )
     arguments = parser.parse_args()
     figures, place = Figures(), arguments.data / "delft_ahn3"
     with tempfile.TemporaryDirectory() as name:
+        folder = arguments.folder or Path(name)
         sizes = {"one": 1, "small": NUM_SMALL, "large": arguments.copies}
-        areas = {size: write_area(place, count, Path(name, size)) for size, count in sizes.items()}
-        before = [reconstruct(Path(name, size)) for size in ("one", "small")]
-        large = reconstruct(Path(name, "large"))
+        areas = {size: write_area(place, count, folder / size) for size, count in sizes.items()}
+        before = [reconstruct(folder / size, f"{size}_before") for size in ("one", "small")]
         centre = areas["large"][0].centroid
         tiles = Counter(tiles_of_points(centre.x, centre.y, 1000))
         ((fullest, _),) = tiles.most_common(1)
-        tile = reconstruct(Path(name, "large"), "--tile", fullest)
-        after = [reconstruct(Path(name, size)) for size in ("one", "small")]
+        tile = reconstruct(folder / "large", f"tile_{fullest}", "--tile", fullest)
+        after = [reconstruct(folder / size, f"{size}_after") for size in ("one", "small")]
+        large = reconstruct(folder / "large", f"large_{arguments.copies}")
     one_s, small_s = ((first.cpu_s + second.cpu_s) / 2 for first, second in zip(before, after, strict=True))
     num_one, num_small, num_large = (len(frame) for frame, _ in areas.values())
     small_ms = 1000 * (small_s - one_s) / (num_small - num_one)

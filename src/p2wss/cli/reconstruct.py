@@ -25,6 +25,7 @@ def add_parser(stages: Parsers) -> None:
     command = add_command(
         stages, "reconstruct", reconstruct, "reconstruct buildings from your own LiDAR and footprints"
     )
+    command.usage = "p2wss reconstruct [-h] [options] CLOUD .. FOOTPRINTS OUT"
     command.add_argument(
         "inputs",
         type=Path,

@@ -35,6 +35,8 @@ _RECORD = np.dtype(
     ]
 )
 _COLUMNS = ("x_m", "y_m", "z_m", "strip", "day", "classification")
+# points that are sorted together
+_CHUNK = 500_000
 # points of which there are numbers per cell: all, and those of a class
 _COUNTED = (None, GROUND_CLASS, BUILDING_CLASS)
 BYTES_PER_POINT = _RECORD.itemsize
@@ -80,9 +82,14 @@ class CloudIndex:
     def append(self, cloud: Cloud) -> None:
         """Add a chunk; points outside the cells are dropped."""
         self.crs = self.crs or cloud.crs
-        number = self._num_read + np.arange(len(cloud))
-        self._num_read += len(cloud)
-        cell = _positions(self._key, _key(np.floor(cloud.y_m / CELL_M), np.floor(cloud.x_m / CELL_M)))
+        for first in range(0, len(cloud), _CHUNK):
+            self._append(cloud, slice(first, min(first + _CHUNK, len(cloud))))
+
+    def _append(self, cloud: Cloud, chunk: slice) -> None:
+        number = self._num_read + np.arange(chunk.stop - chunk.start)
+        self._num_read += len(number)
+        x_m, y_m = cloud.x_m[chunk], cloud.y_m[chunk]
+        cell = _positions(self._key, _key(np.floor(y_m / CELL_M), np.floor(x_m / CELL_M)))
         rows = np.flatnonzero(cell >= 0)
         rows = rows[np.argsort(cell[rows], kind="stable")]
         if not len(rows):
@@ -92,8 +99,8 @@ class CloudIndex:
         for name in _COLUMNS:
             values = getattr(cloud, name)
             if values is not None:
-                records[name] = values[rows]
-        cell, classes = cell[rows], cloud.classification[rows]
+                records[name] = values[chunk][rows]
+        cell, classes = cell[rows], cloud.classification[chunk][rows]
         for k, number_of_class in enumerate(_COUNTED):
             chosen = slice(None) if number_of_class is None else classes == number_of_class
             self._count[k] += np.bincount(cell[chosen], minlength=len(self._key))

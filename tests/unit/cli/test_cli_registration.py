@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import geopandas as gpd
@@ -14,6 +15,7 @@ import shapely
 from shapely import affinity
 
 from p2wss import cli
+from p2wss.reconstruct import area
 
 # two houses that share a wall, on the line between two tiles, and a house by itself
 TRUE = [
@@ -94,5 +96,33 @@ def test_a_tile_gives_the_same_as_the_whole(place: Path) -> None:
     for part in (west, east):
         expected = whole.loc[part.index]
         assert part.geometry.geom_equals_exact(expected.geometry, 0).all()
-        names = ["shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source", "eave_height_m"]
-        assert part[names].equals(expected[names])
+        assert part.drop(columns="geometry").equals(expected.drop(columns="geometry"))
+        assert part["party_wall_area_m2"].max() > 40
+
+
+def test_batches_and_threads_change_no_byte(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of any file, as the GeoPackage, the page and the meshes of all buildings are written from stored results."""
+    options = ("--format", "gpkg,geoparquet,cityjson,cityjsonseq,glb,ply,report", "--skin")
+    contents = []
+    for threads, limit in ((1, None), (1, 1), (2, 1), (2, None)):
+        if limit is not None:
+            monkeypatch.setattr(area, "MAX_FOOTPRINTS", limit)
+        reconstructed(place, "--threads", str(threads), *options)
+        contents.append({path.name: path.read_bytes() for path in (place / "out").iterdir()})
+        shutil.rmtree(place / "out")
+        monkeypatch.undo()
+    assert {"cloud.gpkg", "cloud.city.json", "cloud.glb", "cloud.html"} < contents[0].keys()
+    for other in contents[1:]:
+        assert other.keys() == contents[0].keys()
+        assert [name for name in other if other[name] != contents[0][name]] == []
+
+
+def test_a_failure_leaves_no_temporary_file(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    before = sorted(path.name for path in place.rglob("*"))
+    monkeypatch.setattr(area.Rows, "finish", fail)
+    with pytest.raises(KeyboardInterrupt):
+        reconstructed(place)
+    assert sorted(path.name for path in place.rglob("*")) == before
