@@ -192,8 +192,8 @@ class Reconstruct(Section):
     )
     overhang: Literal["keep", "move"] = Field(
         "keep",
-        description="roofs that reach beyond the footprint: keep = walls stay on its edges, move = free edges move "
-        "out to the ends of the roofs, by at most 1 m",
+        description="roofs that extend beyond the footprint: keep = walls stay on its edges; move = free edges move "
+        "outwards to the ends of the roofs, by at most 1 m",
     )
     not_representable_m: float = Field(
         0.25,
