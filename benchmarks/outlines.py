@@ -97,12 +97,20 @@ def compared(houses: np.ndarray, outlines: np.ndarray, ignored: shapely.Geometry
                     "x": block.centroid.x,
                     "area": round(block.area, 1),
                     "iou": shape.intersection(block).area / shape.union(block).area,
+                    "iou of whole outlines": _of_whole_outlines(block, outlines),
                     "iou with unmapped": whole.intersection(block).area / whole.union(block).area,
                     "map vertices": len(vertices(block)),
                     "vertices": int(counts.sum()),
                 }
             )
     return rows
+
+
+def _of_whole_outlines(block: shapely.Geometry, outlines: np.ndarray) -> float:
+    """IoU of a block and the union of the outlines that lie on it by at least half, whole and wherever they go on."""
+    share = shapely.area(shapely.intersection(outlines, block)) / shapely.area(outlines)
+    union = shapely.union_all(outlines[share >= 0.5])
+    return float(union.intersection(block).area / union.union(block).area)
 
 
 def measures(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -114,6 +122,7 @@ def measures(rows: list[dict[str, Any]]) -> dict[str, float]:
         "blocks": len(blocks),
         "found": float(np.mean([row["found"] for row in houses])),
         "iou": float(np.mean([row["iou"] for row in blocks])),
+        "iou of whole outlines": float(np.mean([row["iou of whole outlines"] for row in blocks])),
         "iou with unmapped": float(np.mean([row["iou with unmapped"] for row in blocks])),
         "vertices": sum(row["vertices"] for row in blocks) / sum(row["map vertices"] for row in blocks),
     }

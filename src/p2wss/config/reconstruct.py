@@ -96,6 +96,12 @@ class Outlines(Section):
     )
     min_hole_m2: float = Field(8, ge=0, description="courtyards smaller than this are filled")
     min_edge_m: float = Field(0.8, gt=0, description="edges shorter than this are removed from outlines")
+    overhang_m: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="free edges lie this far inside the edge of the roof, as walls stand back from the eaves",
+    )
 
 
 class Reconstruct(Section):

@@ -127,7 +127,7 @@ def regularised(
             _reduce(lines, settings)
             _sharpen(lines)
             if fits:
-                lines = _fitted(lines, points, is_hole=bool(rings))
+                lines = _fitted(lines, points, bool(rings), settings.overhang_m)
                 _reduce(lines, settings)
                 _sharpen(lines)
             shape = _polygon(lines)
@@ -371,8 +371,9 @@ def _polygon(lines: list[_Line]) -> shapely.Polygon | None:
     return shape if shape.is_valid and shape.area > 0 else None
 
 
-def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool) -> list[_Line]:
-    """The lines, each moved along its normal to where it best separates the two kinds of points."""
+def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool, overhang_m: float) -> list[_Line]:
+    """The lines, each moved along its normal to where it best separates the two kinds of points, and from there inwards
+    by the overhang of the roof."""
     corner = _corners(lines)
     if not np.isfinite(corner).all():
         return lines
@@ -386,7 +387,8 @@ def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool) -> list[_Line
             for xy_m in (points.roof_m, points.ground_m)
         )
         move_m = sign * _separation(roof_m, ground_m, points.density, end - start - 2 * _END_M)
-        result.append(_Line(line.angle, line.offset + move_m, line.length, line.is_main))
+        offset = line.offset + move_m - sign * overhang_m
+        result.append(_Line(line.angle, offset, line.length, line.is_main))
     return result
 
 
