@@ -35,7 +35,7 @@ _END_M = 0.4
 _MIN_POINTS = 4
 # before an edge, as a share of the density of roofs
 _LEAST_DENSITY = 0.5
-# a regularised outline differs from its trace by at most this share of the area
+# a regularised outline differs from its trace by at most this share of the area, and by the overhang that is taken off
 _MAX_DIFFERENCE = 0.2
 
 
@@ -132,7 +132,8 @@ def regularised(
                 _sharpen(lines)
             shape = _polygon(lines)
             reference = shapely.Polygon(ring)
-            if shape is None or shape.symmetric_difference(reference).area > _MAX_DIFFERENCE * reference.area:
+            most_m2 = _MAX_DIFFERENCE * reference.area + fits * settings.overhang_m * reference.length
+            if shape is None or shape.symmetric_difference(reference).area > most_m2:
                 break
             best = shape
         rings.append(best)

@@ -58,7 +58,7 @@ def corner_errors_m(outline: shapely.Polygon, truth: shapely.Polygon) -> np.ndar
 
 @pytest.mark.parametrize("angle_deg", [0.0, 17.0, 33.0, 45.0])
 def test_outline_of_an_l_shape(angle_deg: float) -> None:
-    (outline,) = outlines(scene((L_SHAPE, 8.0), angle_deg=angle_deg), Outlines())
+    (outline,) = outlines(scene((L_SHAPE, 8.0), angle_deg=angle_deg), Outlines(overhang_m=0))
     truth = placed(L_SHAPE, angle_deg)
     assert len(outline.exterior.coords) - 1 == 6
     assert corner_errors_m(outline, truth).max() <= 0.25
@@ -147,3 +147,18 @@ def test_clouds_without_outlines() -> None:
         outlines(replace(cloud, classification=np.full(len(cloud), 2, np.uint8)), Outlines())
     with pytest.raises(InputError, match="no building has at least 1000 m2"):
         outlines(cloud, Outlines(min_area_m2=1000))
+
+
+def test_free_edges_stand_inside_the_edge_of_the_roof() -> None:
+    court = shapely.box(6, 6, 14, 13)
+    cloud = scene((shapely.box(0, 0, 20, 20) - court, 8.0), angle_deg=20.0)
+    (roof,), (walls,) = outlines(cloud, Outlines(overhang_m=0)), outlines(cloud, Outlines(overhang_m=0.4))
+    for ring, sign in ((0, -1), (1, 1)):
+        outer, inner = (shapely.Polygon(shapely.get_rings(shape)[ring]) for shape in (roof, walls))
+        expected = outer.buffer(sign * 0.4, join_style="mitre")
+        assert expected.symmetric_difference(inner).area < 0.02 * outer.length
+    # the walls between the buildings of a block are none
+    low, high = shapely.box(0, 0, 9, 10), shapely.box(9, 0, 20, 10)
+    first, second = outlines(scene((low, 6.0), (high, 10.0)), Outlines(overhang_m=0.4))
+    assert first.intersection(second).length == pytest.approx(9.2, abs=0.5)
+    assert first.union(second).area == pytest.approx((20 - 0.8) * (10 - 0.8), rel=0.03)
