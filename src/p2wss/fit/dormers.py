@@ -68,12 +68,13 @@ def find_boxes(
     min_gain_m: float,
     boxes: Boxes,
     loose_share: float = 1.0,
+    outline: Sequence[np.ndarray] = (),
 ) -> tuple[float, list[Box], list[Box]]:
     """(sum of the residuals of all points with the boxes, the boxes that the points show on the roofs of ``parts``,
     and the same followed by others).
 
     Each box lowers the sum by at least ``min_gain_m``, the others by ``loose_share`` of it; the one that gains most
-    comes first. point_m: (m, 3).
+    comes first. point_m: (m, 3). outline: of the footprint, if the parts reach beyond it.
     """
     roof_z, slant = _roof_over(fitter, parts, point_m)
     x, y, z = np.ascontiguousarray(point_m.T)
@@ -100,9 +101,8 @@ def find_boxes(
                 gain, low, high, top = grown[key]
                 if gain > best_gain:
                     if footprint is None:
-                        footprint = shapely.union_all(
-                            [shapely.Polygon(part.rings[0], part.rings[1:]) for part in parts]
-                        )
+                        shapes = [outline] if len(outline) else [part.rings for part in parts]
+                        footprint = shapely.union_all([shapely.Polygon(r[0], r[1:]) for r in shapes])
                         lines = [
                             np.unique(np.concatenate([ring[:, axis] for p in parts for ring in p.rings]))
                             for axis in (0, 1)

@@ -15,10 +15,11 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
+from p2wss.fit.frame import enclosing_rectangle, roof_frame
 from p2wss.fit.mesh import build_meshes, transfer_angles
 from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
-from p2wss.fit.points import ground_points, roof_points
+from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.prior import make_prior
 from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
 from p2wss.fit.solid import Mesh, is_sound, union
@@ -99,7 +100,8 @@ class _PartsFit:
 
     rings: the footprint that the mesh gets, in the building's own frame. rotation: (2, 2); parts and points are in
     the frame ``xy @ rotation``. parts: empty without a fit. reason: why there are no parts, a value of
-    :mod:`p2wss.data.reasons`. point_m: (m, 3), all points on the roof.
+    :mod:`p2wss.data.reasons`. point_m: (m, 3), all points on the roof. outline: the footprint in that frame, if the
+    parts reach beyond it; their solids are cut off there.
     """
 
     rings: Sequence[np.ndarray]
@@ -107,6 +109,7 @@ class _PartsFit:
     parts: Sequence[FittedRoof]
     reason: str
     point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    outline: Sequence[np.ndarray] = ()
 
     def in_building_frame(self, vertex_m: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) of the rotated frame in the frame of the building."""
@@ -137,12 +140,16 @@ class _FitTask:
         ground = building.ground_z_m
         polygon = shapely.Polygon(rings[0], rings[1:])
         roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
+        # walls are not fitted: a return from one says nothing of the roof above it
+        roof_point_m = roof_point_m[~wall_hits(roof_point_m)]
+        rotation = roof_frame(rings, roof_point_m)
         max_overhang_m = MAX_OVERHANG_M if config.overhang == "move" else 0.0
         points = (roof_point_m, building.point_m, building.classification)
         rings = move_walls(rings, *points, config.max_wall_shift_m, max_overhang_m)
         polygon = shapely.Polygon(rings[0], rings[1:])
         if max_overhang_m:
             roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
+            roof_point_m = roof_point_m[~wall_hits(roof_point_m)]
         roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
@@ -164,6 +171,12 @@ class _FitTask:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
         rotated = [ring @ rotation for ring in rings]
         usual_prior = make_prior(rotated, len(point_m))
+        across: Sequence[FittedRoof] = []
+        if max_parts > 1 and not np.array_equal(rotation, main_frame(list(self.building.rings))):
+            # a roof that the footprint cuts off at an angle goes on beyond it
+            around = enclosing_rectangle(rotated)
+            usual = make_prior(around, len(point_m))
+            across = fit_parts(self.fitter, around, point_m, effort, cutting, [], usual)
         if (
             initial is None
             or initial.angle_deg is None
@@ -171,6 +184,8 @@ class _FitTask:
             or not initial.has_mesh
         ):
             parts = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
+            if across and (not parts or cost_m(across, cutting) < cost_m(parts, cutting)):
+                return _PartsFit(rings, rotation, across, "", roof_point_m, rotated)
             return _PartsFit(rings, rotation, parts, "" if parts else reasons.NO_ROOF, roof_point_m)
         guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + self.building.ground_z_m
         prior = make_prior(rotated, len(point_m), guess_deg, initial.class_probability, eave_z_m)
@@ -183,6 +198,8 @@ class _FitTask:
             without_network = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
             if len(without_network) > 1:
                 parts = min(parts, without_network, key=lambda parts: cost_m(parts, cutting))
+        if across and cost_m(across, cutting) < cost_m(parts, cutting):
+            return _PartsFit(rings, rotation, across, "", roof_point_m, rotated)
         return _PartsFit(rings, rotation, parts, "", roof_point_m)
 
     def reconstruct(
@@ -208,9 +225,10 @@ class _FitTask:
         which points are ignored."""
         while True:
             reconstruction = self._mesh_of_parts(parts_fit)
-            if reconstruction.has_mesh or len(parts_fit.parts) < 2:
+            num_parts = len(parts_fit.parts)
+            if reconstruction.has_mesh or (num_parts < 2 and not len(parts_fit.outline)):
                 return reconstruction, parts_fit
-            parts_fit = self.fit_parts(len(parts_fit.parts) - 1, boxes)
+            parts_fit = self.fit_parts(max(num_parts - 1, 1), boxes)
 
     def _with_boxes(self, parts_fit: _PartsFit) -> tuple[Reconstruction, _PartsFit] | None:
         """The building with the boxes that its points show above its roof, as many as have a closed union with it, and
@@ -229,9 +247,7 @@ class _FitTask:
                     candidates.insert(0, (refit, new_boxes))
         for candidate, candidate_boxes in candidates:
             if candidate_boxes:
-                mesh = _union_with_boxes(
-                    candidate.parts, candidate_boxes, self.building.ground_z_m, self.config
-                )
+                mesh = _union_with_boxes(candidate, candidate_boxes, self.building.ground_z_m, self.config)
                 if mesh is not None:
                     return self._of_mesh(candidate, mesh), candidate
             elif candidate is not parts_fit:
@@ -255,7 +271,8 @@ class _FitTask:
         if single is not None:
             return single
         ground = building.ground_z_m
-        mesh = union(parts_fit.parts, ground, config.min_eave_height_m, config.max_roof_height_m)
+        heights = (ground, config.min_eave_height_m, config.max_roof_height_m)
+        mesh = union(parts_fit.parts, *heights, (), parts_fit.outline)
         if mesh is None:
             return no_mesh(building, self.method, reasons.NO_CLOSED_UNION)
         return self._of_mesh(parts_fit, mesh)
@@ -265,7 +282,7 @@ class _FitTask:
         building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
         largest = max(parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
-        if len(parts) > 1:
+        if len(parts) > 1 or len(parts_fit.outline):
             part_rings = [ring @ parts_fit.rotation.T for part in parts for ring in part.rings]
             part_angles = np.concatenate([part.angle_deg for part in parts])
             angle_deg = transfer_angles(part_rings, part_angles, parts_fit.rings)
@@ -295,9 +312,17 @@ class _FitTask:
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
         min_gain_m = thresholds.boxes.min_gain_m(num_points)
         lowest_z_m = self.building.ground_z_m + self.config.min_eave_height_m
-        parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts_fit.parts]
+        parts = list(parts_fit.parts)
+        if not len(parts_fit.outline):
+            parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts]
         loss, boxes, loose_boxes = find_boxes(
-            self.fitter, parts, parts_fit.point_m, min_gain_m, thresholds.boxes, loose_share
+            self.fitter,
+            parts,
+            parts_fit.point_m,
+            min_gain_m,
+            thresholds.boxes,
+            loose_share,
+            parts_fit.outline,
         )
         cost_of_part = thresholds.cutting.min_gain_m(num_points)
         cost = loss + len(boxes) * min_gain_m + (len(parts_fit.parts) - 1) * cost_of_part
@@ -309,7 +334,11 @@ def _mesh_single_parts(
 ) -> list[Reconstruction | None]:
     """The reconstructions of buildings of one part, all by one call of the kernel; None for the others."""
     result: list[Reconstruction | None] = [None] * len(tasks)
-    indices = [i for i, parts_fit in enumerate(parts_fits) if len(parts_fit.parts) == 1]
+    indices = [
+        i
+        for i, parts_fit in enumerate(parts_fits)
+        if len(parts_fit.parts) == 1 and not len(parts_fit.outline)
+    ]
     if not indices:
         return result
     config, parts = tasks[0].config, [parts_fits[i].parts[0] for i in indices]
@@ -340,7 +369,7 @@ def _is_sound(reconstruction: Reconstruction) -> bool:
 
 
 def _union_with_boxes(
-    parts: Sequence[FittedRoof], boxes: Sequence[Box], ground_z_m: float, config: Reconstruct
+    parts_fit: _PartsFit, boxes: Sequence[Box], ground_z_m: float, config: Reconstruct
 ) -> Mesh | None:
     """The union of the parts with all boxes or, if that is not sound, with those that can be added one after the
     other without making it unsound; None if there is no such box."""
@@ -349,7 +378,7 @@ def _union_with_boxes(
         raised = [box.as_part() for box in chosen if not box.is_recess]
         recesses = [box for box in chosen if box.is_recess]
         heights = (ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
-        return union([*parts, *raised], *heights, recesses)
+        return union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
 
     mesh = _union_of(boxes)
     if mesh is not None and is_sound(mesh):

@@ -6,9 +6,12 @@ import numpy as np
 import shapely
 
 from p2wss.data.las_classes import GROUND_CLASS
-from p2wss.data.points import points_on_building
+from p2wss.data.points import MIN_CLASSIFIED_POINTS, points_on_building
 
 _CELL_M = 0.5
+# Returns from walls: in a cell of the plan of this size at most this share of the points is within about this height of
+# them, and two points are at least so far above.
+_WALL_CELL_M, _WALL_SHARE, _SAME_HEIGHT_M, _BELOW_TOP_M = 0.6, 0.25, 0.3, 2.0
 
 
 def roof_points(
@@ -16,6 +19,33 @@ def roof_points(
 ) -> np.ndarray:
     """The points (k, 3) on the building over the polygon, which show its roof."""
     return point_m[points_on_building(polygon, point_m, classification, ground_z_m)]
+
+
+def wall_hits(point_m: np.ndarray) -> np.ndarray:
+    """Which of the points (m, 3) on a building are returns from its walls, bool (m,).
+
+    Seen from above, a wall is a column of points at all heights: in a cell of the plan, few points are as high as
+    one of them, and some are far above. A low roof beside a wall has most of its cell's points at its height.
+    """
+    if len(point_m) < MIN_CLASSIFIED_POINTS:
+        return np.zeros(len(point_m), bool)
+    size = np.array([_WALL_CELL_M, _WALL_CELL_M, _SAME_HEIGHT_M])
+    x, y, z = np.floor((point_m - point_m.min(axis=0)) / size).astype(np.int64).T
+    column = x * (y.max() + 1) + y
+    _, column, count = np.unique(column, return_inverse=True, return_counts=True)
+    height, last = point_m[np.lexsort((point_m[:, 2], column)), 2], np.cumsum(count) - 1
+    second_highest_m = height[np.maximum(last - 1, last - count + 1)]
+    below = point_m[:, 2] < second_highest_m[column] - _BELOW_TOP_M
+    if not below.any():
+        return below
+    # levels of a column are apart from those of the next
+    num_levels = int(z.max()) + 3
+    levels, level, num_at = np.unique(column * num_levels + z + 1, return_inverse=True, return_counts=True)
+    num_near = num_at.copy()
+    touches = np.flatnonzero(np.diff(levels) == 1)
+    num_near[touches] += num_at[touches + 1]
+    num_near[touches + 1] += num_at[touches]
+    return below & (num_near[level] < _WALL_SHARE * count[column])
 
 
 def ground_points(

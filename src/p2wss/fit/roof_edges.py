@@ -21,6 +21,10 @@ _BELOW_ROOF_M = 0.7
 _MIN_POINTS, _MIN_BINS_SHARE = 3, 0.6
 # a wall is moved by at least this much; a quarter of the bins at most may show less
 _MIN_SHIFT_M = 0.3
+# an edge of at least this length is turned if that reduces the mean distance to where the roof begins to this share
+_MIN_TURNED_M, _TURNED_RATIO = 5.0, 0.7
+# what remains of an edge at least
+_MIN_REMAINING_M = 0.5
 # Beyond the wall is open ground: it has at least this share of the points between the wall and the edge, and within
 # this distance beyond the edge at most so many points are of buildings for each of the ground. In a row of houses, a
 # neighbour's wall or lower roof is there instead.
@@ -55,32 +59,60 @@ def move_walls(
         return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
     after = np.roll(ring, -1, axis=0)
-    shift_m = np.zeros(len(ring))
+    # of the start and the end of each edge
+    shift_m = np.zeros((len(ring), 2))
     if max_overhang_m >= _MIN_OVERHANG_M:
         overhang_m = np.minimum(overhangs_m(ring, point_m, classification), max_overhang_m)
-        shift_m = np.where(overhang_m >= _MIN_OVERHANG_M, -overhang_m, 0.0)
+        shift_m[:] = np.where(overhang_m >= _MIN_OVERHANG_M, -overhang_m, 0.0)[:, None]
     for i, ends in enumerate(zip(ring, after, strict=True)):
         if max_shift_m < _MIN_SHIFT_M or not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
             continue
-        shift = _shift_m(*ends, roof_point_m, max_shift_m)
-        if shift > 0 and _is_open(*ends, shift, ground_m, building_m, _GROUND_SHARE):
-            shift_m[i] = shift
+        shifts = _shifts_m(*ends, roof_point_m, max_shift_m)
+        if shifts.any() and _is_open(*ends, float(shifts.mean()), ground_m, building_m, _GROUND_SHARE):
+            shift_m[i] = shifts
     if not shift_m.any():
         return list(rings)
-    along = (after - ring) / np.linalg.norm(after - ring, axis=1, keepdims=True)
-    normal = np.column_stack([-along[:, 1], along[:, 0]])
-    moved = ring.copy()
-    for i in range(len(ring)):
-        matrix, shifts = normal[[i - 1, i]], shift_m[[i - 1, i]]
-        if shifts.any():
-            if abs(np.linalg.det(matrix)) < _MIN_TURN:
-                shifts[:] = shifts[np.abs(shifts).argmin()]
-            moved[i] += np.linalg.lstsq(matrix, shifts)[0]
+    # a short edge between two that move, the chamfer of a corner, moves with them
+    for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < _MIN_EDGE_M).tolist():
+        beside = shift_m[i - 1, 1], shift_m[(i + 1) % len(ring), 0]
+        shift_m[i] = min(beside, key=abs) if beside[0] * beside[1] > 0 else 0.0
+    moved = _moved_ring(ring, shift_m, 2 * max(max_shift_m, max_overhang_m))
     polygon, original = shapely.Polygon(moved, rings[1:]), shapely.Polygon(ring, rings[1:])
-    keeps_direction = (((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1) > 0.5).all()
-    if not keeps_direction or not polygon.is_valid or polygon.area < 0.5 * original.area:
+    if not polygon.is_valid or polygon.area < 0.5 * original.area:
         return list(rings)
     return [moved, *rings[1:]]
+
+
+def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndarray:
+    """The ring (n, 2) after the start and the end of each edge have moved inwards by ``shift_m`` (n, 2), outwards where that is
+    negative. An edge stays where it would move a corner by more than ``most_m``, or turn an edge round or leave hardly anything of it."""
+    after = np.roll(ring, -1, axis=0)
+    length = np.linalg.norm(after - ring, axis=1, keepdims=True)
+    along = (after - ring) / length
+    inward = np.column_stack([-along[:, 1], along[:, 0]])
+    shift_m = shift_m.copy()
+    while shift_m.any():
+        start, end = ring + shift_m[:, :1] * inward, after + shift_m[:, 1:] * inward
+        direction = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+        normal = np.column_stack([-direction[:, 1], direction[:, 0]])
+        moved = ring.copy()
+        for i in range(len(ring)):
+            if shift_m[i - 1].any() or shift_m[i].any():
+                matrix = normal[[i - 1, i]]
+                shifts = np.array([(end[i - 1] - ring[i]) @ matrix[0], (start[i] - ring[i]) @ matrix[1]])
+                if abs(np.linalg.det(matrix)) < _MIN_TURN:
+                    shifts[:] = shifts[np.abs(shifts).argmin()]
+                moved[i] += np.linalg.lstsq(matrix, shifts)[0]
+        remaining = ((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1)
+        too_short = np.flatnonzero(remaining <= np.minimum(_MIN_REMAINING_M, 0.5 * length[:, 0]))
+        too_far = np.flatnonzero(np.linalg.norm(moved - ring, axis=1) > most_m)
+        stays = np.concatenate([too_short - 1, too_short, too_short + 1, too_far - 1, too_far]) % len(ring)
+        if not len(stays):
+            return moved
+        if not shift_m[stays].any():
+            break
+        shift_m[stays] = 0.0
+    return ring
 
 
 def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
@@ -94,7 +126,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     if len(building_m) < _MIN_POINTS or len(ground_m) < _MIN_GROUND_POINTS:
         return result
     for i, (start, end) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True)):
-        begins_m = _begins_m(start, end, building_m, -MAX_OVERHANG_M)
+        _, begins_m = _begins_m(start, end, building_m, -MAX_OVERHANG_M)
         if not len(begins_m):
             continue
         length = float(np.hypot(*(end - start)))
@@ -124,20 +156,36 @@ def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.nd
     return float(np.average(overhang_m[is_known], weights=length_m[is_known]))
 
 
-def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_m: float) -> float:
-    """How far behind an edge the roof begins, 0 where it does so at the edge or where that is not clear."""
-    begins_m = _begins_m(start, end, point_m, 0.0)
-    if not len(begins_m) or np.quantile(begins_m, 0.25) < _MIN_SHIFT_M:
-        return 0.0
-    return float(min(np.median(begins_m), max_shift_m))
+def _shifts_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_m: float) -> np.ndarray:
+    """How far behind the start and the end of an edge the roof begins, zeros where it does so at the edge or where that
+    is not clear."""
+    at, begins_m = _begins_m(start, end, point_m, 0.0)
+    if not len(begins_m):
+        return np.zeros(2)
+    level_m = float(np.median(begins_m))
+    first, second = np.triu_indices(len(at), 1)
+    is_far = at[second] - at[first] > 0.3
+    if np.hypot(*(end - start)) >= _MIN_TURNED_M and is_far.any():
+        # the drawn edge may be turned against the wall: the median of the slopes of all pairs is robust
+        slopes_m = (begins_m[second] - begins_m[first])[is_far] / (at[second] - at[first])[is_far]
+        rise_m = float(np.median(slopes_m))
+        ends_m = float(np.median(begins_m - rise_m * at)) + rise_m * np.array([0.0, 1.0])
+        turned, straight = (np.abs(begins_m - line).mean() for line in (ends_m[0] + rise_m * at, level_m))
+        if turned < _TURNED_RATIO * straight and ends_m.max() >= _MIN_SHIFT_M:
+            return np.clip(ends_m, 0.0, max_shift_m)
+    if np.quantile(begins_m, 0.25) < _MIN_SHIFT_M:
+        return np.zeros(2)
+    return np.full(2, min(level_m, max_shift_m))
 
 
-def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float) -> np.ndarray:
-    """How far behind an edge the roof begins in each metre of its length, ``least_m`` or more; empty where too few show
-    it."""
+def _begins_m(
+    start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(place along the edge from 0 to 1, how far behind it the roof begins there, ``least_m`` or more) for each metre
+    of its length; empty where too few show it."""
     length = float(np.hypot(*(end - start)))
     if length < _MIN_EDGE_M:
-        return np.zeros(0)
+        return np.zeros(0), np.zeros(0)
     along = (end - start) / length
     offset = point_m[:, :2] - start
     place, depth = offset @ along, offset @ np.array([-along[1], along[0]])
@@ -145,7 +193,7 @@ def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: 
     place, depth, z = place[near] - _AT_CORNER_M, depth[near], point_m[near, 2]
     num_bins = max(1, int((length - 2 * _AT_CORNER_M) / _BIN_M))
     number = np.minimum((place * num_bins / (length - 2 * _AT_CORNER_M)).astype(int), num_bins - 1)
-    begins_m = []
+    at, begins_m = [], []
     for k in range(num_bins):
         here = number == k
         bands = [here & (depth > low) & (depth <= low + 1.0) for low in (_NEAR_M, _MIDDLE_M)]
@@ -153,8 +201,11 @@ def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: 
             height_m, next_m = (float(np.median(z[band])) for band in bands)
             slope = min(max(next_m - height_m, 0.0), _STEEPEST)
             roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
+            at.append((k + 0.5) / num_bins)
             begins_m.append(depth[here & (z > roof_m - _BELOW_ROOF_M)].min())
-    return np.array(begins_m if len(begins_m) >= _MIN_BINS_SHARE * num_bins else [])
+    if len(begins_m) < _MIN_BINS_SHARE * num_bins:
+        return np.zeros(0), np.zeros(0)
+    return np.array(at), np.array(begins_m)
 
 
 def _is_open(

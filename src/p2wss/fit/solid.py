@@ -18,6 +18,7 @@ from p2wss.skeleton import Polygons, Status
 
 _WELD_M = 1e-4
 _SHORT_EDGE_M = 1e-2
+_BELOW_GROUND_M = 30.0
 # how much higher each further part is raised, and how far a surface may move when slivers are removed
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
 
@@ -39,9 +40,10 @@ def union(
     min_eave_height_m: float,
     max_roof_height_m: float,
     recesses: Sequence[Box] = (),
+    outline: Sequence[np.ndarray] = (),
 ) -> Mesh | None:
     """The union of the parts' solids on one ground, z above it, less the ``recesses``. None if a part has no solid, or
-    if the result is not one closed manifold.
+    if the result is not one closed manifold. outline: rings of a footprint at which parts that reach beyond it end.
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
     The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
@@ -52,7 +54,7 @@ def union(
     first_closed = None
     for step_m, simplify_m in _ATTEMPTS_M:
         raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses)
+        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
         if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
             continue
         if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
@@ -104,11 +106,14 @@ def _union(
     max_roof_height_m: float,
     simplify_m: float,
     recesses: Sequence[Box],
+    outline: Sequence[np.ndarray],
 ) -> Mesh | None:
+    # beyond its outline, a roof may reach below the ground
+    floor_z_m = ground_z_m - (_BELOW_GROUND_M if len(outline) else 0.0)
     meshes = skeleton.build(
         Polygons.from_rings([list(part.rings) for part in parts]),
         np.concatenate([part.angle_deg for part in parts]),
-        np.array([max(part.eave_z_m - ground_z_m, min_eave_height_m) for part in parts]),
+        np.array([max(part.eave_z_m - floor_z_m, min_eave_height_m) for part in parts]),
         max_roof_height_m=np.array([min(part.top_m, max_roof_height_m) for part in parts]),
     )
     if (meshes.status != Status.OK).any():
@@ -121,8 +126,12 @@ def _union(
         solids.append(manifold3d.Manifold(mesh))
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     for recess in recesses:
-        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m)
+        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m) + ground_z_m - floor_z_m
         whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
+    if len(outline):
+        whole = whole.translate((0.0, 0.0, floor_z_m - ground_z_m))
+        low, high = (_prism(outline, z) for z in (min_eave_height_m, float(whole.bounding_box()[5]) + 1.0))
+        whole = (whole ^ high) + low
     whole = whole.as_original().simplify(simplify_m)
     if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
         return None
@@ -131,6 +140,15 @@ def _union(
     triangle = np.array(out.tri_verts, np.int32)
     mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
     return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else _collapse_vertices(mesh)
+
+
+def _prism(rings: Sequence[np.ndarray], height_m: float) -> manifold3d.Manifold:
+    """The solid over a polygon from the ground up to a height."""
+    num = sum(map(len, rings))
+    mesh = skeleton.build(Polygons.from_rings([list(rings)]), np.zeros(num), np.array([height_m]))
+    vertex_m, triangle, _, _ = mesh.mesh(0)
+    vertex_m = snap_vertices(vertex_m, np.concatenate(list(rings)))
+    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
 
 
 def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifold:

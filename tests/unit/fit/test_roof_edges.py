@@ -107,3 +107,35 @@ def test_inwards_and_outwards_at_once():
     ring = moved_out(point_m, classes, 1.0)
     assert ring[:2, 1] == pytest.approx(-0.4, abs=0.06)
     assert ring[2:, 1] == pytest.approx(7.37, abs=0.12)
+
+
+def drawn_askew(near_m: float, far_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a flat roof whose edge lies ``near_m`` behind the start of the edge y = 0, ``far_m`` behind its end."""
+    point_m, _ = survey(begins_m=0.0)
+    x, y = point_m[:, 0], point_m[:, 1]
+    is_roof = (x > 0) & (x < 12) & (y < 8) & (y > near_m + (far_m - near_m) * x / 12)
+    return np.column_stack([point_m[:, :2], np.where(is_roof, 6.0, 0.0)]), np.where(is_roof, 6, 2)
+
+
+def test_an_edge_that_is_drawn_askew_is_turned_to_the_wall():
+    ring = moved(*drawn_askew(0.1, 0.9))
+    assert ring[:2, 1] == pytest.approx([0.1, 0.9], abs=0.15)
+    assert np.abs(ring[:2, 0] - RING[:2, 0]).max() < 1e-6 and ring[2:] == pytest.approx(RING[2:])
+
+
+def test_a_turned_edge_moves_no_further_than_allowed():
+    assert moved(*drawn_askew(0.1, 1.6))[:2, 1].max() <= 1.0
+
+
+def test_a_short_edge_between_two_that_move_goes_with_them():
+    """A chamfer, which would be swallowed if it stayed."""
+    ring = np.array([[0, 1.0], [1.0, 0], [12, 0], [12, 8], [0, 8.0]])
+    point_m, _ = survey(begins_m=0.0)
+    x, y = point_m[:, 0], point_m[:, 1]
+    is_roof = (x > 0.6) & (x < 12) & (y > 0.6) & (y < 8) & (x + y > 1.9)
+    point_m = np.column_stack([point_m[:, :2], np.where(is_roof, 6.0, 0.0)])
+    (result,) = move_walls([ring], point_m[is_roof], point_m, np.where(is_roof, 6, 2), 1.0)
+    assert result[[1, 2], 1] == pytest.approx(0.65, abs=0.15)
+    assert result[[0, 4], 0] == pytest.approx(0.65, abs=0.15)
+    chamfer = result[1] - result[0]
+    assert np.hypot(*chamfer) > 0.5 and chamfer[0] > 0 > chamfer[1]
