@@ -84,8 +84,9 @@ def move_walls(
 
 
 def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndarray:
-    """The ring (n, 2) after the start and the end of each edge have moved inwards by ``shift_m`` (n, 2), outwards where that is
-    negative. An edge stays where it would move a corner by more than ``most_m``, or turn an edge round or leave hardly anything of it."""
+    """The ring (n, 2) after the start and the end of each edge have moved inwards by ``shift_m`` (n, 2), outwards where
+    that is negative. An edge stays where it would move a corner by more than ``most_m``, or turn an edge round or leave
+    hardly anything of it."""
     after = np.roll(ring, -1, axis=0)
     length = np.linalg.norm(after - ring, axis=1, keepdims=True)
     along = (after - ring) / length
