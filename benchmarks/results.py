@@ -24,6 +24,7 @@ import json
 import os
 import platform
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -101,7 +102,7 @@ def record(name: str, modules: list[str], table: Path | None, command: list[str]
     if table is not None and done.returncode:
         sys.exit(done.returncode)
     document = {
-        "command": " ".join(command),
+        "command": shlex.join(command),
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
         "version": __version__,
         "modules": modules,
