@@ -206,7 +206,9 @@ def _chunks(
     count = 1 if max_points is None else math.ceil(math.sqrt(share * header.point_count / max_points))
     with laspy.CopcReader.open(path) as reader:
         for window in _windows(bounds, max(count, 1)):
-            mins, maxs = np.array(window[:2]), np.array(window[2:])
+            # queries round their bounds to whole units of coordinates
+            unit = np.asarray(reader.header.scales[:2])
+            mins, maxs = np.array(window[:2]) - unit, np.array(window[2:]) + unit
             points = reader.query(bounds=laspy.copc.Bounds(mins=mins, maxs=maxs))
             # laspy silently returns no points for chunks beyond the end of a truncated file
             info, size = reader.copc_info, Path(path).stat().st_size
@@ -216,8 +218,8 @@ def _chunks(
                 raise EOFError(f"{size} of {end} bytes")
             # a point on the border of two windows is one of the lower window
             x, y = np.asarray(points.x), np.asarray(points.y)
-            is_first = window[0] == bounds[0], window[1] == bounds[1]
-            mask = ((x > window[0]) | is_first[0]) & ((y > window[1]) | is_first[1])
+            mask = ((x > window[0]) | (window[0] == bounds[0])) & (x <= window[2])
+            mask &= ((y > window[1]) | (window[1] == bounds[1])) & (y <= window[3])
             yield reader.header, points if mask.all() else points[mask]
 
 

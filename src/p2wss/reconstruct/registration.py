@@ -178,9 +178,6 @@ class Surroundings:
         """footprints: object array of polygons."""
         self._present = np.flatnonzero(~shapely.is_empty(footprints))
         self._of_present = connected(footprints[self._present])
-        # the block of each footprint, -1 of an empty one
-        self.block = np.full(len(footprints), -1, np.int64)
-        self.block[self._present] = self._of_present
         count = int(self._of_present.max(initial=-1)) + 1
         bounds = np.full((count, 4), np.inf)
         corners = shapely.bounds(footprints[self._present]) * [1, 1, -1, -1]

@@ -18,7 +18,7 @@ from p2wss.cli import main
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
-from p2wss.data import files, polygon_arrays
+from p2wss.data import clouds, files, polygon_arrays
 from p2wss.data.cloud_crops import ground_height
 from p2wss.data.clouds import Cloud, read_clouds, same_crs
 from p2wss.data.schemas.crops import CROPS
@@ -339,6 +339,24 @@ def test_a_copc_window_equals_the_window_of_the_whole_file():
     np.testing.assert_array_equal(a.x_m[key[0]], b.x_m[key[1]])
     np.testing.assert_array_equal(np.sort(a.classification), np.sort(b.classification))
     assert a.crs.to_epsg() == 2154
+
+
+@needs_data
+@pytest.mark.parametrize("half_size_m", [12, 40])
+def test_chunks_of_a_copc_window_hold_each_point_once(monkeypatch, half_size_m):
+    copc = DATA / "lidarhd_crops" / "77050_627755_LA93_IGN69.copc.laz"
+    whole = read_clouds([copc])
+    x, y = np.round(np.median(whole.x_m)), np.round(np.median(whole.y_m))
+    bounds = (x - half_size_m, y - half_size_m, x + half_size_m, y + half_size_m)
+    window = read_clouds([copc], bounds)
+    monkeypatch.setattr(clouds, "_CHUNK_POINTS", 1000)
+    chunks = list(clouds.read_in_chunks([copc], bounds))
+    assert len(chunks) >= 4 and len(window) > 4000 and {chunk.crs.to_epsg() for chunk in chunks} == {2154}
+    names = ("x_m", "y_m", "z_m", "classification", "strip", "day")
+    columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names}
+    together = np.array([columns[name] for name in names], float)
+    expected = np.array([getattr(window, name) for name in names], float)
+    np.testing.assert_array_equal(together[:, np.lexsort(together)], expected[:, np.lexsort(expected)])
 
 
 @needs_data
