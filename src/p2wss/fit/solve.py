@@ -237,6 +237,10 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
         loss = _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
     n = problem.num_edges
     trial = work.trial[0]
+    # if only the eave can change, every point keeps its face
+    keeps_faces = top_m >= problem.max_roof_height_m
+    for e in range(n):
+        keeps_faces = keeps_faces and not (free_angles and 0.0 < angle_deg[e] < 90.0)
     for number in range(num_rounds):
         # at first the height may be far off
         reach = problem.cap_m * (3.0 if from_median and number < 2 else 1.0)
@@ -247,7 +251,10 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
                 trial[e] = angle_deg[e] + step * (work.solution_deg[e] - angle_deg[e])
             eave = eave_m + step * (new_eave - eave_m)
             top = top_m + step * (new_top - top_m) if top_m < problem.max_roof_height_m else top_m
-            trial_loss = evaluate(problem, work, trial, eave, top)
+            if keeps_faces:
+                trial_loss = _loss(problem, work, eave) + prior_cost_m(problem, trial, eave)
+            else:
+                trial_loss = evaluate(problem, work, trial, eave, top)
             if trial_loss < loss - 1e-5:
                 is_accepted = True
                 break
