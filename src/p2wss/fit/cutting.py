@@ -16,6 +16,8 @@ _OK = int(Status.OK)
 _ON_CUT_M = 1e-6
 _MIN_AREA_M2, _HALF_WIDTH_M, _CLEARANCE_M = 2.0, 0.45, 0.05
 _ON_EDGE_M = 1e-4
+# with more edges, the width is estimated without a skeleton if it is large
+_MANY_EDGES = 40
 
 
 @allocating
@@ -172,11 +174,15 @@ def is_sound(xy_m, ring_offset, min_clearance_m, work):
     status, n = load_footprint(xy_m, ring_offset, ZERO, num_rings, edge)
     if status != _OK or check_rings(edge, ring_offset, ZERO, num_rings) != _OK:
         return False
-    area = 0.0
+    area, perimeter = 0.0, 0.0
     for e in range(n):
+        perimeter += edge[e].length
         area += 0.5 * (edge[e].x * edge[edge[e].next].y - edge[edge[e].next].x * edge[e].y)
     if area < _MIN_AREA_M2 or _squared_clearance_m2(edge, n) < min(_CLEARANCE_M, min_clearance_m) ** 2:
         return False
+    # the radius of the largest circle within a polygon is at least its area by its perimeter
+    if n > _MANY_EDGES and area > _HALF_WIDTH_M * perimeter:
+        return True
     # the highest point of a 45 degree roof is as high as it is far from the edges
     for e in range(n):
         work.solution_deg[e] = 45.0

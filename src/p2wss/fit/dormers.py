@@ -94,10 +94,16 @@ def find_boxes(
                     continue
                 key = sign, seed.tobytes()
                 if key not in grown:
-                    grown[key] = grow_box(
-                        x, y, z, roof_z, slant, before, *orders, seed, sign, boxes.above_m, boxes.cap_m,
-                        boxes.min_points,
-                    )  # fmt: skip
+                    values = x, y, z, roof_z, slant, before
+                    around = _around(x, y, seed, boxes.max_area_m2**0.5)
+                    limits = sign, boxes.above_m, boxes.cap_m, boxes.min_points
+                    if around is None:
+                        grown[key] = grow_box(*values, *orders, seed, *limits)
+                    else:
+                        number = np.cumsum(around) - 1
+                        near_orders = (number[order[around[order]]] for order in orders)
+                        near_values = (each[around] for each in values)
+                        grown[key] = grow_box(*near_values, *near_orders, number[seed], *limits)
                 gain, low, high, top = grown[key]
                 if gain > best_gain:
                     if footprint is None:
@@ -134,6 +140,15 @@ def is_over_boxes(boxes: Sequence[Box], point_m: np.ndarray) -> np.ndarray:
 
 def _covers_any(low: np.ndarray, high: np.ndarray, point_m: np.ndarray) -> bool:
     return bool(((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1).any())
+
+
+def _around(x: np.ndarray, y: np.ndarray, seed: np.ndarray, reach_m: float) -> np.ndarray | None:
+    """Which points are within ``reach_m`` of those in ``seed`` along both axes, as far as a box may reach; None if all
+    are."""
+    around = np.ones(len(x), bool)
+    for along in (x, y):
+        around &= (along >= along[seed].min() - reach_m) & (along <= along[seed].max() + reach_m)
+    return None if around.all() else around
 
 
 def _roof_over(

@@ -41,8 +41,8 @@ def _extent(values):
 
 @allocating
 def jump_scores(along, across, z, lines, low_m, high_m):
-    """How much of a jump there is across each of the ``lines`` (positions in ``along``), in square metres: the
-    difference of the medians on either side beyond what slopes explain, at most 2 m, summed over strips.
+    """How much of a jump there is across each of the ``lines`` (ascending positions in ``along``), in square metres:
+    the difference of the medians on either side beyond what slopes explain, at most 2 m, summed over strips.
 
     along, across, z: float64 (m,), coordinates of points. low_m, high_m: extent of the polygon in ``across``.
     """
@@ -51,7 +51,7 @@ def jump_scores(along, across, z, lines, low_m, high_m):
     stretch = max(1.0, spacing_m / _DENSE_M)
     num_bins = max(1, int((high_m - low_m) / (_BIN_M * stretch)))
     width = (high_m - low_m) / num_bins
-    # sort the points by strip
+    # sort the points by strip, and along each
     strip, order, first = (
         np.empty(len(z), np.int64),
         np.empty(len(z), np.int64),
@@ -62,20 +62,25 @@ def jump_scores(along, across, z, lines, low_m, high_m):
         first[strip[k] + 2] += 1
     for b in range(num_bins):
         first[b + 2] += first[b + 1]
-    for k in range(len(z)):
+    for k in stable_order(along):
         order[first[strip[k] + 1]] = k
         first[strip[k] + 1] += 1
+    start = first[:num_bins].copy()
     before, after = np.empty(len(z)), np.empty(len(z))
     score = np.zeros(len(lines))
     for i in range(len(lines)):
         for b in range(num_bins):
             left, right = ZERO, ZERO
-            for k in order[first[b] : first[b + 1]]:
+            while start[b] < first[b + 1] and along[order[start[b]]] - lines[i] <= -_FAR_M * stretch:
+                start[b] += 1
+            for k in order[start[b] : first[b + 1]]:
                 offset = along[k] - lines[i]
+                if offset >= _FAR_M * stretch:
+                    break
                 if -_FAR_M * stretch < offset < -_NEAR_M:
                     before[left] = z[k]
                     left += 1
-                elif _NEAR_M < offset < _FAR_M * stretch:
+                elif offset > _NEAR_M:
                     after[right] = z[k]
                     right += 1
             if left < 3 or right < 3:

@@ -16,6 +16,7 @@ from p2wss.fit.merging import merged_rings
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Gain, flat_rings
 from p2wss.fit.points import even_order
 from p2wss.fit.screen import split_roof
+from p2wss.fit.search import MANY_EDGES
 from p2wss.fit.starts import edge_groups
 from p2wss.fit.work import NO_PRIOR, Prior
 
@@ -234,8 +235,9 @@ def _merger(
     if not is_sound(xy_m, offset, 0.05, fitter.work(len(xy_m), num)):
         return None
     prior = with_slope_cost(NO_PRIOR, slope_cost_m, num, len(xy_m))
-    quick = fitter.fit(rings, point_m.T, _SCREEN, (), prior)
-    if quick is None or quick.total_loss_m > _MERGER_SLACK * limit_m:
-        return None
+    if len(xy_m) <= MANY_EDGES:
+        quick = fitter.fit(rings, point_m.T, _SCREEN, (), prior)
+        if quick is None or quick.total_loss_m > _MERGER_SLACK * limit_m:
+            return None
     roof = fitter.fit(rings, point_m.T, replace(effort, max_rounds=1), (), prior)
     return None if roof is None else _part(fitter, roof, point_m, slope_cost_m)

@@ -6,8 +6,8 @@ import numpy as np
 
 from p2wss.fit.envelope import inward_distances
 from p2wss.fit.jumps import quantile
-from p2wss.fit.search import search_at, set_excess
-from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, improve_at
+from p2wss.fit.search import MANY_EDGES, is_tried, search_at, set_excess
+from p2wss.fit.solve import IMPOSSIBLE, MAX_DIFFERENCE_M, evaluate_at, improve_at
 from p2wss.fit.starts import edge_groups, start_angles
 from p2wss.fit.work import Problem, Settings
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
@@ -27,8 +27,9 @@ _MIN_TOP_M = 1.0
 # becomes a gable if that costs no more than the second figure.
 _MIN_SLOPE_WIDTH_M, _WALL_HITS_M = 0.8, 0.04
 _DEGREE = np.pi / 180.0
-# with more edges than these the search has one round, or only the starts
-_MANY_EDGES, _TOO_MANY_EDGES = 40, 120
+# with more edges than MANY_EDGES the search has one round, with more than these only the starts, of which one is
+# followed
+_TOO_MANY_EDGES = 120
 _NEARLY_GABLE_DEG, _USUAL_DEG = 60.0, 38.0
 # a change between gable and slope that is this much worse after a round is dropped
 _GIVE_UP_M = 0.05
@@ -117,6 +118,32 @@ def with_flat_top(settings, flat_top):
     )  # fmt: skip
 
 
+@inner
+def with_little_effort(settings):
+    """The same settings, with one start followed and without flat tops."""
+    return Settings(
+        settings.num_search_points, settings.num_points, 1, settings.num_descents, settings.max_rounds, False,
+        settings.cap_m, settings.max_roof_height_m, settings.top_gain_m, settings.class_gain_m,
+        settings.separate_slope_gain_m, settings.rounding_m,
+    )  # fmt: skip
+
+
+@allocating
+def _level_roof(num_edges, z, settings, prior):
+    """(loss, eave, top, angles) of the level roof at the median height, for which no skeleton is needed."""
+    ordered = z.copy()
+    sort_first(ordered, len(ordered))
+    eave, loss = quantile(ordered, len(z), 0.5), 0.0
+    for height in z:
+        loss += min(abs(height - eave), settings.cap_m) / len(z)
+    if len(prior.eave_z_m) > 0:
+        loss += prior.eave_cost * min(abs(eave - prior.eave_z_m[0]), MAX_DIFFERENCE_M)
+    if len(prior.slope_deg) > 0:
+        for e in range(num_edges):
+            loss += prior.class_cost_m[e, 0]
+    return loss, eave, np.inf, np.zeros(num_edges)
+
+
 @entry
 def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, settings, prior):
     """(loss, eave, top, angles) of the best roof over a polygon; the loss is ``IMPOSSIBLE`` if the kernel refuses it.
@@ -128,7 +155,11 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
     """
     n = len(xy_m)
     # the search grows with the cube of the number of edges
-    max_rounds = 0 if n > _TOO_MANY_EDGES else 1 if n > _MANY_EDGES else settings.max_rounds
+    max_rounds = 0 if n > _TOO_MANY_EDGES else 1 if n > MANY_EDGES else settings.max_rounds
+    if n > MANY_EDGES and settings.num_descents == 0:
+        return _level_roof(n, z, settings, prior)
+    if n > _TOO_MANY_EDGES:
+        settings = with_little_effort(settings)
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
     sample = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
     status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
@@ -196,11 +227,13 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
     n = problem.num_edges
     evaluate_at(work.code, problem, work, angle_deg, eave, top)
     total, other = set_excess(problem, work)
+    num_tried = 0
     for unit in range(n):
-        edge = work.skeleton.edge[unit]
-        nearby_excess = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
-        if total < tolerance or nearby_excess < tolerance or angle_deg[unit] == 0.0:
+        if total < tolerance or angle_deg[unit] == 0.0:
             continue
+        if not is_tried(problem, work, unit, other, tolerance, num_tried):
+            continue
+        num_tried += 1
         slope = _USUAL_DEG
         for e in range(n):
             trial[e] = angle_deg[e]
@@ -260,7 +293,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
                 for e in range(n):
                     angle[e] = trial[e]
     loss, eave, top = _flip_gables(problem, work, angle, trial, loss, eave, top, 0.5 * tolerance)
-    if problem.num_directions < n and loss > settings.separate_slope_gain_m:
+    if problem.num_directions < n <= _TOO_MANY_EDGES and loss > settings.separate_slope_gain_m:
         # edges that face the same way may have different slopes
         min_gain_m = max(tolerance, settings.separate_slope_gain_m)
         separate_direction = np.empty(n, np.int64)

@@ -18,6 +18,7 @@ from p2wss.fit.roof import (
     improve_roof_at,
     with_flat_top,
 )
+from p2wss.fit.search import MANY_EDGES
 from p2wss.fit.solve import IMPOSSIBLE
 from p2wss.fit.work import NO_PRIOR, Prior
 from p2wss.skeleton.compiled import allocating, by_address, entry, inner
@@ -137,7 +138,9 @@ def fit_side(
     ):
         return IMPOSSIBLE, 0.0, np.inf, angle_deg, side_xy, side_offset
     guess = known_deg
-    if not is_known:
+    if len(side_xy) > MANY_EDGES and settings.num_descents == 0:
+        guess = np.zeros(len(side_xy))
+    elif not is_known:
         guess = inherited_angles(xy_m, ring_offset, angle_deg, side_xy, side_offset, axis, position, 90.0)
     loss, eave, top, angle = fit_roof_at(
         work.code, side_xy, side_offset, every_kth_value(side_points[0], max_points),

@@ -17,6 +17,8 @@ _FOLLOW_M = 0.2
 _SECOND_LOOK_M = 0.05
 # a candidate that is this much worse than the present roof after a round is dropped
 _GIVE_UP_M = 0.12
+# With more edges, fewer of them are tried by themselves; directions always are.
+MANY_EDGES = 40
 # residuals that no better roof would lower
 _NOISE_M = 0.04
 
@@ -53,6 +55,16 @@ def _propose(problem, angle_deg, unit, alternative, proposed):
 
 
 @inner
+def is_tried(problem, work, edge, other, min_excess, num_tried):
+    """Whether the class of an edge is tried by itself: a better roof around it might gain ``min_excess``, and no more
+    than ``MANY_EDGES``, or with more edges in proportion fewer, have been tried. other: of :func:`set_excess`."""
+    if problem.num_edges > MANY_EDGES and num_tried * problem.num_edges >= MANY_EDGES * MANY_EDGES:
+        return False
+    before, after = work.skeleton.edge[edge].prev, work.skeleton.edge[edge].next
+    return work.excess[edge] + work.excess[before] + work.excess[after] + other >= min_excess
+
+
+@inner
 def set_excess(problem, work):
     """The most that a better roof might take off the loss. Writes it to ``work.excess`` for the face of each edge;
     returns (the sum over all points, the sum over the points on faces of no edge). Faces and residuals are those of
@@ -83,14 +95,14 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
         changed = False
         evaluate_at(work.code, problem, work, angle_deg, eave, top)
         total, other = set_excess(problem, work)
+        num_tried = 0
         for unit in range(n + problem.num_directions):
             if total < tolerance:
                 break
             if unit < n:
-                edge = work.skeleton.edge[unit]
-                nearby_excess = work.excess[unit] + work.excess[edge.prev] + work.excess[edge.next] + other
-                if nearby_excess < tolerance:
+                if not is_tried(problem, work, unit, other, tolerance, num_tried):
                     continue
+                num_tried += 1
             best_loss, best_eave, best_top = loss - tolerance, eave, top
             is_better = False
             for alternative in range(len(_ALTERNATIVES_DEG)):

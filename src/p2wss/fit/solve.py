@@ -24,7 +24,7 @@ _MIN_TOP_M = 0.8
 # weights of the present eave height and slopes, which keep a step small where the points do not determine them
 _KEEP_EAVE, _KEEP_SLOPE = 1e-3, 0.5
 # larger differences from the prior cost no more than these; smaller ones are weighted as if they were these
-_MAX_DIFFERENCE_DEG, _MAX_DIFFERENCE_M = 20.0, 3.0
+_MAX_DIFFERENCE_DEG, MAX_DIFFERENCE_M = 20.0, 3.0
 _MIN_DIFFERENCE_DEG, _MIN_DIFFERENCE_M = 1.0, 0.1
 _DEGREE = np.pi / 180.0
 
@@ -81,7 +81,7 @@ def prior_cost_m(problem, angle_deg, eave_m):
                 difference_deg = min(abs(angle - prior.slope_deg[e]), _MAX_DIFFERENCE_DEG)
                 cost += prior.class_cost_m[e, 2] + prior.degree_cost_m * difference_deg
     if len(prior.eave_z_m) > 0:
-        cost += prior.eave_cost * min(abs(eave_m - prior.eave_z_m[0]), _MAX_DIFFERENCE_M)
+        cost += prior.eave_cost * min(abs(eave_m - prior.eave_z_m[0]), MAX_DIFFERENCE_M)
     return cost
 
 
