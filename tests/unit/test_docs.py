@@ -47,7 +47,7 @@ SOURCES = [
     if path.suffix in (".py", ".smk", ".yaml", ".json", ".csv", ".txt") and path.name != Path(__file__).name
 ]
 # options of Snakemake that the pages name
-SNAKEMAKE_FLAGS = {"-n", "-f"}
+SNAKEMAKE_FLAGS = {"-n", "-f", "--unlock"}
 SNAKEMAKE_VALUES = {
     "--profile", "--report", "--sdm", "--container-image", "-R",
     "--default-storage-prefix", "--slurm-no-account", "--slurm-status-command",
