@@ -62,7 +62,7 @@ def split_roof(
         if index < 0:
             break
         cost, axis, position, low, high = new_cost, axes[index], positions[index], new_low, new_high
-        if is_moved:
+        if is_moved or len(xy_m) > MANY_EDGES:
             break
         nearby = _best_nearby(
             xy_m, ring_offset, points, sample, axis, position, low, high, min_points, clearance, work, screen
