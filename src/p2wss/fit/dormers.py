@@ -82,6 +82,7 @@ def find_boxes(
     strict_loss, num_strict = None, 0
     footprint, lines = None, []
     orders = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
+    reach_m, extent_m = boxes.max_area_m2**0.5, float(max(np.ptp(x), np.ptp(y)))
     grown: dict[tuple[int, bytes], tuple[float, np.ndarray, np.ndarray, float]] = {}
     while True:
         before = np.minimum(np.abs(z - roof_z) * slant, boxes.cap_m)
@@ -95,7 +96,7 @@ def find_boxes(
                 key = sign, seed.tobytes()
                 if key not in grown:
                     values = x, y, z, roof_z, slant, before
-                    around = _around(x, y, seed, boxes.max_area_m2**0.5)
+                    around = _around(x, y, seed, reach_m) if extent_m > reach_m else None
                     limits = sign, boxes.above_m, boxes.cap_m, boxes.min_points
                     if around is None:
                         grown[key] = grow_box(*values, *orders, seed, *limits)
