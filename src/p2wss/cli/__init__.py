@@ -55,7 +55,12 @@ COMMANDS = (
 def main(arguments: list[str] | None = None) -> int:
     """Run one command. Returns the exit status: that of the command, 0 unless it says otherwise, or 2 for an error that
     the user can fix."""
-    parsed = _parser().parse_args(arguments)
+    parser = _parser()
+    parsed, rest = parser.parse_known_args(arguments)
+    if rest:
+        # argparse takes paths for several arguments from one place only
+        hint = "" if rest[0].startswith("-") else "; give all paths together, with the options before or after them"
+        parser.error(f"unrecognized arguments: {' '.join(rest)}{hint}")
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)

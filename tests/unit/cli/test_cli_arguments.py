@@ -54,3 +54,12 @@ def test_a_manifest_of_thousands_of_shards_is_a_command_that_can_be_started(
         assert run.returncode == 2 and "crops/simulated/000001_6862.parquet" in run.stderr
     else:
         assert run.returncode == 126 and "Argument list too long" in run.stderr
+
+
+def test_an_option_between_paths_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["reconstruct", "cloud.laz", "--terrain", "dtm.tif", "footprints.gpkg", "out"])
+    assert "unrecognized arguments: out; give all paths together" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["reconstruct", "cloud.laz", "footprints.gpkg", "out", "--terain", "dtm.tif"])
+    assert capsys.readouterr().err.endswith("unrecognized arguments: --terain dtm.tif\n")
