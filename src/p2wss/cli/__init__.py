@@ -59,7 +59,11 @@ def main(arguments: list[str] | None = None) -> int:
     parsed, rest = parser.parse_known_args(arguments)
     if rest:
         # argparse takes paths for several arguments from one place only
-        hint = "" if rest[0].startswith("-") else "; give all paths together, with the options before or after them"
+        hint = (
+            ""
+            if rest[0].startswith("-")
+            else "; give all paths together, with the options before or after them"
+        )
         parser.error(f"unrecognized arguments: {' '.join(rest)}{hint}")
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
     # laspy both logs and raises errors of broken files; the exception is reported below
