@@ -4,8 +4,6 @@ One word per stage: fetch scenes buildings scans crops dvae model eval reconstru
 rule file, the module of the package, the section of the config, the folder of results and the target.
 """
 
-import threading
-
 from snakemake.utils import min_version
 
 min_version("9.21.1")
@@ -35,13 +33,6 @@ include: "workflow/rules/model.smk"
 include: "workflow/rules/reconstruct.smk"
 include: "workflow/rules/eval.smk"
 include: "workflow/rules/ablation.smk"
-
-
-def cancel_timers():
-    """Exit at once: Snakemake would wait for its timers, of a minute each by ``max-jobs-per-timespan`` of the profiles."""
-    for thread in threading.enumerate():
-        if isinstance(thread, threading.Timer):
-            thread.cancel()
 
 
 onsuccess:

@@ -1,6 +1,7 @@
 """What all rules share: the validated config, its sections as parameters, paths that the config decides."""
 
 import os
+import threading
 from functools import cache
 
 from snakemake.exceptions import WorkflowError
@@ -14,7 +15,7 @@ from p2wss.provenance import fingerprint
 # numpy asks the kernel for huge pages, which costs a scan a fifth of its time
 os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
 # a training stops, with a checkpoint, when the Snakemake that started it was killed
-os.environ["P2WSS_WORKFLOW_PROCESS"] = str(os.getpid())
+os.environ.update(P2WSS_WORKFLOW_PROCESS=str(os.getpid()))
 
 try:
     settings = configs.load(dict(config))
@@ -29,6 +30,13 @@ wildcard_constraints:
     group=r"\d+",
     method=r"(point2wss\+)?fit",
     baseline="lod1|constant|roofer",
+
+
+def cancel_timers():
+    """Exit at once: Snakemake would wait for its timers, of a minute each by ``max-jobs-per-timespan`` of the profiles."""
+    for thread in threading.enumerate():
+        if isinstance(thread, threading.Timer):
+            thread.cancel()
 
 
 @cache
