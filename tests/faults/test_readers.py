@@ -74,7 +74,7 @@ def test_errors_that_no_building_has_reach_no_table(value: float, tmp_path: Path
     path = tmp_path / "parameters.json"
     error = {"mean": value, "std": 0.0, "count": 1}
     files.write_json(path, {"settings": {"all_masked": {"height_m": error}}})
-    with pytest.raises(InputError, match="no error that a building can have"):
+    with pytest.raises(InputError, match="is not a plausible error of a building"):
         files.read_json(path, StoredErrors)
 
 
