@@ -10,7 +10,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,8 @@ def training_lock(checkpoints: Path, patience_s: float = _PATIENCE_S) -> Iterato
     finally:
         path.unlink(missing_ok=True)
         os.close(descriptor)
-        if not any(checkpoints.iterdir()):
+        # only an empty folder: not one with checkpoints, nor one that the next training has just locked
+        with suppress(OSError):
             checkpoints.rmdir()
 
 
@@ -88,6 +89,9 @@ def _locked(path: Path) -> int:
                 os.close(descriptor)
                 raise
             os.close(descriptor)
+    except FileNotFoundError as error:
+        # a training that ended just now removed the empty folder between the two calls
+        raise _HeldError(f"{path}: its folder was removed") from error
     except OSError as error:
         raise InputError(f"{path}: not written: {error.strerror or error}") from error
 

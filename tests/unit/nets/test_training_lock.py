@@ -87,6 +87,29 @@ def test_a_training_waits_for_one_that_is_about_to_stop(
     assert [record.getMessage() for record in caplog.records if "waiting" in record.getMessage()]
 
 
+def test_a_folder_that_vanishes_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The training before this one ends, and removes its empty folder, between the two steps of the next one."""
+    folder, mkdir, calls = tmp_path / "checkpoints", Path.mkdir, []
+
+    def vanishing(path: Path, **arguments: bool) -> None:
+        mkdir(path, **arguments)
+        calls.append(path)
+        if len(calls) == 1:
+            path.rmdir()
+
+    monkeypatch.setattr(Path, "mkdir", vanishing)
+    with training_lock(folder):
+        assert (folder / FILE_NAME).exists()
+    assert calls == [folder, folder] and not folder.exists()
+
+
+def test_a_folder_with_files_of_others_stays(tmp_path: Path) -> None:
+    folder = tmp_path / "checkpoints"
+    with training_lock(folder):
+        (folder / "training.lock.of.another").touch()
+    assert [path.name for path in folder.iterdir()] == ["training.lock.of.another"]
+
+
 def test_no_file_is_unpickled() -> None:
     for path in (ROOT / "src").rglob("*.py"):
         for call in re.findall(r"\b(?:torch\.load|np\.load)\([^\n]*", path.read_text()):
