@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, inner
 from p2wss.skeleton.ordering import sort_first, stable_order
 
 _STEP_M, _BIN_M = 0.25, 1.2
@@ -94,7 +94,7 @@ def jump_scores(along, across, z, lines, low_m, high_m):
     return score
 
 
-@entry
+@allocating
 def candidates(xy_m, x, y, z):
     """(axes, positions) of cuts to try: per axis the clearest jumps, at least 0.7 m apart, and corners; four of each
     at most, and one more for every 5 m."""
