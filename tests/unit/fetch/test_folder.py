@@ -415,7 +415,7 @@ def test_footprints_of_other_schemas(tmp_path: Path, caplog: pytest.LogCaptureFi
         assert result["hauteur_m"].to_list() == pytest.approx([4, 9, np.nan, np.nan, 8], nan_ok=True)
         assert result["num_floors"].to_list() == pytest.approx([np.nan, np.nan, 2, np.nan, 3], nan_ok=True)
         assert list(result.columns) == list(normalise(buildings(), "EPSG:2154", "x").columns[1:])
-    assert "f: column id, the ids: a occurs more than once" in caplog.text
+    assert "f: id column id: a occurs more than once" in caplog.text
 
 
 def test_footprints_without_ids_of_several_files(tmp_path: Path) -> None:
