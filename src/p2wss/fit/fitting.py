@@ -137,19 +137,15 @@ class _FitTask:
             return _PartsFit(rings, rotation, [], reasons.NO_POINTS)
         if len(building.point_m) < config.min_num_points:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_POINTS)
-        ground = building.ground_z_m
         polygon = shapely.Polygon(rings[0], rings[1:])
-        roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
-        # walls are not fitted: a return from one says nothing of the roof above it
-        roof_point_m = roof_point_m[~wall_hits(roof_point_m)]
+        roof_point_m = self._roof_points(polygon)
         rotation = roof_frame(rings, roof_point_m)
         max_overhang_m = MAX_OVERHANG_M if config.overhang == "move" else 0.0
         points = (roof_point_m, building.point_m, building.classification)
         rings = move_walls(rings, *points, config.max_wall_shift_m, max_overhang_m)
         polygon = shapely.Polygon(rings[0], rings[1:])
         if max_overhang_m:
-            roof_point_m = roof_points(polygon, building.point_m, building.classification, ground)
-            roof_point_m = roof_point_m[~wall_hits(roof_point_m)]
+            roof_point_m = self._roof_points(polygon)
         roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
@@ -158,6 +154,12 @@ class _FitTask:
             roof_point_m = np.vstack([roof_point_m, open_point_m])
         roof_point_m = np.column_stack([roof_point_m[:, :2] @ rotation, roof_point_m[:, 2]])
         return _PartsFit(rings, rotation, [], "", roof_point_m)
+
+    def _roof_points(self, polygon: shapely.Polygon) -> np.ndarray:
+        """The points (m, 3) on the roof. Walls are not fitted: a return from one says nothing of the roof above it."""
+        building = self.building
+        point_m = roof_points(polygon, building.point_m, building.classification, building.ground_z_m)
+        return point_m[~wall_hits(point_m)]
 
     def fit_parts(self, max_parts: int, boxes: Sequence[Box] = ()) -> _PartsFit:
         """At most ``max_parts`` parts, fitted to the points that are not over ``boxes``."""
