@@ -8,7 +8,6 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import pyarrow as pa
 from pydantic import TypeAdapter
@@ -28,6 +27,7 @@ from p2wss.eval.parameters import MergedErrors
 from p2wss.eval.parts import Methods, Part
 from p2wss.eval.samples import Samples, read_samples
 from p2wss.eval.viewer import choices, viewer
+from p2wss.formats import html
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
 
 # methods whose meshes a picture shows, as far as they were run: with the points four panels
@@ -207,13 +207,7 @@ def _sentence(inputs: Inputs, exhibit: Exhibit) -> str:
 
 def render(inputs: Inputs, details: Sequence[tables.Detail]) -> str:
     """The HTML of the report."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("p2wss.eval"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = html.environment("p2wss.eval")
     environment.filters["number"] = _number
     names = dataset_names(inputs.config)
     methods = method_names(inputs.runs)

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import jinja2
 import numpy as np
 import shapely
+
+from p2wss.formats import html
 
 # what was done with a block: the word in the table, the colour on the map, the line in the legend
 MOVED, MOVED_AS_NEIGHBOURS, STAYED, UNKNOWN = "moved", "moved as neighbours", "stayed", "no evidence"
@@ -75,33 +76,38 @@ def page(
     ]
     rows.sort(key=lambda row: -row["length_m"])
     counts = {action: sum(row["action"] == action for row in rows) for action in LEGEND}
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    return environment.from_string(_TEMPLATE).render(
-        title=title,
-        crs=crs,
-        summary=summary,
-        width=f"{width_m:.2f}",
-        height=f"{height_m:.2f}",
-        footprints=[
-            {
-                "id": footprint.building_id,
-                "before": frame.path(footprint.before) if blocks[footprint.block].action in _MOVES else "",
-                "after": frame.path(footprint.after),
-                "color": LEGEND[blocks[footprint.block].action][0],
-                "is_flagged": bool(footprint.flags),
-            }
-            for footprint in footprints
-            if footprint.block in blocks
-        ],
-        rows=rows[:_MAX_ROWS],
-        num_more=max(len(rows) - _MAX_ROWS, 0),
-        arrows=[row for row in rows if row["arrow"]],
-        flagged=[footprint for footprint in footprints if footprint.flags],
-        legend=[(color, text, counts[action]) for action, (color, text) in LEGEND.items()],
-        colors={color: number for number, (color, _) in enumerate(LEGEND.values())},
-        factor=factor,
-        scale_m=_scale_m(width_m),
-        bar=(f"{margin_m:.2f}", f"{margin_m + _scale_m(width_m):.2f}", f"{height_m - margin_m / 2:.2f}"),
+    return (
+        html.environment("p2wss.formats")
+        .get_template("shift_map.html.j2")
+        .render(
+            title=title,
+            crs=crs,
+            summary=summary,
+            width=f"{width_m:.2f}",
+            height=f"{height_m:.2f}",
+            footprints=[
+                {
+                    "id": footprint.building_id,
+                    "before": frame.path(footprint.before)
+                    if blocks[footprint.block].action in _MOVES
+                    else "",
+                    "after": frame.path(footprint.after),
+                    "color": LEGEND[blocks[footprint.block].action][0],
+                    "is_flagged": bool(footprint.flags),
+                }
+                for footprint in footprints
+                if footprint.block in blocks
+            ],
+            rows=rows[:_MAX_ROWS],
+            num_more=max(len(rows) - _MAX_ROWS, 0),
+            arrows=[row for row in rows if row["arrow"]],
+            flagged=[footprint for footprint in footprints if footprint.flags],
+            legend=[(color, text, counts[action]) for action, (color, text) in LEGEND.items()],
+            colors={color: number for number, (color, _) in enumerate(LEGEND.values())},
+            factor=factor,
+            scale_m=_scale_m(width_m),
+            bar=(f"{margin_m:.2f}", f"{margin_m + _scale_m(width_m):.2f}", f"{height_m - margin_m / 2:.2f}"),
+        )
     )
 
 
@@ -148,87 +154,3 @@ def _scale_m(width_m: float) -> float:
     most = _SCALE_SHARE * width_m
     power = 10.0 ** np.floor(np.log10(most))
     return float(max(each * power for each in (1, 2, 5) if each * power <= most))
-
-
-_TEMPLATE = """<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Footprints of {{ title }}</title>
-<style>
-body { margin: 0 auto; max-width: 68rem; padding: 1rem; color: #1d2429; background: #fff;
-  font: 16px/1.5 system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; }
-h1 { font-size: 1.5rem; line-height: 1.2; } h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; }
-p { max-width: 46rem; margin: .4rem 0; } .note { color: #5b6770; font-size: .88rem; }
-svg.map { display: block; width: 100%; max-height: 85vh; border: 1px solid #d8dde1; border-radius: .4rem; background: #fafbfb; }
-ul.legend { list-style: none; padding: 0; margin: .6rem 0; font-size: .9rem; }
-ul.legend svg { width: 1.3rem; height: .9rem; margin-right: .5rem; vertical-align: -.1rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .88rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .6rem; border-bottom: 1px solid #d8dde1; text-align: right; white-space: nowrap; }
-th.text, td.text { text-align: left; } td.name { white-space: normal; overflow-wrap: anywhere; min-width: 8rem; }
-thead th { border-bottom: 2px solid #5b6770; vertical-align: bottom; }
-.dot { display: inline-block; width: .7rem; height: .7rem; border-radius: 50%; margin-right: .4rem; }
-path, line { vector-effect: non-scaling-stroke; }
-@media print { body { max-width: none; padding: 0; font-size: 10pt; } tr, svg { break-inside: avoid; } }
-</style>
-</head>
-<body>
-<h1>Footprints of {{ title }}: where they were moved</h1>
-{% for sentence in summary %}
-<p>{{ sentence }}</p>
-{% endfor %}
-<svg class="map" viewBox="0 0 {{ width }} {{ height }}" role="img" aria-label="Map of the footprints and their shifts">
-<defs>
-{% for color, number in colors.items() %}
-<marker id="tip{{ number }}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" orient="auto" markerUnits="strokeWidth">
-<path d="M0,0L10,5L0,10Z" fill="{{ color }}"/></marker>
-{% endfor %}
-</defs>
-{% for footprint in footprints %}
-{% if footprint.before %}<path d="{{ footprint.before }}" fill="none" stroke="#5b6770" stroke-width="1" stroke-dasharray="3 2"/>
-{% endif %}
-<path d="{{ footprint.after }}" fill="{{ footprint.color }}" fill-opacity="{{ ".45" if footprint.is_flagged else ".18" }}" fill-rule="evenodd" stroke="{{ footprint.color }}" stroke-width="1.2"><title>{{ footprint.id }}</title></path>
-{% endfor %}
-{% for row in arrows %}
-<line x1="{{ row.arrow[0] }}" y1="{{ row.arrow[1] }}" x2="{{ row.arrow[2] }}" y2="{{ row.arrow[3] }}" stroke="{{ row.color }}" stroke-width="2.2" marker-end="url(#tip{{ colors[row.color] }})"><title>{{ row.name }}: {{ "%.2f" | format(row.length_m) }} m</title></line>
-{% endfor %}
-<line x1="{{ bar[0] }}" y1="{{ bar[2] }}" x2="{{ bar[1] }}" y2="{{ bar[2] }}" stroke="#1d2429" stroke-width="3"/>
-</svg>
-<p class="note">North is up; x and y in metres, {{ crs }}. The map is {{ "%.0f" | format(width | float) }} m wide and {{ "%.0f" | format(height | float) }} m high. Filled: footprints as they
-are used, darker where the cloud contradicts them (below). Dashed: where the input had those that were moved. Arrows: the shift of a
-block{% if factor > 1 %}, drawn {{ factor }} times as long{% endif %}. Bar: {{ "%g" | format(scale_m) }} m.</p>
-<ul class="legend">
-{% for color, text, count in legend %}
-<li><svg viewBox="0 0 13 9" aria-hidden="true"><rect width="13" height="9" fill="{{ color }}"/></svg>{{ count }} {{ "block" if count == 1 else "blocks" }} {{ text }}</li>
-{% endfor %}
-</ul>
-
-<h2>Blocks</h2>
-<p class="note">A block is the footprints that share walls, named after the least of their ids. Shifts are those that were applied; the standard
-deviation is that of the worse direction; the overhang is how far roofs reach beyond the footprint's edges.</p>
-<div class="scroll"><table>
-<thead><tr><th class="text">block</th><th>shift_x_m</th><th>shift_y_m</th><th>shift_sd_m</th><th>rotation_deg</th><th>overhang_m</th><th class="text">what</th></tr></thead>
-<tbody>
-{% for row in rows %}
-<tr><td class="text name">{{ row.name }}{% if row.num_others %} and {{ row.num_others }} more{% endif %}</td><td>{{ "%.2f" | format(row.shift_x_m) }}</td><td>{{ "%.2f" | format(row.shift_y_m) }}</td><td>{% if row.shift_sd_m is none %}–{% else %}{{ "%.2f" | format(row.shift_sd_m) }}{% endif %}</td><td>{{ "%.2f" | format(row.rotation_deg) }}</td><td>{% if row.overhang_m is none %}–{% else %}{{ "%.2f" | format(row.overhang_m) }}{% endif %}</td><td class="text"><span class="dot" style="background:{{ row.color }}"></span>{{ row.action }}</td></tr>
-{% endfor %}
-</tbody>
-</table></div>
-{% if num_more %}<p class="note">{{ num_more }} more blocks with smaller shifts: see the table of buildings.</p>
-{% endif %}
-{% if flagged %}
-<h2>Footprints that the cloud contradicts</h2>
-<div class="scroll"><table>
-<thead><tr><th class="text">building_id</th><th class="text">footprint_flags</th><th>ground_inside_m2</th><th>roof_outside_m2</th></tr></thead>
-<tbody>
-{% for footprint in flagged %}
-<tr><td class="text name">{{ footprint.building_id }}</td><td class="text">{{ footprint.flags | join(" ") }}</td><td>{{ "%.0f" | format(footprint.ground_inside_m2) }}</td><td>{{ "%.0f" | format(footprint.roof_outside_m2) }}</td></tr>
-{% endfor %}
-</tbody>
-</table></div>
-{% endif %}
-</body>
-</html>
-"""  # noqa: E501

@@ -1,0 +1,20 @@
+"""The template engine of HTML pages: text from the data is escaped, and a value that a page lacks is an error."""
+
+from __future__ import annotations
+
+import jinja2
+
+
+def environment(package: str) -> jinja2.Environment:
+    """The environment of the templates in the folder ``templates`` of a package, such as ``p2wss.eval``.
+
+    A template that uses an undefined value raises ``jinja2.UndefinedError``. Lines that hold only a statement leave
+    no blank lines in the page.
+    """
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader(package),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
