@@ -101,7 +101,7 @@ def crops_real(arguments: argparse.Namespace) -> None:
         arguments.tile,
         tile_size_m,
         config.crops,
-        class_set(**dict(config.region.classes)),
+        class_set(config.region.classes),
     )
     tile = arguments.place + arguments.tile
     columns["tile"] = [tile] * len(columns["num_points"])

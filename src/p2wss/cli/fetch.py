@@ -149,7 +149,7 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
         config.region.crs,
         crs,
         config.fetch.prepare,
-        class_set(**dict(config.region.classes)).ground,
+        class_set(config.region.classes).ground,
     )
     log.info(
         f"{arguments.out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}"

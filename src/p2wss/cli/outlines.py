@@ -59,7 +59,7 @@ def read_outlines(config: Config, inputs: argument_checks.Inputs) -> tuple[Cloud
 
     settings = config.reconstruct
     paths = [header.path for header in inputs.clouds]
-    cloud = clouds.read_clouds(paths, None, class_set(**dict(config.region.classes)))
+    cloud = clouds.read_clouds(paths, None, class_set(config.region.classes))
     cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
     for warning in warnings:
         log.warning("warning: %s", warning)

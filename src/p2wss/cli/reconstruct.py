@@ -242,7 +242,7 @@ def _read_clouds(
         raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
     window = metric.window_of_clouds(points.bounds)
     near = [header.path for header in inputs.clouds if header.overlaps(window)]
-    for chunk in clouds.read_in_chunks(near, window, class_set(**dict(config.region.classes))):
+    for chunk in clouds.read_in_chunks(near, window, class_set(config.region.classes)):
         points.append(metric.cloud(chunk))
     for warning in unclassified.warnings(*area.missing_classes(points)):
         log.warning("warning: %s", warning)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
+from p2wss.config import Classes
 
 UNCLASSIFIED_CLASS = 1
 GROUND_CLASS = 2
@@ -51,10 +52,8 @@ PRESETS = {
 }
 
 
-def class_set(
-    preset: str, building: Sequence[int], ground: Sequence[int], ignored: Sequence[int]
-) -> ClassSet:
-    """The preset, or with "custom" the three lists."""
-    if preset == "custom":
-        return ClassSet(tuple(building), tuple(ground), tuple(ignored))
-    return PRESETS[preset]
+def class_set(classes: Classes) -> ClassSet:
+    """The classes that the setting ``region.classes`` names: its preset, or with "custom" its three lists."""
+    if classes.preset == "custom":
+        return ClassSet(tuple(classes.building), tuple(classes.ground), tuple(classes.ignored))
+    return PRESETS[classes.preset]
