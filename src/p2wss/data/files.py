@@ -294,8 +294,13 @@ def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes"
         value = json.loads(text)
     if isinstance(value, dict) and _JSON_CHECKSUM in value:
         integrity.require_checksum(str(value.pop(_JSON_CHECKSUM)), path)
+    return value if kind is Any else validated(value, path, kind, name)
+
+
+def validated(value: Any, path: str | Path, kind: Any, name: str) -> Any:
+    """A value of a JSON file as ``kind``, see :func:`read_json`. Raises :class:`InputError` for another type."""
     try:
-        return value if kind is Any else TypeAdapter(kind).validate_python(value)
+        return TypeAdapter(kind).validate_python(value)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))

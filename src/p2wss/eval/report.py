@@ -16,7 +16,7 @@ from p2wss.config import Eval
 from p2wss.data import files, integrity
 from p2wss.data.building import Reconstruction
 from p2wss.data.schemas.crops import REAL, SIMULATED
-from p2wss.data.schemas.manifest import read_manifest
+from p2wss.data.schemas.manifest import to_manifest
 from p2wss.data.schemas.measures import MEASURES
 from p2wss.errors import reading
 from p2wss.eval import figures, groups, tables, texts
@@ -115,7 +115,7 @@ def read(
     uses_lidar = any(
         facts.get("model", {}).get("dvae_config", {}).get("use_lidar", False) for facts in provenance.values()
     )
-    listed = read_manifest(manifest)
+    listed = to_manifest(content, manifest)
     is_chosen = REAL in listed.selection
     return Inputs(
         region,

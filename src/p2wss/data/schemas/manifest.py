@@ -111,7 +111,12 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
     only: these of its shards, in the order of the manifest; the others need not exist. Raises :class:`InputError`
     if the manifest or a shard is missing, or if it does not list one of ``only``.
     """
-    content = files.read_json(path, _Listing, "a manifest of crops")
+    return to_manifest(files.read_json(path), path, only)
+
+
+def to_manifest(value: Any, path: str | Path, only: Sequence[Path] | None = None) -> Manifest:
+    """What :func:`read_manifest` returns, and raises, if ``value`` is what the JSON file ``path`` holds."""
+    content = files.validated(value, path, _Listing, "a manifest of crops")
     shards = []
     with reading(path, "a manifest of crops"):  # a name may be none that a file can have
         for entry in content["shards"]:
