@@ -10,14 +10,13 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import pyproj
 
 from p2wss.data.clouds import Cloud
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.data.temporary import Scratch
+from p2wss.data.temporary import Closeable, Scratch
 from p2wss.data.unclassified import with_classes
 
 CELL_M = 64.0
@@ -42,7 +41,7 @@ _COUNTED = (None, GROUND_CLASS, BUILDING_CLASS)
 BYTES_PER_POINT = _RECORD.itemsize
 
 
-class CloudIndex:
+class CloudIndex(Closeable):
     """The points of a cloud in the cells that boxes touch, and around these, in a :class:`Scratch` file."""
 
     def __init__(self, boxes: np.ndarray, folder: Path, adds_classes: bool = True) -> None:
@@ -62,13 +61,9 @@ class CloudIndex:
         self._num_read = 0
         self._scratch = Scratch(folder, f"points, {BYTES_PER_POINT} bytes each")
 
-    def __enter__(self) -> CloudIndex:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._scratch.__exit__(kind, error, trace)
+    def close(self) -> None:
+        """Remove the file."""
+        self._scratch.close()
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Generic, Self, TypeVar, overload
+from typing import Generic, TypeVar, overload
 
-from p2wss.data.temporary import Scratch
+from p2wss.data.temporary import Closeable, Scratch
 
 T = TypeVar("T")
 S = TypeVar("S")
@@ -36,7 +35,7 @@ class Lazy(Sequence[T], Generic[S, T]):
         return self._function(self._source[index])
 
 
-class Spool(Sequence[T]):
+class Spool(Sequence[T], Closeable):
     """``count`` values in a :class:`~p2wss.data.temporary.Scratch` file of ``folder``.
 
     A value may be replaced; its place in the file is then not used again. Reading one that was not set is a KeyError.
@@ -46,13 +45,9 @@ class Spool(Sequence[T]):
         self._place: list[tuple[int, int] | None] = [None] * count
         self._scratch = Scratch(folder, "results")
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._scratch.__exit__(kind, error, trace)
+    def close(self) -> None:
+        """Remove the file."""
+        self._scratch.close()
 
     def __len__(self) -> int:
         return len(self._place)

@@ -9,6 +9,7 @@ import shutil
 import socket
 import tempfile
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -86,7 +87,23 @@ def _host() -> str:
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=4).hexdigest()
 
 
-class Scratch:
+class Closeable(ABC):
+    """What is closed at the end of a ``with`` block, also by an error."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release what it holds; it cannot be used afterwards."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Scratch(Closeable):
     """A file without a name, for what memory has no room for: it vanishes when it is closed or the process ends.
 
     Raises :class:`InputError` if the disk of ``folder`` is full. content: what the file holds, for that message.
@@ -100,12 +117,8 @@ class Scratch:
         except OSError as error:
             raise self._failure(error) from error
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Close the file, which removes it."""
         self._file.close()
 
     def append(self, content: bytes | memoryview) -> None:
