@@ -38,8 +38,10 @@ from p2wss.skeleton.types import Polygons
 NEIGHBOURHOOD_M = 100.0
 # footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
 _BESIDE_M = 20.0
-# points this far from a block matter to it
+# points this far from a block matter to it: the largest shift, the strip of an edge, and a cell of the search
 REACH_M = MAX_SHIFT_M + WINDOW_M + 0.25
+# steps move a block no farther than to this distance from the reach, so that there are points in front of its edges
+_REACH_MARGIN_M = 0.5
 # a point that is neither on a building nor on the ground is half a sign that there is no building
 _OTHER_WEIGHT = -0.5
 # rounds of the search, in which the other blocks are where the last round put them: how often each solves for steps
@@ -54,6 +56,8 @@ _MIN_STEPS, _MIN_STEP_SHARE, _MAX_SD_M, _MIN_BUILDING_SHARE, _MIN_GAIN = 3, 0.5,
 _MIN_SHIFT_M, _MIN_SIGMAS = 0.25, 3.0
 # a neighbourhood speaks with this many blocks that agree so far; else weak evidence is drawn to zero
 _MIN_NEIGHBOURS, _MAX_SPREAD_M, _MIN_SPREAD_M, _ALONE_SD_M = 3, 0.4, 0.15, 0.5
+# of a normal distribution, the standard deviation over the median absolute deviation
+_SD_OVER_MAD = 1.48
 # blocks from this size rotate too, where that moves their ends by this much, and by this many standard deviations
 _MIN_ROTATED_M, _MIN_ROTATION_M, _MIN_ROTATION_SIGMAS = 25.0, 0.25, 4.0
 
@@ -291,7 +295,7 @@ class _Near:
                 estimates = self._solved(shift_m, rotation_rad, inside)
                 shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
                 length_m = np.linalg.norm(shift_m, axis=1, keepdims=True)
-                shift_m *= np.minimum(1, (REACH_M - 0.5) / np.maximum(length_m, 1e-9))
+                shift_m *= np.minimum(1, (REACH_M - _REACH_MARGIN_M) / np.maximum(length_m, 1e-9))
                 rotation_rad = np.array([each.rotation_rad for each in estimates])
             inside = self.block_of_points(shift_m, rotation_rad)
         before, _ = self._sums(in_place)
@@ -362,7 +366,7 @@ def decide(
             if len(around) >= _MIN_NEIGHBOURS:
                 of_neighbours = found_m[clear][around]
                 middle_m = np.median(of_neighbours, axis=0)
-                spread_m = 1.48 * np.median(np.linalg.norm(of_neighbours - middle_m, axis=1))
+                spread_m = _SD_OVER_MAD * np.median(np.linalg.norm(of_neighbours - middle_m, axis=1))
                 if spread_m <= _MAX_SPREAD_M:
                     prior_m, prior_sd_m = middle_m, max(spread_m, _MIN_SPREAD_M)
                     source[block] = NEIGHBOURS

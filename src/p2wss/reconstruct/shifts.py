@@ -16,18 +16,52 @@ import scipy.ndimage
 from p2wss.data.cropping import crop_points
 from p2wss.skeleton.types import Polygons
 
-# the search: largest shift and its step
+# The search: the largest shift, the step between shifts, and the number of cells from which the step grows.
 MAX_SHIFT_M = 3.0
 _CELL_M = 0.25
 _MAX_CELLS = 1 << 18
-# of two places, the nearer one is taken unless the other has this many points more for each square metre of its shift
+# Of two shifts, the shorter one is taken unless the other has this many points more for each square metre by which its
+# squared length is larger.
 _POINTS_PER_M2 = 1.0
-# the steps: depth of the strip on either side of an edge, part of the edge at either end that is not used, and the
-# shortest edge that is used
+# Shifts are as good as the best one if their sums of weights are less by at most this many points, or by at most this
+# share of all weights: single points on chimneys or beside walls decide nothing.
+_AS_GOOD_POINTS, _AS_GOOD_SHARE = 2.0, 0.005
+
+# The steps: the depth of the strip on either side of an edge, the part of the edge at either end that is not used
+# because the points there may belong to the next wall, the shortest edge that is used, and the least number of points
+# that can show that there is no building.
 WINDOW_M = 1.25
 _END_M = 0.3
 _MIN_EDGE_M = 1.0
 _MIN_POINTS = 6
+# A point of the block itself this far outside an edge is on another part of it, across a narrow yard; a point of no
+# block this far inside an edge is on the ground behind a narrow part.
+_BEYOND_M = 0.3
+# A step is clear if the sum of weights inside it exceeds those of a strip that is all inside and of one that is all
+# outside by this many points, and by this share of the points of the side with fewer.
+_MIN_STEP_POINTS, _MIN_STEP_GAIN = 4.0, 0.5
+# Positions of the step whose weights are less than the best by at most this many points are nearly as good: half the
+# distance to the farthest is the uncertainty that the points cause.
+_NEARLY_POINTS = 3.0
+# The standard deviation of the step of a long edge, from the accuracy of footprints and points; the length of an edge
+# with twice its variance; and the length that shorter edges count as.
+_STEP_SD_M, _LENGTH_OF_DOUBLE_VARIANCE_M, _LEAST_LENGTH_M = 0.1, 3.0, 0.4
+# Sums of weights that differ by less are equal: they are sums of halves.
+_ROUNDING = 1e-9
+
+# The solution: what is expected of shift, overhang and rotation before the steps are used. Roofs overhang walls by some
+# decimetres, and footprints are rarely turned by more than a degree. Without rotation, its prior is as good as exact.
+_SHIFT_SD_M = 1.0
+_OVERHANG_M, _OVERHANG_SD_M = 0.1, 0.3
+_ROTATION_SD_DEG = 1.0
+_EXACT_INFORMATION = 1e12
+# Robust least squares: a step with this residual has half its weight (Cauchy). The weights settle in this many rounds.
+_HALF_WEIGHT_M, _ROUNDS = 0.25, 8
+# What remains of the prior of the shift, 1/m2, when the information of the edges alone is asked for: a direction that
+# no edge determines must not make the matrix singular.
+_REST_OF_PRIOR = 1e-6
+# components of a shift: as many steps are explained by it exactly
+_NUM_COMPONENTS = 2
 
 
 @dataclass(frozen=True)
@@ -93,7 +127,7 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     total = np.where(distance2 <= MAX_SHIFT_M**2, total - _POINTS_PER_M2 * distance2, -np.inf)
     best = np.unravel_index(np.argmax(total), total.shape)
     # with an overhang, all shifts up to its length are as good
-    as_good = total >= total[best] - max(2.0, 0.005 * float(np.abs(weight[keep]).sum()))
+    as_good = total >= total[best] - max(_AS_GOOD_POINTS, _AS_GOOD_SHARE * float(np.abs(weight[keep]).sum()))
     number, _ = scipy.ndimage.label(as_good)
     near_best = number == number[best]
     return np.array([dx[near_best].mean(), dy[near_best].mean()])
@@ -146,10 +180,9 @@ def edge_steps(
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
     distance = (x_m[point] - edge[of_edge, 0]) * along[of_edge, 1]
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
-    own = block_of_point[point] == block[of_edge]
-    other = (block_of_point[point] >= 0) & ~own
-    # another part of the block across a narrow yard, the ground behind a narrow part, and other blocks
-    keep = ~other & ~(own & (distance > 0.3)) & ~(~own & (distance < -0.3))
+    in_block = block_of_point[point] == block[of_edge]
+    in_other = (block_of_point[point] >= 0) & ~in_block
+    keep = ~in_other & ~(in_block & (distance > _BEYOND_M)) & ~(~in_block & (distance < -_BEYOND_M))
     of_edge, distance, value = of_edge[keep], distance[keep], weight[point[keep]]
     order = np.lexsort([value, distance, of_edge])
     return _steps(of_edge[order], distance[order], value[order], edge)
@@ -171,16 +204,16 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: n
     total = np.zeros(len(edge))
     total[some] = score[start[some] + count[some] - 1]
     index = np.arange(len(score))
-    at_best = np.where(score >= best[of_edge] - 1e-9, index, len(score))
+    at_best = np.where(score >= best[of_edge] - _ROUNDING, index, len(score))
     last = np.zeros(len(edge), np.int64)
     last[some] = np.minimum.reduceat(at_best, start[some])
-    nearly = np.where(score >= best[of_edge] - 3.0, index, len(score))
+    nearly = np.where(score >= best[of_edge] - _NEARLY_POINTS, index, len(score))
     nearly_first = np.zeros(len(edge), np.int64)
     nearly_first[some] = np.minimum.reduceat(nearly, start[some])
     gain = np.minimum(best, best - total)
     positive = np.bincount(of_edge, np.maximum(value, 0), len(edge))
     negative = np.bincount(of_edge, np.maximum(-value, 0), len(edge))
-    clear = (gain >= 4) & (gain >= 0.5 * np.minimum(positive, negative))
+    clear = (gain >= _MIN_STEP_POINTS) & (gain >= _MIN_STEP_GAIN * np.minimum(positive, negative))
     rows = np.flatnonzero(clear)
     lower = distance[last[rows]]
     beyond = np.minimum(last[rows] + 1, len(distance) - 1)
@@ -189,7 +222,8 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: n
     spacing = 1.0 / np.maximum(count[rows] / (2 * WINDOW_M), 1.0)
     offset_m[rows] = lower + np.minimum((upper - lower) / 2, spacing)
     spread = lower - distance[np.minimum(nearly_first[rows], len(distance) - 1)]
-    sd_m[rows] = np.sqrt(0.1**2 * (1 + 3 / np.maximum(length, 0.4)) + (spread / 2) ** 2)
+    of_length = 1 + _LENGTH_OF_DOUBLE_VARIANCE_M / np.maximum(length, _LEAST_LENGTH_M)
+    sd_m[rows] = np.sqrt(_STEP_SD_M**2 * of_length + (spread / 2) ** 2)
     is_missing = ~clear & (count >= _MIN_POINTS) & (positive < negative)
     return Steps(offset_m, sd_m, is_missing)
 
@@ -204,8 +238,11 @@ def solve_shift(
 ) -> Estimate:
     """The shift of one block from the steps of its edges, by robust least squares.
 
-    The step of an edge is the shift along its normal, plus an overhang that all edges share. edge: with the shift
-    ``start_m`` and the rotation ``start_rad`` already, (e, 4).
+    The step of an edge is the shift along its normal, plus an overhang that all edges share.
+
+    edge: ends of the edges, (e, 4), metres, already with the shift ``start_m``, (2,), and the rotation ``start_rad``.
+    steps: of these edges. centre_m: around which the block rotates, (2,). with_rotation: whether it may rotate. The
+    shift and the rotation that are returned include ``start_m`` and ``start_rad``.
     """
     rows = np.flatnonzero(np.isfinite(steps.offset_m))
     if not len(rows):
@@ -219,18 +256,22 @@ def solve_shift(
     design = np.column_stack(
         [normal, np.ones(len(rows)), normal[:, 1] * middle[:, 0] - normal[:, 0] * middle[:, 1]]
     )
-    prior = np.diag([1.0, 1.0, 1 / 0.3**2, 1 / np.deg2rad(1.0) ** 2 if with_rotation else 1e12])
-    towards = np.array([0.0, 0.0, 0.1, 0.0])
+    of_shift = 1 / _SHIFT_SD_M**2
+    of_rotation = 1 / np.deg2rad(_ROTATION_SD_DEG) ** 2 if with_rotation else _EXACT_INFORMATION
+    prior = np.diag([of_shift, of_shift, 1 / _OVERHANG_SD_M**2, of_rotation])
+    expected = np.array([0.0, 0.0, _OVERHANG_M, 0.0])
     target, weight = steps.offset_m[rows], 1 / steps.sd_m[rows] ** 2
     robust = np.ones(len(rows))
     value = np.zeros(4)
-    for _ in range(8):
+    for _ in range(_ROUNDS):
         normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
-        value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ towards)
+        value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ expected)
         residual = target - design @ value
-        robust = 1 / (1 + (residual / 0.25) ** 2)
-    scale = max(1.0, float((weight * robust * residual**2).sum() / max((robust).sum() - 2, 1.0)))
-    from_edges = normal_matrix - np.diag([1.0 - 1e-6, 1.0 - 1e-6, 0.0, 0.0])
+        robust = 1 / (1 + (residual / _HALF_WEIGHT_M) ** 2)
+    num_redundant = max(robust.sum() - _NUM_COMPONENTS, 1.0)
+    scale = max(1.0, float((weight * robust * residual**2).sum() / num_redundant))
+    without_prior = of_shift - _REST_OF_PRIOR
+    from_edges = normal_matrix - np.diag([without_prior, without_prior, 0.0, 0.0])
     covariance = np.linalg.inv(from_edges / scale)
     return Estimate(
         start_m + value[:2],
