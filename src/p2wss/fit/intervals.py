@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.jumps import quantile
-from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
+from p2wss.skeleton.compiled import ONE, ZERO, allocating, entry, inner
 from p2wss.skeleton.ordering import sort_first
 
 _NUM_ROUNDS = 6
@@ -77,22 +77,23 @@ def _interval(position, across, gain, order, low_across, high_across, along):
     """(whether there is any, its ends): the interval with the greatest sum of gains of the points of a strip. An end
     lies midway to the next point that a longer interval would change, and further on below a rising roof (see
     :func:`_end`)."""
-    count, number = 0, np.empty(len(order), np.int64)
+    count, number = ZERO, np.empty(len(order), np.int64)
     for k in order:
         if low_across <= across[k] <= high_across:
             number[count], along[count] = k, position[k]
             count += 1
     if count == 0:
         return False, 0.0, 0.0
-    best_sum, first, last = -np.inf, 0, 0
-    total, start = 0.0, 0
+    best_sum, first, last = -np.inf, ZERO, ZERO
+    total, start = 0.0, ZERO
     for i in range(count):
         if total <= 0.0:
             total, start = 0.0, i
         total += gain[number[i]]
         if total > best_sum:
             best_sum, first, last = total, start, i
-    return True, -_end(along, gain, number, first, -1, count), _end(along, gain, number, last, 1, count)
+    low = -_end(along, gain, number, first, -ONE, count)
+    return True, low, _end(along, gain, number, last, ONE, count)
 
 
 @inner

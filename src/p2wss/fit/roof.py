@@ -227,7 +227,7 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
     n = problem.num_edges
     evaluate_at(work.code, problem, work, angle_deg, eave, top)
     total, other = set_excess(problem, work)
-    num_tried = 0
+    num_tried = ZERO
     for unit in range(n):
         if total < tolerance or angle_deg[unit] == 0.0:
             continue

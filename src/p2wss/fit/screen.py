@@ -21,10 +21,10 @@ from p2wss.fit.roof import (
 from p2wss.fit.search import MANY_EDGES
 from p2wss.fit.solve import IMPOSSIBLE
 from p2wss.fit.work import NO_PRIOR, Prior
-from p2wss.skeleton.compiled import allocating, by_address, entry, inner
+from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.ordering import sort_first, stable_order
 
-_NUM_POINTS = 160
+_NUM_POINTS = np.int64(160)
 # this many of the cuts, if their cost is at most this multiple of the best, are evaluated again with flat tops; the
 # best of them are fitted in full
 _MAX_FINALISTS, _FINALIST_RATIO, _NUM_FITTED = 6, 1.4, 3
@@ -197,7 +197,7 @@ def best_cut(
     costs, num_low = np.empty(len(axes)), np.empty(len(axes), np.int64)
     for c in range(len(axes)):
         costs[c], num_low[c] = IMPOSSIBLE, _count_below(points[axes[c]], positions[c])
-    no_prior, no_angles = slope_prior(0, 0.0), np.empty(0)
+    no_prior, no_angles = slope_prior(ZERO, 0.0), np.empty(0)
     order, num_tried = stable_order(costs), len(axes)
     if num_tried > _NUM_FITTED:
         for flat_top in (False, True):

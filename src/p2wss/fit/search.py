@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, improve_at
-from p2wss.skeleton.compiled import allocating, by_address, inner
+from p2wss.skeleton.compiled import ZERO, allocating, by_address, inner
 from p2wss.skeleton.ordering import stable_order
 
 _ALTERNATIVES_DEG = (0.0, 90.0, 18.0, 38.0, 57.0)
@@ -95,7 +95,7 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
         changed = False
         evaluate_at(work.code, problem, work, angle_deg, eave, top)
         total, other = set_excess(problem, work)
-        num_tried = 0
+        num_tried = ZERO
         for unit in range(n + problem.num_directions):
             if total < tolerance:
                 break

@@ -26,9 +26,10 @@ from numba.core.errors import TypingError
 from numba.core.typing import signature
 from numba.extending import intrinsic
 
-# a variable that starts as the literal 0 makes numba compile the functions it is passed to once more, for that
-# constant
+# a literal number, or a variable that starts as one, makes numba compile the functions it is passed to once more, for
+# that constant
 ZERO: Any = np.int64(0)
+ONE: Any = np.int64(1)
 log = logging.getLogger("p2wss")
 
 

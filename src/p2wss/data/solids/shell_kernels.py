@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.data.solids.polygon_kernels import TOUCH_M, area_normal, segment_distance_m2
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import ZERO, entry, inner
 
 # faces at a common edge that enclose a smaller angle, in radians, lie on each other
 _FOLD_RAD = 1e-3
@@ -36,7 +36,7 @@ def intersecting_triangles(vertex_m, triangle):
 
 @inner
 def _triangles_intersect(vertex_m, triangle, normal, s, t):
-    num_common, free_s, free_t = 0, 0, 0
+    num_common, free_s, free_t = ZERO, ZERO, ZERO
     for i in range(3):
         for j in range(3):
             if triangle[s, i] == triangle[t, j]:
