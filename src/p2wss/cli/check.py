@@ -44,8 +44,8 @@ def check(arguments: argparse.Namespace) -> int:
                 codes[place].add(breach.code)
         if not num_solids:
             raise InputError(f"{path}: has no solids to check")
-        for place, found in codes.items():
-            text = "; ".join(f"{code} {MEANINGS[code]}" for code in sorted(found))
+        for place, numbers in codes.items():
+            text = "; ".join(f"{code} {MEANINGS[code]}" for code in sorted(numbers))
             print(f"{path}: {place}: {text}")
         invalid = set(codes)
         if arguments.val3dity:

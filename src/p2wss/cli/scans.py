@@ -62,10 +62,10 @@ def scans(arguments: argparse.Namespace) -> None:
         f"of {survey['density_per_m2']:.1f} pulses requested"
     )
     scans.write_scan(arguments.out, scan, crs, threads=arguments.threads)
-    made_by = files.provenance(
+    provenance = files.provenance(
         tile=facts["tile"], crs=facts["crs"], config=section_json(config, "scans"), code=fingerprint("scans")
     )
-    files.write_json(arguments.out_survey, scan.facts | made_by)
+    files.write_json(arguments.out_survey, scan.facts | provenance)
     if arguments.picture:
         from p2wss.scans.picture import densest_place, scan_figure
 

@@ -82,10 +82,10 @@ def list_clouds(paths: Sequence[Path]) -> list[Path]:
     result: list[Path] = []
     for path in paths:
         if path.is_dir():
-            found = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
-            if not found:
+            of_folder = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
+            if not of_folder:
                 raise InputError(f"{path}: has no LAS or LAZ file")
-            result += found
+            result += of_folder
         else:
             result.append(path)
     for path in result:
@@ -106,8 +106,8 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
             crs = header.parse_crs()
         (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
         bounds = (float(x_min), float(y_min), float(x_max), float(y_max))
-        known = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
-        headers.append(CloudHeader(path, int(header.point_count), crs, bounds if known else None))
+        has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
+        headers.append(CloudHeader(path, int(header.point_count), crs, bounds if has_bounds else None))
     common_header(headers)
     return headers
 

@@ -154,13 +154,13 @@ def read_rows(
 
 def rows_with(columns: list[str], keys: Collection[tuple[str, ...]]) -> Callable[[pa.Table], np.ndarray]:
     """A function from a table to the mask of the rows whose values of ``columns`` are one of ``keys``, bool (n,)."""
-    wanted, last = set(keys), pa.array(sorted({key[-1] for key in keys}), pa.string())
+    selection, last = set(keys), pa.array(sorted({key[-1] for key in keys}), pa.string())
 
     def select(table: pa.Table) -> np.ndarray:
         mask = np.array(pc.is_in(table[columns[-1]], last), bool)
         rows = table.select(columns).take(np.flatnonzero(mask))
         mask[mask] = [
-            key in wanted for key in zip(*(rows[name].to_pylist() for name in columns), strict=True)
+            key in selection for key in zip(*(rows[name].to_pylist() for name in columns), strict=True)
         ]
         return mask
 
@@ -190,7 +190,7 @@ def write_geoparquet(
 ) -> None:
     """Write a GeoDataFrame as GeoParquet (zstd); ``metadata`` is stored as JSON.
 
-    schema: the types of its columns, which those of an empty frame do not tell.
+    schema: the types of its columns, which an empty frame does not show.
     """
     with atomic(path) as temporary:
         frame.to_parquet(temporary, compression="zstd")
@@ -253,7 +253,7 @@ class _Facts(dict[str, Any]):
 
 def write_json(path: str | Path, value: Any) -> None:
     """Write ``value`` as indented JSON; an object gets a first key ``checksum``, see :mod:`p2wss.data.integrity`."""
-    if isinstance(value, dict):  # that of a file from which it was taken is no longer true
+    if isinstance(value, dict):  # a checksum that the value has brought from another file is no longer true
         value = {name: each for name, each in value.items() if name != _JSON_CHECKSUM}
     text = json.dumps(value, indent=1, sort_keys=True) + "\n"
     if isinstance(value, dict):

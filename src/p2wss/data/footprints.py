@@ -241,8 +241,8 @@ def _clean_blocks(shapes: np.ndarray, rows: np.ndarray, config: Scenes) -> tuple
     for members in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
         if len(members) > 1:
             result[members] = clean_block(shapes[rows[members]], cleaning)
-    found = ~shapely.is_missing(result)
-    return rows[found], result[found]
+    is_clean = ~shapely.is_missing(result)
+    return rows[is_clean], result[is_clean]
 
 
 def _simplified(shapes: np.ndarray, tolerance_m: float) -> np.ndarray:

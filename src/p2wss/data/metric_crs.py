@@ -203,10 +203,10 @@ def _utm_code(crs: pyproj.CRS, bounds: Bounds, name: str) -> int:
         raise InputError(
             f"{name}: is in {crs.name}, in degrees, but its bounds are not; state its CRS with --crs"
         )
-    found = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
-    if not found:
+    zones = pyproj.database.query_utm_crs_info(datum_name="WGS 84", area_of_interest=area)
+    if not zones:
         raise InputError(f"{name}: is in {crs.name}, in degrees, outside all UTM zones; reproject it")
-    return int(found[0].code)
+    return int(zones[0].code)
 
 
 def reprojected(frame: gpd.GeoDataFrame, crs: pyproj.CRS, path: str | Path) -> gpd.GeoDataFrame:

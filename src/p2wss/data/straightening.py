@@ -233,23 +233,23 @@ def _places(
     first = np.full(len(xy_m), -1)
     second = first.copy()
     first[node[rank == 0]] = of_line[rank == 0]
-    lines_left = rank > 0
+    is_unused = rank > 0
     n_first = normal[first[node]]
     sine = np.abs(n_first[:, 0] * normal[of_line, 1] - n_first[:, 1] * normal[of_line, 0])
-    steep = np.flatnonzero(lines_left & (sine >= _MIN_SINE))
+    steep = np.flatnonzero(is_unused & (sine >= _MIN_SINE))
     chosen, at = np.unique(node[steep], return_index=True)
     second[chosen] = of_line[steep[at]]
-    lines_left[steep[at]] = False
-    release = [_edges_at(segment, edge, line, node[lines_left], of_line[lines_left])]
+    is_unused[steep[at]] = False
+    release = [_edges_at(segment, edge, line, node[is_unused], of_line[is_unused])]
 
     place_m = xy_m.copy()
-    one, two = (first >= 0) & (second < 0), second >= 0
-    gap = offset[first[one]] - (normal[first[one]] * xy_m[one]).sum(axis=1)
-    place_m[one] += gap[:, None] * normal[first[one]]
-    a, b = normal[first[two]], normal[second[two]]
+    on_one, on_two = (first >= 0) & (second < 0), second >= 0
+    gap = offset[first[on_one]] - (normal[first[on_one]] * xy_m[on_one]).sum(axis=1)
+    place_m[on_one] += gap[:, None] * normal[first[on_one]]
+    a, b = normal[first[on_two]], normal[second[on_two]]
     cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    u, v = offset[first[two]], offset[second[two]]
-    place_m[two] = np.column_stack([u * b[:, 1] - v * a[:, 1], v * a[:, 0] - u * b[:, 0]]) / cross[:, None]
+    u, v = offset[first[on_two]], offset[second[on_two]]
+    place_m[on_two] = np.column_stack([u * b[:, 1] - v * a[:, 1], v * a[:, 0] - u * b[:, 0]]) / cross[:, None]
     shift_m = np.hypot(*(place_m - xy_m).T)
     if (shift_m > max_shift_m).any():
         worst = np.zeros(len(offset))
@@ -258,8 +258,8 @@ def _places(
         bad = np.unique(node[too_far])
         gap_first = np.abs(offset[first[bad]] - (normal[first[bad]] * xy_m[bad]).sum(axis=1))
         gap_second = np.abs(offset[second[bad]] - (normal[second[bad]] * xy_m[bad]).sum(axis=1))
-        lost = np.where((second[bad] >= 0) & (gap_second >= gap_first), second[bad], first[bad])
-        release.append(_edges_at(segment, edge, line, bad, lost))
+        farther = np.where((second[bad] >= 0) & (gap_second >= gap_first), second[bad], first[bad])
+        release.append(_edges_at(segment, edge, line, bad, farther))
     return place_m, np.unique(np.concatenate(release))
 
 
@@ -268,6 +268,6 @@ def _edges_at(
 ) -> np.ndarray:
     """The edges of line ``of_line[k]`` that end at ``node[k]``, for any k."""
     size = int(line.max()) + 1
-    wanted = node * size + of_line
-    found = np.isin(segment[edge] * size + line[:, None], wanted).any(axis=1)
-    return edge[found]
+    keys = node * size + of_line
+    ends_there = np.isin(segment[edge] * size + line[:, None], keys).any(axis=1)
+    return edge[ends_there]

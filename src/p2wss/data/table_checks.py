@@ -84,16 +84,16 @@ def _damaged(path: str | Path, reason: str) -> InputError:
 def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
     fields = []
     for name in table.column_names:
-        wanted, stored = schema.field(name), table.schema.field(name)
-        if _kind(stored.type) != _kind(wanted.type):
-            raise InputError(f"{path}: column {name} has values of type {stored.type}, not {wanted.type}")
-        if not wanted.nullable and pa.types.is_floating(stored.type):
+        target, stored = schema.field(name), table.schema.field(name)
+        if _kind(stored.type) != _kind(target.type):
+            raise InputError(f"{path}: column {name} has values of type {stored.type}, not {target.type}")
+        if not target.nullable and pa.types.is_floating(stored.type):
             # pandas writes NaN as null
             column = pc.fill_null(table[name], np.nan)
             table = table.set_column(table.column_names.index(name), name, column)
-        elif not wanted.nullable and table[name].null_count:
+        elif not target.nullable and table[name].null_count:
             raise _damaged(path, f"column {name} lacks {table[name].null_count} values")
-        fields.append(wanted)
+        fields.append(target)
     try:
         table.validate(full=True)
         return table.cast(pa.schema(fields, metadata=table.schema.metadata))

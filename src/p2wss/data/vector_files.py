@@ -81,7 +81,7 @@ def _convert(wkb: bytearray, start: int) -> int:
     """Change the type of the geometry that begins at ``start`` and those of its parts, and return where it ends."""
     order = "<" if wkb[start] == 1 else ">"
     (code,) = struct.unpack_from(f"{order}I", wkb, start + 1)
-    # of ISO: thousands tell the dimensions; older: the uppermost bits
+    # in codes of ISO, the thousands state the dimensions; in older codes, the uppermost bits do
     flags, base = (code & 0xF0000000, code & 0xFFF) if code >> 28 else (code // 1000 * 1000, code % 1000)
     has_z = bool(flags & 0x80000000) if code >> 28 else flags in (1000, 3000)
     has_m = bool(flags & 0x40000000) if code >> 28 else flags in (2000, 3000)

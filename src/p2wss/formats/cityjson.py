@@ -75,15 +75,15 @@ def lines(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[
     if not isinstance(metadata, Metadata):
         metadata = Metadata(metadata)
     translate = np.zeros(3)
-    started = False
+    has_header = False
     for solid in solids:
-        if not started:
+        if not has_header:
             if len(solid.vertex_m):
                 translate = np.floor(np.asarray(solid.vertex_m).min(axis=0))
             yield _compact(_header(translate, metadata))
-            started = True
+            has_header = True
         yield _compact(_feature(solid, translate, metadata))
-    if not started:
+    if not has_header:
         yield _compact(_header(translate, metadata))
 
 

@@ -230,7 +230,7 @@ def _metadata(parts: Sequence[_Part], binary: Binary) -> dict[str, Any]:
         for number in range(len(part.mesh.buildings)):
             z_m = part.local_m[part.mesh.triangle[part.mesh.building == number], 2]
             heights.append(float(np.ptp(z_m)) if z_m.size else 0.0)
-    # the specification wants views of tables at multiples of eight bytes
+    # the specification requires that views of tables begin at multiples of eight bytes
     values = binary.append_view(b"".join(ids), 8)
     string_offsets = binary.append_view(offsets.tobytes(), 8)
     height = binary.append_view(np.array(heights, "<f4").tobytes(), 8)

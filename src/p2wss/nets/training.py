@@ -81,7 +81,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
     metrics = MetricsLog(checkpoints, plan.compute.tensorboard)
     start = state.resume(checkpoints, identity)
     metrics.truncate(start)
-    with _told_to_stop() as told_to_stop, Progress("training", num_steps, "steps", start) as progress:
+    with _stop_request() as is_stop_requested, Progress("training", num_steps, "steps", start) as progress:
         for step in range(start, num_steps):
             rate = state.learning_rate
             losses = _take_step(task, state, plan, step)
@@ -94,7 +94,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
                 progress.update(done, f"loss {averages['loss']:.4f}")
             if checkpoint_due:
                 metrics.add({"step": done, **_validate(task, state, plan, done)})
-            stopping = done < num_steps and _any_process_stops(told_to_stop(), done)
+            stopping = done < num_steps and _any_process_stops(is_stop_requested(), done)
             if checkpoint_due or stopping:
                 state.save(checkpoints, done, identity)
             if stopping:
@@ -151,7 +151,7 @@ def _any_process_stops(stops: bool, step: int) -> bool:
 
 
 @contextmanager
-def _told_to_stop() -> Iterator[Callable[[], bool]]:
+def _stop_request() -> Iterator[Callable[[], bool]]:
     """Yields a function that says whether SIGTERM was received or Snakemake has ended; the old handler is restored."""
     received: list[int] = []
     try:

@@ -64,10 +64,10 @@ def _metadata(days: Sequence[str], crs: pyproj.CRS, facts: Mapping[str, Any], na
         title += f" from {', '.join(clouds[:_MAX_CLOUDS])}" + (f" and {more} more" if more > 0 else "")
     if days:
         title += f", points of {days[0]}" + (f" to {days[-1]}" if len(days) > 1 else "")
-    own = {"slope": "slope_deg", "azimuth": "azimuth_deg"}
+    columns = {"slope": "slope_deg", "azimuth": "azimuth_deg"}
     if names == NAMES_3DBAG:
-        own = {key: TO_3DBAG[name] for key, name in own.items()}
-    return Metadata(epsg_of(crs), title, days[-1] if days else None, **own)
+        columns = {key: TO_3DBAG[name] for key, name in columns.items()}
+    return Metadata(epsg_of(crs), title, days[-1] if days else None, **columns)
 
 
 def epsg_of(crs: pyproj.CRS) -> int | None:

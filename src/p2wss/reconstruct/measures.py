@@ -145,8 +145,9 @@ def _walls(mesh: LabelledMesh) -> tuple[np.ndarray, np.ndarray]:
     return corner[is_upright], normal[is_upright] / length[is_upright, None]
 
 
-def _common_area_m2(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> float:
-    (corner_a, normal_a), (corner_b, normal_b) = one, other
+def _common_area_m2(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.ndarray]) -> float:
+    """The area in which walls of one building touch walls of another, m2; both as :func:`_walls` returns them."""
+    (corner_a, normal_a), (corner_b, normal_b) = first, second
     near = (corner_a[:, :, :2].min((0, 1)) - _PARTY_M, corner_a[:, :, :2].max((0, 1)) + _PARTY_M)
     is_near = ((corner_b[:, :, :2].max(1) >= near[0]) & (corner_b[:, :, :2].min(1) <= near[1])).all(axis=1)
     corner_b, normal_b = corner_b[is_near], normal_b[is_near]

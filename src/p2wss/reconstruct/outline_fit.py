@@ -81,8 +81,8 @@ def _evidence(
     is_low = point_m[:, 2] < eave_height_m - _BELOW_EAVES_M
     weight[on_building & ~is_low] = 1.0
     weight[on_building & is_low] = -0.4
-    speaks = weight != 0
-    return point_m[speaks], weight[speaks]
+    counts = weight != 0
+    return point_m[counts], weight[counts]
 
 
 # --- search among rectilinear outlines ---
@@ -249,8 +249,8 @@ def _descend(direction: np.ndarray, reading: np.ndarray, field: _Field) -> tuple
             offset[i], offset[left] = value_i[row, 0], value_left[0, column]
         if step == 1 and np.array_equal(offset, before_sweep):
             break
-    every = {i: np.asarray(offset[i]) for i in range(count)}
-    return offset, float(score_of(every, set(range(count))))
+    whole = {i: np.asarray(offset[i]) for i in range(count)}
+    return offset, float(score_of(whole, set(range(count))))
 
 
 # --- the ends of the roof at each edge ---

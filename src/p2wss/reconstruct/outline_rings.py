@@ -180,25 +180,25 @@ def _seam(
     # twice the tolerance of an outline: a jump in height is not as sharp as an edge
     xy_m = np.asarray(shapely.simplify(line, 2 * _TOLERANCE_CELLS * cell_m).coords)
     lines = _lines(xy_m, np.asarray(line.coords), main_deg)
-    kept = [lines[0]]
+    chain = [lines[0]]
     for following in lines[1:]:
-        if np.isclose(np.sin(following.angle - kept[-1].angle), 0, atol=1e-6):
-            total = kept[-1].length + following.length
-            sign = np.sign(np.cos(following.angle - kept[-1].angle))
-            kept[-1].offset = (
-                kept[-1].offset * kept[-1].length + sign * following.offset * following.length
+        if np.isclose(np.sin(following.angle - chain[-1].angle), 0, atol=1e-6):
+            total = chain[-1].length + following.length
+            sign = np.sign(np.cos(following.angle - chain[-1].angle))
+            chain[-1].offset = (
+                chain[-1].offset * chain[-1].length + sign * following.offset * following.length
             ) / total
-            kept[-1].length = total
+            chain[-1].length = total
         else:
-            kept.append(following)
+            chain.append(following)
     reach_m = 3 * cell_m
-    start, end = _foot(kept[0], xy_m[0]), _foot(kept[-1], xy_m[-1])
-    corners = [_corner(a, b) for a, b in itertools.pairwise(kept)]
+    start, end = _foot(chain[0], xy_m[0]), _foot(chain[-1], xy_m[-1])
+    corners = [_corner(a, b) for a, b in itertools.pairwise(chain)]
     inner = [corner for corner in corners if corner is not None]
     result = [
-        start - reach_m * kept[0].direction,
+        start - reach_m * chain[0].direction,
         *inner,
-        end + reach_m * kept[-1].direction,
+        end + reach_m * chain[-1].direction,
     ]
     seam = shapely.LineString(result)
     # a corner far away means nearly parallel lines
@@ -237,7 +237,7 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
             if last > first
             else np.concatenate([np.arange(first, len(sides_m)), np.arange(last)])
         )
-        angle = _own_angle(sides_m[members], weight[members], angle)
+        angle = _angle_of_points(sides_m[members], weight[members], angle)
         # a long edge knows its direction, a short one gets that of the building
         most_deg = min(_SNAP_DEG, float(np.degrees(np.arctan2(2 * _SNAP_M, length))))
         turn = min(((np.degrees(angle) - main + 45) % 90 - 45 for main in main_deg), key=abs, default=90.0)
@@ -251,7 +251,7 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
     return result
 
 
-def _own_angle(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> float:
+def _angle_of_points(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> float:
     """The direction of the line through points, on the side of ``angle``; ``angle`` for few points."""
     if len(xy_m) < 8:
         return angle

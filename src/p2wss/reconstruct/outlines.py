@@ -282,9 +282,9 @@ def _assembled(
     values = label[row, column]
     building = np.full(len(faces), -1)
     for index in range(len(faces)):
-        found = values[cell[face == index]]
-        if len(found):
-            building[index] = np.bincount(found).argmax()
+        labels = values[cell[face == index]]
+        if len(labels):
+            building[index] = np.bincount(labels).argmax()
     shapes = [shapely.union_all(faces[building == value]) for value in np.unique(building[building >= 0])]
     parts = [*shapely.get_parts(shapes), *faces[building < 0]] if shapes else []
     parts.sort(key=lambda part: part.area)

@@ -54,7 +54,8 @@ _HOPS = sum(1 + steps for steps in _STEP_ROUNDS) + 1
 _MIN_STEPS, _MIN_STEP_SHARE, _MAX_SD_M, _MIN_BUILDING_SHARE, _MIN_GAIN = 3, 0.5, 0.25, 0.6, -0.1
 # a shift is used from this length, and from this many standard deviations
 _MIN_SHIFT_M, _MIN_SIGMAS = 0.25, 3.0
-# a neighbourhood speaks with this many blocks that agree so far; else weak evidence is drawn to zero
+# a neighbourhood counts with this many clear blocks whose shifts agree to this spread, which counts as at least the
+# least spread; otherwise the prior of weak evidence is no shift, with this standard deviation
 _MIN_NEIGHBOURS, _MAX_SPREAD_M, _MIN_SPREAD_M, _ALONE_SD_M = 3, 0.4, 0.15, 0.5
 # of a normal distribution, the standard deviation over the median absolute deviation
 _SD_OVER_MAD = 1.48
@@ -343,7 +344,7 @@ def decide(
     """The movements that are applied, decided by the evidence."""
     count = len(estimates)
     clear, weak = np.zeros(count, bool), np.zeros(count, bool)
-    found_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
+    estimate_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
     for block, each in enumerate(estimates):
         if not each.num_steps or building_share[block] < _MIN_BUILDING_SHARE:
             continue
@@ -364,7 +365,7 @@ def decide(
             prior_m, prior_sd_m = np.zeros(2), _ALONE_SD_M
             around = [] if tree is None else sorted(tree.query_ball_point(centre_m[block], NEIGHBOURHOOD_M))
             if len(around) >= _MIN_NEIGHBOURS:
-                of_neighbours = found_m[clear][around]
+                of_neighbours = estimate_m[clear][around]
                 middle_m = np.median(of_neighbours, axis=0)
                 spread_m = _SD_OVER_MAD * np.median(np.linalg.norm(of_neighbours - middle_m, axis=1))
                 if spread_m <= _MAX_SPREAD_M:

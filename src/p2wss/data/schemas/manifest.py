@@ -125,11 +125,11 @@ def to_manifest(value: Any, path: str | Path, only: Sequence[Path] | None = None
             shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
     if only is not None:
         listed = {os.path.abspath(shard.path) for shard in shards}
-        wanted = {os.path.abspath(name): name for name in only}
-        for place, name in wanted.items():
+        requests = {os.path.abspath(name): name for name in only}
+        for place, name in requests.items():
             if place not in listed:
                 raise InputError(f"{path}: does not list {name}; run the stage crops again")
-        shards = [shard for shard in shards if os.path.abspath(shard.path) in wanted]
+        shards = [shard for shard in shards if os.path.abspath(shard.path) in requests]
     with reading(path, "a manifest of crops"):
         missing = [str(shard.path) for shard in shards if not shard.path.exists()]
     if missing:

@@ -57,10 +57,10 @@ def surfaces_to_write(mesh: LabelledMesh, is_checked: bool = False) -> tuple[lis
     the mesh is known to be valid, so that rules of the shell are not tested again.
     """
     surfaces = planar_surfaces(*mesh)
-    found = _stored_breaches(mesh.vertex_m, surfaces, is_checked)
-    broken = {surface for breach, surface in found if surface >= 0 and breach.code > 102}
+    pairs = _stored_breaches(mesh.vertex_m, surfaces, is_checked)
+    broken = {surface for breach, surface in pairs if surface >= 0 and breach.code > 102}
     if not broken:
-        return surfaces, [breach for breach, _ in found]
+        return surfaces, [breach for breach, _ in pairs]
     divided = []
     for surface in surfaces:
         divided += _triangles(mesh, surface) if surface.face in broken else [surface]

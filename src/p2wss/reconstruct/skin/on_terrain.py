@@ -65,7 +65,7 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     same = _places(point, np.unique(top), on_outline)
     top = same[top]
     outlines = {
-        number: [kept for ring in rings if (kept := tidy(same[ring].tolist()))]
+        number: [tidied for ring in rings if (tidied := tidy(same[ring].tolist()))]
         for number, rings in outlines.items()
     }
     flat = point * (1, 1, 0)
@@ -73,7 +73,7 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     edges = {edge for ring in top[touched].tolist() for edge in ring_edges(ring)}
     edges |= {edge for rings in outlines.values() for ring in rings for edge in ring_edges(ring)}
     split, flat = split_edges(flat, {edge: {0} for edge in edges})
-    kept = top[~touched][~_inside(flat[top[~touched]].mean(axis=1), flat, outlines)]
+    untouched = top[~touched][~_inside(flat[top[~touched]].mean(axis=1), flat, outlines)]
     pieces = _pieces(flat, edges, split, top[touched], outlines)
 
     height = np.append(point[:, 2], np.zeros(len(flat) - len(point)))
@@ -84,7 +84,7 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     result = list(skin_list)
     for number, body in bodies.items():
         result[number] = _standing(body, skin_list[number], same, first[number], split, place, origin)
-    whole = np.concatenate([kept, pieces, triangle[~upwards]])
+    whole = np.concatenate([untouched, pieces, triangle[~upwards]])
     used, index = np.unique(whole, return_inverse=True)
     count = len(whole)
     with_holes = replace(

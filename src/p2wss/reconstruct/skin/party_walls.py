@@ -68,10 +68,10 @@ def without_common(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int
         if alone.all():
             result.append(faces[wall])
             continue
-        kept = shapely.orient_polygons(cells[rows[alone]])
+        single = shapely.orient_polygons(cells[rows[alone]])
         index_rings = [
             [of_place[x, y] for x, y in shapely.get_coordinates(ring)[:-1].tolist()]
-            for ring in shapely.get_rings(kept)
+            for ring in shapely.get_rings(single)
         ]
         for piece in _polygons(_boundary(index_rings, plane), plane):
             if areas[number][:2] @ normal < 0:
