@@ -24,16 +24,38 @@ PATTERNS = {"conical": CONICAL, "parallel": PARALLEL, "cross_fire": CROSS_FIRE, 
 CROSSING_DEG = 14.0  # of each channel of the cross-fire pattern, as in RIEGL's VQ-1560 series
 _KNOT_INTERVAL_S = 0.05
 _SAMPLE_INTERVAL_S = 1e-4
-# the public simulator behind the paper (Marchand et al. 2021, github.com/umrlastig/SurfaceReconEval), its
-# defaults
-_PAPER_ALTITUDE_M, _PAPER_HALF_ANGLE_DEG, _PAPER_SPEED_M_PER_S, _PAPER_SCAN_RATE_HZ = (
-    1000.0,
-    20.0,
-    60.0,
-    150.0,
+_TURN_S = 120.0  # between two lines
+# how far lines reach beyond the scene, metres: this share of the swath (as half of it is across), this share of the
+# differences in height, because the platform pitches, and the drift of the platform
+_REACH_SWATH_SHARE, _REACH_HEIGHT_SHARE, _REACH_M = 0.55, 0.1, 20
+# correlation time of the drift, and the periods of the attitude, drawn evenly
+_DRIFT_TIME_S, _ATTITUDE_PERIOD_S = 20.0, (3, 15)
+# the errors that only the preset `hd` has
+_ERRORS = (
+    "drift_m",
+    "attitude_deg",
+    "divergence_mrad",
+    "noise_xy_m",
+    "noise_range_m",
+    "strip_offset_xy_m",
+    "strip_offset_z_m",
+    "base_loss",
+    "min_intensity",
+    "speckle",
 )
-_PAPER_NOISE_XY_M, _PAPER_NOISE_Z_M = 0.13, 0.05
-_PAPER_OVERLAP = 0.3
+# the defaults of the public simulator behind the paper (Marchand et al. 2021, github.com/umrlastig/SurfaceReconEval)
+_PAPER = {
+    "pattern": "conical",
+    "altitude_m": 1000.0,
+    "half_angle_deg": 20.0,
+    "speed_m_per_s": 60.0,
+    "scan_rate_hz": 150.0,
+    "overlap": 0.3,
+    "heading_deg": 0.0,
+    "cross_strip": False,
+    "noise_xy_m": 0.13,
+    "noise_z_m": 0.05,
+}
 _PAPER_DENSITY_PER_M2 = 8.0  # section 5.1 of the paper
 _HD_DENSITY_PER_M2 = 14.0
 
@@ -55,6 +77,10 @@ class Survey:
     parameters: dict[str, Any]
 
 
+# a flight line: x and y of its start in metres, its direction in radians, and its length in metres
+_Line = tuple[float, float, float, float]
+
+
 def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
     """Draw a survey whose strips cover ``box`` and whose mean density over ``area`` is the density drawn.
 
@@ -71,51 +97,10 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
         lines += _lines(box, heading + np.pi / 2, swath_m, np.inf, 0.5)
 
     strips, start_s = [], 0.0
-    for index, (x, y, direction, length_m) in enumerate(lines):
-        rng = generator(seed, "strip", index)
-        duration_s = length_m / parameters["speed_m_per_s"]
-        path = StripPath(
-            pattern=PATTERNS[parameters["pattern"]],
-            half_angle_rad=half_angle,
-            sin_half_angle=sin(half_angle),
-            cos_half_angle=cos(half_angle),
-            scan_rate_hz=parameters["scan_rate_hz"],
-            scan_phase=rng.uniform(),
-            crossing_rad=radians(CROSSING_DEG),
-            pulse_rate_hz=1.0,
-            start_x_m=x,
-            start_y_m=y,
-            altitude_m=parameters["altitude_m"],
-            heading_rad=direction,
-            speed_m_per_s=parameters["speed_m_per_s"],
-            duration_s=duration_s,
-            knot_interval_s=_KNOT_INTERVAL_S,
-            knots=_knots(
-                rng, duration_s, direction, parameters["drift_m"], radians(parameters["attitude_deg"])
-            ),
-            # the 1/e^2 diameter of a Gaussian beam is four standard deviations
-            beam_sigma_rad=parameters["divergence_mrad"] * 1e-3 / 4,
-            beam_key=np.uint64(derive_seed(seed, "beam", index)),
-        )
-        errors = Errors(
-            noise_xy_m=parameters["noise_xy_m"],
-            noise_z_m=parameters["noise_z_m"],
-            noise_range_m=parameters["noise_range_m"],
-            offset_x_m=rng.normal(0, parameters["strip_offset_xy_m"]),
-            offset_y_m=rng.normal(0, parameters["strip_offset_xy_m"]),
-            offset_z_m=rng.normal(0, parameters["strip_offset_z_m"]),
-            base_loss=parameters["base_loss"],
-            min_intensity=parameters["min_intensity"],
-            speckle=parameters["speckle"],
-            reference_range_m=parameters["altitude_m"],
-            max_returns=parameters["max_returns"],
-            separation_m=settings.return_separation_m,
-            key=np.uint64(derive_seed(seed, "noise", index)),
-            loss_key=np.uint64(derive_seed(seed, "loss", index)),
-            split_key=np.uint64(derive_seed(seed, "split", index)),
-        )
-        strips.append(Strip(path, errors, start_s))
-        start_s += duration_s + 120.0  # the turn between two lines
+    for index, line in enumerate(lines):
+        strip = _strip(parameters, settings, seed, index, line, start_s)
+        strips.append(strip)
+        start_s += strip.path.duration_s + _TURN_S
 
     seconds = sum(time_over(strip.path, area, _SAMPLE_INTERVAL_S) for strip in strips)
     area_m2 = (area.x_max_m - area.x_min_m) * (area.y_max_m - area.y_min_m)
@@ -134,6 +119,55 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
         for s in strips
     ]
     return Survey(strips, parameters)
+
+
+def _strip(
+    parameters: dict[str, Any], settings: Scans, seed: int, index: int, line: _Line, start_s: float
+) -> Strip:
+    """The strip along a line of :func:`_lines`, with its errors; its pulse rate is 1 Hz and yet to be set."""
+    x, y, direction, length_m = line
+    half_angle = radians(parameters["half_angle_deg"])
+    rng = generator(seed, "strip", index)
+    duration_s = length_m / parameters["speed_m_per_s"]
+    path = StripPath(
+        pattern=PATTERNS[parameters["pattern"]],
+        half_angle_rad=half_angle,
+        sin_half_angle=sin(half_angle),
+        cos_half_angle=cos(half_angle),
+        scan_rate_hz=parameters["scan_rate_hz"],
+        scan_phase=rng.uniform(),
+        crossing_rad=radians(CROSSING_DEG),
+        pulse_rate_hz=1.0,
+        start_x_m=x,
+        start_y_m=y,
+        altitude_m=parameters["altitude_m"],
+        heading_rad=direction,
+        speed_m_per_s=parameters["speed_m_per_s"],
+        duration_s=duration_s,
+        knot_interval_s=_KNOT_INTERVAL_S,
+        knots=_knots(rng, duration_s, direction, parameters["drift_m"], radians(parameters["attitude_deg"])),
+        # the 1/e^2 diameter of a Gaussian beam is four standard deviations
+        beam_sigma_rad=parameters["divergence_mrad"] * 1e-3 / 4,
+        beam_key=np.uint64(derive_seed(seed, "beam", index)),
+    )
+    errors = Errors(
+        noise_xy_m=parameters["noise_xy_m"],
+        noise_z_m=parameters["noise_z_m"],
+        noise_range_m=parameters["noise_range_m"],
+        offset_x_m=rng.normal(0, parameters["strip_offset_xy_m"]),
+        offset_y_m=rng.normal(0, parameters["strip_offset_xy_m"]),
+        offset_z_m=rng.normal(0, parameters["strip_offset_z_m"]),
+        base_loss=parameters["base_loss"],
+        min_intensity=parameters["min_intensity"],
+        speckle=parameters["speckle"],
+        reference_range_m=parameters["altitude_m"],
+        max_returns=parameters["max_returns"],
+        separation_m=settings.return_separation_m,
+        key=np.uint64(derive_seed(seed, "noise", index)),
+        loss_key=np.uint64(derive_seed(seed, "loss", index)),
+        split_key=np.uint64(derive_seed(seed, "split", index)),
+    )
+    return Strip(path, errors, start_s)
 
 
 def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
@@ -175,41 +209,11 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
     if settings.preset == "hd":
         return parameters
     # `none` is the same flight without errors, `paper` the simulator of the paper with its own errors
-    parameters |= dict.fromkeys(
-        (
-            "drift_m",
-            "attitude_deg",
-            "divergence_mrad",
-            "noise_xy_m",
-            "noise_range_m",
-            "strip_offset_xy_m",
-            "strip_offset_z_m",
-            "base_loss",
-            "min_intensity",
-            "speckle",
-        ),
-        0.0,
-    )
-    parameters |= {"density_per_m2": target, "max_returns": 1}
-    if settings.preset == "paper":
-        parameters |= {
-            "pattern": "conical",
-            "altitude_m": _PAPER_ALTITUDE_M,
-            "half_angle_deg": _PAPER_HALF_ANGLE_DEG,
-            "speed_m_per_s": _PAPER_SPEED_M_PER_S,
-            "scan_rate_hz": _PAPER_SCAN_RATE_HZ,
-            "overlap": _PAPER_OVERLAP,
-            "heading_deg": 0.0,
-            "cross_strip": False,
-            "noise_xy_m": _PAPER_NOISE_XY_M,
-            "noise_z_m": _PAPER_NOISE_Z_M,
-        }
-    return parameters
+    parameters |= dict.fromkeys(_ERRORS, 0.0) | {"density_per_m2": target, "max_returns": 1}
+    return parameters | (_PAPER if settings.preset == "paper" else {})
 
 
-def _lines(
-    box: Box, heading_rad: float, swath_m: float, spacing_m: float, phase: float
-) -> list[tuple[float, float, float, float]]:
+def _lines(box: Box, heading_rad: float, swath_m: float, spacing_m: float, phase: float) -> list[_Line]:
     """Flight lines (x, y of the start, heading, length) whose swaths cover ``box``; every second one is flown
     in the opposite direction.
 
@@ -219,7 +223,7 @@ def _lines(
     left = np.array([-forward[1], forward[0]])
     corners = np.array([[x, y] for x in (box.x_min_m, box.x_max_m) for y in (box.y_min_m, box.y_max_m)])
     across, along = corners @ left, corners @ forward
-    reach = 0.55 * swath_m + 0.1 * (box.z_max_m - box.z_min_m) + 20
+    reach = _REACH_SWATH_SHARE * swath_m + _REACH_HEIGHT_SHARE * (box.z_max_m - box.z_min_m) + _REACH_M
     along_min, along_max = along.min() - reach, along.max() + reach
     if np.isinf(spacing_m):
         offsets = np.array([across.mean()])
@@ -240,15 +244,15 @@ def _knots(
 ) -> np.ndarray:
     """Drift and rotation along one strip as :class:`pulses.StripPath` has them, float64 (k, 12).
 
-    The drift is an Ornstein-Uhlenbeck process of 20 s, the attitude a sum of three sinusoids per axis.
+    The drift is an Ornstein-Uhlenbeck process, the attitude a sum of three sinusoids per axis.
     """
     time_s = np.arange(int(duration_s / _KNOT_INTERVAL_S) + 2) * _KNOT_INTERVAL_S
-    decay = float(np.exp(-_KNOT_INTERVAL_S / 20.0))
+    decay = float(np.exp(-_KNOT_INTERVAL_S / _DRIFT_TIME_S))
     steps = rng.normal(0, drift_m * np.sqrt(1 - decay**2), (len(time_s), 3))
     steps[0] = rng.normal(0, drift_m, 3)
     drift = lfilter([1.0], [1.0, -decay], steps, axis=0)
     amplitude = rng.dirichlet(np.ones(3), 3) * attitude_rad
-    period_s, phase = rng.uniform(3, 15, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
+    period_s, phase = rng.uniform(*_ATTITUDE_PERIOD_S, (3, 3)), rng.uniform(0, 2 * np.pi, (3, 3))
     angle = 2 * np.pi * time_s[:, None, None] / period_s + phase
     yaw_pitch_roll = (amplitude * np.sin(angle)).sum(axis=2)
     yaw_pitch_roll[:, 0] += heading_rad
