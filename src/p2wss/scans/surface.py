@@ -10,7 +10,7 @@ import numpy as np
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS
 from p2wss.scans.terrain import TerrainGrid
 
-TERRAIN_REFLECTANCE = 0.25
+TERRAIN_REFLECTANCE, CLUTTER_REFLECTANCE, TREE_REFLECTANCE = 0.25, 0.3, 0.4
 CLUTTER_KIND = 0  # of a face id: neither wall nor roof
 
 

@@ -17,7 +17,13 @@ from p2wss.scans.clutter.eaves import set_walls_back
 from p2wss.scans.clutter.lower_parts import add_lower_parts
 from p2wss.scans.clutter.roofs import roofs_of
 from p2wss.scans.clutter.triangles import ClutterTriangles
-from p2wss.scans.surface import ClutterKind, Surface, encode_clutter
+from p2wss.scans.surface import (
+    CLUTTER_REFLECTANCE,
+    TREE_REFLECTANCE,
+    ClutterKind,
+    Surface,
+    encode_clutter,
+)
 
 __all__ = ["LocalBuildings", "add_clutter"]
 
@@ -59,7 +65,7 @@ def _with_triangles(surface: Surface, kind: ClutterKind, triangles: ClutterTrian
     count, is_tree = len(triangles.number), kind == ClutterKind.TREE
     corner = np.arange(3 * count, dtype=np.int32).reshape(-1, 3) + np.int32(len(surface.vertex_m))
     building = np.full(count, -1, np.int32) if is_tree else triangles.building
-    reflectance = np.full(count, 0.4 if is_tree else 0.3, np.float32)
+    reflectance = np.full(count, TREE_REFLECTANCE if is_tree else CLUTTER_REFLECTANCE, np.float32)
     return surface._replace(
         vertex_m=np.concatenate([surface.vertex_m, triangles.vertex_m.reshape(-1, 3)]),
         triangle=np.concatenate([surface.triangle, corner]),

@@ -20,8 +20,19 @@ from p2wss.scans.randomness import uniforms
 from p2wss.scans.surface import ClutterKind
 from p2wss.scans.terrain import TerrainGrid
 
+# Sizes are drawn evenly between two values in metres. An annex is as wide as its wall allows, and lower than the eaves
+# by at least the given height. Between its wall and the footprint is a small gap, and footprints of neighbours may
+# overlap it by a tolerance.
+_ANNEX_WIDTH_M, _ANNEX_DEPTH_M, _ANNEX_HEIGHT_M = (2.5, 6), (2, 6), (2.2, 3.2)
+_ANNEX_BELOW_EAVE_M, _ANNEX_GAP_M, _ANNEX_TOLERANCE_M, _MIN_HALF_SIZE_M = 0.3, 0.01, 0.05, 0.1
 _MAX_TREES = 6
-_LEAF_AREA_M2 = 0.35  # a triangle stands for a clump of leaves
+_CROWN_RADIUS_M, _TREE_HEIGHT_M, _TRUNK_TO_WALL_M = (1.2, 4.2), (4, 14), (0.5, 7)
+# of a tree's height: the largest radius of its crown, and the height of the crown
+_MAX_RADIUS_SHARE, _CROWN_SHARE = 0.45, (0.55, 0.85)
+# leaf area over a square metre of ground: 1 lets a third of the pulses through, 3 one in twenty
+_LEAF_AREA_INDEX = (1.0, 3.0)
+_LEAF_AREA_M2 = 0.35  # of a triangle, which stands for a clump of leaves
+_UNIT_TRIANGLE_M2 = 0.47  # the mean area of a triangle with corners in a ball of radius 1
 _MAX_LEAVES = 2000
 
 
@@ -32,16 +43,18 @@ def annexes(buildings: LocalBuildings, share: float) -> ClutterTriangles:
     """
     rows, u = draw_buildings(buildings, ClutterKind.ANNEX, share)
     edge, length, outwards = draw_edges(buildings, rows, u[:, 0])
-    width = np.minimum(between(u[:, 1], 2.5, 6), length)
-    depth = between(u[:, 2], 2, 6)
+    width = np.minimum(between(u[:, 1], *_ANNEX_WIDTH_M), length)
+    depth = between(u[:, 2], *_ANNEX_DEPTH_M)
     along = left_of(outwards)
     middle = buildings.polygons.xy_m[edge] + (0.5 * width + u[:, 3] * (length - width))[:, None] * along
     half = np.stack([width, depth], axis=1) / 2
-    middle = middle + (half[:, 1] + 0.01)[:, None] * outwards
-    top = buildings.terrain_z_m[rows] + between(u[:, 4], 2.2, 3.2)
-    fits = (length >= 2.5) & (top < buildings.eave_z_m[rows] - 0.3)
+    middle = middle + (half[:, 1] + _ANNEX_GAP_M)[:, None] * outwards
+    top = buildings.terrain_z_m[rows] + between(u[:, 4], *_ANNEX_HEIGHT_M)
+    fits = (length >= _ANNEX_WIDTH_M[0]) & (top < buildings.eave_z_m[rows] - _ANNEX_BELOW_EAVE_M)
     outline = rectangles(middle, along, half)
-    shrunk = shapely.polygons(rectangles(middle, along, np.maximum(half - 0.05, 0.1)))
+    shrunk = shapely.polygons(
+        rectangles(middle, along, np.maximum(half - _ANNEX_TOLERANCE_M, _MIN_HALF_SIZE_M))
+    )
     fits &= ~_meet_footprints(buildings, np.asarray(shrunk))
     return blocks(outline[fits], buildings.base_z_m[rows][fits] - 1, top[fits], rows[fits])
 
@@ -60,28 +73,26 @@ def trees(terrain: TerrainGrid, buildings: LocalBuildings, mean: float) -> Clutt
     which = np.arange(len(rows)) - np.repeat(np.cumsum(num_trees) - num_trees, num_trees)
     u = draws[:, 1:].reshape(len(draws), _MAX_TREES, 8)[rows, which]
     edge, length, outwards = draw_edges(buildings, rows, u[:, 0])
-    radius, height = between(u[:, 1], 1.2, 4.2), between(u[:, 2], 4, 14)
-    radius = np.minimum(radius, 0.45 * height)
-    away = between(u[:, 3], 0.5, 7)
+    radius, height = between(u[:, 1], *_CROWN_RADIUS_M), between(u[:, 2], *_TREE_HEIGHT_M)
+    radius = np.minimum(radius, _MAX_RADIUS_SHARE * height)
+    to_wall = between(u[:, 3], *_TRUNK_TO_WALL_M)
     xy = (
         buildings.polygons.xy_m[edge]
         + (u[:, 4] * length)[:, None] * left_of(outwards)
-        + away[:, None] * outwards
+        + to_wall[:, None] * outwards
     )
     is_free = ~_meet_footprints(buildings, np.asarray(shapely.points(xy)))
     foot = _nearest_height(terrain, xy, buildings.terrain_z_m[rows])
-    crown_height = between(u[:, 5], 0.55, 0.85) * height
+    crown_height = between(u[:, 5], *_CROWN_SHARE) * height
     middle = np.column_stack([xy, foot + height - crown_height / 2])
-    # leaf area over a square metre of ground: 1 lets a third of the pulses through, 3 one in twenty
-    leaf_area = np.pi * radius**2 * between(u[:, 6], 1.0, 3.0)
+    leaf_area = np.pi * radius**2 * between(u[:, 6], *_LEAF_AREA_INDEX)
     num_leaves = np.minimum(np.ceil(leaf_area / (0.5 * _LEAF_AREA_M2)), _MAX_LEAVES).astype(np.int64) // 2 + 1
     num_leaves[~is_free] = 0
     keys = buildings.key[rows] + np.uint64(1) + which.astype(np.uint64)
     tree = np.repeat(np.arange(len(rows)), num_leaves)
     v = _leaf_draws(keys, num_leaves)
     half = np.column_stack([radius, radius, crown_height / 2])[tree]
-    # the mean area of a triangle with corners in a ball of radius 1 is 0.47
-    size = np.sqrt(_LEAF_AREA_M2 / 0.47)
+    size = np.sqrt(_LEAF_AREA_M2 / _UNIT_TRIANGLE_M2)
     corner = (middle[tree] + _in_ball(v[:, 0], v[:, 1], v[:, 2]) * half)[:, None] + size * np.stack(
         [_in_ball(v[:, i], v[:, i + 1], v[:, i + 2]) for i in (3, 6, 9)], axis=1
     )

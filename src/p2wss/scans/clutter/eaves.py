@@ -14,6 +14,10 @@ from p2wss.scans.surface import Surface
 from p2wss.skeleton.types import FaceKind
 
 _STREAM = 16  # of the random draws; those of clutter objects count from 0
+# edges that meet at a smaller angle (its sine) are one wall, whose corner moves straight inwards
+_MIN_SINE = 0.2
+# an edge is free if no other building is nearer to it than this, apart from this share of its length at either end
+_NEIGHBOUR_M, _END_SHARE = 0.3, 0.1
 _ON_WALL_M = 0.02
 _MIN_LENGTH_SHARE = 0.3  # of an edge's length that its wall must keep
 
@@ -69,7 +73,7 @@ def _offset_corners(buildings: LocalBuildings, distance: np.ndarray) -> tuple[np
     # the corner moves so that it is ``by`` inside both of its edges
     inwards, inwards_before = left_of(along), left_of(along[before])
     turn = inwards[:, 0] * inwards_before[:, 1] - inwards[:, 1] * inwards_before[:, 0]
-    is_straight = np.abs(turn) < 0.2
+    is_straight = np.abs(turn) < _MIN_SINE
     divisor = np.where(is_straight, 1.0, turn)
     shift = np.column_stack(
         [
@@ -97,9 +101,13 @@ def _is_free(
     buildings: LocalBuildings, start: np.ndarray, end: np.ndarray, building: np.ndarray
 ) -> np.ndarray:
     """Which edges have no other building against them, bool (m,)."""
-    lines = shapely.linestrings(np.stack([0.9 * start + 0.1 * end, 0.1 * start + 0.9 * end], axis=1))
+    lines = shapely.linestrings(
+        np.stack(
+            [(1 - _END_SHARE) * start + _END_SHARE * end, _END_SHARE * start + (1 - _END_SHARE) * end], axis=1
+        )
+    )
     edge, other = shapely.STRtree(to_geometries(buildings.polygons)).query(
-        lines, predicate="dwithin", distance=0.3
+        lines, predicate="dwithin", distance=_NEIGHBOUR_M
     )
     result = np.ones(len(start), bool)
     result[edge[other != building[edge]]] = False

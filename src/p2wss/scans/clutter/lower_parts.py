@@ -19,10 +19,18 @@ from p2wss.scans.clutter.buildings import (
     left_of,
     rectangles,
 )
-from p2wss.scans.surface import ClutterKind, Surface, encode_clutter
+from p2wss.scans.surface import CLUTTER_REFLECTANCE, ClutterKind, Surface, encode_clutter
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
+# Sizes are drawn evenly between two values in metres; a lower part is lower than the eaves by at least the given height
+# and covers at most this share of the footprint.
+_WIDTH_M, _DEPTH_M, _HEIGHT_M = (2.5, 5), (3, 6), (2.2, 3.2)
+_BELOW_EAVE_M, _MAX_AREA_SHARE = 0.5, 0.5
+# how far a lower part may reach beyond the footprint, which is rounding
+_TOLERANCE_M = 0.005
+# places on a side, as shares of its length, that are all on an outer wall or all away from it
+_PLACES = (0.05, 0.5, 0.95)
 _ON_WALL_M = 0.02
 _MAX_CORNERS = 16  # of a triangle that five planes have cut
 
@@ -49,20 +57,20 @@ def add_lower_parts(surface: Surface, buildings: LocalBuildings, share: float) -
     """
     rows, u = draw_buildings(buildings, ClutterKind.LOWER_PART, share)
     edge, length, outwards = draw_edges(buildings, rows, u[:, 0])
-    width = np.minimum(between(u[:, 1], 2.5, 5), length)
-    depth = between(u[:, 2], 3, 6)
+    width = np.minimum(between(u[:, 1], *_WIDTH_M), length)
+    depth = between(u[:, 2], *_DEPTH_M)
     along = left_of(outwards)
     from_start = np.where(u[:, 3] < 0.5, 0.5 * width, length - 0.5 * width)
     middle = buildings.polygons.xy_m[edge] + from_start[:, None] * along - 0.5 * depth[:, None] * outwards
     outline = rectangles(middle, along, np.stack([width, depth], axis=1) / 2)
-    top = buildings.terrain_z_m[rows] + between(u[:, 4], 2.2, 3.2)
+    top = buildings.terrain_z_m[rows] + between(u[:, 4], *_HEIGHT_M)
     shapes, boxes = to_geometries(buildings.polygons)[rows], shapely.polygons(outline)
-    fits = (length >= 2.5) & (top < buildings.eave_z_m[rows] - 0.5)
-    fits &= shapely.covers(shapely.buffer(shapes, 0.005), boxes)
-    fits &= shapely.area(boxes) < 0.5 * shapely.area(shapes)
+    fits = (length >= _WIDTH_M[0]) & (top < buildings.eave_z_m[rows] - _BELOW_EAVE_M)
+    fits &= shapely.covers(shapely.buffer(shapes, _TOLERANCE_M), boxes)
+    fits &= shapely.area(boxes) < _MAX_AREA_SHARE * shapely.area(shapes)
     # each side is on an outer wall from end to end, or nowhere on one
     following = np.roll(outline, -1, axis=1)
-    places = np.stack([w * outline + (1 - w) * following for w in (0.05, 0.5, 0.95)], axis=2)
+    places = np.stack([w * outline + (1 - w) * following for w in _PLACES], axis=2)
     to_wall: np.ndarray = shapely.distance(shapely.boundary(shapes)[:, None, None], shapely.points(places))
     is_wall = np.all(to_wall < _ON_WALL_M, axis=2)
     is_apart = np.all(to_wall > 2 * _ON_WALL_M, axis=2)
@@ -114,7 +122,7 @@ def _cut(surface: Surface, prisms: _Prisms) -> Surface:
         triangle=np.concatenate([surface.triangle[is_whole], triangle]),
         building=column(surface.building, building_of_new.astype(np.int32)),
         face=column(surface.face, encode_clutter(np.full(len(new), ClutterKind.LOWER_PART, np.int32))),
-        reflectance=column(surface.reflectance, np.full(len(new), 0.3, np.float32)),
+        reflectance=column(surface.reflectance, np.full(len(new), CLUTTER_REFLECTANCE, np.float32)),
         loss=column(surface.loss, np.zeros(len(new), np.float32)),
         porous=column(surface.porous, np.zeros(len(new), bool)),
     )
