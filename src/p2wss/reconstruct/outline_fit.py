@@ -28,21 +28,33 @@ _MIN_POINTS = 20
 _CELL_M, _MARGIN_M, _READING_WEIGHT, _MIN_EDGE_M, _NUM_STARTS = 0.2, 1.0, 0.1, 0.6, 24
 _MAX_READING_M, _ORDER_WEIGHT, _TOLERANCE_M = 1.0, 5.0, 0.3
 _MAX_SEARCHED_VERTICES = 16
+# a point of class building below the eaves, on a wall or an annex, is a weak sign that the outline ends inside it
+_LOW_WEIGHT = -0.4
+# standard deviation of the smoothing before the direction of borders is measured, in cells
+_SMOOTH_CELLS = 2.0
 # from this far from all points a cell is not seen, and its weight then
 _UNSEEN_M, _UNSEEN_WEIGHT = 0.5, -0.3
 _NEGATIVE_LENGTH_WEIGHT = 30.0
-_NUM_SWEEPS = 4
+# sweeps over all vertices, the first of which look at every second cell only
+_NUM_SWEEPS, _NUM_COARSE_SWEEPS = 4, 2
 _NUM_ROUNDS = 2
 # the end of the roof at an edge: depth of the strip of points inside and outside, the ends of the edge that are not
 # used, the fewest points below the roof and in all, the largest distance of the end from the outermost point on the
 # roof, the turns that are tried, and how many points a degree is worth
 _DEPTH_M, _WINDOW_M, _END_M, _MIN_STEP_POINTS, _MIN_EDGE_POINTS = 2.5, 1.2, 0.3, 4, 12
 _GAP_M = 0.1
+# ground counts from this far inside the edge, and on this share of the metres of a free edge; lines of edges whose
+# directions differ by less (the sine) have no corner; and scores that differ by less are equal
+_INSIDE_M, _MIN_FREE_SHARE, _MIN_SINE, _ROUNDING = 0.3, 0.5, 0.3, 1e-9
 _TURNS_DEG, _TURN_WEIGHT = (0, -1, 1, -2, 2, -3, 3, -5, 5, -7, 7, -9, 9), 0.7
 # the break of the roof at a party wall: from this far the reading is not used, how far from the reading breaks are
 # sought, standard deviations of the reading and of a point on the roof, and how much better a break must explain these
 _MAX_MISREADING_M = 2.5
 _BREAK_M, _READING_SD_M, _ROOF_SD_M, _CLEAR_BREAK = 0.8, 0.3, 0.1, 20.0
+# step of the search for a break, depth of the strip of points on either side, and the largest squared distance from a
+# plane that a point counts with, in variances: three standard deviations, as every point of a part that is too small
+# for a plane counts with
+_BREAK_STEP_M, _BREAK_DEPTH_M, _MAX_SQUARE, _MIN_PLANE_POINTS = 0.1, 2.0, 9.0, 4
 
 
 def fit_outline(
@@ -56,18 +68,18 @@ def fit_outline(
 
     Where points are too few, or no simple polygon comes of them, the reading is returned.
     """
-    spoken_m, weight = _evidence(eave_height_m, point_m, classification)
+    evidence_m, weight = _evidence(eave_height_m, point_m, classification)
     if (weight > 0).sum() < _MIN_POINTS or not np.isfinite(reading_m).all():
         return reading_m
     outline = None
     if len(reading_m) % 2 == 0 and len(reading_m) <= _MAX_SEARCHED_VERTICES:
-        outline = _search(reading_m, spoken_m[:, :2], weight, point_m[:, :2])
+        outline = _search(reading_m, evidence_m[:, :2], weight, point_m[:, :2])
     if outline is None:
         outline = reading_m
     if not shapely.Polygon(outline).is_valid:
         return reading_m
     for _ in range(_NUM_ROUNDS):
-        outline = _fit_edges(outline, reading_m, spoken_m, weight)
+        outline = _fit_edges(outline, reading_m, evidence_m, weight)
     return outline
 
 
@@ -80,7 +92,7 @@ def _evidence(
     weight[np.isin(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0
     is_low = point_m[:, 2] < eave_height_m - _BELOW_EAVES_M
     weight[on_building & ~is_low] = 1.0
-    weight[on_building & is_low] = -0.4
+    weight[on_building & is_low] = _LOW_WEIGHT
     counts = weight != 0
     return point_m[counts], weight[counts]
 
@@ -136,7 +148,7 @@ def _directions(xy_m: np.ndarray, weight: np.ndarray, reading_m: np.ndarray) -> 
     """Angles, modulo a quarter turn, of the two directions: that of the borders between roof and ground, that of the
     edges of the reading."""
     field = _Raster.of(xy_m, weight, xy_m)
-    dy, dx = np.gradient(gaussian_filter(field.value, 2.0))
+    dy, dx = np.gradient(gaussian_filter(field.value, _SMOOTH_CELLS))
     dy, dx = dy[field.is_seen], dx[field.is_seen]
     border = ((dx + 1j * dy) ** 4 / np.maximum(np.hypot(dx, dy), 1e-9) ** 2).sum()
     edge = (np.roll(reading_m, -1, axis=0) - reading_m) @ [1, 1j]
@@ -239,7 +251,7 @@ def _descend(direction: np.ndarray, reading: np.ndarray, field: _Field) -> tuple
 
     for sweep in range(_NUM_SWEEPS):
         before_sweep = offset.copy()
-        step = 2 if sweep < 2 else 1
+        step = 2 if sweep < _NUM_COARSE_SWEEPS else 1
         for i in range(count):
             left = (i - 1) % count
             value_i = (axis_y if horizontal[i] else axis_x)[::step, None]
@@ -298,7 +310,7 @@ def _meet(point: np.ndarray, normal_rad: np.ndarray) -> np.ndarray | None:
     normal = np.column_stack([np.cos(normal_rad), np.sin(normal_rad)])
     offset = (point * normal).sum(axis=1)
     matrix = np.stack([np.roll(normal, 1, axis=0), normal], axis=1)
-    if (np.abs(np.linalg.det(matrix)) < 0.3).any():
+    if (np.abs(np.linalg.det(matrix)) < _MIN_SINE).any():
         return None
     right = np.stack([np.roll(offset, 1), offset], axis=1)[..., None]
     vertex: np.ndarray = np.linalg.solve(matrix, right)[..., 0]
@@ -307,10 +319,10 @@ def _meet(point: np.ndarray, normal_rad: np.ndarray) -> np.ndarray | None:
 
 def _is_free(t: np.ndarray, d: np.ndarray, weight: np.ndarray, length: float) -> bool:
     """Whether there is ground before half of the edge."""
-    ground = t[(weight < 0) & (d > -0.3)]
+    ground = t[(weight < 0) & (d > -_INSIDE_M)]
     num_parts = max(int(length), 2)
     part = np.floor((ground / length + 0.5) * num_parts)
-    return len(ground) >= _MIN_STEP_POINTS and len(np.unique(part)) >= 0.5 * num_parts
+    return len(ground) >= _MIN_STEP_POINTS and len(np.unique(part)) >= _MIN_FREE_SHARE * num_parts
 
 
 def _end_of_roof(t: np.ndarray, d: np.ndarray, weight: np.ndarray, length: float) -> tuple[float, float]:
@@ -326,7 +338,7 @@ def _end_of_roof(t: np.ndarray, d: np.ndarray, weight: np.ndarray, length: float
             continue
         last = int(np.argmax(np.where(candidate, score, -np.inf)))
         value = score[last] - _TURN_WEIGHT * abs(np.rad2deg(turn))
-        if value > best[0] + 1e-9:
+        if value > best[0] + _ROUNDING:
             upper = distance[last + 1] if last + 1 < len(distance) else _WINDOW_M
             spacing = _DEPTH_M / max((w > 0).sum(), 1) + _GAP_M
             best = (value, distance[last] + min((upper - distance[last]) / 2, spacing), turn)
@@ -335,10 +347,10 @@ def _end_of_roof(t: np.ndarray, d: np.ndarray, weight: np.ndarray, length: float
 
 def _break_of_roof(t: np.ndarray, d: np.ndarray, z: np.ndarray, read_m: float) -> float:
     """Where two planes, before and behind, explain the points best, near where the edge was read."""
-    is_near = np.abs(d - read_m) < 2.0
+    is_near = np.abs(d - read_m) < _BREAK_DEPTH_M
     t, d, z = t[is_near], d[is_near], z[is_near]
     best, result = _break_value(t, d, z, read_m, read_m) - _CLEAR_BREAK, read_m
-    for offset in read_m + np.arange(-_BREAK_M, _BREAK_M + 0.01, 0.1):
+    for offset in read_m + np.arange(-_BREAK_M, _BREAK_M + _BREAK_STEP_M / 10, _BREAK_STEP_M):
         value = _break_value(t, d, z, read_m, offset)
         if value < best:
             best, result = value, offset
@@ -346,6 +358,7 @@ def _break_of_roof(t: np.ndarray, d: np.ndarray, z: np.ndarray, read_m: float) -
 
 
 def _break_value(t: np.ndarray, d: np.ndarray, z: np.ndarray, read_m: float, offset: float) -> float:
+    """The negative log-likelihood of a break at ``offset``, up to a constant."""
     inside = d < offset
     misfit = _misfit(t[inside], d[inside], z[inside]) + _misfit(t[~inside], d[~inside], z[~inside])
     return misfit + ((offset - read_m) / _READING_SD_M) ** 2 / 2
@@ -353,8 +366,8 @@ def _break_value(t: np.ndarray, d: np.ndarray, z: np.ndarray, read_m: float, off
 
 def _misfit(t: np.ndarray, d: np.ndarray, z: np.ndarray) -> float:
     """The squared distances to the plane through the points, over their variance, none counted above a limit."""
-    if len(z) < 4:
-        return 4.5 * len(z)
+    if len(z) < _MIN_PLANE_POINTS:
+        return _MAX_SQUARE / 2 * len(z)
     design = np.column_stack([np.ones(len(z)), t, d])
     solution = np.linalg.lstsq(design, z, rcond=None)[0]
-    return float(np.minimum(((z - design @ solution) / _ROOF_SD_M) ** 2, 9.0).sum() / 2)
+    return float(np.minimum(((z - design @ solution) / _ROOF_SD_M) ** 2, _MAX_SQUARE).sum() / 2)

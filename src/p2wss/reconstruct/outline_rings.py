@@ -24,8 +24,20 @@ _LONG_CELLS = 8
 _SNAP_DEG = 22.0
 # if their ends stay within this of where they were
 _SNAP_M = 0.6
-# width of the kernel for the peaks of directions, and the least share of the length of a second peak
-_KERNEL_DEG, _MIN_SHARE, _MAX_DIRECTIONS = 4.0, 0.12, 3
+# width of the kernel for the peaks of directions, up to how many widths from a peak its directions are averaged, and
+# the least share of the length of a second peak
+_KERNEL_DEG, _NUM_WIDTHS, _MIN_SHARE, _MAX_DIRECTIONS = 4.0, 2.5, 0.12, 3
+# bins of the histogram of directions
+_BIN_DEG = 0.5
+# fewest vertices of the trace along an edge whose line has a direction of its own, and how far that may be from the
+# direction of the edge
+_MIN_TRACE_VERTICES, _MAX_TURN_DEG = 8, 10
+# lines whose directions differ by less are parallel
+_PARALLEL_DEG = 3
+# seams reach this many cells beyond the ends of their traces, so that they meet the outline
+_REACH_CELLS = 3
+# the grid of all coordinates, and the least length that an edge counts with
+_GRID_M, _LEAST_LENGTH_M = 1e-3, 0.01
 # an edge in no main direction, at most this long, goes if the tip of its neighbours has at most this area
 _OBLIQUE_M, _TIP_M2 = 3.0, 1.5
 # a fitted line moves by at most this
@@ -33,8 +45,10 @@ _MAX_MOVE_M = 0.8
 # ends of an edge whose points do not count
 _END_M = 0.4
 _MIN_POINTS = 4
-# before an edge, as a share of the density of roofs
-_LEAST_DENSITY = 0.5
+# before an edge, as a share of the density of roofs, and the least length of an edge that the density is counted over
+_LEAST_DENSITY, _LEAST_COUNTED_M = 0.5, 0.5
+# an edge is at most this far behind the last point on the roof
+_MAX_GAP_M = 0.3
 # a regularised outline differs from its trace by at most this share of the area, and by the overhang that is taken off
 _MAX_DIFFERENCE = 0.2
 
@@ -76,24 +90,26 @@ def directions(smooth: np.ndarray) -> list[float]:
     along_y, along_x = np.gradient(smooth)
     weight = np.hypot(along_x, along_y) ** 2
     angle_deg = np.degrees(np.arctan2(along_y, along_x)) % 90
-    candidates = np.arange(0, 90, 0.5)
-    histogram = np.bincount((angle_deg * 2).astype(int).ravel() % 180, weight.ravel(), 180)
+    candidates = np.arange(0, 90, _BIN_DEG)
+    middles = candidates + _BIN_DEG / 2
+    bins = (angle_deg / _BIN_DEG).astype(int).ravel() % len(candidates)
+    histogram = np.bincount(bins, weight.ravel(), len(candidates))
     result: list[float] = []
     total = histogram.sum()
     while len(result) < _MAX_DIRECTIONS:
-        away = _apart_deg(candidates[:, None] + 0.25, candidates[None] + 0.25)
+        away = _apart_deg(middles[:, None], middles[None])
         score = np.exp(-0.5 * (away / _KERNEL_DEG) ** 2) @ histogram
         peak = int(np.argmax(score))
-        near = away[peak] <= 2.5 * _KERNEL_DEG
+        near = away[peak] <= _NUM_WIDTHS * _KERNEL_DEG
         if histogram[near].sum() < (_MIN_SHARE if result else 0) * total or not total:
             break
         turn = (candidates[near] - candidates[peak] + 45) % 90 - 45
-        result.append(float((candidates[peak] + 0.25 + np.average(turn, weights=histogram[near])) % 90))
+        result.append(float((middles[peak] + np.average(turn, weights=histogram[near])) % 90))
         histogram = np.where(away[peak] <= _SNAP_DEG, 0, histogram)
     return result
 
 
-def refined(trace: shapely.Polygon, main_deg: list[float], cell_m: float) -> list[float]:
+def mean_directions(trace: shapely.Polygon, main_deg: list[float], cell_m: float) -> list[float]:
     """The main directions, each as the mean of the lines through its long traced edges."""
     turns: list[list[tuple[float, float]]] = [[] for _ in main_deg]
     for ring in _rings(trace):
@@ -141,7 +157,7 @@ def regularised(
     for hole in rings[1:]:
         if result.buffer(-settings.min_edge_m / 2).contains(hole):
             result = result.difference(hole)
-    parts = shapely.get_parts(shapely.set_precision(result, 1e-3))
+    parts = shapely.get_parts(shapely.set_precision(result, _GRID_M))
     largest: shapely.Polygon = parts[np.argmax(shapely.area(parts))]
     return largest
 
@@ -191,7 +207,7 @@ def _seam(
             chain[-1].length = total
         else:
             chain.append(following)
-    reach_m = 3 * cell_m
+    reach_m = _REACH_CELLS * cell_m
     start, end = _foot(chain[0], xy_m[0]), _foot(chain[-1], xy_m[-1])
     corners = [_corner(a, b) for a, b in itertools.pairwise(chain)]
     inner = [corner for corner in corners if corner is not None]
@@ -238,7 +254,7 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
             else np.concatenate([np.arange(first, len(sides_m)), np.arange(last)])
         )
         angle = _angle_of_points(sides_m[members], weight[members], angle)
-        # a long edge knows its direction, a short one gets that of the building
+        # the direction of a long edge is accurate; a short one gets that of the building
         most_deg = min(_SNAP_DEG, float(np.degrees(np.arctan2(2 * _SNAP_M, length))))
         turn = min(((np.degrees(angle) - main + 45) % 90 - 45 for main in main_deg), key=abs, default=90.0)
         is_main = abs(turn) <= most_deg
@@ -253,13 +269,13 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
 
 def _angle_of_points(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> float:
     """The direction of the line through points, on the side of ``angle``; ``angle`` for few points."""
-    if len(xy_m) < 8:
+    if len(xy_m) < _MIN_TRACE_VERTICES:
         return angle
     local = xy_m - np.average(xy_m, axis=0, weights=weight)
     xx, yy, xy = (local[:, [0, 1, 0]] * local[:, [0, 1, 1]]).T @ weight
     axis = 0.5 * np.arctan2(2 * xy, xx - yy)
     turn = (axis - angle + np.pi / 2) % np.pi - np.pi / 2
-    return float(angle + turn) if abs(turn) < np.radians(10) else angle
+    return float(angle + turn) if abs(turn) < np.radians(_MAX_TURN_DEG) else angle
 
 
 def _indices(simple_m: np.ndarray, traced_m: np.ndarray) -> np.ndarray:
@@ -286,7 +302,7 @@ def _reduce(lines: list[_Line], settings: Outlines) -> None:
             break
         for line, length in zip(lines, length_m.tolist(), strict=True):
             if np.isfinite(length):
-                line.length = max(length, 0.01)
+                line.length = max(length, _LEAST_LENGTH_M)
         lines.pop(shortest)
         while len(lines) > 3 and any(_join_parallel(lines, i, np.inf) for i in range(len(lines))):
             pass
@@ -313,7 +329,7 @@ def _join_parallel(lines: list[_Line], index: int, min_step_m: float) -> bool:
     """Join a line with the next if they are parallel, or put a step of at least ``min_step_m`` between them."""
     line, following = lines[index], lines[(index + 1) % len(lines)]
     turn = following.angle - line.angle
-    if abs(np.sin(turn)) > np.sin(np.radians(3)):
+    if abs(np.sin(turn)) > np.sin(np.radians(_PARALLEL_DEG)):
         return False
     is_opposite = bool(np.cos(turn) < 0)
     total = line.length + following.length
@@ -340,7 +356,7 @@ def _join_parallel(lines: list[_Line], index: int, min_step_m: float) -> bool:
 def _corner(first: _Line, second: _Line) -> np.ndarray | None:
     """Where two lines intersect; None if they are parallel."""
     matrix = np.array([first.normal, second.normal])
-    if abs(np.linalg.det(matrix)) < np.sin(np.radians(3)):
+    if abs(np.linalg.det(matrix)) < np.sin(np.radians(_PARALLEL_DEG)):
         return None
     return np.linalg.solve(matrix, [first.offset, second.offset])
 
@@ -408,10 +424,10 @@ def _separation(roof: np.ndarray, ground: np.ndarray, density: float, length_m: 
         return 0.0
     candidates = np.sort(roof)
     wrong = len(roof) - 1 - np.arange(len(roof)) + np.searchsorted(np.sort(ground), candidates)
-    per_metre = max(density * max(length_m, 0.5), 1e-9)
+    per_metre = max(density * max(length_m, _LEAST_COUNTED_M), 1e-9)
     best = int(np.argmin(wrong + _LEAST_DENSITY * per_metre * candidates))
     # the edge is half as far behind the last point as points are apart along it
-    return float(np.clip(candidates[best] + min(0.5 / per_metre, 0.3), -_MAX_MOVE_M, _MAX_MOVE_M))
+    return float(np.clip(candidates[best] + min(0.5 / per_metre, _MAX_GAP_M), -_MAX_MOVE_M, _MAX_MOVE_M))
 
 
 def _apart_deg(first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:

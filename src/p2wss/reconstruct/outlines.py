@@ -26,10 +26,11 @@ from p2wss.data.clouds import Cloud
 from p2wss.data.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.errors import InputError
-from p2wss.reconstruct.outline_rings import EdgePoints, directions, refined, regularised, seam_lines
+from p2wss.reconstruct.outline_rings import EdgePoints, directions, mean_directions, regularised, seam_lines
 
-# a cell holds at least this many points on average, else cells are larger than ``cell_m``
-_POINTS_PER_CELL = 2.0
+# a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
+# clouds of nearly the same density have the same cells
+_POINTS_PER_CELL, _CELLS_PER_M = 2.0, 20
 _SQUARE = np.ones((3, 3), bool)
 # the trace of a block is that of a smoothed raster with smaller cells
 _FINER, _SMOOTH_CELLS = 3, 0.8
@@ -38,8 +39,11 @@ _CROSS = ndimage.generate_binary_structure(2, 1)
 _LEAST_JUMP_M = 0.4
 # around the trace of a block
 _POINTS_MARGIN_M = 2.0
-# largest share of its boundary that a part within a roof has in common with the outside
-_ENCLOSED = 0.1
+# largest share of its boundary that a part within a roof has in common with the outside, and the least share that it
+# has in common with one neighbour
+_ENCLOSED, _AROUND = 0.1, 0.8
+# the grid of seams, and how far a face may reach beyond the outline by rounding
+_GRID_M, _TOLERANCE_M = 1e-3, 0.01
 
 
 @dataclass(frozen=True)
@@ -98,8 +102,7 @@ def rasterised(cloud: Cloud, settings: Outlines) -> Raster:
     """The cells of blocks and buildings. Cells begin at whole multiples of their size, whatever the window."""
     is_building = cloud.classification == BUILDING_CLASS
     density = _density(cloud.x_m[is_building], cloud.y_m[is_building])
-    # steps of 5 cm, so that clouds of nearly the same density have the same cells
-    cell_m = max(settings.cell_m, np.ceil(20 * np.sqrt(_POINTS_PER_CELL / density)) / 20)
+    cell_m = max(settings.cell_m, np.ceil(_CELLS_PER_M * np.sqrt(_POINTS_PER_CELL / density)) / _CELLS_PER_M)
     column = np.floor(cloud.x_m / cell_m).astype(np.int64)
     row = np.floor(cloud.y_m / cell_m).astype(np.int64)
     first = int(column.min()) - 2, int(row.min()) - 2
@@ -196,7 +199,7 @@ def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells:
             continue
         longest = max(around, key=lambda other: (around[other], -other))
         total = sum(walls[part].values())
-        is_enclosed = walls[part].get(0, 0) <= _ENCLOSED * total and around[longest] >= 0.8 * total
+        is_enclosed = walls[part].get(0, 0) <= _ENCLOSED * total and around[longest] >= _AROUND * total
         if count[part] >= min_cells and not is_enclosed:
             continue
         target[target == part] = longest
@@ -256,17 +259,16 @@ def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple
 def _of_block(trace: _Trace, points: EdgePoints, raster: Raster, settings: Outlines) -> list[shapely.Polygon]:
     """The outlines of the buildings of a block."""
     label, cell_m = trace.label, raster.cell_m
-    main_deg = refined(trace.polygon, trace.main_deg, cell_m)
+    main_deg = mean_directions(trace.polygon, trace.main_deg, cell_m)
     outline = regularised(trace.polygon, main_deg, points, settings, cell_m)
     if len(np.unique(label[label > 0])) < 2:
         return [outline]
     window = Raster(label, label, trace.origin_m, cell_m, raster.density)
     parts = _traces(np.ascontiguousarray(label), window, 0)
     seams = seam_lines([part for _, part in parts], outline, main_deg, settings, cell_m)
-    grid_m = 1e-3
-    lines = shapely.union_all([outline.boundary, *seams], grid_size=grid_m)
+    lines = shapely.union_all([outline.boundary, *seams], grid_size=_GRID_M)
     faces = shapely.get_parts(shapely.polygonize([lines]))
-    faces = faces[shapely.contains_properly(outline.buffer(0.01), faces)]
+    faces = faces[shapely.contains_properly(outline.buffer(_TOLERANCE_M), faces)]
     return _assembled(faces, label, window, settings.min_part_m2) or [outline]
 
 
