@@ -21,6 +21,8 @@ FAR_M = 0.5
 # with a larger mean distance of points to mesh a building is one of those whose causes are counted
 UNEXPLAINED_M = 0.25
 SPARSE_PER_M2, SPARSE_POINTS = 1.0, 50
+# with more of the points on the building beside the mesh, the footprint is the cause
+_MAX_BESIDE_SHARE = 0.2
 OCCLUDED_SHARE = 0.5
 # a roof as a whole is too high or too low if a shift reduces the median gap below this, and below this share of it
 _SHIFTED_M, _SHIFT_GAIN = 0.5, 0.5
@@ -28,6 +30,8 @@ _SHIFTED_M, _SHIFT_GAIN = 0.5, 0.5
 _LINK_M = 1.0
 _MIN_CLUSTER_POINTS = 8
 _ANNEX_SHARE, _DORMER_SHARE = 0.05, 0.02
+# with more of the points, a low cluster of a building with several heights is one of its parts, not an annex
+_MAX_ANNEX_SHARE = 0.3
 _DORMER_M2 = 15.0
 _EDGE_M = 1.0
 
@@ -71,29 +75,53 @@ def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 
     has_roof = ~np.isnan(above)
     beside, mean_distance_m = float((~has_roof).mean()), float(distance.mean())
     point_m, above, distance = point_m[has_roof], above[has_roof], distance[has_roof]
-    if beside > 0.2 or not len(above):
+    if beside > _MAX_BESIDE_SHARE or not len(above):
         return Cause(
             "footprint", f"Footprint: {beside:.0%} of the points on the building lie beside the mesh."
         )
-    shift_m = float(np.median(above))
+    return (
+        _height_error(above)
+        or _part_at_another_height(case, reconstruction, point_m, above, distance, num_parts)
+        or _remaining_cause(case, reconstruction, distance, mean_distance_m)
+    )
+
+
+def _height_error(above_m: np.ndarray) -> Cause | None:
+    """The cause of a roof that is too high or too low as a whole. above_m: heights of points above the roof, (n,)."""
+    shift_m = float(np.median(above_m))
     # medians: points on walls are far below the roof
-    spread_m = float(np.median(np.abs(above - shift_m)))
-    if abs(shift_m) > FAR_M and spread_m < min(_SHIFTED_M, _SHIFT_GAIN * np.median(np.abs(above))):
-        direction = "low" if shift_m > 0 else "high"
-        return Cause(
-            "height error",
-            f"Height error: the roof is {abs(shift_m):.1f} m too {direction}; at the right height, half of the points "
-            f"would be within {spread_m:.2f} m of it.",
-        )
+    spread_m = float(np.median(np.abs(above_m - shift_m)))
+    if abs(shift_m) <= FAR_M or spread_m >= min(_SHIFTED_M, _SHIFT_GAIN * np.median(np.abs(above_m))):
+        return None
+    direction = "low" if shift_m > 0 else "high"
+    return Cause(
+        "height error",
+        f"Height error: the roof is {abs(shift_m):.1f} m too {direction}; at the right height, half of the points "
+        f"would be within {spread_m:.2f} m of it.",
+    )
+
+
+def _part_at_another_height(
+    case: Case,
+    reconstruction: Reconstruction,
+    point_m: np.ndarray,
+    above_m: np.ndarray,
+    distance_m: np.ndarray,
+    num_parts: int,
+) -> Cause | None:
+    """The cause of an annex, a dormer or several heights that the mesh lacks.
+
+    point_m: (n, 3), points over the mesh. above_m: their heights above the roof. distance_m: to the mesh.
+    """
     # a point far below the roof but near the mesh is on a wall
-    gap_m = np.where(distance > FAR_M, above, 0.0)
+    gap_m = np.where(distance_m > FAR_M, above_m, 0.0)
     high, low = (_largest_cluster(case, point_m, gap_m, reconstruction, sign) for sign in (1, -1))
     several_heights = num_parts > 1 and reconstruction.num_parts == 1
     if (
         low is not None
         and low.share >= _ANNEX_SHARE
         and low.at_edge
-        and not (several_heights and low.share > 0.3)
+        and not (several_heights and low.share > _MAX_ANNEX_SHARE)
     ):
         return Cause(
             "garage or annex",
@@ -104,7 +132,7 @@ def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 
         return Cause(
             "several heights",
             f"Several heights: the fit finds {num_parts} parts, the mesh has a single height; "
-            f"{(distance > FAR_M).mean():.0%} of the points are more than {FAR_M:g} m from it.",
+            f"{(distance_m > FAR_M).mean():.0%} of the points are more than {FAR_M:g} m from it.",
         )
     if high is not None and high.share >= _DORMER_SHARE:
         where = "at the edge" if high.at_edge else "inside"
@@ -114,10 +142,20 @@ def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 
             f"{'Dormer or structure on the roof' if is_small else 'Higher part'}: {high.share:.0%} of the points "
             f"({high.area_m2:.0f} m², {where}) lie {high.height_m:.1f} m above the mesh.",
         )
+    return None
+
+
+def _remaining_cause(
+    case: Case, reconstruction: Reconstruction, distance_m: np.ndarray, mean_distance_m: float
+) -> Cause:
+    """Occlusion, the shape of the roof, or what the points cannot show.
+
+    distance_m: of points over the mesh to it. mean_distance_m: of all points on the building.
+    """
     if case.visible_roof_share < OCCLUDED_SHARE:
         return Cause("occluded", f"Occluded: only {case.visible_roof_share:.0%} of the roof has points.")
-    far = float((distance > FAR_M).mean())
-    if mean_distance_m > 0.25:
+    far = float((distance_m > FAR_M).mean())
+    if mean_distance_m > UNEXPLAINED_M:
         return Cause(
             "roof shape",
             f"Shape of the roof: {far:.0%} of the points are more than {FAR_M:g} m from the mesh, scattered over it.",
@@ -157,6 +195,7 @@ def _largest_cluster(
 
 
 def _ground_and_wall_share(reconstruction: Reconstruction) -> float:
+    """The share of the mesh's area that faces the ground or stands upright."""
     area = triangle_areas(reconstruction.vertex_m, reconstruction.triangle)
     unseen = np.isin(reconstruction.kind, (FaceKind.GROUND, FaceKind.WALL))
     return float(area[unseen].sum() / area.sum())

@@ -31,6 +31,9 @@ _NUMBERS = (
     "angle_error_deg",
 )
 _TEXTS = ("tile", "building_id", "roof_kind", "cause")
+# the largest error of the angles of a building that is an example of a wrong height alone, and the least overshoot of
+# one that is an example of that
+_RIGHT_ANGLES_DEG, _MIN_OVERSHOOT_M = 5, 0.3
 
 
 @dataclass(frozen=True)
@@ -219,7 +222,9 @@ def _key(dataset: str, row: Row) -> Key:
 
 
 def _height_errors(rows: pd.DataFrame) -> pd.Series:
-    return rows["height_error_m"].where((rows["angle_error_deg"] <= 5) & (rows["height_error_m"] > 0))
+    return rows["height_error_m"].where(
+        (rows["angle_error_deg"] <= _RIGHT_ANGLES_DEG) & (rows["height_error_m"] > 0)
+    )
 
 
 def _shifts(rows: pd.DataFrame) -> pd.Series:
@@ -236,7 +241,7 @@ def _missing(rows: pd.DataFrame) -> pd.Series:
 
 
 def _overshoots(rows: pd.DataFrame) -> pd.Series:
-    return rows["overshoot_m"].where(rows["overshoot_m"] > 0.3)
+    return rows["overshoot_m"].where(rows["overshoot_m"] > _MIN_OVERSHOOT_M)
 
 
 def _small_faces(rows: pd.DataFrame) -> pd.Series:
