@@ -22,6 +22,7 @@ from p2wss.errors import InputError
 
 # a grid of 1 km² in text has 8 MB, one of 25 km² in cells of 1 m 200 MB
 _MAX_GRID_BYTES = 1_000_000_000
+_HALF_CELL_M = 2.5  # of the larger cells
 _BROKEN = (py7zr.exceptions.ArchiveError, lzma.LZMAError, EOFError, OSError, ValueError, KeyError)
 _CORNER = re.compile(r"_(\d{4})_(\d{4})_.*\.asc$", re.IGNORECASE)
 
@@ -108,8 +109,8 @@ def _intersects(name: str, product: str, bounds: Bounds) -> bool:
     x_min, y_max = (1000.0 * int(part) for part in corner.groups())
     # cells are centred on whole kilometres, so a grid extends by half a cell to the west and the north
     return bool(
-        x_min - 2.5 < bounds[2]
+        x_min - _HALF_CELL_M < bounds[2]
         and x_min + edge > bounds[0]
         and y_max - edge < bounds[3]
-        and y_max + 2.5 > bounds[1]
+        and y_max + _HALF_CELL_M > bounds[1]
     )

@@ -27,7 +27,8 @@ _HEADER_MARGIN_M = 1.0
 _CHUNK_POINTS = 500_000
 # a window that covers more of a COPC file is not worth a query: all points are decoded
 _MAX_WINDOW_SHARE = 0.5
-_WEEK_S = 604_800
+_WEEK_S, _DAY_S = 604_800, 86_400
+_GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
 
 
 @dataclass(frozen=True)
@@ -277,7 +278,7 @@ def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.nd
     if "gps_time" not in points.point_format.dimension_names:
         return day
     time_s = np.asarray(points.gps_time)
-    from_time = np.floor((time_s + 1e9) / 86_400)
+    from_time = np.floor((time_s + _GPS_OFFSET_S) / _DAY_S)
     is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < 2**16)
     day[is_date] = from_time[is_date]
     return day

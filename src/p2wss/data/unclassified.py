@@ -27,6 +27,8 @@ _CELL_M = 1.0
 # half the width of the widest building that is not taken for ground
 _MAX_RADIUS_M = 30
 _GROUND_SLOPE = 0.15
+# without single low outliers: a cell counts as no lower than this below the second lowest of the nine around it
+_LOW_PERCENTILE, _MAX_BELOW_M = 20, 1.0
 _GROUND_TOLERANCE_M = 0.4
 _NUM_NEIGHBOURS = 12
 _MAX_DISTANCE_M = 2.0
@@ -107,9 +109,9 @@ def _lowest(cloud: Cloud) -> np.ndarray:
     lowest = np.full(shape, np.inf)
     np.minimum.at(lowest, (row, column), cloud.z_m)
     lowest[np.isinf(lowest)] = np.nan
-    # without single low outliers: no lower than 1 m below the second lowest around
     surface = _filled(lowest)
-    surface = np.maximum(surface, ndimage.percentile_filter(surface, 20, 3) - 1.0)
+    low = ndimage.percentile_filter(surface, _LOW_PERCENTILE, 3)
+    surface = np.maximum(surface, low - _MAX_BELOW_M)
     is_object = np.zeros(shape, bool)
     opened = surface
     for radius in range(1, int(_MAX_RADIUS_M / _CELL_M) + 1):

@@ -26,6 +26,11 @@ _CORNER_DEG = (45.0, 135.0)
 _GABLE_WIDTH_PER_RADIUS = 2.6
 # a wing shorter than this share of its width is only a step in the wall
 _SHORTEST_WING = 0.5
+# the eave of a shed roof is at least as long as this share of the depth of the roof
+_SHORTEST_SHED_EAVE = 0.5
+# probabilities: a gable roof has two different sides; another wing has the angle of the first; and, of an edge of a
+# mixed roof, that it is flat or vertical
+_ASYMMETRIC, _SAME_ANGLE, _MIXED_FLAT, _MIXED_VERTICAL = 0.1, 0.6, 0.1, 0.25
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,7 @@ def _draw_realistic(
     elif roof_type == "half-hip" and len(free_ends):
         # one end is hipped; a party wall at the other end leaves only one that can be
         ends[rng.choice(free_ends)] = False
-    is_asymmetric = roof_type == "gable" and rng.random() < 0.1
+    is_asymmetric = roof_type == "gable" and rng.random() < _ASYMMETRIC
     angle_deg = _draw_slopes(vector_m, length_m, pitches, rng, is_asymmetric)
     angle_deg[ends] = 90
     if not np.any(ends):
@@ -188,7 +193,7 @@ def _draw_slopes(
             group &= vector_m @ vector_m[edge] > 0
         # the first group has the longest edge and the main angle; the ends of a hipped roof often share it
         is_first = not angle.any()
-        angle[group] = main_angle if is_first or rng.random() < 0.6 else float(rng.choice(pitches))
+        angle[group] = main_angle if is_first or rng.random() < _SAME_ANGLE else float(rng.choice(pitches))
     return angle
 
 
@@ -211,7 +216,7 @@ def _draw_shed(
     candidates = np.flatnonzero(
         ~edges.is_party
         & (depth_m * np.tan(np.radians(SLOPES_DEG[0])) <= max_rise_m)
-        & (length_m >= 0.5 * depth_m)
+        & (length_m >= _SHORTEST_SHED_EAVE * depth_m)
     )
     if not len(candidates):
         return None
@@ -230,8 +235,9 @@ def _draw_mixed(
     chance = rng.random(num_edges)
     angle = rng.choice(pitches, size=num_edges).astype(float)
     slope_edge = rng.integers(num_edges)
-    angle[chance < 0.1] = 0
-    angle[(chance >= 0.1) & (chance < 0.35) & ~at_reflex] = 90
+    is_flat = chance < _MIXED_FLAT
+    angle[is_flat] = 0
+    angle[~is_flat & (chance < _MIXED_FLAT + _MIXED_VERTICAL) & ~at_reflex] = 90
     angle[party] = 90
     if not np.any((angle > 0) & (angle < 90)):
         angle[slope_edge] = float(rng.choice(pitches))
