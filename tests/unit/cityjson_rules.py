@@ -81,7 +81,7 @@ def assert_objects(objects: dict[str, Any], vertices: list[list[int]], transform
 
 
 def assert_semantics(surface: dict[str, Any]) -> None:
-    """Walls and ground have a type alone; a roof surface is one plane with its slope, direction and area."""
+    """Other surfaces have a type alone; a roof surface is one plane with its slope, direction and area."""
     if surface["type"] != "RoofSurface":
         assert set(surface) == {"type"}
         return
@@ -106,7 +106,11 @@ def assert_solid(vertex_m: np.ndarray, shell: list[list[np.ndarray]], kinds: lis
         corners = vertex_m[np.concatenate(rings)]
         assert np.abs((corners - corners.mean(axis=0)) @ normal).max() <= PLANAR_M, "not planar"
         volume += float(corners[0] @ sum(areas)) / 3
-        level = {"GroundSurface": normal[2] < -0.999, "RoofSurface": normal[2] > 0.05}
+        level = {
+            "GroundSurface": normal[2] < -0.999,
+            "RoofSurface": normal[2] > 0.05,
+            "OuterFloorSurface": normal[2] > 0.999,
+        }
         assert level.get(kind, abs(normal[2]) < 0.06), f"{kind} faces {normal}"
     assert volume > 0, "inside out"
 

@@ -57,7 +57,10 @@ class Materials(Section):
 
     wall: MaterialName = Field("concrete", description="material of walls and floors")
     roof: MaterialName = Field("concrete", description="material of roofs")
-    ground: MaterialName = Field("medium_dry_ground", description="material of the terrain of --terrain")
+    ground: MaterialName = Field(
+        "medium_dry_ground",
+        description="material of the terrain of --terrain and of open ground in footprints",
+    )
     from_footprints: bool = Field(
         True,
         description="use the materials stated in the BD TOPO columns materiaux_des_murs and "

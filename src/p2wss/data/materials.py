@@ -46,8 +46,14 @@ MATERIALS = {
     "tile": Material("brick", (178, 98, 66)),
     "zinc": Material("metal", (150, 158, 168)),
 }
-# by the name of the surface; the floor ("ground") is not seen from outside
-DEFAULTS = {"wall": "concrete", "roof": "concrete", "ground": "concrete", "terrain": "medium_dry_ground"}
+# by the name of the surface; the floor ("ground") is not seen from outside, an outer floor is open ground
+DEFAULTS = {
+    "wall": "concrete",
+    "roof": "concrete",
+    "ground": "concrete",
+    "outer_floor": "medium_dry_ground",
+    "terrain": "medium_dry_ground",
+}
 
 # 0 is unknown (indéterminé), 9 is other (autres)
 WALL_CODES = {

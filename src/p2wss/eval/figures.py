@@ -40,6 +40,7 @@ FACE_COLORS = {
     FaceKind.WALL: "#e8dfd0",
     FaceKind.ROOF: "#c8603a",
     FaceKind.FLAT: "#d9a06b",
+    FaceKind.FLOOR: "#b5bd9c",
 }
 _MAX_DRAWN_POINTS = 1200
 # of a curve of a distribution: a data set of many buildings has one point per value otherwise

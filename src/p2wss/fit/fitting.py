@@ -18,6 +18,7 @@ from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
 from p2wss.fit.frame import enclosing_rectangle, roof_frame
 from p2wss.fit.mesh import build_meshes, transfer_angles
 from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
+from p2wss.fit.open_ground import OpenGround
 from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.prior import make_prior
@@ -101,7 +102,8 @@ class _PartsFit:
     rings: the footprint that the mesh gets, in the building's own frame. rotation: (2, 2); parts and points are in
     the frame ``xy @ rotation``. parts: empty without a fit. reason: why there are no parts, a value of
     :mod:`p2wss.data.reasons`. point_m: (m, 3), all points on the roof. outline: the footprint in that frame, if the
-    parts reach beyond it; their solids are cut off there.
+    parts reach beyond it; their solids are cut off there. num_ground: how many of the points, the last ones, are of
+    open ground; stated without parts only.
     """
 
     rings: Sequence[np.ndarray]
@@ -110,6 +112,7 @@ class _PartsFit:
     reason: str
     point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     outline: Sequence[np.ndarray] = ()
+    num_ground: int = 0
 
     def in_building_frame(self, vertex_m: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) of the rotated frame in the frame of the building."""
@@ -149,11 +152,19 @@ class _FitTask:
         roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
+        num_ground = 0
         if len(roof_point_m) >= MIN_CLASSIFIED_POINTS:
             open_point_m = ground_points(polygon, building.point_m, building.classification, _GROUND_INSIDE_M)
             roof_point_m = np.vstack([roof_point_m, open_point_m])
+            num_ground = len(open_point_m)
         roof_point_m = np.column_stack([roof_point_m[:, :2] @ rotation, roof_point_m[:, 2]])
-        return _PartsFit(rings, rotation, [], "", roof_point_m)
+        return _PartsFit(rings, rotation, [], "", roof_point_m, num_ground=num_ground)
+
+    @cached_property
+    def _open_ground(self) -> OpenGround:
+        """Open ground within the footprint, in the frame of the parts."""
+        without_parts = self._without_parts
+        return OpenGround(self.building.ground_z_m, without_parts.point_m, without_parts.num_ground)
 
     def _roof_points(self, polygon: shapely.Polygon) -> np.ndarray:
         """The points (m, 3) on the roof. Walls are not fitted: a return from one says nothing of the roof above it."""
@@ -264,8 +275,8 @@ class _FitTask:
         return expected_share(self.fitter, parts_fit.parts, parts_fit.point_m, probability)
 
     def _mesh_of_parts(self, parts_fit: _PartsFit) -> Reconstruction:
-        """The reconstruction that a fit describes. With several parts it has the eave height of the largest one and,
-        for each edge of the footprint, the angle of the part there."""
+        """The reconstruction that a fit describes. With several parts it has the eave height of the largest one that is
+        not open ground and, for each edge of the footprint, the angle of the part there."""
         building, config = self.building, self.config
         if not parts_fit.parts:
             return no_mesh(building, self.method, parts_fit.reason)
@@ -282,7 +293,8 @@ class _FitTask:
     def _of_mesh(self, parts_fit: _PartsFit, mesh: Mesh) -> Reconstruction:
         """The reconstruction with the parts of a fit and a mesh in their frame."""
         building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
-        largest = max(parts, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
+        roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
+        largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
         if len(parts) > 1 or len(parts_fit.outline):
             part_rings = [ring @ parts_fit.rotation.T for part in parts for ring in part.rings]
@@ -301,7 +313,7 @@ class _FitTask:
             None,
             parts_fit.in_building_frame(mesh.vertex_m),
             mesh.triangle,
-            mesh.kind,
+            self._open_ground.kinds(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane),
             mesh.plane,
             len(parts),
         )

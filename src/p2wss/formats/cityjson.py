@@ -22,6 +22,7 @@ SURFACE_TYPE = {
     FaceKind.WALL: "WallSurface",
     FaceKind.ROOF: "RoofSurface",
     FaceKind.FLAT: "RoofSurface",
+    FaceKind.FLOOR: "OuterFloorSurface",
 }
 
 
@@ -169,7 +170,7 @@ def _geometry(
 ) -> dict[str, Any] | None:
     """A solid, whose vertices are added to ``vertices``; None without surfaces.
 
-    Ground and walls have one semantic surface each, a roof one per plane.
+    Ground, walls and outer floors have one semantic surface each, a roof one per plane.
     """
     grid, surfaces = stored(vertex_m, surfaces)
     if not surfaces:

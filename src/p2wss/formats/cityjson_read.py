@@ -15,7 +15,12 @@ from p2wss.data.solids.faces import Surface
 from p2wss.errors import InputError, reading
 from p2wss.skeleton.types import FaceKind
 
-_KIND = {"GroundSurface": FaceKind.GROUND, "WallSurface": FaceKind.WALL, "RoofSurface": FaceKind.ROOF}
+_KIND = {
+    "GroundSurface": FaceKind.GROUND,
+    "WallSurface": FaceKind.WALL,
+    "RoofSurface": FaceKind.ROOF,
+    "OuterFloorSurface": FaceKind.FLOOR,
+}
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,14 @@ from p2wss import __version__
 from p2wss.data.materials import DEFAULTS, MATERIALS
 from p2wss.skeleton.types import FaceKind
 
-# kind of the triangles of terrain, after the kernel's ``FaceKind``
+# kind of the triangles of terrain, after those of ``FaceKind``
 TERRAIN = max(FaceKind) + 1
 SURFACE_NAMES = {
     FaceKind.GROUND: "ground",
     FaceKind.WALL: "wall",
     FaceKind.ROOF: "roof",
     FaceKind.FLAT: "roof",
+    FaceKind.FLOOR: "outer_floor",
     TERRAIN: "terrain",
 }
 AXES = "x = easting - origin_m[0], y = northing - origin_m[1], z = height - origin_m[2]; metres"
@@ -92,7 +93,8 @@ def frame_around(meshes: Sequence[Mesh], crs: str) -> Frame:
 
 @dataclass(frozen=True)
 class Faces:
-    """The triangles, int (n,), of a mesh that show one surface (ground, wall, roof or terrain) of one building."""
+    """The triangles, int (n,), of a mesh that show one surface of one building, by its name in
+    :data:`SURFACE_NAMES`."""
 
     building_id: str
     surface: str
@@ -119,7 +121,7 @@ def faces_of(mesh: Mesh) -> list[Faces]:
 
 
 def obj(meshes: Sequence[Mesh], frame: Frame, library: str | None = None) -> bytes:
-    """Wavefront OBJ: one object per mesh, its faces in the groups ground, wall, roof or terrain.
+    """Wavefront OBJ: one object per mesh, its faces in groups named after their surfaces.
 
     The faces of a mesh of several buildings are also in a group named after the building. library: name of the file
     with the materials (:func:`mtl`).

@@ -127,6 +127,7 @@ _MESH_ATTRIBUTES = (
     "ground_area_m2",
     "flat_roof_area_m2",
     "sloped_roof_area_m2",
+    "outer_floor_area_m2",
     "outer_wall_area_m2",
     "party_wall_area_m2",
 )

@@ -218,7 +218,13 @@ def with_columns(result: Result, names: Sequence[str]) -> Result:
 
 
 def surface_materials(columns: Mapping[str, Any], config: Reconstruct) -> dict[str, str]:
-    """The material of walls, roof and floor (``ground``) of a building whose footprint has these input columns."""
+    """The material of walls, roof, floor (``ground``) and open ground (``outer_floor``) of a building whose footprint
+    has these input columns."""
     stated = materials_of(columns) if config.materials.from_footprints else {}
     wall = stated.get("wall", config.materials.wall)
-    return {"wall": wall, "roof": stated.get("roof", config.materials.roof), "ground": wall}
+    return {
+        "wall": wall,
+        "roof": stated.get("roof", config.materials.roof),
+        "ground": wall,
+        "outer_floor": config.materials.ground,
+    }

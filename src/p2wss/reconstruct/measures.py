@@ -30,7 +30,8 @@ class MeshMeasures:
     roof_type: ``flat`` (one level plane), ``several-flats``, ``single-slope`` (one plane with a slope and no other), or
     ``several-slopes``; planes below 3 degrees are level. roof_z_min_m, roof_z_max_m: of all roof planes. roof_z_p50_m,
     roof_z_p70_m: height below which 50 and 70 % of the roof lie, by area in plan. ridge_z_m: highest point where two
-    sloped planes of the roof meet in a convex edge; None without one. wall_area_m2: party walls included.
+    sloped planes of the roof meet in a convex edge; None without one. outer_floor_area_m2: of open ground within the
+    footprint, which is no roof. wall_area_m2: party walls included.
     """
 
     roof_type: str
@@ -44,6 +45,7 @@ class MeshMeasures:
     flat_roof_area_m2: float
     sloped_roof_area_m2: float
     wall_area_m2: float
+    outer_floor_area_m2: float
 
 
 def measure(mesh: LabelledMesh) -> MeshMeasures:
@@ -79,6 +81,7 @@ def measure(mesh: LabelledMesh) -> MeshMeasures:
         float(area[is_roof & ~is_sloped].sum()),
         float(area[is_sloped].sum()),
         float(area[mesh.kind == FaceKind.WALL].sum()),
+        float(area[mesh.kind == FaceKind.FLOOR].sum()),
     )
 
 

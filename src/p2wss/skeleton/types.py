@@ -18,12 +18,17 @@ def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray
 
 
 class FaceKind(IntEnum):
-    """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from."""
+    """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from.
+
+    The kernel makes the first four only. FLOOR is a level face over open ground within a footprint, outside the
+    building, which a fit to points finds.
+    """
 
     GROUND = 0
     WALL = 1
     ROOF = 2
     FLAT = 3  # a horizontal piece: a cap, a cut at the maximum height, or what 0 degree edges have swept
+    FLOOR = 4
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 from places import SHARED
+from yard_house import YARD_M2, yard_house
 
 from p2wss import skeleton
 from p2wss.data.solids.faces import Surface, planar_surfaces
@@ -65,6 +66,31 @@ def test_written_files_are_read_back(name: str, tmp_path: Path) -> None:
     assert normal_z[back.kind == FaceKind.GROUND].sum() == pytest.approx(
         -normal_z[back.kind == FaceKind.ROOF].sum(), rel=1e-4
     )
+
+
+def test_open_ground_is_an_outer_floor(tmp_path: Path) -> None:
+    """An ``OuterFloorSurface`` of CityJSON is level, faces upwards, belongs to the outer shell, and is no roof."""
+    row = yard_house()
+    placed = row.vertex_m + np.array([*row.origin_xy_m, row.ground_z_m])
+    surfaces = planar_surfaces(row.vertex_m, row.triangle, row.kind, row.edge)
+    text = "\n".join(cityjson.lines([Solid("yard", placed, surfaces, {})], 2154))
+    assert cityjson_rules.assert_sequence([json.loads(line) for line in text.splitlines()]) == 1
+    (geometry,) = json.loads(text.splitlines()[1])["CityObjects"]["yard"]["geometry"]
+    types = [surface["type"] for surface in geometry["semantics"]["surfaces"]]
+    assert sorted(types) == [
+        "GroundSurface",
+        "OuterFloorSurface",
+        "RoofSurface",
+        "RoofSurface",
+        "WallSurface",
+    ]
+    (tmp_path / "a.city.jsonl").write_text(text)
+    (back,) = cityjson_read.read(tmp_path / "a.city.jsonl", "2.0")
+    corner = back.vertex_m[back.triangle[back.kind == FaceKind.FLOOR]]
+    area_m2 = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2].sum() / 2
+    assert area_m2 == pytest.approx(YARD_M2) and np.ptp(corner[:, :, 2]) == pytest.approx(0, abs=1e-6)
+    kinds = np.where(row.kind == FaceKind.FLAT, FaceKind.ROOF, row.kind)
+    assert np.bincount(back.kind, minlength=5).tolist() == np.bincount(kinds, minlength=5).tolist()
 
 
 @pytest.mark.parametrize("name", CASES)

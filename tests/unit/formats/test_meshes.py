@@ -10,10 +10,22 @@ from io import BytesIO
 import numpy as np
 import pytest
 import trimesh
+from yard_house import yard_house
 
 from p2wss import skeleton
 from p2wss.formats.glb import glb
-from p2wss.formats.meshes import BuildingRef, Frame, Mesh, frame_around, mtl, obj, ply, stl
+from p2wss.formats.meshes import (
+    SURFACE_NAMES,
+    BuildingRef,
+    Frame,
+    Mesh,
+    faces_of,
+    frame_around,
+    mtl,
+    obj,
+    ply,
+    stl,
+)
 from p2wss.skeleton.types import FaceKind, Polygons
 
 POSITION = np.array([652000.25, 6861000.5, 103.7])
@@ -98,6 +110,31 @@ def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
     assert num_faces["ground"] == (kinds == FaceKind.GROUND).sum()
     assert num_faces["wall"] == (kinds == FaceKind.WALL).sum()
     assert num_faces["roof"] == np.isin(kinds, (FaceKind.ROOF, FaceKind.FLAT)).sum()
+
+
+def test_open_ground_is_a_surface_of_its_own(frame: Frame) -> None:
+    row = yard_house()
+    floor = row.kind == FaceKind.FLOOR
+    materials = {"wall": "brick", "roof": "tile", "ground": "brick", "outer_floor": "wet_ground"}
+    mesh = Mesh.of_building("yard", row.vertex_m + POSITION, row.triangle, row.kind, materials)
+    (faces,) = (faces for faces in faces_of(mesh) if faces.surface == "outer_floor")
+    assert faces.material == "wet_ground" and (faces.triangle == np.flatnonzero(floor)).all() and floor.any()
+    unnamed = faces_of(Mesh.of_building("yard", row.vertex_m, row.triangle, row.kind))
+    assert {f.surface: f.material for f in unnamed}["outer_floor"] == "medium_dry_ground"
+    lines = obj([mesh], frame, "yard.mtl").decode().splitlines()
+    start = lines.index("g outer_floor")
+    assert lines[start + 1] == "usemtl wet_ground" and "newmtl wet_ground" in mtl([mesh]).decode()
+    group = [line.startswith("f ") for line in lines[start + 2 :]]
+    assert (group.index(False) if False in group else len(group)) == floor.sum()
+    assert b"4 outer_floor" in ply([mesh], frame)
+    names = [material["name"] for material in json.loads(glb_json(glb([mesh], frame, {})))["materials"]]
+    assert sorted(names) == ["brick", "tile", "wet_ground"]
+    assert set(SURFACE_NAMES) == {*FaceKind, max(FaceKind) + 1}
+
+
+def glb_json(content: bytes) -> bytes:
+    size, _ = struct.unpack("<I4s", content[12:20])
+    return content[20 : 20 + size]
 
 
 def test_ply_has_kind_and_building_of_every_face(meshes: list[Mesh], frame: Frame) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sionna_scene
 import trimesh
+from yard_house import yard_house
 
 from p2wss import skeleton
 from p2wss.data.materials import MATERIALS
@@ -152,6 +153,23 @@ def test_split_materials(meshes: list[Mesh], tmp_path: Path) -> None:
     assert len(scene.shapes["B_2-tile"].triangle) == roof
     assert len(scene.shapes["B_2-brick"].triangle) == len(meshes[1].triangle) - roof
     assert any("does not find diffracting edges between two shapes" in note for note in scene.facts["notes"])
+
+
+def test_open_ground_has_the_material_of_the_terrain(meshes: list[Mesh], tmp_path: Path) -> None:
+    row = yard_house(X + 10, Y + 10, 2.0)
+    position = [*row.origin_xy_m, row.ground_z_m]
+    materials = {**BRICK, "outer_floor": "medium_dry_ground"}
+    house = Mesh.of_building("yard", row.vertex_m + position, row.triangle, row.kind, materials)
+    write(tmp_path / "whole", [house, meshes[2]])
+    assert sionna_scene.read(tmp_path / "whole").shapes["yard"].material == "mat-brick"
+    write(tmp_path / "split", [house, meshes[2]], split_materials=True)
+    floor = sionna_scene.read(tmp_path / "split").shapes["yard-medium_dry_ground"]
+    assert len(floor.triangle) == (row.kind == FaceKind.FLOOR).sum() > 0
+    # no map of the terrain below the floor
+    vertex_m, triangle = sionna_scene.read_ply(tmp_path / "split" / "terrain_top.ply")
+    centre = vertex_m[triangle].reshape(-1, 6, 3)[:, :, :2].mean(axis=1)
+    low = floor.vertex_m[:, :2].min(axis=0), floor.vertex_m[:, :2].max(axis=0)
+    assert not ((centre > low[0]) & (centre < low[1])).all(axis=1).any()
 
 
 def test_a_skin_has_the_material_of_most_of_its_walls(meshes: list[Mesh], tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import pyproj
 import pytest
 import solid_rules
 from toy_clouds import LAMBERT
+from yard_house import HOUSE_M2, SLOPE_DEG, YARD_M, YARD_M2, yard_house
 
 from p2wss import reconstruct, skeleton
 from p2wss.data import reasons
@@ -75,6 +76,26 @@ def test_measures_of_other_roofs() -> None:
     # the valley is no ridge, the wings are equally wide up to 2 m
     assert hip.roof_type == measures.SLOPES and hip.ridge_z_m == pytest.approx(hip.roof_z_max_m)
     assert 105 < hip.roof_z_p50_m < hip.roof_z_p70_m < hip.roof_z_max_m
+
+
+def test_open_ground_is_no_roof() -> None:
+    row = yard_house()
+    measured = measures.measure(labelled_mesh(row))
+    without = measure("house", np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]]), [SLOPE_DEG, 90, SLOPE_DEG, 90])
+    assert measured.outer_floor_area_m2 == pytest.approx(YARD_M2) and without.outer_floor_area_m2 == 0
+    assert measured.ground_area_m2 == pytest.approx(HOUSE_M2 + YARD_M2)
+    assert measured.flat_roof_area_m2 == 0 and measured.roof_type == measures.SLOPES
+    for name in (
+        "sloped_roof_area_m2",
+        "roof_z_min_m",
+        "roof_z_p50_m",
+        "roof_z_p70_m",
+        "roof_z_max_m",
+        "ridge_z_m",
+    ):
+        assert getattr(measured, name) == pytest.approx(getattr(without, name), abs=1e-3), name
+    assert measured.volume_m3 == pytest.approx(without.volume_m3 + YARD_M2 * YARD_M, rel=1e-4)
+    assert reconstruct.attributes(result(row))["outer_floor_area_m2"] == pytest.approx(YARD_M2)
 
 
 def test_quantiles_are_those_of_a_fine_raster() -> None:

@@ -138,8 +138,8 @@ def test_materials_are_those_of_the_columns_or_of_the_settings(tmp_path: Path) -
     plain = {"wall": "wood", "roof": "metal", "ground": "wet_ground"}
     config = Reconstruct(materials=plain, outputs=["obj"])
     assert [exports.mesh(result, config).buildings[0].materials for result in results] == [
-        {"wall": "brick", "roof": "slate", "ground": "brick"},
-        {"wall": "wood", "roof": "metal", "ground": "wood"},
+        {"wall": "brick", "roof": "slate", "ground": "brick", "outer_floor": "wet_ground"},
+        {"wall": "wood", "roof": "metal", "ground": "wood", "outer_floor": "wet_ground"},
     ]
     ignored = Reconstruct(materials={**plain, "from_footprints": False})
     assert exports.mesh(results[0], ignored).buildings[0].materials["wall"] == "wood"

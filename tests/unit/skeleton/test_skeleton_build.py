@@ -48,6 +48,8 @@ def test_known_solids(rings, angle_deg, expected_m3, expected_top_m):
         assert volume(vertex, triangle) == pytest.approx(expected_m3, rel=1e-9)
     assert len(triangle) == 2 * len(vertex) - 4 + 4 * (len(rings) - 1)
     assert ((edge >= 0) == np.isin(kind, [FaceKind.WALL, FaceKind.ROOF])).all()
+    # a face id of a scan has two bits for the kind
+    assert kind.max() <= 3
 
 
 def test_gable_merges_with_its_wall():

@@ -44,7 +44,9 @@ MESH = [
     field(
         "triangle", pa.list_(pa.int32()), "three vertex indices per triangle, counter-clockwise from outside"
     ),
-    field("triangle_kind", pa.list_(pa.uint8()), "per triangle: 0 ground, 1 wall, 2 roof, 3 flat"),
+    field(
+        "triangle_kind", pa.list_(pa.uint8()), "per triangle: 0 ground, 1 wall, 2 roof, 3 flat, 4 outer floor"
+    ),
     field(
         "triangle_edge",
         pa.list_(pa.int32()),

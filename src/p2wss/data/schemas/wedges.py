@@ -24,7 +24,7 @@ WEDGES = pa.schema(
             for side in (0, 1)
             for column in (
                 field(f"face_{side}", pa.int32(), f"face {side}, a number within the skin"),
-                field(f"kind_{side}", pa.string(), f"face {side} is of a ground, wall or roof"),
+                field(f"kind_{side}", pa.string(), f"face {side} is of a ground, wall, roof or outer_floor"),
                 field(f"building_id_{side}", pa.string(), f"building that face {side} belongs to"),
             )
         ),

@@ -1,0 +1,32 @@
+"""A gable house of 8 m by 8 m in a footprint that includes a yard of 6 m by 8 m, as the fit reconstructs it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.data import reasons
+from p2wss.data.building import Reconstruction
+from p2wss.fit.one_height import FittedRoof
+from p2wss.fit.open_ground import OpenGround
+from p2wss.fit.solid import union
+
+HOUSE_M2, YARD_M2, YARD_M, EAVE_M, SLOPE_DEG = 64.0, 48.0, 1.0, 5.0, 40.0
+FOOTPRINT = np.array([[0, 0], [14, 0], [14, 8], [0, 8.0]])
+
+
+def yard_house(x_m: float = 652000.0, y_m: float = 6861000.0, ground_z_m: float = 100.0) -> Reconstruction:
+    """The house is at x from 0 to 8 m, its yard beside it."""
+    house, yard = FOOTPRINT * [8 / 14, 1], FOOTPRINT * [6 / 14, 1] + [8, 0]
+    angle_deg = np.array([SLOPE_DEG, 90, SLOPE_DEG, 90])
+    parts = [
+        FittedRoof([house], angle_deg, ground_z_m + EAVE_M, np.inf, 0.0, 10),
+        FittedRoof([yard], np.zeros(4), ground_z_m + 0.2, np.inf, 0.0, 10),
+    ]
+    mesh = union(parts, ground_z_m, YARD_M, 12.0)
+    assert mesh is not None
+    in_yard = np.array([[11.0, 4.0, ground_z_m + 0.2]])
+    kind = OpenGround(ground_z_m, in_yard, 1).kinds(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane)
+    return Reconstruction(
+        "yard", "t", "fit", reasons.OK, (x_m, y_m), ground_z_m, [FOOTPRINT], EAVE_M, angle_deg, 0.9,
+        mesh.vertex_m, mesh.triangle, kind, mesh.plane, 2,
+    )  # fmt: skip
