@@ -28,6 +28,14 @@ from p2wss.provenance import fingerprint
 def add_parser(stages: Parsers) -> None:
     """Add ``p2wss eval`` to the parser."""
     parts = add_group(stages, "eval", "evaluate the methods and write the report")
+    _add_networks(parts)
+    _add_baselines(parts)
+    _add_measures(parts)
+    _add_report(parts)
+
+
+def _add_networks(parts: Parsers) -> None:
+    """Commands that reconstruct buildings with a network or the fit, and the medians that they share."""
     command = add_command(
         parts,
         "medians",
@@ -64,12 +72,14 @@ def add_parser(stages: Parsers) -> None:
     add_threads(command)
     add_device(command)
 
+
+def _add_baselines(parts: Parsers) -> None:
+    """Commands that reconstruct buildings with a baseline."""
     command = add_command(parts, "baseline", eval_baseline, "reconstruct the same buildings with a baseline")
     command.add_argument("--name", required=True, help="name of the baseline: lod1, constant or roofer")
     _add_shards(command)
     _add_medians(command)
     _add_reconstruction_outputs(command)
-
     command.add_argument(
         "--recording",
         type=Path,
@@ -85,6 +95,9 @@ def add_parser(stages: Parsers) -> None:
     )
     command.add_argument("--out", type=Path, required=True, help="Parquet to write: their solids")
 
+
+def _add_measures(parts: Parsers) -> None:
+    """Commands that measure the reconstructions."""
     command = add_command(parts, "measure", eval_measure, "measure the errors of all reconstructions")
     _add_shards(command)
     command.add_argument(
@@ -129,6 +142,9 @@ def add_parser(stages: Parsers) -> None:
     add_threads(command)
     add_device(command)
 
+
+def _add_report(parts: Parsers) -> None:
+    """The command that writes the report."""
     command = add_command(parts, "report", eval_report, "write the report")
     _add_manifest(command)
     for name in ("measures", "parameters", "methods"):

@@ -26,6 +26,20 @@ def add_parser(stages: Parsers) -> None:
         stages, "reconstruct", reconstruct, "reconstruct buildings from your own LiDAR and footprints"
     )
     command.usage = "p2wss reconstruct [-h] [options] CLOUD .. FOOTPRINTS OUT"
+    _add_inputs(command)
+    _add_outputs(command)
+    command.add_argument(
+        "--register",
+        choices=["on", "off"],
+        help="move footprints to where the clouds show the buildings, or not "
+        "(default: reconstruct.registration of the config)",
+    )
+    add_threads(command)
+    add_device(command)
+
+
+def _add_inputs(command: argparse.ArgumentParser) -> None:
+    """Which files are read, and how; and the folder to write."""
     command.add_argument(
         "inputs",
         type=Path,
@@ -79,6 +93,10 @@ def add_parser(stages: Parsers) -> None:
     command.add_argument(
         "--tile", help="reconstruct only the buildings of this tile; output files are named after it"
     )
+
+
+def _add_outputs(command: argparse.ArgumentParser) -> None:
+    """Which files are written, and what they contain."""
     command.add_argument(
         "--format",
         metavar="A,B,..",
@@ -128,14 +146,6 @@ def add_parser(stages: Parsers) -> None:
         action="store_true",
         help="one shape per material in Sionna scenes; edges between walls and roofs then do not diffract",
     )
-    command.add_argument(
-        "--register",
-        choices=["on", "off"],
-        help="move footprints to where the clouds show the buildings, or not "
-        "(default: reconstruct.registration of the config)",
-    )
-    add_threads(command)
-    add_device(command)
 
 
 def reconstruct(arguments: argparse.Namespace) -> None:

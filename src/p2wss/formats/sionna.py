@@ -96,21 +96,32 @@ def scene_files(
         f"origin in WGS 84: latitude {latitude_deg}, longitude {longitude_deg}",
         *remarks,
     ]
+    material_of_mesh = {name: shape.material for name, shape in zip(ids, shapes, strict=True)}
+    files["scene.xml"] = _xml(comments, materials, material_of_mesh, frequency_ghz)
+    return files
+
+
+def _xml(
+    comments: Sequence[str],
+    materials: Mapping[str, Properties],
+    material_of_mesh: Mapping[str, str],
+    frequency_ghz: float,
+) -> bytes:
+    """The scene as Mitsuba reads it, in ASCII. material_of_mesh: names of materials by names of meshes."""
     lines = [f"<!-- {_comment(comment)} -->" for comment in comments]
     lines.append('<scene version="2.1.0">')
     for name, values in materials.items():
         lines += _bsdf(name, values, frequency_ghz)
-    for shape, name in zip(shapes, ids, strict=True):
+    for name, material in material_of_mesh.items():
         lines += [
             f'    <shape type="ply" id={quoteattr(f"mesh-{name}")}>',
             f'        <string name="filename" value={quoteattr(f"meshes/{name}.ply")}/>',
             '        <boolean name="face_normals" value="true"/>',
-            f'        <ref id="{_bsdf_id(shape.material, materials[shape.material], frequency_ghz)}" name="bsdf"/>',
+            f'        <ref id="{_bsdf_id(material, materials[material], frequency_ghz)}" name="bsdf"/>',
             "    </shape>",
         ]
     lines.append("</scene>")
-    files["scene.xml"] = ("\n".join(lines) + "\n").encode("ascii", "xmlcharrefreplace")
-    return files
+    return ("\n".join(lines) + "\n").encode("ascii", "xmlcharrefreplace")
 
 
 def notes(

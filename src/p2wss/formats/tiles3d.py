@@ -168,46 +168,12 @@ def _content(parts: Sequence[_Part], origin_m: np.ndarray) -> tuple[bytes, np.nd
 
     binary = Binary()
     primitives = []
-    for number in np.unique(material):
+    for number in np.unique(material).tolist():
         rows = np.flatnonzero(material == number)
-        # corners with the same vertex, normal and building are stored once
-        key = np.column_stack(
-            [
-                triangle[rows].ravel(),
-                np.repeat(np.rint(normal[rows] * _NORMAL_STEPS).astype(int), 3, axis=0),
-                np.repeat(building[rows], 3),
-            ]
-        )
-        _, first, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
-        position = _y_up(vertex_m[triangle[rows].ravel()[first]])
-        bounds = {"min": position.min(axis=0).tolist(), "max": position.max(axis=0).tolist()}
-        of_corner = _y_up(np.repeat(normal[rows], 3, axis=0)[first])
-        feature = np.repeat(building[rows], 3)[first].astype("<f4")
-        primitives.append(
-            {
-                "attributes": {
-                    "POSITION": binary.append(
-                        position, ARRAY_BUFFER, componentType=FLOAT, type="VEC3", **bounds
-                    ),
-                    "NORMAL": binary.append(of_corner, ARRAY_BUFFER, componentType=FLOAT, type="VEC3"),
-                    "_FEATURE_ID_0": binary.append(feature, ARRAY_BUFFER, componentType=FLOAT, type="SCALAR"),
-                },
-                "indices": binary.append(
-                    index.reshape(-1).astype("<u4"),
-                    ELEMENT_ARRAY_BUFFER,
-                    componentType=UNSIGNED_INT,
-                    type="SCALAR",
-                ),
-                "material": int(number),
-                "extensions": {
-                    "EXT_mesh_features": {
-                        "featureIds": [
-                            {"featureCount": int(first_building[-1]), "attribute": 0, "propertyTable": 0}
-                        ]
-                    }
-                },
-            }
-        )
+        primitive = _primitive(binary, vertex_m, triangle[rows], normal[rows], building[rows])
+        feature_ids = {"featureCount": int(first_building[-1]), "attribute": 0, "propertyTable": 0}
+        extensions = {"EXT_mesh_features": {"featureIds": [feature_ids]}}
+        primitives.append(primitive | {"material": number, "extensions": extensions})
     tree = {
         "asset": {"version": "2.0", "generator": f"p2wss {__version__}"},
         "extensionsUsed": ["EXT_mesh_features", "EXT_structural_metadata"],
@@ -219,6 +185,41 @@ def _content(parts: Sequence[_Part], origin_m: np.ndarray) -> tuple[bytes, np.nd
         "materials": [material_of(name) for name in names],
     }
     return container(tree, binary), vertex_m.min(axis=0) - _ROUNDING_M, vertex_m.max(axis=0) + _ROUNDING_M
+
+
+def _primitive(
+    binary: Binary, vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, building: np.ndarray
+) -> dict[str, Any]:
+    """Attributes and indices of the triangles (t, 3) of one material, whose arrays are added to ``binary``.
+
+    vertex_m: (v, 3), z up. normal: unit normals of the triangles, (t, 3). building: their feature numbers, (t,).
+    """
+    # corners with the same vertex, normal and building are stored once
+    key = np.column_stack(
+        [
+            triangle.ravel(),
+            np.repeat(np.rint(normal * _NORMAL_STEPS).astype(int), 3, axis=0),
+            np.repeat(building, 3),
+        ]
+    )
+    _, first, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    position = _y_up(vertex_m[triangle.ravel()[first]])
+    bounds = {"min": position.min(axis=0).tolist(), "max": position.max(axis=0).tolist()}
+    of_corner = _y_up(np.repeat(normal, 3, axis=0)[first])
+    feature = np.repeat(building, 3)[first].astype("<f4")
+    return {
+        "attributes": {
+            "POSITION": binary.append(position, ARRAY_BUFFER, componentType=FLOAT, type="VEC3", **bounds),
+            "NORMAL": binary.append(of_corner, ARRAY_BUFFER, componentType=FLOAT, type="VEC3"),
+            "_FEATURE_ID_0": binary.append(feature, ARRAY_BUFFER, componentType=FLOAT, type="SCALAR"),
+        },
+        "indices": binary.append(
+            index.reshape(-1).astype("<u4"),
+            ELEMENT_ARRAY_BUFFER,
+            componentType=UNSIGNED_INT,
+            type="SCALAR",
+        ),
+    }
 
 
 def _metadata(parts: Sequence[_Part], binary: Binary) -> dict[str, Any]:

@@ -98,19 +98,9 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
         "test tflop": networks.inference_tflop(config.model, config.dvae, num_test),
         "real tflop": networks.inference_tflop(config.model, config.dvae, num_real),
     }
-    num_groups = -(-(num_drawn_tiles + num_lidar_tiles) // config.eval.shards_per_job)
-    num_jobs = (
-        len(members)  # fetch_footprints
-        + len(source_tiles)  # fetch_dtm
-        + len(source_lidar_tiles)  # fetch_lidar
-        + len(towns)  # draw_town
-        + 4 * num_drawn_tiles  # cut_scene, build_roofs, cast_scan, crop_simulated
-        + 3 * num_lidar_tiles  # prepare_lidar, crop_real, reconstruct_tile
-        + 2 * trained  # dvae, model
-        + num_groups * (4 + len(config.eval.baselines))  # predict, fit with and without the network, measure
-        + (bool(config.eval.roofer_recorded) and "roofer" in config.eval.baselines)  # recording
-        + 6  # index_scenes, crops, medians, merge, eval_report, all
-    )
+    # fetch_footprints, fetch_dtm, fetch_lidar and draw_town
+    num_jobs = len(members) + len(source_tiles) + len(source_lidar_tiles) + len(towns)
+    num_jobs += _num_jobs(config, num_drawn_tiles, num_lidar_tiles)
     amounts["job"] = num_jobs
     return Work(
         num_tiles,
@@ -123,6 +113,19 @@ def count_work(config: Config, regions: Sequence[Region]) -> Work:
         lidar_dvae if config.dvae.use_lidar else 0.0,
         lidar_test,
         amounts,
+    )
+
+
+def _num_jobs(config: Config, num_drawn_tiles: int, num_lidar_tiles: int) -> int:
+    """The number of jobs after the data are fetched. num_drawn_tiles: tiles times the draws of each."""
+    num_groups = -(-(num_drawn_tiles + num_lidar_tiles) // config.eval.shards_per_job)
+    return (
+        4 * num_drawn_tiles  # cut_scene, build_roofs, cast_scan, crop_simulated
+        + 3 * num_lidar_tiles  # prepare_lidar, crop_real, reconstruct_tile
+        + 2 * (not config.model.weights)  # dvae, model
+        + num_groups * (4 + len(config.eval.baselines))  # predict, fit with and without the network, measure
+        + (bool(config.eval.roofer_recorded) and "roofer" in config.eval.baselines)  # recording
+        + 6  # index_scenes, crops, medians, merge, eval_report, all
     )
 
 

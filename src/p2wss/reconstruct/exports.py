@@ -27,6 +27,7 @@ from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
 from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
 from p2wss.reconstruct.shift_page import shift_page
+from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
@@ -51,25 +52,7 @@ def write(
     (:mod:`p2wss.reconstruct.skin`); CityJSON does not change.
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
-    with_mesh = [number for number, result in enumerate(results) if result.reconstruction.has_mesh]
-    buildings: Sequence[Mesh] = Lazy(lambda number: mesh(results[number], config), with_mesh)
-    if terrain is not None or config.skin or config.wedges:
-        buildings = list(buildings)
-    ground = None if terrain is None else block(buildings, terrain, config)
-    if terrain is not None:
-        buildings = terrain_mesh.lowered_into(buildings, terrain)
-    skins = []
-    if config.skin or config.wedges:
-        edges = [results[number].reconstruction.edge for number in with_mesh]
-        is_cut = ground is not None and config.skin_terrain == "cut"
-        max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
-        skins = block_skins.joined(buildings, edges, config.skin_step_m, max_lowering_m)
-        if ground is not None and is_cut:
-            skins, with_holes = block_skins.on_terrain(skins, ground)
-            ground = with_holes if config.skin else ground
-    if config.skin:
-        buildings = block_skins.skin_meshes(skins, buildings)
-    meshes = buildings if ground is None else [*buildings, ground]
+    meshes, ground, skins = _meshes(results, terrain, config)
     frame = frame_around(meshes, crs.to_string())
     options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
     before = input_footprints(results, crs)
@@ -78,22 +61,12 @@ def write(
     delivered: list[Path] = []
     for output in dict.fromkeys(config.outputs):
         name = f"{stem}{OUTPUT_SUFFIXES[output]}"
-        if output == "gpkg":
-            more = {} if before is None else {"input_footprints": before}
-            rows = table(results, crs, facts, config.attribute_names)
-            gpkg.write(folder / name, rows, facts, more=more)
-        elif output == "geoparquet":
-            rows = table(results, crs, facts, config.attribute_names)
-            if before is not None:
-                rows["input_geometry"] = before.geometry
-            files.write_geoparquet(folder / name, rows, facts)
-        elif output == "report":
+        if output == "report":
             files.write_text(folder / name, shift_page(results, stem, crs))
-        elif output in ("cityjson", "cityjsonseq"):
-            pieces = city_json(results, crs, output, facts, config.lods, config.attribute_names)
-            files.write_text(folder / name, pieces)
-        else:
+        elif output in MESH_WRITERS:
             delivered += write_meshes(folder, output, meshes, frame, options)
+        else:
+            _write_results(folder / name, output, results, before, crs, facts, config)
         if output not in MESH_WRITERS:
             delivered.append(folder / name)
         written.append(name)
@@ -121,6 +94,56 @@ def write(
         },
     )
     return [*written, f"{stem}.json"]
+
+
+def _meshes(
+    results: Sequence[Result], terrain: Terrain | None, config: Reconstruct
+) -> tuple[Sequence[Mesh], Mesh | None, Sequence[Skin]]:
+    """(all meshes to write, that of the terrain among them, the skins of the blocks if skins or wedges are asked for).
+
+    Without skin, wedges and terrain, each mesh is made at its access.
+    """
+    with_mesh = [number for number, result in enumerate(results) if result.reconstruction.has_mesh]
+    buildings: Sequence[Mesh] = Lazy(lambda number: mesh(results[number], config), with_mesh)
+    if terrain is not None or config.skin or config.wedges:
+        buildings = list(buildings)
+    ground = None if terrain is None else block(buildings, terrain, config)
+    if terrain is not None:
+        buildings = terrain_mesh.lowered_into(buildings, terrain)
+    skins: Sequence[Skin] = []
+    if config.skin or config.wedges:
+        edges = [results[number].reconstruction.edge for number in with_mesh]
+        is_cut = ground is not None and config.skin_terrain == "cut"
+        max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
+        skins = block_skins.joined(buildings, edges, config.skin_step_m, max_lowering_m)
+        if ground is not None and is_cut:
+            skins, with_holes = block_skins.on_terrain(skins, ground)
+            ground = with_holes if config.skin else ground
+    if config.skin:
+        buildings = block_skins.skin_meshes(skins, buildings)
+    return (buildings if ground is None else [*buildings, ground]), ground, skins
+
+
+def _write_results(
+    path: Path,
+    output: str,
+    results: Sequence[Result],
+    before: gpd.GeoDataFrame | None,
+    crs: pyproj.CRS,
+    facts: dict[str, Any],
+    config: Reconstruct,
+) -> None:
+    """Write a table or CityJSON. output: its format. before: the footprints that registration moved, as they were."""
+    if output in ("cityjson", "cityjsonseq"):
+        files.write_text(path, city_json(results, crs, output, facts, config.lods, config.attribute_names))
+        return
+    rows = table(results, crs, facts, config.attribute_names)
+    if output == "gpkg":
+        gpkg.write(path, rows, facts, more={} if before is None else {"input_footprints": before})
+        return
+    if before is not None:
+        rows["input_geometry"] = before.geometry
+    files.write_geoparquet(path, rows, facts)
 
 
 def write_meshes(
