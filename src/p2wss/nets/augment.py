@@ -11,6 +11,8 @@ from torch import Tensor
 from p2wss.nets.batch import Batch
 from p2wss.nets.tokenizer import mirror_rings
 
+_HALF_WEDGE_DEG = (5, 30)  # half the width of a wedge without points
+
 
 def centre(batch: Batch) -> Batch:
     """Move cloud, footprint and ground so that the centroid of the points is the origin (section 5.2)."""
@@ -94,7 +96,8 @@ def occlude_randomly(batch: Batch, share: float, min_points: int) -> Batch:
     apex = torch.rand(batch.valid.shape, device=device).masked_fill(~batch.valid, -1).argmax(1)
     from_apex = batch.points[..., :2] - batch.points[torch.arange(num, device=device), apex, None, :2]
     heading = 2 * math.pi * torch.rand(num, device=device)
-    half_width = torch.deg2rad(5 + 25 * torch.rand(num, device=device))
+    low_deg, high_deg = _HALF_WEDGE_DEG
+    half_width = torch.deg2rad(low_deg + (high_deg - low_deg) * torch.rand(num, device=device))
     along = from_apex[..., 0] * torch.cos(heading)[:, None] + from_apex[..., 1] * torch.sin(heading)[:, None]
     occluded = along > from_apex.norm(dim=-1) * torch.cos(half_width)[:, None]
     remaining = batch.valid & ~occluded

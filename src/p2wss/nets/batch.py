@@ -37,6 +37,7 @@ class Batch:
     patch_index: Tensor | None = None
 
     def to(self, device: torch.device) -> Batch:
+        """The batch on another device."""
         return Batch(**{name: value.to(device) for name, value in vars(self).items() if value is not None})
 
     def __getitem__(self, rows: Tensor) -> Batch:

@@ -25,6 +25,7 @@ def build_dvae(config: DvaeConfig) -> DiscreteVae:
 
 
 def build_tokenizer(config: ModelConfig) -> Tokenizer:
+    """The tokenizer that a model with this config reads and writes."""
     return Tokenizer(config.coord_decimals, config.hundreds)
 
 

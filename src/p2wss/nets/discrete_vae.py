@@ -22,6 +22,11 @@ from p2wss.nets.pointwise import norm_relu_linear
 NUM_NEIGHBOURS = 4
 NORM_GROUPS = 4
 SEED_RADIUS = 0.05
+# of the leaky ReLUs, as in DGCNN
+_NEGATIVE_SLOPE = 0.2
+# of a training: the part over which the temperature falls and the weight of the divergence rises, and the part before
+# that weight is more than 0
+_SCHEDULE_SHARE, _WITHOUT_DIVERGENCE_SHARE = 0.5, 0.05
 # patches that a CPU embeds at once at inference, so that the features of their points stay in its L2 cache
 INFERENCE_PATCHES = 32
 
@@ -104,7 +109,7 @@ class EdgeConvolution(nn.Module):
         rows = neighbour + groups * torch.arange(batch, device=x.device)[:, None, None]
         largest = _LargestNeighbour.apply((from_neighbour * sign).view(-1, dim), rows.flatten(0, 1))
         y = (largest.view_as(from_self) * sign + from_self - mean) * scale + self.norm.bias
-        return F.leaky_relu(y, 0.2)
+        return F.leaky_relu(y, _NEGATIVE_SLOPE)
 
     def _moments(
         self, from_neighbour: Tensor, from_self: Tensor, adjacency: Tensor, k: int
@@ -182,7 +187,7 @@ class Dgcnn(nn.Module):
             x = convolution(x, neighbour, adjacency)
             outputs.append(x)
         x = self.last(torch.cat(outputs, -1))
-        return F.leaky_relu(self.norm(x.transpose(1, 2)).transpose(1, 2), 0.2)
+        return F.leaky_relu(self.norm(x.transpose(1, 2)).transpose(1, 2), _NEGATIVE_SLOPE)
 
 
 class FoldingDecoder(nn.Module):
@@ -316,10 +321,10 @@ def temperature(progress: float, end: float) -> float:
 
     Point-BERT uses 100,000 of 197,000 iterations; a share suits any length of training.
     """
-    return end + (1 - end) * (1 + math.cos(math.pi * min(progress / 0.5, 1.0))) / 2
+    return end + (1 - end) * (1 + math.cos(math.pi * min(progress / _SCHEDULE_SHARE, 1.0))) / 2
 
 
 def kl_weight(progress: float, end: float) -> float:
     """Weight of the divergence: 0 for the first 5 %, then cosine to ``end`` at 55 % (Point-BERT)."""
-    share = min(max((progress - 0.05) / 0.5, 0.0), 1.0)
+    share = min(max((progress - _WITHOUT_DIVERGENCE_SHARE) / _SCHEDULE_SHARE, 0.0), 1.0)
     return end * (1 - math.cos(math.pi * share)) / 2

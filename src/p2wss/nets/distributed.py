@@ -22,10 +22,12 @@ log = logging.getLogger("p2wss")
 
 
 def num_processes() -> int:
+    """The number of processes that train together, 1 outside of :func:`process_group`."""
     return dist.get_world_size() if dist.is_initialized() else 1
 
 
 def rank() -> int:
+    """The number of this process among them, from 0."""
     return dist.get_rank() if dist.is_initialized() else 0
 
 
@@ -50,6 +52,7 @@ def is_main_process() -> bool:
 
 
 def barrier() -> None:
+    """Wait until all processes are here."""
     if num_processes() > 1:
         dist.barrier()
 

@@ -19,6 +19,8 @@ from p2wss.nets.transformer import Encoder
 POSITION_WIDTH = 128
 INITIAL_LOGIT_SCALE = math.log(1 / 0.07)
 MAX_LOGIT_SCALE = math.log(100)
+# of pairs that do not match and of pairs that do (section 4.5)
+_MATCHING_WEIGHTS = (0.1, 0.9)
 # the weights that inference needs; the others serve training only
 INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.")
 
@@ -297,6 +299,7 @@ class Point2Wss(nn.Module):
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
+        """Equation 3 over all pairs of (b, dim) features, of all processes."""
         z_p = distributed.gather(F.normalize(self.align_cloud(cloud).float(), dim=-1))
         z_s = distributed.gather(F.normalize(self.align_sequence(sequence).float(), dim=-1))
         logits = self.logit_scale.clamp(max=MAX_LOGIT_SCALE).exp() * z_p @ z_s.T
@@ -318,7 +321,9 @@ class Point2Wss(nn.Module):
             matching = loss.diagonal().mean()
             others = (loss.sum() - loss.diagonal().sum()) / max(loss.numel() - len(loss), 1)
             return (matching + others) / 2
-        return F.cross_entropy(logits.flatten(0, 1), target.flatten(), weight=logits.new_tensor([0.1, 0.9]))
+        return F.cross_entropy(
+            logits.flatten(0, 1), target.flatten(), weight=logits.new_tensor(_MATCHING_WEIGHTS)
+        )
 
     def cloud_features(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor]:
         """(b, 1 + g, dim) features of unmasked clouds and their validity (b, 1 + g)."""
