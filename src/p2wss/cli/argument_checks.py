@@ -39,6 +39,7 @@ class Inputs:
 
     @property
     def crs(self) -> pyproj.CRS:
+        """The CRS of the run, in metres."""
         return self.metric.crs
 
 

@@ -28,6 +28,7 @@ def add_parser(stages: Parsers) -> None:
 
 
 def towns(arguments: argparse.Namespace) -> None:
+    """Write a synthetic town."""
     from p2wss.towns import write_town
 
     num_buildings = write_town(arguments.out, arguments.seed, arguments.lidar)

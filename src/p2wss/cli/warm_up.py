@@ -33,6 +33,7 @@ def add_parser(stages: Parsers) -> None:
 
 
 def warm_up(arguments: argparse.Namespace) -> None:
+    """Compile in several processes what is not compiled yet."""
     marker = _marker(arguments.all)
     if marker is not None and marker.exists():
         log.info("all code is already compiled")

@@ -33,6 +33,7 @@ class Building:
 
     @property
     def polygon(self) -> shapely.Polygon:
+        """The footprint, relative to ``origin_xy_m``, metres."""
         return shapely.Polygon(self.rings[0], self.rings[1:])
 
     @property
@@ -75,6 +76,7 @@ class Reconstruction:
 
     @property
     def has_mesh(self) -> bool:
+        """Whether there is a mesh, that of a fallback included."""
         return len(self.triangle) > 0
 
 

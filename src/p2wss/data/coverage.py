@@ -136,6 +136,7 @@ class _Rings:
 
     @property
     def polygon_of_vertex(self) -> np.ndarray:
+        """The polygon of each element of ``node``, int64."""
         ring = np.repeat(np.arange(len(self.ring_offset) - 1), np.diff(self.ring_offset))
         return np.searchsorted(self.polygon_offset, ring, side="right") - 1
 
@@ -168,6 +169,7 @@ class _Arcs:
 
     @classmethod
     def of_rings(cls, rings: _Rings, num_nodes: int) -> _Arcs:
+        """The arcs of rings whose nodes are numbered in the order of x."""
         ends = np.sort(np.column_stack([rings.node, rings.node[next_in_ring(rings.ring_offset)]]), axis=1)
         degree = np.bincount(np.unique(ends, axis=0).ravel(), minlength=num_nodes)
         numbers: dict[tuple[int, ...], int] = {}

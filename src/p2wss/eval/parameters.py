@@ -146,6 +146,7 @@ def merged(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def is_labelled(case: Case) -> bool:
+    """Whether the true heights and angles of a case are known."""
     return case.dataset == SIMULATED and case.angle_deg is not None
 
 
@@ -206,6 +207,7 @@ def target_height_m(case: Case) -> float:
 
 
 def errors_of_masked(cases: Sequence[Case], parameters: MaskedParameters) -> dict[str, dict[str, float]]:
+    """As :func:`errors_of`, for parameters that the network predicted with some masked; coordinates included."""
     return _errors(cases, parameters.eave_height_m, parameters.angle_deg, parameters.xy_m)
 
 

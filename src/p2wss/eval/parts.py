@@ -51,13 +51,16 @@ class Part:
     folder: Path
 
     def reconstructions(self, method: str) -> Path:
+        """The reconstructions of a method."""
         return self.folder / f"{method}.parquet"
 
     def cpu(self, method: str) -> Path:
+        """CPU times of a method."""
         return self.folder / "cpu" / f"{method}.json"
 
     @property
     def measures(self) -> Path:
+        """The measures of all methods."""
         return self.folder / "measures.parquet"
 
     @property

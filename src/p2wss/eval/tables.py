@@ -81,6 +81,7 @@ class Run:
 
     @property
     def was_run(self) -> bool:
+        """Whether there are reconstructions, recorded ones included."""
         return self.status in ("ok", RECORDED)
 
     @property
@@ -110,6 +111,7 @@ class Detail:
 
     @property
     def num_without_mesh(self) -> int:
+        """The number of buildings without a mesh, for any reason."""
         return sum(self.reasons.values())
 
     @property

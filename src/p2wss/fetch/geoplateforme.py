@@ -76,6 +76,7 @@ class GeoplateformeSource:
         self.client = client or Client(config)
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
+        """See :class:`p2wss.fetch.Source`. Raises :class:`InputError` if the service fails or data are missing."""
         config = self.config
         windows = self.footprint_windows(bounds)
         self._check_offline(

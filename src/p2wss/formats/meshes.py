@@ -82,6 +82,7 @@ class Frame:
 
     @property
     def origin(self) -> str:
+        """``origin_m`` as text, for comments in files."""
         return " ".join(f"{value:.10g}" for value in self.origin_m)
 
 

@@ -122,9 +122,11 @@ class _Frame:
     y_max: float
 
     def point(self, xy_m: np.ndarray) -> tuple[str, str]:
+        """x and y on the page of a point (2,), as text."""
         return f"{xy_m[0] - self.x_min:.2f}", f"{self.y_max - xy_m[1]:.2f}"
 
     def path(self, shape: shapely.Polygon) -> str:
+        """The path of a polygon with its courtyards, as SVG has it."""
         rings = [np.asarray(ring.coords)[:-1] for ring in shapely.get_rings(shape)]
         return "".join(
             "M" + "L".join(f"{x},{y}" for x, y in map(self.point, ring)) + "Z" for ring in rings if len(ring)

@@ -96,6 +96,7 @@ class _Part:
 
     @property
     def centre_m(self) -> np.ndarray:
+        """The centre of the bounding box, (3,), metres."""
         return np.asarray(self.local_m.min(axis=0) + self.local_m.max(axis=0)) / 2
 
 

@@ -108,6 +108,7 @@ class _Field:
     total: np.ndarray
 
     def at(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        """The integral up to places, interpolated linearly between the corners of cells."""
         rows, columns = self.total.shape
         column = np.clip((x_m - self.low_m[0]) / _CELL_M, 0, columns - 1.001)
         row = np.clip((y_m - self.low_m[1]) / _CELL_M, 0, rows - 1.001)

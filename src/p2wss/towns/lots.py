@@ -22,6 +22,7 @@ def to_world(
 
 
 def rectangle(u0: float, v0: float, u1: float, v1: float) -> list[tuple[float, float]]:
+    """The corners of a rectangle between two opposite ones, counter-clockwise."""
     return [(u0, v0), (u1, v0), (u1, v1), (u0, v1)]
 
 
@@ -33,10 +34,12 @@ def cut_into_lots(length: float, low: float, high: float, rng: np.random.Generat
 
 
 def draw_pitch_deg(rng: np.random.Generator) -> float:
+    """A random roof angle in whole degrees."""
     return float(rng.integers(22, 46))
 
 
 def draw_eave_m(storeys: int, rng: np.random.Generator) -> float:
+    """A random eave height above the ground, to the decimetre."""
     return round(float(storeys * rng.uniform(2.8, 3.2) + rng.uniform(-0.4, 0.6)), 1)
 
 

@@ -110,6 +110,7 @@ class _Faces:
 
     @classmethod
     def of(cls, vertex_m: np.ndarray, surfaces: Sequence[Surface], snap_m: float) -> _Faces:
+        """The faces of surfaces on vertices (v, 3), metres; vertices nearer to each other than ``snap_m`` are one."""
         rings = [ring for surface in surfaces for ring in surface.rings]
         corner = np.concatenate([np.zeros(0, np.int64), *rings]).astype(np.int64)
         ring_offset = np.cumsum([0, *map(len, rings)], dtype=np.int64)

@@ -26,6 +26,7 @@ class ClutterTriangles(NamedTuple):
 
     @property
     def num_objects(self) -> int:
+        """The number of objects that have triangles."""
         return len(np.unique(self.number))
 
 
