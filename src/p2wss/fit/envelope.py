@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import allocating, inner
+from p2wss.skeleton.compiled import allocating, embedded
 from p2wss.skeleton.footprint import MAX_SLOPE_DEG, MIN_SLOPE_DEG
 from p2wss.skeleton.queries import CUT, FLAT, OUTSIDE
 
@@ -47,7 +47,7 @@ def inward_distances(xy_m, ring_offset, x, y):
     return result
 
 
-@inner
+@embedded
 def lower_envelope(inward_m, angle_deg, tangent, max_roof_height_m, face, distance, rise):
     """As :func:`p2wss.skeleton.queries.assign`, but from :func:`inward_distances`. tangent: of the angles, 0 for 0
     and 90 degrees. Writes the height of the roof above the eave to ``rise``. Returns False if there is an angle that

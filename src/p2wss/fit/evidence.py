@@ -13,11 +13,10 @@ import numpy as np
 from p2wss.fit.envelope import inward_distances
 from p2wss.fit.one_height import FittedRoof, Fitter, flat_rings
 from p2wss.fit.points import every_kth
-from p2wss.fit.solve import IMPOSSIBLE, evaluate_at
+from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, load_polygon
 from p2wss.fit.starts import edge_groups
 from p2wss.fit.work import NO_PRIOR, Problem
-from p2wss.skeleton.compiled import ZERO, entry, inner
-from p2wss.skeleton.footprint import load_footprint
+from p2wss.skeleton.compiled import entry, inner
 from p2wss.skeleton.status import Status
 
 # added to the sum of the residuals for a class that is e times less probable by the network
@@ -104,7 +103,7 @@ def _residual_and_margins(
     )  # fmt: skip
     step = (n + _NUM_EDGES - 1) // _NUM_EDGES
     margin = np.zeros((n + step - 1) // step)
-    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_polygon(xy_m, ring_offset, work)
     if status != _OK or m == 0:
         return cap_m, margin
     loss = evaluate_at(work.code, problem, work, angle_deg, eave, top)

@@ -7,11 +7,10 @@ import numpy as np
 from p2wss.fit.envelope import inward_distances
 from p2wss.fit.jumps import quantile
 from p2wss.fit.search import MANY_EDGES, is_tried, search_at, set_excess
-from p2wss.fit.solve import IMPOSSIBLE, MAX_DIFFERENCE_M, evaluate_at, improve_at
+from p2wss.fit.solve import IMPOSSIBLE, MAX_DIFFERENCE_M, evaluate_at, improve_at, load_polygon
 from p2wss.fit.starts import edge_groups, start_angles
 from p2wss.fit.work import Problem, Settings
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
-from p2wss.skeleton.footprint import load_footprint
 from p2wss.skeleton.ordering import sort_first
 from p2wss.skeleton.status import Status
 
@@ -162,7 +161,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
         settings = with_little_effort(settings)
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
     sample = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
-    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_polygon(xy_m, ring_offset, work)
     tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / len(sample.z))
     loss, eave, top = known_loss, known_eave, np.inf
     if loss < IMPOSSIBLE:
@@ -208,7 +207,7 @@ def improve_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, w
     """Loss of a roof after ``num_rounds`` rounds of improvement; ``angle_deg`` is changed in place."""
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
-    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_polygon(xy_m, ring_offset, work)
     if status != _OK:
         return IMPOSSIBLE
     loss, _, _ = improve_at(
@@ -260,7 +259,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
     tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / min(len(z), settings.num_search_points))
-    status, _ = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
+    status, _ = load_polygon(xy_m, ring_offset, work)
     angle, trial = angle_deg.copy(), np.zeros(n)
     if status != _OK:
         return IMPOSSIBLE, eave, top, angle

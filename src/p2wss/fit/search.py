@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, improve_at
-from p2wss.skeleton.compiled import ZERO, allocating, by_address, inner
+from p2wss.skeleton.compiled import ZERO, allocating, by_address, embedded, inner
 from p2wss.skeleton.ordering import stable_order
 
 _ALTERNATIVES_DEG = (0.0, 90.0, 18.0, 38.0, 57.0)
@@ -28,7 +28,7 @@ def _is_slope(angle):
     return 0.0 < angle < 90.0
 
 
-@inner
+@embedded
 def _propose(problem, angle_deg, unit, alternative, proposed):
     """Writes to ``proposed`` the angles with an alternative for one edge (unit below num_edges) or for all edges
     of one direction. Returns False if that changes nothing."""
@@ -54,7 +54,7 @@ def _propose(problem, angle_deg, unit, alternative, proposed):
     return count > 1 and changed
 
 
-@inner
+@embedded
 def is_tried(problem, work, edge, other, min_excess, num_tried):
     """Whether the class of an edge is tried by itself: a better roof around it might gain ``min_excess``, and no more
     than ``MANY_EDGES``, or with more edges in proportion fewer, have been tried. other: of :func:`set_excess`."""
@@ -64,7 +64,7 @@ def is_tried(problem, work, edge, other, min_excess, num_tried):
     return work.excess[edge] + work.excess[before] + work.excess[after] + other >= min_excess
 
 
-@inner
+@embedded
 def set_excess(problem, work):
     """The most that a better roof might take off the loss. Writes it to ``work.excess`` for the face of each edge;
     returns (the sum over all points, the sum over the points on faces of no edge). Faces and residuals are those of

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.envelope import lower_envelope
-from p2wss.skeleton.compiled import ZERO, by_address, inner
-from p2wss.skeleton.footprint import set_angles
+from p2wss.skeleton.compiled import ZERO, by_address, embedded, inner
+from p2wss.skeleton.footprint import load_footprint, set_angles
 from p2wss.skeleton.ordering import select
 from p2wss.skeleton.queries import CUT, OUTSIDE, assign
 from p2wss.skeleton.status import Status
@@ -30,20 +30,36 @@ _DEGREE = np.pi / 180.0
 
 
 @inner
+def load_polygon(xy_m, ring_offset, work):
+    """:func:`p2wss.skeleton.footprint.load_footprint` of the polygon of a new problem."""
+    work.last_roof[0] = -1.0
+    return load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
+
+
+@embedded
 def evaluate(problem, work, angle_deg, eave_m, top_m):
     """Loss of a roof: mean over the points of min(|distance to the roof|, cap), metres, distances measured at
     right angles to the face, plus the cost of the prior. ``top_m``: height above the eave of a flat cut, infinity
     for none.
 
-    Leaves face, distance and residual of every point in ``work``; the residual outside the roof is NaN.
+    Leaves face, distance and residual of every point in ``work``; the residual outside the roof is NaN. The polygon has
+    been loaded by :func:`load_polygon`; faces and distances stay if only ``eave_m`` has changed since the last
+    evaluation.
     """
     work.num_evaluations[0] += 1
-    for e in range(problem.num_edges):
-        angle = angle_deg[e]
-        t = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
-        work.tangent[e], work.cosine[e] = t, 1.0 / np.sqrt(1.0 + t * t)
     m = len(problem.x)
     top = min(top_m, problem.max_roof_height_m)
+    is_same = work.last_roof[0] == m and work.last_roof[1] == top
+    for e in range(problem.num_edges):
+        angle = angle_deg[e]
+        if angle != work.last_deg[e]:
+            is_same = False
+            t = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
+            work.tangent[e], work.cosine[e] = t, 1.0 / np.sqrt(1.0 + t * t)
+            work.last_deg[e] = angle
+    if is_same:
+        return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
+    work.last_roof[0] = -1.0
     face, distance, rise = work.face[:m], work.distance[:m], work.rise[:m]
     if len(problem.inward_m) > 0:
         if not lower_envelope(problem.inward_m, angle_deg, work.tangent, top, face, distance, rise):
@@ -58,14 +74,18 @@ def evaluate(problem, work, angle_deg, eave_m, top_m):
         if status != _OK:
             return IMPOSSIBLE
         for k in range(m):
-            rise[k] = work.tangent[face[k]] * distance[k] if face[k] >= 0 else distance[k]
+            rise[k] = work.tangent[max(face[k], 0)] * distance[k] if face[k] >= 0 else distance[k]
+    for k in range(m):
+        slant = work.cosine[max(face[k], 0)] if face[k] >= 0 else 1.0
+        work.slant[k] = slant if face[k] != OUTSIDE else np.nan
+    work.last_roof[0], work.last_roof[1] = m, top
     return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
 
 
 evaluate_at = by_address(evaluate)
 
 
-@inner
+@embedded
 def prior_cost_m(problem, angle_deg, eave_m):
     """Cost of a roof by the prior, in metres of loss."""
     prior = problem.prior
@@ -85,24 +105,23 @@ def prior_cost_m(problem, angle_deg, eave_m):
     return cost
 
 
-@inner
+@embedded
 def _loss(problem, work, eave_m):
+    m, cap_m = len(problem.z), problem.cap_m
+    rise, slant, residual, cost = work.rise[:m], work.slant[:m], work.residual[:m], work.sort_buffer[:m]
+    # without branches, so that several points are evaluated at once
+    for k in range(m):
+        r = (eave_m + rise[k] - problem.z[k]) * slant[k]
+        residual[k] = r
+        # that of a point outside is NaN
+        cost[k] = abs(r) if abs(r) < cap_m else cap_m
     total = 0.0
-    for k in range(len(problem.z)):
-        f = work.face[k]
-        if f == OUTSIDE:
-            work.residual[k] = np.nan
-            total += problem.cap_m
-            continue
-        r = eave_m + work.rise[k] - problem.z[k]
-        if f >= 0:
-            r *= work.cosine[f]
-        work.residual[k] = r
-        total += min(abs(r), problem.cap_m)
-    return total / max(len(problem.z), 1)
+    for k in range(m):
+        total += cost[k]
+    return total / max(m, 1)
 
 
-@inner
+@embedded
 def _median_eave(problem, work):
     """The eave height for which half of the points lie above the roof."""
     count = ZERO
@@ -114,7 +133,7 @@ def _median_eave(problem, work):
     return select(work.sort_buffer, count, count // 2) if count > 0 else 0.0
 
 
-@inner
+@embedded
 def _solve_positive(matrix, right_side, size):
     """Solves a positive definite system by Cholesky factors in place; the solution replaces ``right_side``."""
     for i in range(size):
@@ -138,7 +157,7 @@ def _solve_positive(matrix, right_side, size):
         right_side[i] = s / matrix[i, i]
 
 
-@inner
+@embedded
 def _add_prior(problem, work, angle_deg, eave_m, num_groups):
     """Adds the costs of the prior to the equations, reweighted as the residuals are."""
     prior, a, b = problem.prior, work.matrix, work.right_side
@@ -154,23 +173,17 @@ def _add_prior(problem, work, angle_deg, eave_m, num_groups):
                 per_tangent = 1.0 / (_DEGREE * (1.0 + work.tangent[e] ** 2))
                 difference_deg = max(abs(angle_deg[e] - prior.slope_deg[e]), _MIN_DIFFERENCE_DEG)
                 w = m * prior.degree_cost_m * per_tangent * per_tangent / difference_deg
-                g = 2 + problem.direction[e]
+                g = work.group_row[problem.direction[e]]
                 a[g, g] += w
                 b[g] += w * np.tan(prior.slope_deg[e] * _DEGREE)
 
 
-@inner
+@embedded
 def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles):
     """One weighted step from the faces and residuals in ``work``: new angles in ``work.solution_deg``; returns
     (eave, top)."""
     n = problem.num_edges
     groups = problem.num_directions if free_angles else 0
-    size = groups + 2
-    a, b = work.matrix, work.right_side
-    for i in range(size):
-        b[i] = 0.0
-        for j in range(size):
-            a[i, j] = 0.0
     has_top = top_m < problem.max_roof_height_m
     for g in range(groups):
         work.group_tangent[g], work.group_count[g] = 0.0, 0.0
@@ -178,6 +191,18 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
         if groups > 0 and work.tangent[e] > 0.0:
             work.group_tangent[problem.direction[e]] += work.tangent[e]
             work.group_count[problem.direction[e]] += 1.0
+    # the eave is the first unknown, then the top if there is one, then the slopes of the directions that have any
+    size = 2 if has_top else 1
+    for g in range(groups):
+        if work.group_count[g] > 0.0:
+            work.group_row[g] = size
+            size += 1
+    a, b = work.matrix, work.right_side
+    for i in range(size):
+        b[i] = 0.0
+        for j in range(size):
+            a[i, j] = 0.0
+    weight, weighted_z, top_weight, top_weighted_z = 0.0, 0.0, 0.0, 0.0
     for k in range(len(problem.z)):
         f = work.face[k]
         size_of_residual = abs(work.residual[k])
@@ -186,38 +211,40 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
         w = 1.0 / max(size_of_residual, _NOISE_M)
         z = problem.z[k]
         if f == CUT and has_top:
-            a[1, 1] += w
-            b[1] += w * z
+            top_weight += w
+            top_weighted_z += w * z
         elif f < 0:
             # the height of a level cap depends on the slopes, but seldom much
-            a[0, 0] += w
-            b[0] += w * (z - work.distance[k])
+            weight += w
+            weighted_z += w * (z - work.distance[k])
         else:
             t, d = work.tangent[f], work.distance[k]
             w *= work.cosine[f] * work.cosine[f]
-            a[0, 0] += w
+            weight += w
             if groups > 0:
-                g = 2 + problem.direction[f]
+                g = work.group_row[problem.direction[f]]
                 a[g, 0] += w * d
                 a[g, g] += w * d * d
-                b[0] += w * z
+                weighted_z += w * z
                 b[g] += w * d * z
             else:
-                b[0] += w * (z - t * d)
-    a[0, 0] += _KEEP_EAVE
-    b[0] += _KEEP_EAVE * eave_m
-    a[1, 1] += _KEEP_EAVE
-    b[1] += _KEEP_EAVE * (eave_m + top_m) if has_top else 0.0
+                weighted_z += w * (z - t * d)
+    a[0, 0] = weight + _KEEP_EAVE
+    b[0] = weighted_z + _KEEP_EAVE * eave_m
+    if has_top:
+        a[1, 1] = top_weight + _KEEP_EAVE
+        b[1] = top_weighted_z + _KEEP_EAVE * (eave_m + top_m)
     _add_prior(problem, work, angle_deg, eave_m, groups)
     for g in range(groups):
-        a[2 + g, 2 + g] += _KEEP_SLOPE
-        if work.group_count[g] > 0:
-            b[2 + g] += _KEEP_SLOPE * work.group_tangent[g] / work.group_count[g]
+        if work.group_count[g] > 0.0:
+            row = work.group_row[g]
+            a[row, row] += _KEEP_SLOPE
+            b[row] += _KEEP_SLOPE * work.group_tangent[g] / work.group_count[g]
     _solve_positive(a, b, size)
     for e in range(n):
         work.solution_deg[e] = angle_deg[e]
         if groups > 0 and work.tangent[e] > 0.0:
-            angle = np.arctan(b[2 + problem.direction[e]]) / _DEGREE
+            angle = np.arctan(b[work.group_row[problem.direction[e]]]) / _DEGREE
             work.solution_deg[e] = min(max(angle, _MIN_ANGLE_DEG), _MAX_ANGLE_DEG)
     return b[0], max(b[1] - b[0], _MIN_TOP_M) if has_top else top_m
 

@@ -89,9 +89,12 @@ class Code(NamedTuple):
 class FitWork(NamedTuple):
     """Arrays for polygons of up to ``max_edges`` edges with up to ``max_points`` points.
 
-    rise: height of the roof above the eave over each point. tangent, cosine: of each edge's slope. sort_buffer: room
-    for sorting. solution_deg: angles that the least squares give. excess: what a better roof might gain, per edge.
-    trial: rows of angles, one for each level of nested searches. num_evaluations: int64 (1,), roofs evaluated so far.
+    rise: height of the roof above the eave over each point. slant: z of the unit normal of its face, NaN outside.
+    sort_buffer: room for sorting, and for the cost of each point. last_deg: the angles of the last evaluation; tangent,
+    cosine: of these. last_roof: its number of points and the height of its top, if it succeeded. group_row: of each
+    direction, its row of the equations. solution_deg: angles that the least squares give. excess: what a better roof
+    might gain, per edge. trial: rows of angles, one for each level of nested searches. num_evaluations: int64 (1,),
+    roofs evaluated so far.
     """
 
     skeleton: SkeletonWork
@@ -99,12 +102,16 @@ class FitWork(NamedTuple):
     face: np.ndarray
     distance: np.ndarray
     rise: np.ndarray
+    slant: np.ndarray
     residual: np.ndarray
     sort_buffer: np.ndarray
     tangent: np.ndarray
     cosine: np.ndarray
+    last_deg: np.ndarray
+    last_roof: np.ndarray
     group_tangent: np.ndarray
     group_count: np.ndarray
+    group_row: np.ndarray
     matrix: np.ndarray
     right_side: np.ndarray
     solution_deg: np.ndarray
@@ -123,12 +130,16 @@ def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
         face=np.zeros(max_points, np.int64),
         distance=np.zeros(max_points),
         rise=np.zeros(max_points),
+        slant=np.zeros(max_points),
         residual=np.zeros(max_points),
         sort_buffer=np.zeros(max_points),
         tangent=np.zeros(max_edges),
-        cosine=np.zeros(max_edges),
+        cosine=np.ones(max_edges),
+        last_deg=np.zeros(max_edges),
+        last_roof=np.full(2, -1.0),
         group_tangent=np.zeros(max_edges),
         group_count=np.zeros(max_edges),
+        group_row=np.zeros(max_edges, np.int64),
         matrix=np.zeros((size, size)),
         right_side=np.zeros(size),
         solution_deg=np.zeros(max_edges),

@@ -158,6 +158,8 @@ entry = _compiled(no_cfunc_wrapper=True)
 allocating = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True)
 # the same without reference counts of arrays, faster still; such a function cannot create arrays
 inner = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
+# the same, as a part of its callers: a call passes seven numbers for each array, and all arrays of a tuple
+embedded = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False, forceinline=True)
 # a few lines that numba inserts in place of their call
 inlined = _compiled(inline="always")
 

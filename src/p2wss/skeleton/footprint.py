@@ -67,13 +67,15 @@ def set_angles(edge, num_edges, angle_deg):
     Returns a ``Status``."""
     for i in range(num_edges):
         angle = angle_deg[i]
-        edge[i].angle_deg = angle
+        if angle == edge[i].angle_deg:
+            continue  # the speed is that of this angle, as it is in the zeros of a new array
         if angle == 0.0 or angle == 90.0:
             edge[i].final_speed = 0.0
         elif MIN_SLOPE_DEG <= angle <= MAX_SLOPE_DEG:
             edge[i].final_speed = 1.0 / np.tan(angle * np.pi / 180.0)
         else:
             return _BAD_ANGLE
+        edge[i].angle_deg = angle
     return _OK
 
 

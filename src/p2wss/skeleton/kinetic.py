@@ -539,12 +539,13 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
             edge[e].speed = 1.0 if edge[e].angle_deg == 0.0 else 0.0
     counts[NUM_LOOPS] = 0
     for v in range(limit):
-        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, limit):
+        if vertex[v].alive == 1:
+            vertex[v].loop = _NOTHING
+            _start_moving(edge, vertex, v, 0.0)
+    for v in range(limit):
+        if vertex[v].alive == 1 and vertex[v].loop == _NOTHING:
             _name_loop(vertex, v, counts[NUM_LOOPS], limit)
             counts[NUM_LOOPS] += 1
-    for v in range(limit):
-        if vertex[v].alive == 1:
-            _start_moving(edge, vertex, v, 0.0)
 
 
 @inner
@@ -553,9 +554,11 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
     t = 0.0
     num_start = counts[NUM_VERTICES]
     for v in range(num_start):
-        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):  # noqa: SIM102
+        if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):
             if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
                 return _BROKEN_WAVEFRONT
+            if counts[NUM_LOOPS] == 1:
+                break
     num_degenerate = 0
     for v in range(num_start):
         if vertex[v].alive == 1:

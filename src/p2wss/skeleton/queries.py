@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.skeleton.batch import kernel_arguments, work_size
-from p2wss.skeleton.compiled import ZERO, entry, inner
+from p2wss.skeleton.compiled import ZERO, embedded, entry, inner
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
 from p2wss.skeleton.mesh import solid_skeleton
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS
@@ -44,20 +44,39 @@ SEGMENT = np.dtype(
 )
 
 
+# so many points are compared with all segments at a time
+_BLOCK = 64
+
+
 class QueryWork(NamedTuple):
-    """Work arrays of :func:`assign` for one thread."""
+    """Work arrays of :func:`assign` for one thread.
+
+    winding: int64 (faces + 1, block), how often the boundary of each face, and that of the outside, winds round each
+    point of a block. value, height: of each face, what :func:`assign` writes to ``face`` and, below 0, to
+    ``distance``. beside: a place beside a point.
+    """
 
     segment: np.ndarray
     winding: np.ndarray
+    value: np.ndarray
+    height: np.ndarray
+    beside: np.ndarray
 
 
 def query_work(max_edges: int) -> QueryWork:
     """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
-    size = skeleton_work(max_edges).arc.size + max_edges
-    return QueryWork(np.zeros(size, SEGMENT), np.zeros(size, np.int64))
+    skeleton = skeleton_work(max_edges)
+    num_faces = max_edges + skeleton.cap_height.size
+    return QueryWork(
+        np.zeros(skeleton.arc.size + max_edges, SEGMENT),
+        np.zeros((num_faces + 1, _BLOCK), np.int64),
+        np.zeros(num_faces, np.int64),
+        np.zeros(num_faces),
+        np.zeros(2),
+    )
 
 
-@inner
+@embedded
 def _put_segment(segment, k, a_x, a_y, b_x, b_y, left_face, right_face):
     """Store the piece from a to b with the faces on its left and right. Returns the number of segments."""
     if a_x == b_x:
@@ -72,7 +91,7 @@ def _put_segment(segment, k, a_x, a_y, b_x, b_y, left_face, right_face):
     return k + 1
 
 
-@inner
+@embedded
 def _fill_segments(edge, num_edges, node, arc, counts, segment):
     outside = num_edges + counts[NUM_CAPS]
     k = ZERO
@@ -85,31 +104,81 @@ def _fill_segments(edge, num_edges, node, arc, counts, segment):
     return k
 
 
-@inner
-def _face_at(edge, num_edges, num_faces, segment, num_segments, winding, x, y):
-    """The face whose boundary winds round the point, which is unique however many boundaries coincide; -1 for
-    none."""
+@embedded
+def _fill_values(edge, num_edges, max_roof_height_m, skeleton, query):
+    """Writes to ``query`` what points on each face get."""
+    for f in range(num_edges):
+        angle = edge[f].angle_deg
+        query.value[f] = FLAT if angle == 0.0 else OUTSIDE if angle == 90.0 else f
+        query.height[f] = 0.0
+    for c in range(skeleton.counts[NUM_CAPS]):
+        height = skeleton.cap_height[c]
+        value = FLAT if height <= 1e-5 else CUT if height >= max_roof_height_m else CAP
+        query.value[num_edges + c], query.height[num_edges + c] = value, height if height > 1e-5 else 0.0
+
+
+@embedded
+def _wind(segment, num_segments, num_faces, winding, x, y):
+    """Writes to ``winding`` how often the boundary of each face winds round each of the points, at most a block."""
+    num = len(x)
     for f in range(num_faces + 1):
-        winding[f] = 0
-    for k in range(num_segments):
-        left_x = segment[k].left_x
-        if (
-            left_x <= x
-            and x < segment[k].right_x
-            and segment[k].left_y + (x - left_x) * segment[k].slope <= y
-        ):
-            winding[segment[k].above] += 1
-            winding[segment[k].below] -= 1
-    vertical = -1
-    for f in range(num_faces):
-        if winding[f] > 0:
-            if f >= num_edges or edge[f].angle_deg != 90.0:
-                return f
-            vertical = f
-    return vertical
+        row = winding[f]
+        for k in range(num):
+            row[k] = 0
+    for s in range(num_segments):
+        left_x, right_x = segment[s].left_x, segment[s].right_x
+        left_y, slope = segment[s].left_y, segment[s].slope
+        above, below = winding[segment[s].above], winding[segment[s].below]
+        # without branches, so that several points are compared at once
+        for k in range(num):
+            crosses = (left_x <= x[k]) & (x[k] < right_x) & (left_y + (x[k] - left_x) * slope <= y[k])
+            above[k] += crosses
+            below[k] -= crosses
+
+
+@embedded
+def _fill_faces(edge, num_edges, num_faces, query, x, y, face, distance):
+    """Face and distance of each of the points, at most a block: of the first face whose boundary winds round it and
+    that is not vertical. There is only one, however many boundaries coincide."""
+    num = len(x)
+    for k in range(num):
+        face[k], distance[k] = OUTSIDE, 0.0
+    for f in range(num_faces - 1, -1, -1):
+        if f < num_edges and edge[f].angle_deg == 90.0:
+            continue
+        row, value, height = query.winding[f], query.value[f], query.height[f]
+        if value < 0:
+            for k in range(num):
+                face[k] = value if row[k] > 0 else face[k]
+                distance[k] = height if row[k] > 0 else distance[k]
+        else:
+            start_x, start_y, dir_x, dir_y = edge[f].x, edge[f].y, edge[f].dir_x, edge[f].dir_y
+            for k in range(num):
+                face[k] = f if row[k] > 0 else face[k]
+                from_edge = (y[k] - start_y) * dir_x - (x[k] - start_x) * dir_y
+                distance[k] = from_edge if row[k] > 0 else distance[k]
+
+
+@embedded
+def _vertical_face(edge, num_edges, winding, k):
+    """The last vertical face whose boundary winds round point k of a block; -1 for none."""
+    for f in range(num_edges - 1, -1, -1):
+        if winding[f, k] > 0 and edge[f].angle_deg == 90.0:
+            return f
+    return -1
 
 
 @inner
+def _face_beside(edge, num_edges, num_faces, num_segments, query, face, distance):
+    """The face at ``query.beside``, which it also writes to the first of ``face``. The windings of the first point of
+    the block are overwritten."""
+    x, y = query.beside[:1], query.beside[1:]
+    _wind(query.segment, num_segments, num_faces, query.winding, x, y)
+    _fill_faces(edge, num_edges, num_faces, query, x, y, face, distance)
+    return face[0]
+
+
+@embedded
 def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face, distance):
     """Find the face over every point for the angles set last, from compiled code. Returns a ``Status``.
 
@@ -134,29 +203,25 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face,
         return status
     num_segments = _fill_segments(edge, num_edges, skeleton.node, skeleton.arc, counts, query.segment)
     num_faces = num_edges + counts[NUM_CAPS]
-    for k in range(len(x)):
-        f = _face_at(edge, num_edges, num_faces, query.segment, num_segments, query.winding, x[k], y[k])
-        if 0 <= f < num_edges and edge[f].angle_deg == 90.0:
-            # the point is on a vertical face, up to rounding: take the face beside it
-            f = _face_at(
-                edge, num_edges, num_faces, query.segment, num_segments, query.winding,
-                x[k] - 1e-7 * edge[f].dir_y, y[k] + 1e-7 * edge[f].dir_x,
-            )  # fmt: skip
-        distance[k] = 0.0
-        if f < 0:
-            face[k] = OUTSIDE
-        elif f >= num_edges:
-            height = skeleton.cap_height[f - num_edges]
-            face[k] = FLAT if height <= 1e-5 else CUT if height >= max_roof_height_m else CAP
-            if height > 1e-5:
-                distance[k] = height
-        elif edge[f].angle_deg == 0.0:
-            face[k] = FLAT
-        elif edge[f].angle_deg == 90.0:
-            face[k] = OUTSIDE
-        else:
-            face[k] = f
-            distance[k] = (y[k] - edge[f].y) * edge[f].dir_x - (x[k] - edge[f].x) * edge[f].dir_y
+    _fill_values(edge, num_edges, max_roof_height_m, skeleton, query)
+    winding = query.winding
+    for first in range(0, len(x), _BLOCK):
+        last = min(first + _BLOCK, len(x))
+        _wind(query.segment, num_segments, num_faces, winding, x[first:last], y[first:last])
+        _fill_faces(
+            edge, num_edges, num_faces, query, x[first:last], y[first:last], face[first:last], distance[first:last]
+        )  # fmt: skip
+        for k in range(first, last):
+            vertical = _vertical_face(edge, num_edges, winding, k - first) if face[k] == OUTSIDE else -1
+            if vertical >= 0:
+                # the point is on a vertical face, up to rounding: take the face beside it
+                query.beside[0] = x[k] - 1e-7 * edge[vertical].dir_y
+                query.beside[1] = y[k] + 1e-7 * edge[vertical].dir_x
+                f = _face_beside(
+                    edge, num_edges, num_faces, num_segments, query, face[k : k + 1], distance[k : k + 1]
+                )
+                if f >= 0:
+                    distance[k] = (y[k] - edge[f].y) * edge[f].dir_x - (x[k] - edge[f].x) * edge[f].dir_y
     return _OK
 
 
