@@ -43,15 +43,18 @@ def fingerprint(*stages: str) -> str:
     """Hash of the import closure of the modules ``p2wss.<stage>``: 16 hexadecimal digits.
 
     A package named here counts with all its modules, one that is imported with what its ``__init__`` imports.
-    A folder of other files, such as "eval.templates", counts with their contents.
+    A folder of other files, such as "eval.templates", counts with their contents. Of :data:`NOT_TRACKED`, only what
+    is named here counts.
 
     Raises ``ModuleNotFoundError`` for a stage that is not in the package.
     """
     digests: dict[str, str] = {}
-    pending = [part for stage in stages for part in _parts(f"{PACKAGE}.{stage}")]
+    named = {part for stage in stages for part in _parts(f"{PACKAGE}.{stage}")}
+    pending = sorted(named)
     while pending:
         name = pending.pop()
-        if name in digests or (name.split(".")[1:2] and name.split(".")[1] in NOT_TRACKED):
+        is_tracked = name in named or not {*name.split(".")[1:2]} & {*NOT_TRACKED}
+        if name in digests or not is_tracked:
             continue
         if _source(name) is None:
             digests |= _other_files(name)

@@ -105,6 +105,14 @@ def test_lazy_imports_and_data_files_count(copy):
     assert of("stage.templates") != page
 
 
+def test_the_config_counts_only_where_it_is_named(copy):
+    """As for the age of figures that depend on nothing else; the rules pass its values as parameters."""
+    root, of = copy
+    before, buildings = of("config"), of("buildings")
+    edit(root / "config" / "region.py", "ge=10, le=10000", "ge=10, le=20000")
+    assert of("config") != before and of("buildings") == buildings
+
+
 def test_unknown_stage():
     with pytest.raises(ModuleNotFoundError, match="no_such_stage"):
         fingerprint("no_such_stage")
