@@ -187,7 +187,7 @@ def _check_footprints(path: Path, columns: Sequence[str], may_be_empty: bool) ->
 
 
 def _layer(path: Path) -> dict[str, Any]:
-    """What GDAL knows of the first layer without reading its features."""
+    """What GDAL states about the first layer without reading its features."""
     import pyogrio
 
     try:

@@ -188,7 +188,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     ):
         if cloud is None:
             _read_clouds(arguments, config, inputs, area, points)
-            # points that are not the producer's move footprints only if that is asked for
+            # points classified by p2wss, and not by the producer, move footprints only on request
             registers = area.may_move(points) | (settings.registration and arguments.register == "on")
         else:
             points.append(cloud)

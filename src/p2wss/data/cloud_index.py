@@ -1,6 +1,6 @@
 """A cloud in cells on disk: written chunk by chunk, read by places.
 
-Memory holds one chunk and the points that are asked for, however large the cloud is. Points get classes where their
+Memory holds one chunk and the requested points, however large the cloud is. Points get classes where their
 producer has none, by :func:`p2wss.data.unclassified.with_classes`; what is read for a place is the same whatever else
 is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
 """

@@ -19,7 +19,7 @@ from typing import Self
 
 from p2wss.errors import InputError
 
-# a process on another host cannot be asked whether it lives: its files are removed when they are this old
+# whether a process of another host still runs is unknown: its files are removed when they are this old
 _ABANDONED_S = 24 * 3600.0
 _NAME = re.compile(r"^\..*~(?P<host>[0-9a-f]{8})-(?P<process>\d+)-")
 # folders that this process has tidied
@@ -77,7 +77,7 @@ def is_running(process: int) -> bool:
 
 @cache
 def _host() -> str:
-    """Eight digits that stand for this boot of this host, and for the container: numbers of processes mean the same."""
+    """Eight digits that identify host, boot and container, within which numbers of processes are unique."""
     parts = [socket.gethostname()]
     for path in ("/proc/sys/kernel/random/boot_id", "/proc/self/ns/pid"):
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""A page that maps how footprints were moved to where a cloud shows the buildings: HTML without scripts, one file.
+"""A page that maps how footprints were moved to where a cloud shows the buildings: one HTML file without scripts.
 
 All text from the data is escaped by the template engine.
 """
@@ -14,13 +14,16 @@ import shapely
 
 from p2wss.formats import html
 
-# what was done with a block: the word in the table, the colour on the map, the line in the legend
-MOVED, MOVED_AS_NEIGHBOURS, STAYED, UNKNOWN = "moved", "moved as neighbours", "stayed", "no evidence"
+# what was done with a block: the words in the table, the colour on the map, the line in the legend
+MOVED, MOVED_AS_NEIGHBOURS, STAYED, UNKNOWN = "moved", "moved with neighbours", "not moved", "no evidence"
 LEGEND = {
-    MOVED: ("#c0392b", "moved to where their own edges show them"),
-    MOVED_AS_NEIGHBOURS: ("#8e44ad", "moved with those around, as their own evidence is weak"),
-    STAYED: ("#2e7d32", "stayed: the points show them there, or not clearly elsewhere"),
-    UNKNOWN: ("#8a949b", "stayed without evidence"),
+    MOVED: ("#c0392b", "moved: the points show where the edges are"),
+    MOVED_AS_NEIGHBOURS: (
+        "#8e44ad",
+        "moved like the blocks around, because the evidence of a single block is weak",
+    ),
+    STAYED: ("#2e7d32", "not moved: the points confirm the position, or do not clearly show another"),
+    UNKNOWN: ("#8a949b", "not moved: the points show no edges"),
 }
 # factors by which arrows are drawn longer: the largest with which the longest arrow has at most this share of the map
 _FACTORS, _LONGEST_SHARE = (1, 2, 5, 10, 20, 50, 100), 0.08
@@ -30,8 +33,8 @@ _SCALE_SHARE, _MAX_ROWS = 0.25, 2000
 
 @dataclass(frozen=True)
 class Footprint:
-    """A footprint on the map. block: name of its block. before, after: polygons in metres; ``after`` is used. flags:
-    by which the cloud contradicts it, with the areas ground_inside_m2 and roof_outside_m2."""
+    """A footprint on the map. block: name of its block. before, after: polygons in metres, as in the input and as used.
+    flags: how the cloud contradicts it (:data:`p2wss.data.reasons.FLAGS`), with the areas that they are based on."""
 
     building_id: str
     block: str
@@ -44,7 +47,11 @@ class Footprint:
 
 @dataclass(frozen=True)
 class Block:
-    """What was done with a block. action: a key of :data:`LEGEND`. shift_sd_m, overhang_m: None without evidence."""
+    """What was done with a block.
+
+    action: a key of :data:`LEGEND`. rotation_deg: counter-clockwise, around the centre of the block. shift_sd_m,
+    overhang_m: None without evidence.
+    """
 
     action: str
     shift_x_m: float
@@ -152,7 +159,7 @@ def _row(name: str, block: Block, members: Sequence[Footprint], frame: _Frame, f
 
 
 def _scale_m(width_m: float) -> float:
-    """The longest of 1, 2, 5, 10, .. metres that fits."""
+    """The length of the scale bar: the longest of 1, 2, 5, 10, .. metres that fits on a map of this width."""
     most = _SCALE_SHARE * width_m
     power = 10.0 ** np.floor(np.log10(most))
     return float(max(each * power for each in (1, 2, 5) if each * power <= most))

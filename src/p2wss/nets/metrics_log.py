@@ -20,7 +20,7 @@ log = logging.getLogger("p2wss")
 class MetricsLog:
     """``metrics.jsonl`` in the folder of the checkpoints; of several processes the main one writes it.
 
-    Raises :class:`InputError` when the file cannot be written, or TensorBoard is asked for and not installed.
+    Raises :class:`InputError` when the file cannot be written, or TensorBoard is requested and not installed.
     """
 
     def __init__(self, checkpoints: Path, tensorboard: bool) -> None:

@@ -39,7 +39,7 @@ class Area:
     """Footprints to reconstruct, and those around on which they depend.
 
     frame: all footprints, as :func:`p2wss.data.footprints.clean_footprints` returns them. is_chosen: bool
-    (footprints,), those whose results are asked for. is_built: these and those that may share walls with them.
+    (footprints,), those whose results are requested. is_built: these and those that may share walls with them.
     """
 
     def __init__(self, frame: gpd.GeoDataFrame, is_chosen: np.ndarray, config: Reconstruct) -> None:

@@ -99,7 +99,7 @@ def write(
 def _meshes(
     results: Sequence[Result], terrain: Terrain | None, config: Reconstruct
 ) -> tuple[Sequence[Mesh], Mesh | None, Sequence[Skin]]:
-    """(all meshes to write, that of the terrain among them, the skins of the blocks if skins or wedges are asked for).
+    """(all meshes to write, that of the terrain among them, the skins of the blocks if skins or wedges are requested).
 
     Without skin, wedges and terrain, each mesh is made at its access.
     """

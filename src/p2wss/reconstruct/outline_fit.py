@@ -3,7 +3,7 @@
 Number and order of the vertices are those of the reading. The outline is sought among the polygons whose edges lie in
 two perpendicular directions (:func:`_search`): the one that holds the points on the roof and none on the ground. Then
 each edge is moved and turned to where its own points show the end of the roof (:func:`_fit_edges`). Where a building
-goes on beyond an edge, as at a party wall, that end is not shown, and the edge stays where the network read it.
+continues beyond an edge, as at a party wall, that end is not shown, and the edge stays where the network read it.
 """
 
 from __future__ import annotations
@@ -272,8 +272,8 @@ def _descend(direction: np.ndarray, reading: np.ndarray, field: _Field) -> tuple
 def _fit_edges(
     outline: np.ndarray, reading_m: np.ndarray, point_m: np.ndarray, weight: np.ndarray
 ) -> np.ndarray:
-    """Each edge at the end of the roof there; where the building goes on beyond it, where the reading has it or, near
-    there, where the roof breaks."""
+    """Each edge at the end of the roof there. If the building continues beyond it, the edge is where the network read
+    it or, near there, where the roof breaks."""
     middle, normal = _lines(outline)
     along = np.column_stack([-normal[:, 1], normal[:, 0]])
     length = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)

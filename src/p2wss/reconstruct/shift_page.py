@@ -38,7 +38,7 @@ def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
     text = (
         registration_summary(rows)
         if rows
-        else "registration: off, or without points of class building to go by"
+        else "registration: off, or the cloud has no points of class building"
     )
     return shift_map.page(stem, horizontal(crs).name, [summary(results), text], footprints, blocks)
 

@@ -57,7 +57,7 @@ _ROTATION_SD_DEG = 1.0
 _EXACT_INFORMATION = 1e12
 # Robust least squares: a step with this residual has half its weight (Cauchy). The weights settle in this many rounds.
 _HALF_WEIGHT_M, _ROUNDS = 0.25, 8
-# What remains of the prior of the shift, 1/m2, when the information of the edges alone is asked for: a direction that
+# What remains of the prior of the shift, 1/m2, in the information of the edges alone: a direction that
 # no edge determines must not make the matrix singular.
 _REST_OF_PRIOR = 1e-6
 # components of a shift: as many steps are explained by it exactly
