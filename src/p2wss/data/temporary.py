@@ -122,7 +122,7 @@ class Scratch(Closeable):
         self._file.close()
 
     def append(self, content: bytes | memoryview) -> None:
-        """Add bytes at the end."""
+        """Add bytes at the end. Raises :class:`InputError` if the disk is full."""
         rest = memoryview(content)
         try:
             self._file.seek(self.num_bytes)
@@ -133,7 +133,7 @@ class Scratch(Closeable):
         self.num_bytes += len(content)
 
     def read_into(self, place: int, buffer: memoryview) -> None:
-        """Fill ``buffer`` with the bytes from ``place`` on."""
+        """Fill ``buffer`` with the bytes from ``place`` on. Raises ``EOFError`` if there are fewer."""
         self._file.seek(place)
         while len(buffer):
             count = self._file.readinto(buffer)
@@ -142,7 +142,7 @@ class Scratch(Closeable):
             buffer = buffer[count:]
 
     def read(self, place: int, size: int) -> bytes:
-        """The bytes from ``place`` on."""
+        """``size`` bytes from ``place`` on. Raises ``EOFError`` if there are fewer."""
         content = bytearray(size)
         self.read_into(place, memoryview(content))
         return bytes(content)

@@ -132,7 +132,8 @@ class GeoplateformeSource:
     def lidar(self, bounds: Bounds) -> list[Path]:
         """Tiles that overlap ``bounds``, from the first index whose addresses all work.
 
-        If only a small part of a COPC tile is needed, only that part is read.
+        If only a small part of a COPC tile is needed, only that part is read. Raises :class:`InputError` if no index
+        is usable.
         """
         reasons = []
         for type_name in self.config.lidar_types:

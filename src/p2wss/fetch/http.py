@@ -95,6 +95,7 @@ class Client:
         An incomplete file is kept beside it as ``<name>.part``, and as ``<name>.part.edition`` what the service calls
         this edition of it. The next attempt, or the next run, asks for the rest with a Range request, and starts
         again if the service sends the whole file or has another edition by now.
+        Raises :class:`InputError` if all attempts fail, the file begins otherwise, or it cannot be written.
         """
         part = path.with_name(f"{path.name}.part")
         edition_of_part = path.with_name(f"{path.name}.part.edition")

@@ -20,7 +20,8 @@ class AbsoluteError:
 def absolute_error(predicted: np.ndarray, truth: np.ndarray) -> AbsoluteError:
     """MAE ± standard deviation of the absolute errors of two arrays of equal shape, pooled over all values.
 
-    Pairs with a NaN on either side are left out. Mean and deviation of nothing are NaN.
+    Pairs with a NaN on either side are left out. Mean and deviation of nothing are NaN. Raises ``ValueError`` if the
+    shapes differ.
 
     >>> absolute_error(np.array([1.0, 4.0]), np.array([2.0, 1.0]))
     AbsoluteError(mean=2.0, std=1.0, count=2)

@@ -60,7 +60,10 @@ class Estimate:
 def estimate(
     config: Config, regions: Sequence[Region], costs: Sequence[Cost], downloads: Sequence[Download]
 ) -> Estimate:
-    """What a config needs. regions: as of :func:`count_work`. downloads: what must still be downloaded."""
+    """What a config needs. regions: as of :func:`count_work`. downloads: what must still be downloaded.
+
+    Raises :class:`InputError` if the costs are per a unit that is unknown.
+    """
     work = count_work(config, regions)
     unknown = sorted({cost.unit for cost in costs} - work.amounts.keys())
     if unknown:

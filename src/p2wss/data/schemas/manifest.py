@@ -72,7 +72,7 @@ class Manifest:
         """Mask of the rows of a shard that are used for any of the purposes, bool (n,).
 
         table: with the columns ``split``, ``tile`` and ``building_id``. purposes: of simulated buildings splits; of
-        real clouds "test" or "dvae".
+        real clouds "test" or "dvae". Raises :class:`InputError` if the manifest does not state the range of a purpose.
         """
         split = table["split"].to_numpy(zero_copy_only=False).astype(str)
         ranges = self.selection.get(dataset)
