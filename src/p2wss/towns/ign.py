@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import date
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -25,6 +26,11 @@ USAGE = {
     "annex": "Annexe",
 }
 
+# probabilities: that a height is null or 0, that a building without a height states those of its roof, that a building
+# with storeys states their number, that its vertices have no Z, and that an annex is of light construction
+_WITHOUT_HEIGHT, _ZERO_HEIGHT, _ROOF_WITHOUT_HEIGHT = 0.08, 0.01, 0.4
+_WITH_FLOORS, _WITHOUT_Z, _LIGHT = 0.7, 0.04, 0.5
+
 
 def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Generator) -> None:
     """Write a GeoPackage: layer ``batiment`` with the columns of BD TOPO, and with its gaps and defects.
@@ -35,59 +41,15 @@ def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Gener
     rows, shapes = [], []
     tree = shapely.STRtree([building.footprint for building in town])
     for index, building in enumerate(town):
-        outline = building.footprint
-        corner = shapely.get_coordinates(outline)
-        around = ground_z_m(corner[:, 0], corner[:, 1])
-        low, high = round(float(around.min()), 1), round(float(around.max()), 1)
-        eave = round(building.eave_m, 1)
-        ridge = max(
-            w.eave_m + w.rise_m(np.vstack([w.outline.mean(axis=0), w.outline])).max() for w in building.wings
-        )
-        gap = rng.random()
-        height = None if gap < 0.08 else 0.0 if gap < 0.09 else eave
-        roof_known = (height is not None and height > 0) or rng.random() < 0.4
-        floors_known = building.kind in ("house", "row", "block") and rng.random() < 0.7
-        flats = {"house": 1, "row": 1, "block": int(rng.integers(4, 12))}.get(building.kind)
-        top = -1000.0 if rng.random() < 0.04 else low + eave
-        parts = [_with_blemishes(outline, rng)]
-        twin = shapely.affinity.translate(outline, 9.0, 4.0)
+        row, roof_m = _row(index, building, rng)
+        top = -1000.0 if rng.random() < _WITHOUT_Z else roof_m
+        parts = [_with_blemishes(building.footprint, rng)]
+        twin = shapely.affinity.translate(building.footprint, 9.0, 4.0)
         if building.kind == "annex" and not len(tree.query(twin, "intersects")) and not in_lidar_tile(twin):
             parts.append(twin)  # a few records have two parts
         shapes.append(shapely.force_3d(shapely.MultiPolygon(parts), top))
-        rows.append(
-            {
-                "cleabs": f"BATIMENT{2_000_000_000 + 17 * index:016d}",
-                "nature": "Industriel, agricole ou commercial"
-                if building.kind == "hall"
-                else "Indifférenciée",
-                "usage_1": USAGE[building.kind],
-                "usage_2": None,
-                "construction_legere": building.kind == "annex" and rng.random() < 0.5,
-                "etat_de_l_objet": "En service",
-                "date_creation": None,
-                "date_modification": None,
-                "date_d_apparition": None,
-                "date_de_confirmation": None,
-                "sources": None,
-                "identifiants_sources": None,
-                "methode_d_acquisition_planimetrique": None,
-                "methode_d_acquisition_altimetrique": None,
-                "precision_planimetrique": 3.0,
-                "precision_altimetrique": 1.0,
-                "nombre_de_logements": flats,
-                "nombre_d_etages": max(1, round(eave / 3)) if floors_known else None,
-                "materiaux_des_murs": None,
-                "materiaux_de_la_toiture": None,
-                "hauteur": height,
-                "altitude_minimale_sol": low,
-                "altitude_minimale_toit": round(low + eave, 1) if roof_known else None,
-                "altitude_maximale_toit": round(low + ridge, 1) if roof_known else None,
-                "altitude_maximale_sol": high,
-                "origine_du_batiment": "Cadastre",
-                "appariement_fichiers_fonciers": None,
-                "identifiants_rnb": None,
-            }
-        )
+        row["construction_legere"] = building.kind == "annex" and rng.random() < _LIGHT
+        rows.append(row)
     frame = gpd.GeoDataFrame(rows, geometry=shapes, crs=CRS)
     text = [name for name in frame.columns if frame[name].isna().all()]
     frame[text] = frame[text].astype("string")
@@ -108,6 +70,53 @@ def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Gener
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": None})
     files.write_bytes(path, file.getvalue())
+
+
+def _row(index: int, building: DrawnBuilding, rng: np.random.Generator) -> tuple[dict[str, Any], float]:
+    """The columns of a building, and the height of its eaves above sea level. index: of the building in its town."""
+    corner = shapely.get_coordinates(building.footprint)
+    around = ground_z_m(corner[:, 0], corner[:, 1])
+    low, high = round(float(around.min()), 1), round(float(around.max()), 1)
+    eave = round(building.eave_m, 1)
+    ridge = max(
+        w.eave_m + w.rise_m(np.vstack([w.outline.mean(axis=0), w.outline])).max() for w in building.wings
+    )
+    gap = rng.random()
+    height = None if gap < _WITHOUT_HEIGHT else 0.0 if gap < _WITHOUT_HEIGHT + _ZERO_HEIGHT else eave
+    roof_known = (height is not None and height > 0) or rng.random() < _ROOF_WITHOUT_HEIGHT
+    floors_known = building.kind in ("house", "row", "block") and rng.random() < _WITH_FLOORS
+    flats = {"house": 1, "row": 1, "block": int(rng.integers(4, 12))}.get(building.kind)
+    row = {
+        "cleabs": f"BATIMENT{2_000_000_000 + 17 * index:016d}",
+        "nature": "Industriel, agricole ou commercial" if building.kind == "hall" else "Indifférenciée",
+        "usage_1": USAGE[building.kind],
+        "usage_2": None,
+        "construction_legere": False,
+        "etat_de_l_objet": "En service",
+        "date_creation": None,
+        "date_modification": None,
+        "date_d_apparition": None,
+        "date_de_confirmation": None,
+        "sources": None,
+        "identifiants_sources": None,
+        "methode_d_acquisition_planimetrique": None,
+        "methode_d_acquisition_altimetrique": None,
+        "precision_planimetrique": 3.0,
+        "precision_altimetrique": 1.0,
+        "nombre_de_logements": flats,
+        "nombre_d_etages": max(1, round(eave / 3)) if floors_known else None,
+        "materiaux_des_murs": None,
+        "materiaux_de_la_toiture": None,
+        "hauteur": height,
+        "altitude_minimale_sol": low,
+        "altitude_minimale_toit": round(low + eave, 1) if roof_known else None,
+        "altitude_maximale_toit": round(low + ridge, 1) if roof_known else None,
+        "altitude_maximale_sol": high,
+        "origine_du_batiment": "Cadastre",
+        "appariement_fichiers_fonciers": None,
+        "identifiants_rnb": None,
+    }
+    return row, low + eave
 
 
 def _with_blemishes(outline: shapely.Polygon, rng: np.random.Generator) -> shapely.Polygon:
