@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from p2wss.config import Classes
+if TYPE_CHECKING:  # towns use the classes and must not depend on the config
+    from p2wss.config import Classes
 
 UNCLASSIFIED_CLASS = 1
 GROUND_CLASS = 2
