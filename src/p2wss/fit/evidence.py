@@ -49,7 +49,7 @@ def roof_evidence(
 ) -> Evidence:
     """The evidence of points (m, 3) for a roof. class_probability: of a network, (n, 3), that an edge has 0 degrees,
     90 degrees or a slope."""
-    xy_m, ring_offset = flat_rings(roof.rings)
+    xy_m, ring_offset = flat_rings(roof.slope_rings)
     x, y, z = np.ascontiguousarray(point_m[every_kth(len(point_m), _NUM_POINTS)].T, np.float64)
     class_bonus_m = np.zeros((len(xy_m), 3))
     if class_probability is not None:

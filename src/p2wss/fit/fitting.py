@@ -23,6 +23,7 @@ from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.prior import make_prior
 from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
+from p2wss.fit.short_edges import without_short_edges
 from p2wss.fit.solid import Mesh, is_sound, union
 
 METHOD = "fit"
@@ -293,6 +294,9 @@ class _FitTask:
     def _of_mesh(self, parts_fit: _PartsFit, mesh: Mesh) -> Reconstruction:
         """The reconstruction with the parts of a fit and a mesh in their frame."""
         building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
+        price_m = self.thresholds.cutting.min_gain_m(len(parts_fit.point_m))
+        rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
+        mesh = without_short_edges(mesh, rings, parts_fit.point_m, price_m)
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
@@ -351,7 +355,7 @@ def _mesh_single_parts(
     indices = [
         i
         for i, parts_fit in enumerate(parts_fits)
-        if len(parts_fit.parts) == 1 and not len(parts_fit.outline)
+        if len(parts_fit.parts) == 1 and not len(parts_fit.outline) and parts_fit.parts[0].outward_m is None
     ]
     if not indices:
         return result

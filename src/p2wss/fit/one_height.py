@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from functools import cached_property
+from itertools import accumulate, pairwise
 
 import numpy as np
 
+from p2wss.fit.eaves import fit_eaves, moved_walls
 from p2wss.fit.linkage import linked_work
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.roof import fit_roof, improve_roof, tidy_roof
@@ -56,11 +58,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class FittedRoof:
-    """A roof of one eave height over a polygon: a building, a part of one, or a box.
+    """A roof over a polygon: a building, a part of one, or a box.
 
     rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or 5 to 75. eave_z_m: in the
     heights of the points. top_m: height of a flat cut above the eave, infinity for none. loss_m: mean over the
-    points of min(|distance to the roof|, cap), plus the cost of a prior.
+    points of min(|distance to the roof|, cap), plus the cost of a prior. outward_m: (n,), how far outside its edge
+    each slope begins, so that its eave is higher than ``eave_z_m``; None: all eaves have that height.
     """
 
     rings: Sequence[np.ndarray]
@@ -69,6 +72,16 @@ class FittedRoof:
     top_m: float
     loss_m: float
     num_points: int
+    outward_m: np.ndarray | None = None
+
+    @cached_property
+    def slope_rings(self) -> Sequence[np.ndarray]:
+        """Where slopes begin: the kernel's roof over these rings, cut off at ``rings``, is this roof."""
+        if self.outward_m is None:
+            return self.rings
+        xy_m, ring_offset = flat_rings(self.rings)
+        moved_m = moved_walls(xy_m, ring_offset, self.outward_m)
+        return [moved_m[first:last] for first, last in pairwise(ring_offset.tolist())]
 
     @property
     def total_loss_m(self) -> float:
@@ -167,9 +180,30 @@ class Fitter:
         )
         return replace(roof, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss)
 
+    def fit_eaves(
+        self, roof: FittedRoof, point_m: np.ndarray, effort: Effort, prior: Prior = NO_PRIOR
+    ) -> FittedRoof:
+        """The best roof with an eave height for each of its slopes, sought from a roof with level eaves and from gable
+        roofs; the roof itself if there is none. The points are in even order."""
+        xy_m, ring_offset = flat_rings(roof.rings)
+        loss, eave, top, angle, outward = fit_eaves(
+            xy_m,
+            ring_offset,
+            *self._points(point_m, effort),
+            np.array(roof.angle_deg, np.float64),
+            float(roof.eave_z_m),
+            float(roof.top_m),
+            self.work(len(xy_m), len(point_m)),
+            self.settings(effort),
+            prior,
+        )
+        if loss >= IMPOSSIBLE:
+            return roof
+        return replace(roof, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss, outward_m=outward)
+
     def loss(self, roof: FittedRoof, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
         """Loss of a roof on points (m, 3), metres."""
-        xy_m, ring_offset = flat_rings(roof.rings)
+        xy_m, ring_offset = flat_rings(roof.slope_rings)
         all_points = Effort(num_points=len(point_m))
         return improve_roof(
             xy_m,

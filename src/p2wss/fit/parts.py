@@ -91,7 +91,7 @@ def fit_parts(
     if whole is None:
         return []
     # the prior describes the whole building, so parts are compared without it
-    parts = [_part(fitter, whole, np.ascontiguousarray(point_m.T), slope_cost_m)]
+    parts = [_part(fitter, whole, np.ascontiguousarray(point_m.T), slope_cost_m, effort)]
     splits: list[_Split | None] = [None]
     is_searched = [False]
     parents: dict[frozenset[int], Part] = {}
@@ -115,9 +115,31 @@ def fit_parts(
         own_prior = prior if len(parts) == 1 else NO_PRIOR
         num = part.point_m.shape[1]
         tidy_prior = with_slope_cost(own_prior, slope_cost_m, num, len(part.roof.angle_deg))
-        roof = fitter.tidy(part.roof, part.point_m.T, effort, tidy_prior)
-        roofs.append(replace(roof, loss_m=fitter.loss(roof, part.point_m.T, own_prior)))
+        roof = fitter.tidy(replace(part.roof, outward_m=None), part.point_m.T, effort, tidy_prior)
+        roof = replace(roof, loss_m=fitter.loss(roof, part.point_m.T, own_prior))
+        tidy = replace(part, roof=roof)
+        roofs.append(_with_eaves(fitter, tidy, slope_cost_m, effort, own_prior).roof)
     return roofs
+
+
+def _with_eaves(
+    fitter: Fitter, part: Part, slope_cost_m: float, effort: Effort, prior: Prior = NO_PRIOR
+) -> Part:
+    """The part with eaves at different heights, if these gain more than a slope costs in the sum of the residuals.
+    Without a price there is only one part, which has one eave height as in the paper."""
+    roof, point_m = part.roof, part.point_m.T
+    if not slope_cost_m or roof.loss_m < _NOISE_M:
+        return part
+    slope_prior = with_slope_cost(prior, slope_cost_m, len(point_m), len(roof.angle_deg))
+    uneven = fitter.fit_eaves(roof, point_m, effort, slope_prior)
+    if uneven is roof:
+        return part
+    loss_m = [fitter.loss(each, point_m, slope_prior) for each in (roof, uneven)]
+    gain_m = (loss_m[0] - loss_m[1]) * len(point_m) - slope_cost_m
+    if gain_m <= 0:
+        return part
+    uneven = replace(uneven, loss_m=fitter.loss(uneven, point_m, prior))
+    return Part(part.point_m, uneven, part.cost_m - gain_m)
 
 
 def with_slope_cost(prior: Prior, slope_cost_m: float, num_points: int, num_edges: int = 0) -> Prior:
@@ -138,11 +160,12 @@ def cost_m(parts: Sequence[FittedRoof], cutting: Cutting) -> float:
     return sum(part.total_loss_m for part in parts) + (len(parts) - 1) * cutting.min_gain_m(num_points)
 
 
-def _part(fitter: Fitter, roof: FittedRoof, point_m: np.ndarray, slope_cost_m: float) -> Part:
-    loss_m = fitter.loss(roof, point_m.T)
+def _part(fitter: Fitter, roof: FittedRoof, point_m: np.ndarray, slope_cost_m: float, effort: Effort) -> Part:
+    """A part with a roof that is fitted to its points, whose eaves may then get different heights."""
+    roof = replace(roof, loss_m=fitter.loss(roof, point_m.T))
     num_slopes = int(((roof.angle_deg > 0) & (roof.angle_deg < 90)).sum())
-    roof = replace(roof, loss_m=loss_m)
-    return Part(point_m, roof, roof.total_loss_m + num_slopes * slope_cost_m)
+    part = Part(point_m, roof, roof.total_loss_m + num_slopes * slope_cost_m)
+    return _with_eaves(fitter, part, slope_cost_m, effort)
 
 
 def _best_split(
@@ -168,7 +191,8 @@ def _best_split(
     if axis < 0:
         return None
     is_high = part.point_m[axis] >= position
-    sides = _side(part, ~is_high, *roofs[0]), _side(part, is_high, *roofs[1])
+    low, high = _side(part, ~is_high, *roofs[0]), _side(part, is_high, *roofs[1])
+    sides = _with_eaves(fitter, low, slope_cost_m, effort), _with_eaves(fitter, high, slope_cost_m, effort)
     gain = part.cost_m - sides[0].cost_m - sides[1].cost_m
     return _Split(gain, sides) if gain >= min_gain else None
 
@@ -240,4 +264,4 @@ def _merger(
         if quick is None or quick.total_loss_m > _MERGER_SLACK * limit_m:
             return None
     roof = fitter.fit(rings, point_m.T, replace(effort, max_rounds=1), (), prior)
-    return None if roof is None else _part(fitter, roof, point_m, slope_cost_m)
+    return None if roof is None else _part(fitter, roof, point_m, slope_cost_m, effort)

@@ -49,7 +49,9 @@ def every_kth_value(values, max_count):
 
 
 @allocating
-def _problem(xy_m, ring_offset, x, y, z, max_points, direction, settings, prior):
+def make_problem(xy_m, ring_offset, x, y, z, max_points, direction, settings, prior):
+    """The problem of a polygon and at most ``max_points`` of its points, evenly spaced. direction: of
+    :func:`p2wss.fit.starts.edge_groups`."""
     local_x, local_y = (
         every_kth_value(x, max_points) - xy_m[0, 0],
         every_kth_value(y, max_points) - xy_m[0, 1],
@@ -160,7 +162,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
     if n > _TOO_MANY_EDGES:
         settings = with_little_effort(settings)
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
-    sample = _problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
+    sample = make_problem(xy_m, ring_offset, x, y, z, settings.num_search_points, direction, settings, prior)
     status, _ = load_polygon(xy_m, ring_offset, work)
     tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / len(sample.z))
     loss, eave, top = known_loss, known_eave, np.inf
@@ -192,7 +194,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
                 for e in range(n):
                     angle_deg[e] = rows[row, e]
     if len(z) > len(sample.z):
-        full = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+        full = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
         loss, eave, top = improve_at(
             work.code, full, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
         )
@@ -206,7 +208,7 @@ fit_roof_at = by_address(fit_roof)
 def improve_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, work, settings, prior):
     """Loss of a roof after ``num_rounds`` rounds of improvement; ``angle_deg`` is changed in place."""
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
-    problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+    problem = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
     status, _ = load_polygon(xy_m, ring_offset, work)
     if status != _OK:
         return IMPOSSIBLE
@@ -257,7 +259,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     as well has only edges of 0 degrees."""
     n = len(xy_m)
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
-    problem = _problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
+    problem = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
     tolerance = settings.class_gain_m * max(1.0, _FULL_NUM_POINTS / min(len(z), settings.num_search_points))
     status, _ = load_polygon(xy_m, ring_offset, work)
     angle, trial = angle_deg.copy(), np.zeros(n)
@@ -298,7 +300,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
         separate_direction = np.empty(n, np.int64)
         for e in range(n):
             separate_direction[e] = e
-        separate = _problem(xy_m, ring_offset, x, y, z, len(z), separate_direction, settings, prior)
+        separate = make_problem(xy_m, ring_offset, x, y, z, len(z), separate_direction, settings, prior)
         separate_deg = angle.copy()
         new_loss, new_eave, new_top = improve_at(
             work.code, separate, work, separate_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE

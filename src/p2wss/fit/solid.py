@@ -111,7 +111,7 @@ def _union(
     # beyond its outline, a roof may reach below the ground
     floor_z_m = ground_z_m - (_BELOW_GROUND_M if len(outline) else 0.0)
     meshes = skeleton.build(
-        Polygons.from_rings([list(part.rings) for part in parts]),
+        Polygons.from_rings([list(part.slope_rings) for part in parts]),
         np.concatenate([part.angle_deg for part in parts]),
         np.array([max(part.eave_z_m - floor_z_m, min_eave_height_m) for part in parts]),
         max_roof_height_m=np.array([min(part.top_m, max_roof_height_m) for part in parts]),
@@ -121,9 +121,11 @@ def _union(
     solids = []
     for i, part in enumerate(parts):
         vertex_m, triangle, _, _ = meshes.mesh(i)
-        vertex_m = snap_vertices(vertex_m, np.concatenate(list(part.rings)))
-        mesh = manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64))
-        solids.append(manifold3d.Manifold(mesh))
+        vertex_m = snap_vertices(vertex_m, np.concatenate(list(part.slope_rings)))
+        solid = manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
+        if part.outward_m is not None:
+            solid ^= _prism(part.rings, float(solid.bounding_box()[5]) + 1.0)
+        solids.append(solid)
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     for recess in recesses:
         floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m) + ground_z_m - floor_z_m
@@ -132,6 +134,20 @@ def _union(
         whole = whole.translate((0.0, 0.0, floor_z_m - ground_z_m))
         low, high = (_prism(outline, z) for z in (min_eave_height_m, float(whole.bounding_box()[5]) + 1.0))
         whole = (whole ^ high) + low
+    return _mesh_of(whole, simplify_m)
+
+
+def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
+    """A closed mesh (v, 3), (t, 3), some vertices of which may be unused, without the slivers and the vertices within
+    faces and straight edges; None if it is not one solid."""
+    used, index = np.unique(triangle, return_inverse=True)
+    corners = index.reshape(-1, 3).astype(np.uint64)
+    solid = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
+    return _mesh_of(solid, _ATTEMPTS_M[0][1])
+
+
+def _mesh_of(whole: manifold3d.Manifold, simplify_m: float) -> Mesh | None:
+    """The mesh of a solid with its faces; None if it is empty or in pieces."""
     whole = whole.as_original().simplify(simplify_m)
     if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
         return None

@@ -18,8 +18,8 @@ from p2wss.skeleton.status import Status
 _OK = int(Status.OK)
 IMPOSSIBLE = 1e9  # loss of a roof that the kernel refuses
 # a residual below this has full weight: about the noise of airborne LiDAR
-_NOISE_M = 0.05
-_MIN_ANGLE_DEG, _MAX_ANGLE_DEG = 5.0, 75.0
+NOISE_M = 0.05
+MIN_ANGLE_DEG, MAX_ANGLE_DEG = 5.0, 75.0
 _MIN_TOP_M = 0.8
 # weights of the present eave height and slopes, which keep a step small where the points do not determine them
 _KEEP_EAVE, _KEEP_SLOPE = 1e-3, 0.5
@@ -208,7 +208,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
         size_of_residual = abs(work.residual[k])
         if f == OUTSIDE or not size_of_residual <= reach_m:
             continue
-        w = 1.0 / max(size_of_residual, _NOISE_M)
+        w = 1.0 / max(size_of_residual, NOISE_M)
         z = problem.z[k]
         if f == CUT and has_top:
             top_weight += w
@@ -245,7 +245,7 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
         work.solution_deg[e] = angle_deg[e]
         if groups > 0 and work.tangent[e] > 0.0:
             angle = np.arctan(b[work.group_row[problem.direction[e]]]) / _DEGREE
-            work.solution_deg[e] = min(max(angle, _MIN_ANGLE_DEG), _MAX_ANGLE_DEG)
+            work.solution_deg[e] = min(max(angle, MIN_ANGLE_DEG), MAX_ANGLE_DEG)
     return b[0], max(b[1] - b[0], _MIN_TOP_M) if has_top else top_m
 
 

@@ -1,0 +1,243 @@
+"""Short edges of a closed mesh, removed by small shifts of its roofs and inner walls.
+
+Roofs that are fitted one by one end nearly, but not exactly, at the same places: eaves a few centimetres apart leave a
+step between them, a cut beside a corner a narrow wall. An edge vanishes if the planes at both its ends meet in one
+point. That is a linear condition on the shifts of the planes, so the smallest shifts that satisfy all conditions follow
+from least squares. Slopes stay as they are, as do outer walls and the floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2wss.fit.planes import neighbours
+from p2wss.fit.solid import Mesh, is_closed, is_sound, simplified
+from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.types import FaceKind
+
+# shorter edges are removed if no plane shifts by more than the second figure and no vertex by more than the third
+_SHORT_EDGE_M, _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.2, 0.6
+# each edge may add at most this share of the price of a part to the sum of the residuals
+_PRICE_SHARE = 0.2
+# larger residuals count as this, as in the fit
+_CAP_M = 1.0
+# a wall whose plane contains an edge of the footprint is an outer wall
+_ON_WALL_M = 1e-3
+_UPRIGHT_NZ = 0.05
+# how heavily a square metre of a plane weighs without points, as a share of the points per square metre
+_AREA_WEIGHT = 0.1
+# vertices nearer to each other are one
+_SAME_PLACE_M = 1e-3
+# a triangle that is turned over by no more than this, twice its area in square metres, has no area
+_NO_AREA_M2 = 1e-6
+_RANK, _INCONSISTENT_M = 1e-6, 1e-6
+
+
+def without_short_edges(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float) -> Mesh:
+    """The mesh without those edges shorter than 0.2 m whose removal adds little to the residuals of the points; the
+    mesh itself if there are none. Edges are removed one after the other, the shortest first.
+
+    rings: of the footprint. point_m: (m, 3), on the roof. price_m: of a part, in the sum of the residuals. All are in
+    the frame of the mesh.
+    """
+    edges = _short_edges(mesh)
+    if not edges:
+        return mesh
+    planes = _Planes.of(mesh, rings)
+    residuals = _Residuals.of(mesh, planes, point_m)
+    if not len(residuals.plane):
+        return mesh
+    weight = residuals.weights(planes)
+    cluster_of, num_removed = np.arange(len(mesh.vertex_m)), 0
+    result = None
+    for start, end in edges:
+        if cluster_of[start] == cluster_of[end]:
+            continue
+        trial = np.where(cluster_of == cluster_of[end], cluster_of[start], cluster_of)
+        clusters = [np.flatnonzero(trial == c).tolist() for c in np.unique(trial)]
+        shift_m = planes.smallest_shifts(mesh.vertex_m, clusters, weight)
+        if shift_m is None or np.abs(shift_m).max() > _MAX_SHIFT_M:
+            continue
+        if residuals.growth_m(planes, shift_m) > _PRICE_SHARE * price_m * (num_removed + 1):
+            continue
+        moved_m = planes.moved(mesh.vertex_m, clusters, shift_m)
+        if np.linalg.norm(moved_m - mesh.vertex_m, axis=1).max() > _MAX_MOVE_M:
+            continue
+        triangle = _merged_triangles(mesh, planes, moved_m, trial)
+        if triangle is not None:
+            cluster_of, num_removed, result = trial, num_removed + 1, (moved_m, triangle)
+    simple = None if result is None else simplified(*result)
+    return (
+        mesh
+        if simple is None or not (is_closed(simple.vertex_m, simple.triangle) and is_sound(simple))
+        else simple
+    )
+
+
+def _short_edges(mesh: Mesh) -> list[tuple[int, int]]:
+    """(start, end) of the short edges between two planes, the shortest first."""
+    start, end = mesh.triangle, np.roll(mesh.triangle, -1, axis=1)
+    length_m = np.linalg.norm(mesh.vertex_m[start] - mesh.vertex_m[end], axis=2)
+    across = mesh.plane[neighbours(mesh.triangle)]
+    is_short = (length_m < _SHORT_EDGE_M) & (start < end) & (across != mesh.plane[:, None])
+    order = np.argsort(length_m[is_short], kind="stable")
+    return list(zip(start[is_short][order].tolist(), end[is_short][order].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class _Planes:
+    """The planes of a mesh, numbered from 0.
+
+    number: (t,), of each triangle. normal: (p, 3), outwards. area_m2: (p,). is_free: (p,), whether a plane may shift.
+    at: the planes of each vertex.
+    """
+
+    number: np.ndarray
+    normal: np.ndarray
+    area_m2: np.ndarray
+    is_free: np.ndarray
+    at: list[set[int]]
+
+    @classmethod
+    def of(cls, mesh: Mesh, rings: Sequence[np.ndarray]) -> _Planes:
+        number = np.unique(mesh.plane, return_inverse=True)[1].reshape(-1)
+        corner_m = mesh.vertex_m[mesh.triangle]
+        cross = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+        normal = np.column_stack([np.bincount(number, cross[:, axis]) for axis in range(3)])
+        twice_m2 = np.linalg.norm(normal, axis=1)
+        normal = normal / twice_m2[:, None]
+        offset_m = np.zeros(len(normal))
+        offset_m[number] = (normal[number] * corner_m[:, 0]).sum(axis=1)
+        start = np.concatenate(list(rings))
+        end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+        gap_m = np.maximum(*(np.abs(ends @ normal[:, :2].T - offset_m) for ends in (start, end)))
+        is_outer = (np.abs(normal[:, 2]) < _UPRIGHT_NZ) & (gap_m.min(axis=0) < _ON_WALL_M)
+        is_free = ~is_outer
+        is_free[number[mesh.kind == FaceKind.GROUND]] = False
+        at: list[set[int]] = [set() for _ in mesh.vertex_m]
+        for plane, corners in zip(number.tolist(), mesh.triangle.tolist(), strict=True):
+            for vertex in corners:
+                at[vertex].add(plane)
+        return cls(number, normal, twice_m2 / 2, is_free, at)
+
+    def _meeting(self, vertex_m: np.ndarray, cluster: list[int]) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """(planes, normals (k, 3), distances (k,) of the planes from the first vertex) at a cluster of vertices."""
+        planes = sorted(set().union(*(self.at[v] for v in cluster)))
+        on_plane = [next(v for v in cluster if plane in self.at[v]) for plane in planes]
+        normal = self.normal[planes]
+        return planes, normal, (normal * (vertex_m[on_plane] - vertex_m[cluster[0]])).sum(axis=1)
+
+    def smallest_shifts(
+        self, vertex_m: np.ndarray, clusters: list[list[int]], weight: np.ndarray
+    ) -> np.ndarray | None:
+        """The shifts (p,) along the normals with the smallest weighted sum of squares for which the planes of each
+        cluster meet in one point; None if there are none."""
+        rows, right = [], []
+        for cluster in clusters:
+            if len(cluster) == 1 and len(self.at[cluster[0]]) < 4:
+                continue
+            planes, normal, distance_m = self._meeting(vertex_m, cluster)
+            vectors, size, _ = np.linalg.svd(normal)
+            # planes meet in one point if their offsets are orthogonal to these
+            dependence = vectors[:, (size > _RANK).sum() :].T
+            row = np.zeros((len(dependence), len(self.normal)))
+            row[:, planes] = dependence
+            rows.append(row)
+            right.append(-dependence @ distance_m)
+        result = np.zeros(len(self.normal))
+        conditions, right_side = np.vstack(rows), np.concatenate(right)
+        scale = 1.0 / np.sqrt(weight[self.is_free])
+        result[self.is_free] = (
+            scale * np.linalg.lstsq(conditions[:, self.is_free] * scale, right_side, 1e-8)[0]
+        )
+        is_consistent = np.abs(conditions @ result - right_side).max(initial=0.0) < _INCONSISTENT_M
+        return result if is_consistent else None
+
+    def moved(self, vertex_m: np.ndarray, clusters: list[list[int]], shift_m: np.ndarray) -> np.ndarray:
+        """The vertices (v, 3) after the shifts: those of a cluster where its planes meet."""
+        result = vertex_m.copy()
+        shifted = set(np.flatnonzero(shift_m).tolist())
+        for cluster in clusters:
+            if len(cluster) > 1 or not shifted.isdisjoint(self.at[cluster[0]]):
+                planes, normal, distance_m = self._meeting(vertex_m, cluster)
+                place = np.linalg.lstsq(normal, distance_m + shift_m[planes], _RANK)[0]
+                result[cluster] = vertex_m[cluster[0]] + place
+        return result
+
+
+@dataclass(frozen=True)
+class _Residuals:
+    """The points that lie over a roof. plane: (m,), that of the topmost roof. residual_m: (m,), along its normal."""
+
+    plane: np.ndarray
+    residual_m: np.ndarray
+
+    @classmethod
+    def of(cls, mesh: Mesh, planes: _Planes, point_m: np.ndarray) -> _Residuals:
+        is_up = planes.normal[planes.number, 2] > _UPRIGHT_NZ
+        corner_m = np.ascontiguousarray(mesh.vertex_m[mesh.triangle[is_up]])
+        triangle, roof_z = _topmost(corner_m, np.ascontiguousarray(point_m, np.float64))
+        is_over = triangle >= 0
+        plane = planes.number[is_up][triangle[is_over]]
+        return cls(plane, (roof_z - point_m[:, 2])[is_over] * planes.normal[plane, 2])
+
+    def weights(self, planes: _Planes) -> np.ndarray:
+        """(p,): the number of points on each plane, and a little for its area."""
+        count = np.bincount(self.plane, minlength=len(planes.normal))
+        return count + _AREA_WEIGHT * self._points_per_m2(planes) * planes.area_m2
+
+    def growth_m(self, planes: _Planes, shift_m: np.ndarray) -> float:
+        """How much the sum of the residuals grows if planes shift. Beside a wall that moves, the roof is missing, or
+        too much, over a strip."""
+        before = np.minimum(np.abs(self.residual_m), _CAP_M)
+        after = np.minimum(np.abs(self.residual_m + shift_m[self.plane]), _CAP_M)
+        is_wall = np.abs(planes.normal[:, 2]) < _UPRIGHT_NZ
+        strip_m3 = float((planes.area_m2 * np.abs(shift_m))[is_wall].sum())
+        return float((after - before).sum()) + self._points_per_m2(planes) * strip_m3
+
+    def _points_per_m2(self, planes: _Planes) -> float:
+        is_roof = planes.normal[:, 2] > _UPRIGHT_NZ
+        return len(self.plane) / float((planes.area_m2 * planes.normal[:, 2])[is_roof].sum())
+
+
+@entry
+def _topmost(corner_m, point_m):
+    """(number of the topmost triangle over or below each point, its height there); -1 and minus infinity for none.
+    corner_m: float64 (t, 3, 3), counter-clockwise seen from above. point_m: float64 (m, 3)."""
+    num = len(point_m)
+    triangle, height = np.full(num, -1), np.full(num, -np.inf)
+    for t in range(len(corner_m)):
+        a, b, c = corner_m[t, 0], corner_m[t, 1], corner_m[t, 2]
+        bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
+        twice_m2 = bx * cy - by * cx
+        if twice_m2 <= 0.0:
+            continue
+        for k in range(num):
+            x, y = point_m[k, 0] - a[0], point_m[k, 1] - a[1]
+            share_b, share_c = (x * cy - y * cx) / twice_m2, (bx * y - by * x) / twice_m2
+            if share_b >= 0.0 and share_c >= 0.0 and share_b + share_c <= 1.0:
+                z = a[2] + share_b * (b[2] - a[2]) + share_c * (c[2] - a[2])
+                if z > height[k]:
+                    triangle[k], height[k] = t, z
+    return triangle, height
+
+
+def _merged_triangles(
+    mesh: Mesh, planes: _Planes, moved_m: np.ndarray, cluster_of: np.ndarray
+) -> np.ndarray | None:
+    """The triangles (t, 3) after the vertices of each cluster, and others that moved to one place, have become one;
+    None if a triangle turns over, or if the mesh is not closed."""
+    first, index = np.unique(cluster_of, return_index=True, return_inverse=True)[1:]
+    place_m = moved_m[first]
+    near = np.linalg.norm(place_m[:, None] - place_m[None], axis=2) < _SAME_PLACE_M
+    triangle = first[near.argmax(axis=1)][index][mesh.triangle]
+    has_area = (triangle != np.roll(triangle, 1, axis=1)).all(axis=1)
+    triangle = triangle[has_area]
+    corner_m = moved_m[triangle]
+    cross = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+    if ((cross * planes.normal[planes.number[has_area]]).sum(axis=1) < -_NO_AREA_M2).any():
+        return None
+    return triangle if is_closed(moved_m, triangle) else None
