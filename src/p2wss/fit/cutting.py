@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.fit.work import fit_work_at
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.footprint import check_rings, load_footprint, set_angles
 from p2wss.skeleton.kinetic import simulate_at
@@ -156,16 +157,18 @@ def _squared_clearance_m2(edge, n):
 
 
 @entry
-def clearance_m(xy_m, ring_offset, work):
+def clearance_m(xy_m, ring_offset, work_at):
     """The smallest distance between a vertex of a polygon and another vertex or an edge that does not end there."""
+    work = fit_work_at(work_at)
     status, n = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
     return np.sqrt(_squared_clearance_m2(work.skeleton.edge, n)) if status == _OK else 0.0
 
 
 @entry
-def is_sound(xy_m, ring_offset, min_clearance_m, work):
+def is_sound(xy_m, ring_offset, min_clearance_m, work_at):
     """Whether the side of a cut is a simple polygon, neither small nor thin, whose clearance is at least
     ``min_clearance_m``."""
+    work = fit_work_at(work_at)
     num_rings = len(ring_offset) - 1
     skeleton = work.skeleton
     if len(xy_m) < 3 or len(xy_m) > len(skeleton.edge):

@@ -15,7 +15,7 @@ from p2wss.fit.one_height import FittedRoof, Fitter, flat_rings
 from p2wss.fit.points import every_kth
 from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, load_polygon
 from p2wss.fit.starts import edge_groups
-from p2wss.fit.work import NO_PRIOR, Problem
+from p2wss.fit.work import NO_PRIOR, Problem, fit_work_at
 from p2wss.skeleton.compiled import entry, inner
 from p2wss.skeleton.status import Status
 
@@ -86,11 +86,12 @@ def _slope_margin(problem, work, angle_deg, eave, e):
 
 @entry
 def _residual_and_margins(
-    xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_points, class_bonus_m, work, cap_m, max_roof_height_m
+    xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_points, class_bonus_m, work_at, cap_m, max_roof_height_m
 ):  # fmt: skip
     """(mean residual, margins of the edges) of a roof on a sample x, y, z of its ``num_points``.
 
     class_bonus_m: (n, 3), what the network's probability of each class takes off the sum of the residuals."""
+    work = fit_work_at(work_at)
     n, m = len(xy_m), len(z)
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     local_x, local_y = x - xy_m[0, 0], y - xy_m[0, 1]
@@ -106,7 +107,7 @@ def _residual_and_margins(
     status, _ = load_polygon(xy_m, ring_offset, work)
     if status != _OK or m == 0:
         return cap_m, margin
-    loss = evaluate_at(work.code, problem, work, angle_deg, eave, top)
+    loss = evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
     if loss >= IMPOSSIBLE:
         return cap_m, margin
     is_level = True
@@ -127,7 +128,7 @@ def _residual_and_margins(
                 for j in range(n):
                     if direction[j] == direction[e] and 0.0 < angle_deg[j] < 90.0:
                         trial[e] = angle_deg[j]
-            new_loss = evaluate_at(work.code, problem, work, trial, eave, top)
+            new_loss = evaluate_at(work.code, problem, work.at, trial, eave, top)
             if new_loss < IMPOSSIBLE:
                 growth = (new_loss - loss) * num_points + class_bonus_m[e, kind] - class_bonus_m[e, other]
                 margin[k] = min(margin[k], growth)

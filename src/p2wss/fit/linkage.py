@@ -27,23 +27,18 @@ def linked_work(max_edges: int, max_points: int) -> FitWork:
 @cache
 def _code() -> Code:
     """The addresses. Callees come before their callers, which are compiled for the types of each callee."""
-    no_addresses = Code(*[0] * len(Code._fields))
-    work, row, grid, offset = (
-        fit_work(1, 1, no_addresses),
-        np.zeros(1),
-        np.zeros((1, 1)),
-        np.zeros(1, np.int64),
-    )
+    row, grid, offset = np.zeros(1), np.zeros((1, 1)), np.zeros(1, np.int64)
+    work_at = 1
     settings = Settings(1, 1, 1, 1, 1, True, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
     problem = Problem(1, 1, row, row, row, offset, 1, 1.0, 1.0, NO_PRIOR, grid)
-    polygon, points, common = (grid, offset), (row, row, row), (work, settings, NO_PRIOR)
+    polygon, points, common = (grid, offset), (row, row, row), (work_at, settings, NO_PRIOR)
     return Code(
-        evaluate=address_of(evaluate, problem, work, row, 1.0, 1.0),
-        improve=address_of(improve, problem, work, row, 1.0, 1.0, 1, True, True, 1.0),
-        search=address_of(search, problem, work, settings, grid, row, 1, 1.0, 1.0),
+        evaluate=address_of(evaluate, problem, work_at, row, 1.0, 1.0),
+        improve=address_of(improve, problem, work_at, row, 1.0, 1.0, 1, True, True, 1.0),
+        search=address_of(search, problem, work_at, settings, grid, row, 1, 1.0, 1.0),
         fit_roof=address_of(fit_roof, *polygon, *points, grid, 1.0, 1.0, *common),
         improve_roof=address_of(improve_roof, *polygon, *points, row, 1.0, 1.0, 1, *common),
         side_of_cut=address_of(side_of_cut, *polygon, 1, 1.0, True),
-        is_sound=address_of(is_sound, *polygon, 1.0, work),
+        is_sound=address_of(is_sound, *polygon, 1.0, work_at),
         fit_side=address_of(fit_side, *polygon, row, grid, 1, 1.0, True, 1, 1, 1.0, row, 1.0, 1.0, *common),
     )

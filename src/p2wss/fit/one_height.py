@@ -222,7 +222,7 @@ class Fitter:
         """(height of a roof, z of its unit normal) over each point (m, 3); minus infinity and 1 outside its polygon."""
         if self.loss(roof, point_m) >= IMPOSSIBLE or not len(point_m):
             return np.full(len(point_m), -np.inf), np.ones(len(point_m))
-        work = self.work(0, len(point_m))
+        work = self._work
         face, rise = work.face[: len(point_m)], work.rise[: len(point_m)]
         height = np.where(face == OUTSIDE, -np.inf, roof.eave_z_m + rise)
         return height, np.where(face >= 0, work.cosine[face], 1.0)
@@ -245,13 +245,13 @@ class Fitter:
             float(limits.rounding_m),
         )
 
-    def work(self, num_edges: int, num_points: int) -> FitWork:
-        """Work arrays for at least this many edges and points."""
+    def work(self, num_edges: int, num_points: int) -> int:
+        """The address of work arrays for at least this many edges and points."""
         if num_edges > len(self._work.tangent) or num_points > len(self._work.face):
             work = linked_work(max(num_edges, len(self._work.tangent)), max(num_points, len(self._work.face)))
             work.num_evaluations[:] = self._work.num_evaluations
             self._work = work
-        return self._work
+        return self._work.at
 
     @staticmethod
     def _points(point_m: np.ndarray, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

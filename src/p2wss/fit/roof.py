@@ -9,7 +9,7 @@ from p2wss.fit.jumps import quantile
 from p2wss.fit.search import MANY_EDGES, is_tried, search_at, set_excess
 from p2wss.fit.solve import IMPOSSIBLE, MAX_DIFFERENCE_M, evaluate_at, improve_at, load_polygon
 from p2wss.fit.starts import edge_groups, start_angles
-from p2wss.fit.work import Problem, Settings
+from p2wss.fit.work import Problem, Settings, fit_work_at
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.ordering import sort_first
 from p2wss.skeleton.status import Status
@@ -146,7 +146,7 @@ def _level_roof(num_edges, z, settings, prior):
 
 
 @entry
-def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, settings, prior):
+def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work_at, settings, prior):
     """(loss, eave, top, angles) of the best roof over a polygon; the loss is ``IMPOSSIBLE`` if the kernel refuses it.
 
     xy_m (n, 2), ring_offset: the polygon. x, y, z: points in even order; the search takes a sample of them and the
@@ -154,6 +154,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
     function has returned it for the same points without flat tops, so that only those are searched; else
     ``IMPOSSIBLE`` and 0. settings, prior: of :mod:`p2wss.fit.work`.
     """
+    work = fit_work_at(work_at)
     n = len(xy_m)
     # the search grows with the cube of the number of edges
     max_rounds = 0 if n > _TOO_MANY_EDGES else 1 if n > MANY_EDGES else settings.max_rounds
@@ -176,7 +177,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
         for i in range(len(rows)):
             tops[i] = np.inf
         loss, eave, top, row = search_at(
-            work.code, sample, work, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
+            work.code, sample, work.at, settings, rows, tops, max_rounds, tolerance, IMPOSSIBLE
         )
         angle_deg = rows[row].copy()
     if loss >= IMPOSSIBLE:
@@ -185,7 +186,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
         rows, tops = _flat_tops(sample.z, angle_deg, eave)
         if len(rows) > 0:
             new_loss, new_eave, new_top, row = search_at(
-                work.code, sample, work, settings, rows, tops, max(max_rounds - 1, 0), tolerance,
+                work.code, sample, work.at, settings, rows, tops, max(max_rounds - 1, 0), tolerance,
                 loss + _FLAT_TOP_START_M,
             )  # fmt: skip
             is_wide = _slope_width_m(rows[row], new_top) >= _MIN_SLOPE_WIDTH_M
@@ -196,7 +197,7 @@ def fit_roof(xy_m, ring_offset, x, y, z, guesses, known_loss, known_eave, work, 
     if len(z) > len(sample.z):
         full = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
         loss, eave, top = improve_at(
-            work.code, full, work, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+            work.code, full, work.at, angle_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
         )
     return loss, eave, top, angle_deg
 
@@ -205,15 +206,16 @@ fit_roof_at = by_address(fit_roof)
 
 
 @entry
-def improve_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, work, settings, prior):
+def improve_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_rounds, work_at, settings, prior):
     """Loss of a roof after ``num_rounds`` rounds of improvement; ``angle_deg`` is changed in place."""
+    work = fit_work_at(work_at)
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
     status, _ = load_polygon(xy_m, ring_offset, work)
     if status != _OK:
         return IMPOSSIBLE
     loss, _, _ = improve_at(
-        work.code, problem, work, angle_deg, eave, top, num_rounds, False, True, IMPOSSIBLE
+        work.code, problem, work.at, angle_deg, eave, top, num_rounds, False, True, IMPOSSIBLE
     )
     return loss
 
@@ -226,7 +228,7 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
     """Turns single slopes into gables and single gables into slopes where that lowers the loss, as all points may show
     what the sample of the search did not. ``angle_deg`` is changed in place. Returns (loss, eave, top)."""
     n = problem.num_edges
-    evaluate_at(work.code, problem, work, angle_deg, eave, top)
+    evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
     total, other = set_excess(problem, work)
     num_tried = ZERO
     for unit in range(n):
@@ -242,21 +244,22 @@ def _flip_gables(problem, work, angle_deg, trial, loss, eave, top, tolerance):
                 slope = angle_deg[e]
         trial[unit] = slope if angle_deg[unit] == 90.0 else 90.0
         new_loss, new_eave, new_top = improve_at(
-            work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _GIVE_UP_M
+            work.code, problem, work.at, trial, eave, top, _TIDY_ROUNDS, False, True, loss + _GIVE_UP_M
         )
         if new_loss < loss - tolerance:
             loss, eave, top = new_loss, new_eave, new_top
             for e in range(n):
                 angle_deg[e] = trial[e]
-            evaluate_at(work.code, problem, work, angle_deg, eave, top)
+            evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
             total, other = set_excess(problem, work)
     return loss, eave, top
 
 
 @entry
-def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, prior):
+def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work_at, settings, prior):
     """(loss, eave, top, angles) of a roof with whole degrees where that costs little. A roof that a flat one describes
     as well has only edges of 0 degrees."""
+    work = fit_work_at(work_at)
     n = len(xy_m)
     direction, _, _, _ = edge_groups(xy_m, ring_offset)
     problem = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
@@ -265,9 +268,9 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     angle, trial = angle_deg.copy(), np.zeros(n)
     if status != _OK:
         return IMPOSSIBLE, eave, top, angle
-    loss = evaluate_at(work.code, problem, work, angle, eave, top)
+    loss = evaluate_at(work.code, problem, work.at, angle, eave, top)
     new_loss, new_eave, new_top = improve_at(
-        work.code, problem, work, trial, eave, np.inf, _TIDY_ROUNDS, True, True, IMPOSSIBLE
+        work.code, problem, work.at, trial, eave, np.inf, _TIDY_ROUNDS, True, True, IMPOSSIBLE
     )
     if new_loss <= loss + tolerance:
         return new_loss, new_eave, new_top, trial
@@ -275,7 +278,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
         # At the end of a gable roof hardly any point distinguishes a steep face from a vertical one, and returns from
         # a wall that stands back below its eave look like a steep face.
         changed, depth_m = False, 0.0
-        evaluate_at(work.code, problem, work, angle, eave, top)
+        evaluate_at(work.code, problem, work.at, angle, eave, top)
         for e in range(n):
             trial[e] = angle[e]
             if direction[e] == d and _NEARLY_GABLE_DEG < angle[e] < 90.0:
@@ -286,7 +289,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
                         depth_m = max(depth_m, work.distance[k])
         if changed:
             new_loss, new_eave, new_top = improve_at(
-                work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
+                work.code, problem, work.at, trial, eave, top, _TIDY_ROUNDS, False, True, IMPOSSIBLE
             )
             max_growth_m = _WALL_HITS_M if depth_m < _MIN_SLOPE_WIDTH_M else settings.rounding_m
             if new_loss <= loss + max(tolerance, max_growth_m):
@@ -303,7 +306,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
         separate = make_problem(xy_m, ring_offset, x, y, z, len(z), separate_direction, settings, prior)
         separate_deg = angle.copy()
         new_loss, new_eave, new_top = improve_at(
-            work.code, separate, work, separate_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
+            work.code, separate, work.at, separate_deg, eave, top, _LAST_ROUNDS, False, True, IMPOSSIBLE
         )
         new_loss, new_eave, new_top = _flip_gables(
             separate, work, separate_deg, trial, new_loss, new_eave, new_top, min_gain_m
@@ -316,7 +319,7 @@ def tidy_roof(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
         changed = changed or trial[e] != angle[e]
     if changed:
         new_loss, new_eave, new_top = improve_at(
-            work.code, problem, work, trial, eave, top, _TIDY_ROUNDS, False, False, IMPOSSIBLE
+            work.code, problem, work.at, trial, eave, top, _TIDY_ROUNDS, False, False, IMPOSSIBLE
         )
         if new_loss <= loss + settings.rounding_m:
             return new_loss, new_eave, new_top, trial

@@ -20,7 +20,7 @@ from p2wss.fit.roof import (
 )
 from p2wss.fit.search import MANY_EDGES
 from p2wss.fit.solve import IMPOSSIBLE
-from p2wss.fit.work import NO_PRIOR, Prior
+from p2wss.fit.work import NO_PRIOR, Prior, fit_work_at
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.ordering import sort_first, stable_order
 
@@ -37,7 +37,7 @@ _OFF_CORNER_RATIO, _ON_CORNER_M = 1.02, 1e-6
 
 @entry
 def split_roof(
-    xy_m, ring_offset, angle_deg, points, cost_m, min_gain, min_points, slope_cost_m, work, screen, settings
+    xy_m, ring_offset, angle_deg, points, cost_m, min_gain, min_points, slope_cost_m, work_at, screen, settings
 ):  # fmt: skip
     """(cost, axis, position, low side, high side) of the best cut through a part; the axis is -1 if no cut gains
     ``min_gain``. The sides are as :func:`fit_side` returns them.
@@ -46,8 +46,9 @@ def split_roof(
     the part, the sum of its residuals and ``slope_cost_m`` for each of its slopes. min_points: on either side. screen:
     settings of the quick fits. settings: of the fits of the two sides.
     """
+    work = fit_work_at(work_at)
     sample = _every_kth_point(points, _NUM_POINTS)
-    clearance = clearance_m(xy_m, ring_offset, work)
+    clearance = clearance_m(xy_m, ring_offset, work_at)
     axes, positions = candidates(xy_m, points[0], points[1], points[2])
     # as the gain is the difference, rounding may decide otherwise about a cut that gains as much exactly
     limit_m = cost_m - min_gain
@@ -125,16 +126,17 @@ def _best_nearby(
 @entry
 def fit_side(
     xy_m, ring_offset, angle_deg, points, axis, position, is_high, min_points, max_points, min_clearance_m,
-    known_deg, known_loss, known_eave, work, settings, prior,
+    known_deg, known_loss, known_eave, work_at, settings, prior,
 ):  # fmt: skip
     """(loss per point, eave, top, angles, vertices, offsets) of one side of a cut, fitted to at most ``max_points`` of
     its points. The loss is ``IMPOSSIBLE`` if the side has fewer than ``min_points`` or is not sound. known_deg,
     known_loss, known_eave: what this function returned without flat tops; else ``IMPOSSIBLE`` as the loss."""
+    work = fit_work_at(work_at)
     side_xy, side_offset = side_of_cut_at(work.code, xy_m, ring_offset, axis, position, is_high)
     side_points = _points_of_side(points, axis, position, is_high)
     is_known = known_loss < IMPOSSIBLE
     if side_points.shape[1] < min_points or not (
-        is_known or is_sound_at(work.code, side_xy, side_offset, min_clearance_m, work)
+        is_known or is_sound_at(work.code, side_xy, side_offset, min_clearance_m, work_at)
     ):
         return IMPOSSIBLE, 0.0, np.inf, angle_deg, side_xy, side_offset
     guess = known_deg
@@ -145,7 +147,7 @@ def fit_side(
     loss, eave, top, angle = fit_roof_at(
         work.code, side_xy, side_offset, every_kth_value(side_points[0], max_points),
         every_kth_value(side_points[1], max_points), every_kth_value(side_points[2], max_points),
-        guess.reshape(1, -1), known_loss, known_eave, work, settings, prior,
+        guess.reshape(1, -1), known_loss, known_eave, work_at, settings, prior,
     )  # fmt: skip
     return loss, eave, top, angle, side_xy, side_offset
 
@@ -214,7 +216,7 @@ def best_cut(
                     result = fit_side_at(
                         work.code, xy_m, ring_offset, angle_deg, sample, axes[c], positions[c], side == 1, 1,
                         max_points, min_clearance_m, known_deg[c, side, :num_known], known[c, side, 0],
-                        known[c, side, 1], work, round_settings, no_prior,
+                        known[c, side, 1], work.at, round_settings, no_prior,
                     )  # fmt: skip
                     if result[0] >= IMPOSSIBLE:
                         cost = IMPOSSIBLE
@@ -247,14 +249,14 @@ def best_cut(
         if min(num_low[c], m - num_low[c]) < min_points:
             continue
         low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], False, min_points,
-            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work, settings,
+            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work.at, settings,
             slope_prior(max_edges, slope_cost_m / num_low[c]),
         )  # fmt: skip
         if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > best_cost:
             continue
         num_high = m - num_low[c]
         high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], True, min_points,
-            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work, settings,
+            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work.at, settings,
             slope_prior(max_edges, slope_cost_m / num_high),
         )  # fmt: skip
         cost = low[0] * num_low[c] + high[0] * num_high
@@ -301,7 +303,7 @@ def _costs_of_positions(
         costs[k] = np.inf
         if count < min_points or side_points.shape[1] == 0:
             continue
-        if not is_sound_at(work.code, new_xy, new_offset, min_clearance_m, work):
+        if not is_sound_at(work.code, new_xy, new_offset, min_clearance_m, work.at):
             continue
         guess = inherited_angles(
             side_xy, side_offset, side_deg, new_xy, new_offset, axis, new_position, on_cut
@@ -309,7 +311,7 @@ def _costs_of_positions(
         loss = improve_roof_at(
             work.code, new_xy, new_offset, every_kth_value(side_points[0], max_points),
             every_kth_value(side_points[1], max_points), every_kth_value(side_points[2], max_points), guess, eave,
-            top, _SHIFT_ROUNDS, work, settings, prior,
+            top, _SHIFT_ROUNDS, work.at, settings, prior,
         )  # fmt: skip
         costs[k] = loss * count
     return costs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.solve import IMPOSSIBLE, evaluate_at, improve_at
+from p2wss.fit.work import fit_work_at
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, embedded, inner
 from p2wss.skeleton.ordering import stable_order
 
@@ -93,7 +94,7 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     proposed, best = work.trial[1], work.trial[2]
     for _ in range(max_rounds):
         changed = False
-        evaluate_at(work.code, problem, work, angle_deg, eave, top)
+        evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
         total, other = set_excess(problem, work)
         num_tried = ZERO
         for unit in range(n + problem.num_directions):
@@ -109,12 +110,12 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                 if not _propose(problem, angle_deg, unit, alternative, proposed):
                     continue
                 new_loss, new_eave, new_top = improve_at(
-                    work.code, problem, work, proposed, eave, top, _ROUNDS_CANDIDATE, False, True,
+                    work.code, problem, work.at, proposed, eave, top, _ROUNDS_CANDIDATE, False, True,
                     loss + _GIVE_UP_M,
                 )  # fmt: skip
                 if best_loss <= new_loss < loss + _SECOND_LOOK_M:
                     new_loss, new_eave, new_top = improve_at(
-                        work.code, problem, work, proposed, new_eave, new_top, _ROUNDS_CANDIDATE, True, True,
+                        work.code, problem, work.at, proposed, new_eave, new_top, _ROUNDS_CANDIDATE, True, True,
                         IMPOSSIBLE,
                     )  # fmt: skip
                 if new_loss < best_loss:
@@ -125,7 +126,7 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                 loss, eave, top, changed = best_loss, best_eave, best_top, True
                 for e in range(n):
                     angle_deg[e] = best[e]
-                evaluate_at(work.code, problem, work, angle_deg, eave, top)
+                evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
                 total, other = set_excess(problem, work)
         if not changed:
             break
@@ -133,7 +134,7 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
 
 
 @allocating
-def search(problem, work, settings, start_deg, start_top_m, max_rounds, tolerance, descend_below):
+def search(problem, work_at, settings, start_deg, start_top_m, max_rounds, tolerance, descend_below):
     """The best roof from several starts: (loss, eave, top, row), with its angles in that row of ``start_deg``.
 
     All starts get a first round, the best ``settings.num_followed`` of them are improved, and the classes are
@@ -143,18 +144,19 @@ def search(problem, work, settings, start_deg, start_top_m, max_rounds, toleranc
     start_deg: (num_starts, num_edges), overwritten. start_top_m: (num_starts,). tolerance: metres of loss that
     a change of class has to gain. descend_below: only from starts with less loss than this are classes searched.
     """
+    work = fit_work_at(work_at)
     k = len(start_deg)
     losses, eaves, tops = np.empty(k), np.empty(k), start_top_m.copy()
     for i in range(k):
         losses[i], eaves[i], tops[i] = improve_at(
-            work.code, problem, work, start_deg[i], 0.0, tops[i], _ROUNDS_FIRST, True, True, IMPOSSIBLE
+            work.code, problem, work.at, start_deg[i], 0.0, tops[i], _ROUNDS_FIRST, True, True, IMPOSSIBLE
         )
     order = stable_order(losses)
     follow_below = losses[order[0]] + _FOLLOW_M
     for i in order[: settings.num_followed]:
         if losses[i] < min(follow_below, IMPOSSIBLE):
             losses[i], eaves[i], tops[i] = improve_at(
-                work.code, problem, work, start_deg[i], eaves[i], tops[i], _ROUNDS_NEXT, False, True,
+                work.code, problem, work.at, start_deg[i], eaves[i], tops[i], _ROUNDS_NEXT, False, True,
                 IMPOSSIBLE,
             )  # fmt: skip
     order = stable_order(losses)
@@ -175,7 +177,7 @@ def search(problem, work, settings, start_deg, start_top_m, max_rounds, toleranc
             best, best_loss, best_eave, best_top = i, loss, eave, top
     if num_searched > 0:
         best_loss, best_eave, best_top = improve_at(
-            work.code, problem, work, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True,
+            work.code, problem, work.at, start_deg[best], best_eave, best_top, _ROUNDS_LAST, False, True,
             IMPOSSIBLE,
         )  # fmt: skip
     return best_loss, best_eave, best_top, best

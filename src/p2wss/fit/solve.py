@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.fit.envelope import lower_envelope
+from p2wss.fit.work import fit_work_at
 from p2wss.skeleton.compiled import ZERO, by_address, embedded, inner
 from p2wss.skeleton.footprint import load_footprint, set_angles
 from p2wss.skeleton.ordering import select
@@ -37,7 +38,7 @@ def load_polygon(xy_m, ring_offset, work):
 
 
 @embedded
-def evaluate(problem, work, angle_deg, eave_m, top_m):
+def _evaluate(problem, work, angle_deg, eave_m, top_m):
     """Loss of a roof: mean over the points of min(|distance to the roof|, cap), metres, distances measured at
     right angles to the face, plus the cost of the prior. ``top_m``: height above the eave of a flat cut, infinity
     for none.
@@ -80,6 +81,12 @@ def evaluate(problem, work, angle_deg, eave_m, top_m):
         work.slant[k] = slant if face[k] != OUTSIDE else np.nan
     work.last_roof[0], work.last_roof[1] = m, top
     return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
+
+
+@inner
+def evaluate(problem, work_at, angle_deg, eave_m, top_m):
+    """Loss of a roof; see :func:`_evaluate`."""
+    return _evaluate(problem, fit_work_at(work_at), angle_deg, eave_m, top_m)
 
 
 evaluate_at = by_address(evaluate)
@@ -250,13 +257,14 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
 
 
 @inner
-def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, free_angles, give_up_at):
+def improve(problem, work_at, angle_deg, eave_m, top_m, num_rounds, from_median, free_angles, give_up_at):
     """Rounds of assigning points to faces and solving; ``angle_deg`` is changed in place. Returns (loss, eave, top).
 
     from_median: begin with the eave at the median height of the points instead of ``eave_m``. free_angles: solve for
     the slopes too. give_up_at: a loss above this ends the search after a round.
     """
-    loss = evaluate(problem, work, angle_deg, eave_m, top_m)
+    work = fit_work_at(work_at)
+    loss = _evaluate(problem, work, angle_deg, eave_m, top_m)
     if loss >= IMPOSSIBLE:
         return loss, eave_m, top_m
     if from_median:
@@ -281,7 +289,7 @@ def improve(problem, work, angle_deg, eave_m, top_m, num_rounds, from_median, fr
             if keeps_faces:
                 trial_loss = _loss(problem, work, eave) + prior_cost_m(problem, trial, eave)
             else:
-                trial_loss = evaluate(problem, work, trial, eave, top)
+                trial_loss = _evaluate(problem, work, trial, eave, top)
             if trial_loss < loss - 1e-5:
                 is_accepted = True
                 break

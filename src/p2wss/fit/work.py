@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from p2wss.skeleton.compiled import described, stored_tuple
 from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.queries import QueryWork, query_work
 from p2wss.skeleton.records import SkeletonWork
@@ -94,7 +95,8 @@ class FitWork(NamedTuple):
     cosine: of these. last_roof: its number of points and the height of its top, if it succeeded. group_row: of each
     direction, its row of the equations. solution_deg: angles that the least squares give. excess: what a better roof
     might gain, per edge. trial: rows of angles, one for each level of nested searches. num_evaluations: int64 (1,),
-    roofs evaluated so far.
+    roofs evaluated so far. at: the address of ``description``, from which compiled code takes everything by
+    ``fit_work_at``.
     """
 
     skeleton: SkeletonWork
@@ -119,12 +121,17 @@ class FitWork(NamedTuple):
     trial: np.ndarray
     num_evaluations: np.ndarray
     code: Code
+    at: int
+    description: np.ndarray
+
+
+NO_CODE = Code(*[0] * len(Code._fields))
 
 
 def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
     """Work arrays for one thread; :func:`p2wss.fit.linkage.linked_work` has the addresses."""
     size = max_edges + 2
-    return FitWork(
+    work = FitWork(
         skeleton=skeleton_work(max_edges),
         query=query_work(max_edges),
         face=np.zeros(max_points, np.int64),
@@ -147,4 +154,13 @@ def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
         trial=np.zeros((_NUM_TRIALS, max_edges)),
         num_evaluations=np.zeros(1, np.int64),
         code=code,
+        at=0,
+        description=np.zeros(0, np.int64),
     )
+    description = np.zeros(len(described(work)), np.int64)
+    work = work._replace(at=description.ctypes.data, description=description)
+    description[:] = described(work)
+    return work
+
+
+fit_work_at = stored_tuple(lambda: fit_work(1, 1, NO_CODE))

@@ -27,7 +27,7 @@ from functools import cache
 
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, address_of, by_address, inner
+from p2wss.skeleton.compiled import ZERO, address_of, by_address, embedded, inner
 from p2wss.skeleton.records import (
     ARC,
     EDGE,
@@ -229,7 +229,7 @@ def _find_split(edge, node, vertex, counts, v, t):
                 _try_split(edge, node, vertex, v, a, t)
 
 
-@inner
+@embedded
 def _refresh_pieces(edge, node, vertex, counts, first, second, t):
     """Update the stored events after the pieces that end or start at two vertices have changed."""
     for u in (first, second):
@@ -457,7 +457,7 @@ def _merge(edge, node, vertex, arc, counts, v, w, x, y, t):
     )
 
 
-@inner
+@embedded
 def _collapse(edge, node, vertex, arc, counts, v, t):
     w = vertex[v].next
     v_x, v_y = _position(node, vertex, v, t)
@@ -473,7 +473,7 @@ def _collapse(edge, node, vertex, arc, counts, v, t):
     return _merge(edge, node, vertex, arc, counts, v, w, x, y, t)
 
 
-@inner
+@embedded
 def _close_degenerate(edge, node, vertex, arc, counts, v, t):
     """A vertex between parallel edges of different speeds merges with a neighbour, at the neighbour's place."""
     a, b = vertex[v].prev, vertex[v].next
@@ -490,7 +490,7 @@ def _close_degenerate(edge, node, vertex, arc, counts, v, t):
     return _merge(edge, node, vertex, arc, counts, a, v, a_x, a_y, t)
 
 
-@inner
+@embedded
 def _split(edge, node, vertex, arc, counts, v, t):
     """v runs into a piece: its wavefront splits in two, or joins the other wavefront."""
     a = vertex[v].split_from
@@ -515,7 +515,7 @@ def _split(edge, node, vertex, arc, counts, v, t):
     return first, second
 
 
-@inner
+@embedded
 def _next_event(vertex, counts):
     """(Height, vertex, whether it is a split); vertex -1 if no event remains."""
     height, v_best = _NEVER, ZERO - 1
@@ -529,7 +529,7 @@ def _next_event(vertex, counts):
     return height, v_best, is_split
 
 
-@inner
+@embedded
 def _start_phase(edge, num_edges, vertex, counts, phase):
     limit = counts[NUM_VERTICES]
     for e in range(num_edges):
@@ -548,7 +548,7 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
             counts[NUM_LOOPS] += 1
 
 
-@inner
+@embedded
 def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height):
     _start_phase(edge, num_edges, vertex, counts, phase)
     t = 0.0

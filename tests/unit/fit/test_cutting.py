@@ -47,7 +47,7 @@ def test_sides_are_those_of_shapely(seed: int) -> None:
                 bounds[axis if is_high else 2 + axis] = position
                 expected = shapely.intersection(whole, shapely.box(*bounds))
                 side_xy, side_offset = side_of_cut(xy_m, offset, axis, position, is_high)
-                sound = is_sound(side_xy, side_offset, clearance_m(xy_m, offset, work), work)
+                sound = is_sound(side_xy, side_offset, clearance_m(xy_m, offset, work.at), work.at)
                 if isinstance(expected, shapely.Polygon) and 0 < expected.area < whole.area - 1e-9:
                     inner = not expected.buffer(-0.46, join_style="mitre").is_empty
                     clear = shapely.minimum_clearance(expected.simplify(0)) > 0.05
@@ -64,7 +64,7 @@ def test_a_side_in_two_pieces_is_not_sound() -> None:
     work = linked_work(32, 8)
     for position in (2.0, 2.5):
         above = side_of_cut(xy_m, offset, 1, position, True)
-        assert not is_sound(*above, 1.0, work)
+        assert not is_sound(*above, 1.0, work.at)
     below, _ = side_of_cut(xy_m, offset, 1, 2.0, False)
     assert shapely.Polygon(below).area == 8
 
@@ -86,7 +86,7 @@ def test_thin_and_touching_sides_are_refused(position: float, sound: bool) -> No
     xy_m, offset = flat_rings([ELL])
     work = linked_work(32, 8)
     sides = [side_of_cut(xy_m, offset, 0, position, is_high) for is_high in (False, True)]
-    assert all(is_sound(*side, 1.0, work) for side in sides) == sound
+    assert all(is_sound(*side, 1.0, work.at) for side in sides) == sound
 
 
 def test_edges_inherit_angles_from_those_they_lie_on() -> None:
