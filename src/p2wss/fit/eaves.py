@@ -20,6 +20,7 @@ from p2wss.fit.solve import (
     load_polygon,
 )
 from p2wss.fit.starts import HIP_DEG, edge_groups
+from p2wss.fit.work import fit_work_at
 from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.status import Status
 
@@ -65,7 +66,7 @@ def moved_walls(xy_m, ring_offset, outward_m):
 
 
 @entry
-def fit_eaves(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, prior):
+def fit_eaves(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work_at, settings, prior):
     """(loss, eave, top, angles, outward) of the best roof each of whose slopes has the eave height and the angle that
     suit its points best; the loss is ``IMPOSSIBLE`` if there is none. It is sought from the given roof and from a gable
     roof along either axis: where eaves are at different heights, a roof with level eaves may have hips, or a flat top,
@@ -74,6 +75,7 @@ def fit_eaves(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
     eave: of the lowest slope. outward (n,): metres by which slopes begin outside their walls, 0 at gables. Slopes that
     face the same way share both. Arguments as of :func:`p2wss.fit.roof.tidy_roof`.
     """
+    work = fit_work_at(work_at)
     n = len(xy_m)
     direction, axis, _, _ = edge_groups(xy_m, ring_offset)
     best = (IMPOSSIBLE, eave, top, angle_deg.copy(), np.zeros(n))
@@ -87,7 +89,7 @@ def fit_eaves(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work, settings, 
             if status != _OK:
                 continue
             _, start_eave, start_top = improve_at(
-                work.code, problem, work, start_deg, eave, np.inf, _START_ROUNDS, True, True, IMPOSSIBLE
+                work.code, problem, work.at, start_deg, eave, np.inf, _START_ROUNDS, True, True, IMPOSSIBLE
             )
         roof = _fit_from(
             xy_m, ring_offset, x, y, z, start_deg, start_eave, start_top, direction, work, settings, prior
@@ -154,7 +156,7 @@ def _loss(xy_m, ring_offset, x, y, z, angle_deg, eave, top, outward_m, direction
     if status != _OK:
         return IMPOSSIBLE
     problem = make_problem(moved, ring_offset, x, y, z, len(z), direction, settings, prior)
-    return evaluate_at(work.code, problem, work, angle_deg, eave, top)
+    return evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
 
 
 @allocating
