@@ -255,8 +255,9 @@ class Fitter:
 
     @staticmethod
     def _points(point_m: np.ndarray, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        sample = point_m[every_kth(len(point_m), effort.num_points)].T
-        x, y, z = np.ascontiguousarray(sample, np.float64)
+        if len(point_m) > effort.num_points:
+            point_m = point_m[every_kth(len(point_m), effort.num_points)]
+        x, y, z = np.ascontiguousarray(point_m.T, np.float64)
         return x, y, z
 
 

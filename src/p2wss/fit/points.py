@@ -63,11 +63,12 @@ def ground_points(
 def even_order(point_m: np.ndarray) -> np.ndarray:
     """Indices of points (m, 3) along a space-filling curve, whatever their order in the file. Every k-th point in
     this order makes an even sample."""
-    cell = np.floor((point_m[:, :2] - point_m[:, :2].min(axis=0)) / _CELL_M).astype(np.uint64)
-    code = _spread(cell[:, 0]) | (_spread(cell[:, 1]) << np.uint64(1))
-    x, y, z = point_m.T
+    x, y, z = np.ascontiguousarray(point_m.T)
+    spread = _spread(np.floor(np.stack([x - x.min(), y - y.min()]) / _CELL_M).astype(np.uint64))
+    code = spread[0] | (spread[1] << np.uint64(1))
     order = np.lexsort((x, code))
-    tie = (code[order[1:]] == code[order[:-1]]) & (x[order[1:]] == x[order[:-1]])
+    ordered_code, ordered_x = code[order], x[order]
+    tie = (ordered_code[1:] == ordered_code[:-1]) & (ordered_x[1:] == ordered_x[:-1])
     return np.lexsort((z, y, x, code)) if tie.any() else order
 
 

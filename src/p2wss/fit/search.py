@@ -92,13 +92,16 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     changed in place. Returns (loss, eave, top)."""
     n = problem.num_edges
     proposed, best = work.trial[1], work.trial[2]
+    # What comes after the last change has been tried since. (With many edges a try depends on those before it, but
+    # then there is one round only.)
+    last_change = n + problem.num_directions
     for _ in range(max_rounds):
         changed = False
         evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
         total, other = set_excess(problem, work)
         num_tried = ZERO
         for unit in range(n + problem.num_directions):
-            if total < tolerance:
+            if total < tolerance or (unit > last_change and not changed):
                 break
             if unit < n:
                 if not is_tried(problem, work, unit, other, tolerance, num_tried):
@@ -123,7 +126,7 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
                     for e in range(n):
                         best[e] = proposed[e]
             if is_better:
-                loss, eave, top, changed = best_loss, best_eave, best_top, True
+                loss, eave, top, changed, last_change = best_loss, best_eave, best_top, True, unit
                 for e in range(n):
                     angle_deg[e] = best[e]
                 evaluate_at(work.code, problem, work.at, angle_deg, eave, top)

@@ -51,12 +51,18 @@ def _evaluate(problem, work, angle_deg, eave_m, top_m):
     m = len(problem.x)
     top = min(top_m, problem.max_roof_height_m)
     is_same = work.last_roof[0] == m and work.last_roof[1] == top
+    slope_deg, slope_tangent, slope_cosine = 0.0, 0.0, 1.0
     for e in range(problem.num_edges):
         angle = angle_deg[e]
         if angle != work.last_deg[e]:
             is_same = False
-            t = np.tan(angle * _DEGREE) if 0.0 < angle < 90.0 else 0.0
-            work.tangent[e], work.cosine[e] = t, 1.0 / np.sqrt(1.0 + t * t)
+            if not 0.0 < angle < 90.0:
+                work.tangent[e], work.cosine[e] = 0.0, 1.0
+            else:
+                if angle != slope_deg:
+                    slope_deg, slope_tangent = angle, np.tan(angle * _DEGREE)
+                    slope_cosine = 1.0 / np.sqrt(1.0 + slope_tangent * slope_tangent)
+                work.tangent[e], work.cosine[e] = slope_tangent, slope_cosine
             work.last_deg[e] = angle
     if is_same:
         return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
@@ -248,11 +254,13 @@ def _least_squares(problem, work, angle_deg, eave_m, top_m, reach_m, free_angles
             a[row, row] += _KEEP_SLOPE
             b[row] += _KEEP_SLOPE * work.group_tangent[g] / work.group_count[g]
     _solve_positive(a, b, size)
+    for g in range(groups):
+        if work.group_count[g] > 0.0:
+            angle = np.arctan(b[work.group_row[g]]) / _DEGREE
+            work.group_deg[g] = min(max(angle, MIN_ANGLE_DEG), MAX_ANGLE_DEG)
     for e in range(n):
-        work.solution_deg[e] = angle_deg[e]
-        if groups > 0 and work.tangent[e] > 0.0:
-            angle = np.arctan(b[work.group_row[problem.direction[e]]]) / _DEGREE
-            work.solution_deg[e] = min(max(angle, MIN_ANGLE_DEG), MAX_ANGLE_DEG)
+        is_free = groups > 0 and work.tangent[e] > 0.0
+        work.solution_deg[e] = work.group_deg[problem.direction[e]] if is_free else angle_deg[e]
     return b[0], max(b[1] - b[0], _MIN_TOP_M) if has_top else top_m
 
 

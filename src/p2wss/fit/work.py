@@ -93,10 +93,10 @@ class FitWork(NamedTuple):
     rise: height of the roof above the eave over each point. slant: z of the unit normal of its face, NaN outside.
     sort_buffer: room for sorting, and for the cost of each point. last_deg: the angles of the last evaluation; tangent,
     cosine: of these. last_roof: its number of points and the height of its top, if it succeeded. group_row: of each
-    direction, its row of the equations. solution_deg: angles that the least squares give. excess: what a better roof
-    might gain, per edge. trial: rows of angles, one for each level of nested searches. num_evaluations: int64 (1,),
-    roofs evaluated so far. at: the address of ``description``, from which compiled code takes everything by
-    ``fit_work_at``.
+    direction, its row of the equations. group_deg, solution_deg: angles that the least squares give, per direction and
+    per edge. excess: what a better roof might gain, per edge. trial: rows of angles, one for each level of nested
+    searches. num_evaluations: int64 (1,), roofs evaluated so far. at: the address of ``description``, from which
+    compiled code takes everything by ``fit_work_at``.
     """
 
     skeleton: SkeletonWork
@@ -114,6 +114,7 @@ class FitWork(NamedTuple):
     group_tangent: np.ndarray
     group_count: np.ndarray
     group_row: np.ndarray
+    group_deg: np.ndarray
     matrix: np.ndarray
     right_side: np.ndarray
     solution_deg: np.ndarray
@@ -147,6 +148,7 @@ def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
         group_tangent=np.zeros(max_edges),
         group_count=np.zeros(max_edges),
         group_row=np.zeros(max_edges, np.int64),
+        group_deg=np.zeros(max_edges),
         matrix=np.zeros((size, size)),
         right_side=np.zeros(size),
         solution_deg=np.zeros(max_edges),

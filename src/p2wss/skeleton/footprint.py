@@ -65,6 +65,7 @@ def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
 def set_angles(edge, num_edges, angle_deg):
     """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, at least num_edges values.
     Returns a ``Status``."""
+    slope_deg, speed = 0.0, 0.0
     for i in range(num_edges):
         angle = angle_deg[i]
         if angle == edge[i].angle_deg:
@@ -72,7 +73,9 @@ def set_angles(edge, num_edges, angle_deg):
         if angle == 0.0 or angle == 90.0:
             edge[i].final_speed = 0.0
         elif MIN_SLOPE_DEG <= angle <= MAX_SLOPE_DEG:
-            edge[i].final_speed = 1.0 / np.tan(angle * np.pi / 180.0)
+            if angle != slope_deg:
+                slope_deg, speed = angle, 1.0 / np.tan(angle * np.pi / 180.0)
+            edge[i].final_speed = speed
         else:
             return _BAD_ANGLE
         edge[i].angle_deg = angle
