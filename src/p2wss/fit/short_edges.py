@@ -179,7 +179,7 @@ class _Residuals:
     def of(cls, mesh: Mesh, planes: _Planes, point_m: np.ndarray) -> _Residuals:
         is_up = planes.normal[planes.number, 2] > _UPRIGHT_NZ
         corner_m = np.ascontiguousarray(mesh.vertex_m[mesh.triangle[is_up]])
-        triangle, roof_z = _topmost(corner_m, np.ascontiguousarray(point_m, np.float64))
+        triangle, roof_z = topmost(corner_m, np.ascontiguousarray(point_m, np.float64))
         is_over = triangle >= 0
         plane = planes.number[is_up][triangle[is_over]]
         return cls(plane, (roof_z - point_m[:, 2])[is_over] * planes.normal[plane, 2])
@@ -204,7 +204,7 @@ class _Residuals:
 
 
 @entry
-def _topmost(corner_m, point_m):
+def topmost(corner_m, point_m):
     """(number of the topmost triangle over or below each point, its height there); -1 and minus infinity for none.
     corner_m: float64 (t, 3, 3), counter-clockwise seen from above. point_m: float64 (m, 3)."""
     num = len(point_m)

@@ -57,6 +57,7 @@ def warm_product() -> None:
     from p2wss.config import Reconstruct
     from p2wss.data.terrain import Terrain
     from p2wss.fit.merging import merged_rings
+    from p2wss.fit.short_edges import topmost
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 
@@ -67,6 +68,8 @@ def warm_product() -> None:
     # only a building that is cut into three parts or more needs this one
     square = np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])
     merged_rings([square], [square + np.array([8.0, 0.0])])
+    # only one with a short edge
+    topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)
     exports.block([exports.mesh(result, config) for result in results], terrain, config)
     assert pyproj.CRS(_CRS) == cloud.crs and all(result.status == "ok" for result in results)
