@@ -32,9 +32,10 @@ METHOD = "fit"
 _LOOSE_GAIN_SHARE = 0.5
 # points of class ground this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
-# What a part costs: multiples of the normal price, and above this area less by this power of it.
+# What a part costs: multiples of the normal price. Above this area the price does not grow any more: a part has to
+# explain as much volume between roof and points in a block as in a house.
 _DETAIL = {"low": 2.0, "normal": 1.0, "high": 0.5}
-_FULL_PRICE_M2, _PRICE_POWER = 60.0, 0.5
+_FULL_PRICE_M2 = 70.0
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
@@ -42,12 +43,14 @@ _FAR_OFF_M = 0.05
 
 @dataclass(frozen=True)
 class Thresholds:
-    """What decides between roofs; `docs/methods/fit.md` says how the defaults were chosen."""
+    """What decides between roofs; `docs/methods/fit.md` says how the defaults were chosen. short_edge_m: shorter edges
+    of the mesh are removed if the points do not need them."""
 
     effort: Effort = field(default_factory=Effort)
     limits: Limits = field(default_factory=Limits)
     cutting: Cutting = field(default_factory=Cutting)
     boxes: Boxes = field(default_factory=Boxes)
+    short_edge_m: float = 0.2
 
 
 def fit(
@@ -87,7 +90,7 @@ def fit(
 def _thresholds_for(building: Building, thresholds: Thresholds, config: Reconstruct) -> Thresholds:
     """The thresholds of a building: a part of a large one may be smaller in proportion."""
     large = max(1.0, float(building.polygon.area) / _FULL_PRICE_M2)
-    factor = _DETAIL[config.detail] / large**_PRICE_POWER
+    factor = _DETAIL[config.detail] / large
     cutting, boxes = thresholds.cutting, thresholds.boxes
     return replace(
         thresholds,
@@ -296,7 +299,7 @@ class _FitTask:
         building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
         price_m = self.thresholds.cutting.min_gain_m(len(parts_fit.point_m))
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
-        mesh = without_short_edges(mesh, rings, parts_fit.point_m, price_m)
+        mesh = without_short_edges(mesh, rings, parts_fit.point_m, price_m, self.thresholds.short_edge_m)
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg

@@ -41,7 +41,8 @@ class Effort:
 class Limits:
     """What a roof may be, and what a change has to gain, in metres of loss.
 
-    cap_m: larger residuals count as this. flat_top: try roofs with a flat top. top_gain_m: gain that a flat top
+    cap_m: larger residuals count as this. flat_top: try roofs with a flat top. uneven_eaves: try eaves at different
+    heights, where there may be several parts. top_gain_m: gain that a flat top
     needs. class_gain_m: gain that another class of an edge needs with 150 points, proportionally more with fewer.
     separate_slope_gain_m: gain that different slopes of edges that face the same way need. rounding_m: what whole
     degrees and equal angles of edges that face the same way may cost.
@@ -49,6 +50,7 @@ class Limits:
 
     cap_m: float = 1.0
     flat_top: bool = True
+    uneven_eaves: bool = True
     max_roof_height_m: float = 12.0
     top_gain_m: float = 0.01
     class_gain_m: float = 0.002
@@ -185,6 +187,8 @@ class Fitter:
     ) -> FittedRoof:
         """The best roof with an eave height for each of its slopes, sought from a roof with level eaves and from gable
         roofs; the roof itself if there is none. The points are in even order."""
+        if not self.limits.uneven_eaves:
+            return roof
         xy_m, ring_offset = flat_rings(roof.rings)
         loss, eave, top, angle, outward = fit_eaves(
             xy_m,

@@ -9,7 +9,7 @@ from least squares. Slopes stay as they are, as do outer walls and the floor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from p2wss.fit.solid import Mesh, is_closed, is_sound, simplified
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
-# shorter edges are removed if no plane shifts by more than the second figure and no vertex by more than the third
-_SHORT_EDGE_M, _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.2, 0.6
+# no plane shifts by more than the first figure, and no vertex moves by more than the second
+_MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
 # each edge may add at most this share of the price of a part to the sum of the residuals
 _PRICE_SHARE = 0.2
 # larger residuals count as this, as in the fit
@@ -36,14 +36,16 @@ _NO_AREA_M2 = 1e-6
 _RANK, _INCONSISTENT_M = 1e-6, 1e-6
 
 
-def without_short_edges(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float) -> Mesh:
-    """The mesh without those edges shorter than 0.2 m whose removal adds little to the residuals of the points; the
+def without_short_edges(
+    mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float, short_edge_m: float = 0.2
+) -> Mesh:
+    """The mesh without those edges shorter than ``short_edge_m`` whose removal adds little to the residuals of the points; the
     mesh itself if there are none. Edges are removed one after the other, the shortest first.
 
     rings: of the footprint. point_m: (m, 3), on the roof. price_m: of a part, in the sum of the residuals. All are in
     the frame of the mesh.
     """
-    edges = _short_edges(mesh)
+    edges = _short_edges(mesh, short_edge_m)
     if not edges:
         return mesh
     planes = _Planes.of(mesh, rings)
@@ -57,7 +59,7 @@ def without_short_edges(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.nda
         if cluster_of[start] == cluster_of[end]:
             continue
         trial = np.where(cluster_of == cluster_of[end], cluster_of[start], cluster_of)
-        clusters = [np.flatnonzero(trial == c).tolist() for c in np.unique(trial)]
+        clusters = _clusters(trial)
         shift_m = planes.smallest_shifts(mesh.vertex_m, clusters, weight)
         if shift_m is None or np.abs(shift_m).max() > _MAX_SHIFT_M:
             continue
@@ -77,12 +79,20 @@ def without_short_edges(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.nda
     )
 
 
-def _short_edges(mesh: Mesh) -> list[tuple[int, int]]:
+def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
+    """The vertices of each cluster, from the number of the cluster of each vertex."""
+    members: dict[int, list[int]] = {}
+    for vertex, number in enumerate(cluster_of.tolist()):
+        members.setdefault(number, []).append(vertex)
+    return list(members.values())
+
+
+def _short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
     """(start, end) of the short edges between two planes, the shortest first."""
     start, end = mesh.triangle, np.roll(mesh.triangle, -1, axis=1)
     length_m = np.linalg.norm(mesh.vertex_m[start] - mesh.vertex_m[end], axis=2)
     across = mesh.plane[neighbours(mesh.triangle)]
-    is_short = (length_m < _SHORT_EDGE_M) & (start < end) & (across != mesh.plane[:, None])
+    is_short = (length_m < short_edge_m) & (start < end) & (across != mesh.plane[:, None])
     order = np.argsort(length_m[is_short], kind="stable")
     return list(zip(start[is_short][order].tolist(), end[is_short][order].tolist(), strict=True))
 
@@ -92,7 +102,7 @@ class _Planes:
     """The planes of a mesh, numbered from 0.
 
     number: (t,), of each triangle. normal: (p, 3), outwards. area_m2: (p,). is_free: (p,), whether a plane may shift.
-    at: the planes of each vertex.
+    at: the planes of each vertex. known: the conditions of clusters that were asked for.
     """
 
     number: np.ndarray
@@ -100,6 +110,7 @@ class _Planes:
     area_m2: np.ndarray
     is_free: np.ndarray
     at: list[set[int]]
+    known: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, mesh: Mesh, rings: Sequence[np.ndarray]) -> _Planes:
@@ -130,25 +141,32 @@ class _Planes:
         normal = self.normal[planes]
         return planes, normal, (normal * (vertex_m[on_plane] - vertex_m[cluster[0]])).sum(axis=1)
 
+    def _conditions(self, vertex_m: np.ndarray, cluster: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        """(rows (c, p), right sides (c,)): the linear conditions on the shifts for which the planes of a cluster meet
+        in one point. Their offsets are then orthogonal to all dependences between their normals."""
+        key = tuple(cluster)
+        if key not in self.known:
+            planes, normal, distance_m = self._meeting(vertex_m, cluster)
+            vectors, size, _ = np.linalg.svd(normal)
+            dependence = vectors[:, (size > _RANK).sum() :].T
+            rows = np.zeros((len(dependence), len(self.normal)))
+            rows[:, planes] = dependence
+            self.known[key] = rows, -dependence @ distance_m
+        return self.known[key]
+
     def smallest_shifts(
         self, vertex_m: np.ndarray, clusters: list[list[int]], weight: np.ndarray
     ) -> np.ndarray | None:
         """The shifts (p,) along the normals with the smallest weighted sum of squares for which the planes of each
         cluster meet in one point; None if there are none."""
-        rows, right = [], []
-        for cluster in clusters:
-            if len(cluster) == 1 and len(self.at[cluster[0]]) < 4:
-                continue
-            planes, normal, distance_m = self._meeting(vertex_m, cluster)
-            vectors, size, _ = np.linalg.svd(normal)
-            # planes meet in one point if their offsets are orthogonal to these
-            dependence = vectors[:, (size > _RANK).sum() :].T
-            row = np.zeros((len(dependence), len(self.normal)))
-            row[:, planes] = dependence
-            rows.append(row)
-            right.append(-dependence @ distance_m)
+        found = [
+            self._conditions(vertex_m, cluster)
+            for cluster in clusters
+            if len(cluster) > 1 or len(self.at[cluster[0]]) > 3
+        ]
         result = np.zeros(len(self.normal))
-        conditions, right_side = np.vstack(rows), np.concatenate(right)
+        conditions = np.vstack([rows for rows, _ in found])
+        right_side = np.concatenate([right for _, right in found])
         scale = 1.0 / np.sqrt(weight[self.is_free])
         result[self.is_free] = (
             scale * np.linalg.lstsq(conditions[:, self.is_free] * scale, right_side, 1e-8)[0]
