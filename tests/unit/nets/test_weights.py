@@ -36,7 +36,7 @@ def test_weights_carry_their_metadata_and_other_files_are_rejected(tmp_path: Pat
         read_weights(tmp_path / "none", "model")
 
 
-def test_the_shipped_weights_load_whatever_their_metadata_was_called_when_they_were_written() -> None:
+def test_the_shipped_weights_load_and_know_the_vocabulary_of_the_code() -> None:
     _, metadata = read_weights(SHIPPED, "model")
     assert "words" not in metadata
     module, config, dvae_config = load_model(SHIPPED)
