@@ -39,8 +39,8 @@ _RANK, _INCONSISTENT_M = 1e-6, 1e-6
 def without_short_edges(
     mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float, short_edge_m: float = 0.2
 ) -> Mesh:
-    """The mesh without those edges shorter than ``short_edge_m`` whose removal adds little to the residuals of the points; the
-    mesh itself if there are none. Edges are removed one after the other, the shortest first.
+    """The mesh without those edges shorter than ``short_edge_m`` whose removal adds little to the residuals of the
+    points; the mesh itself if there are none. Edges are removed one after the other, the shortest first.
 
     rings: of the footprint. point_m: (m, 3), on the roof. price_m: of a part, in the sum of the residuals. All are in
     the frame of the mesh.
