@@ -20,6 +20,8 @@ from p2wss.skeleton.types import FaceKind
 
 # no plane shifts by more than the first figure, and no vertex moves by more than the second
 _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
+# planes that have become one leave other edges short
+_MAX_PASSES = 3
 # each edge may add at most this share of the price of a part to the sum of the residuals
 _PRICE_SHARE = 0.2
 # larger residuals count as this, as in the fit
@@ -45,16 +47,29 @@ def without_short_edges(
     rings: of the footprint. point_m: (m, 3), on the roof. price_m: of a part, in the sum of the residuals. All are in
     the frame of the mesh.
     """
+    for _ in range(_MAX_PASSES):
+        simpler = _simpler(mesh, rings, point_m, price_m, short_edge_m)
+        if simpler is None:
+            break
+        mesh = simpler
+    return mesh
+
+
+def _simpler(
+    mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float, short_edge_m: float
+) -> Mesh | None:
+    """The mesh after one pass over its short edges, None if none can be removed. Where the mesh without all of them
+    would no longer be sound, the last ones stay."""
     edges = _short_edges(mesh, short_edge_m)
     if not edges:
-        return mesh
+        return None
     planes = _Planes.of(mesh, rings)
     residuals = _Residuals.of(mesh, planes, point_m)
     if not len(residuals.plane):
-        return mesh
+        return None
     weight = residuals.weights(planes)
     cluster_of, num_removed = np.arange(len(mesh.vertex_m)), 0
-    result = None
+    results: list[tuple[np.ndarray, np.ndarray]] = []
     for start, end in edges:
         if cluster_of[start] == cluster_of[end]:
             continue
@@ -70,13 +85,15 @@ def without_short_edges(
             continue
         triangle = _merged_triangles(mesh, planes, moved_m, trial)
         if triangle is not None:
-            cluster_of, num_removed, result = trial, num_removed + 1, (moved_m, triangle)
-    simple = None if result is None else simplified(*result)
-    return (
-        mesh
-        if simple is None or not (is_closed(simple.vertex_m, simple.triangle) and is_sound(simple))
-        else simple
-    )
+            cluster_of, num_removed = trial, num_removed + 1
+            results.append((moved_m, triangle))
+    was_sound = bool(results) and is_sound(mesh)
+    for result in reversed(results):
+        simple = simplified(*result)
+        is_usable = simple is not None and is_closed(simple.vertex_m, simple.triangle)
+        if simple is not None and is_usable and (is_sound(simple) or not was_sound):
+            return simple
+    return None
 
 
 def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
