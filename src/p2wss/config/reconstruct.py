@@ -185,7 +185,7 @@ class Reconstruct(Section):
         "the paper",
     )
     dormers: bool = Field(
-        True, description="also fit box dormers and other small boxes that rise out of a fitted roof"
+        True, description="also fit dormers and other small boxes that rise out of a fitted roof"
     )
     detail: Literal["low", "normal", "high"] = Field(
         "normal",

@@ -1,22 +1,25 @@
-"""Box dormers and other small boxes that rise out of a roof, and recesses in it (terraces, loggias, corners that the
+"""Dormers and other small boxes that rise out of a roof, and recesses in it (terraces, loggias, corners that the
 building leaves out), as the points above and below the roof show them.
 
 Everything is in the frame of :func:`p2wss.fit.parts.main_frame`: a box is a rectangle along its axes, clipped to the
-footprint, with a flat top. Where the roof is higher than the box, the roof stays; where it is lower than the floor of a
-recess, too.
+footprint, with a flat top or, if that is worth its slopes, a roof of its own. Where the roof is higher than the box,
+the roof stays; where it is lower than the floor of a recess, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 from scipy import ndimage
 
 from p2wss.fit.intervals import grow_box
-from p2wss.fit.one_height import FittedRoof, Fitter, Gain
+from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Gain
+from p2wss.fit.parts import with_slope_cost
+from p2wss.fit.points import even_order
+from p2wss.fit.work import NO_PRIOR
 
 _CELL_M = 0.8
 # a side within this distance of the footprint's edge is moved onto it
@@ -25,6 +28,9 @@ _TO_WALL_M = 0.6
 _TO_CUT_M = 0.15
 # a box gains at most this multiple of the residuals of the points from which its search begins
 _MOST_GAIN = 2.0
+# the roof of a box is fitted to the points in it that are not further than this below the roof around it
+_BELOW_ROOF_M = 0.1
+_EFFORT = Effort(max_rounds=1)
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,8 @@ class Boxes(Gain):
 
     max_boxes: of one building. above_m: how far above or below the roof a point has to lie for the search of a box to
     begin there. cap_m: larger residuals count as this. min_points: that far from the roof in a box. max_share: of the
-    footprint's area that one box may cover.
+    footprint's area that one box may cover. slope_share: what each slope of a box costs, as a share of what a box
+    costs.
     """
 
     max_boxes: int = 8
@@ -45,19 +52,23 @@ class Boxes(Gain):
     max_area_m2: float = 400.0
     max_share: float = 0.8
     recesses: bool = True
+    slope_share: float = 0.3
 
 
 @dataclass(frozen=True)
 class Box:
     """A box that rises out of a roof up to ``top_z_m`` or, if ``is_recess``, space above ``top_z_m`` that the roof
-    leaves out. ring: (n, 2), counter-clockwise; of a recess, the rectangle."""
+    leaves out. ring: (n, 2), counter-clockwise; of a recess, the rectangle. sloped_roof: instead of the flat top."""
 
     ring: np.ndarray
     top_z_m: float
     is_recess: bool
+    sloped_roof: FittedRoof | None = None
 
     def as_part(self) -> FittedRoof:
-        """The box as a part with a flat roof, 0 degrees all around."""
+        """The box as a part; a flat roof has 0 degrees all around."""
+        if self.sloped_roof is not None:
+            return self.sloped_roof
         return FittedRoof([self.ring], np.zeros(len(self.ring)), self.top_z_m, np.inf, np.inf, 0)
 
 
@@ -124,11 +135,56 @@ def find_boxes(
                     continue
             return strict_loss, result[:num_strict], result
         ring, top, sign = best
-        box = Box(ring, top, sign < 0)
-        changed = is_over_boxes([box], point_m) & (sign * (top - roof_z) > 0)
+        box = _with_slopes(fitter, Box(ring, top, sign < 0), point_m, roof_z, slant, boxes, min_gain_m)
+        box_z, box_slant = _box_over(fitter, box, point_m)
+        changed = np.isfinite(box_z)
+        changed[changed] = sign * (box_z[changed] - roof_z[changed]) > 0
         result.append(box)
-        roof_z, slant = np.where(changed, top, roof_z), np.where(changed, 1.0, slant)
+        roof_z, slant = np.where(changed, box_z, roof_z), np.where(changed, box_slant, slant)
         grown = {key: value for key, value in grown.items() if not _covers_any(*value[1:3], point_m[changed])}
+
+
+def _with_slopes(
+    fitter: Fitter,
+    box: Box,
+    point_m: np.ndarray,
+    roof_z: np.ndarray,
+    slant: np.ndarray,
+    boxes: Boxes,
+    min_gain_m: float,
+) -> Box:
+    """The box with a gable, hip or shed roof that is fitted to its points, if that gains more than the price of its
+    slopes; the box itself if it does not, and a recess. roof_z, slant: of the roof below, over each point (m, 3)."""
+    over = np.flatnonzero(is_over_boxes([box], point_m))
+    above_m = point_m[over][point_m[over, 2] > roof_z[over] - _BELOW_ROOF_M]
+    if box.is_recess or len(above_m) < 2 * boxes.min_points:
+        return box
+    price_m = boxes.slope_share * min_gain_m
+    prior = with_slope_cost(NO_PRIOR, price_m, len(above_m), len(box.ring))
+    roof = fitter.fit([box.ring], above_m[even_order(above_m)], _EFFORT, (), prior)
+    is_slope = np.zeros(0, bool) if roof is None else (roof.angle_deg > 0) & (roof.angle_deg < 90)
+    if roof is None or not is_slope.any() or (roof.angle_deg == 0).any():
+        return box
+    sloped = replace(box, sloped_roof=roof)
+    losses_m = []
+    for each in (box, sloped):
+        z, z_slant = _box_over(fitter, each, point_m[over])
+        is_box = z > roof_z[over]
+        residual_m = np.where(is_box, z, roof_z[over]) - point_m[over, 2]
+        residual_m *= np.where(is_box, z_slant, slant[over])
+        losses_m.append(float(np.minimum(np.abs(residual_m), boxes.cap_m).sum()))
+    return sloped if losses_m[0] - losses_m[1] > price_m * is_slope.sum() else box
+
+
+def _box_over(fitter: Fitter, box: Box, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(height of the top of a box, z of its unit normal) over each point (m, 3); minus infinity and 1 beside it."""
+    height, slant = np.full(len(point_m), -np.inf), np.ones(len(point_m))
+    over = np.flatnonzero(is_over_boxes([box], point_m))
+    if box.sloped_roof is None:
+        height[over] = box.top_z_m
+    else:
+        height[over], slant[over] = fitter.roof_over(box.sloped_roof, point_m[over])
+    return height, slant
 
 
 def is_over_boxes(boxes: Sequence[Box], point_m: np.ndarray) -> np.ndarray:
