@@ -38,6 +38,7 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "no flat tops": (_DEFAULT, Thresholds(limits=Limits(flat_top=False))),
     "no penalty for slopes": (_DEFAULT, Thresholds(cutting=Cutting(slope_share=1e-9))),
     "no cut below the penalty of a part": (_DEFAULT, Thresholds(cutting=Cutting(over_share=1.0))),
+    "dormers with flat tops only": (_DEFAULT, Thresholds(boxes=Boxes(slope_share=1e9))),
     "no recesses": (_DEFAULT, Thresholds(boxes=Boxes(recesses=False))),
     "neither dormers nor recesses": (_DEFAULT.model_copy(update={"dormers": False}), Thresholds()),
     "no wall moves": (_DEFAULT.model_copy(update={"max_wall_shift_m": 0.0}), Thresholds()),
