@@ -217,9 +217,6 @@ def _roof_over(
     for part in parts:
         low, high = part.rings[0].min(axis=0), part.rings[0].max(axis=0)
         near = np.flatnonzero(((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1))
-        if part.outward_m is not None:
-            polygon = shapely.Polygon(part.rings[0], part.rings[1:])
-            near = near[shapely.contains_xy(polygon, point_m[near, 0], point_m[near, 1])]
         z, of_part = fitter.roof_over(part, point_m[near])
         higher = z > height[near]
         height[near[higher]], slant[near[higher]] = z[higher], of_part[higher]

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
+from typing import Any
 
 import numpy as np
+import shapely
 
 from p2wss.fit.eaves import fit_eaves, moved_walls
 from p2wss.fit.linkage import linked_work
@@ -168,18 +170,7 @@ class Fitter:
         self, roof: FittedRoof, point_m: np.ndarray, effort: Effort, prior: Prior = NO_PRIOR
     ) -> FittedRoof:
         """A result of :meth:`fit` with whole degrees where that costs little; the points are in even order."""
-        xy_m, ring_offset = flat_rings(roof.rings)
-        loss, eave, top, angle = tidy_roof(
-            xy_m,
-            ring_offset,
-            *self._points(point_m, effort),
-            roof.angle_deg,
-            roof.eave_z_m,
-            roof.top_m,
-            self.work(len(xy_m), len(point_m)),
-            self.settings(effort),
-            prior,
-        )
+        loss, eave, top, angle = tidy_roof(*self._arguments(roof, point_m, effort, prior))
         return replace(roof, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss)
 
     def fit_eaves(
@@ -189,8 +180,17 @@ class Fitter:
         roofs; the roof itself if there is none. The points are in even order."""
         if not self.limits.uneven_eaves:
             return roof
+        loss, eave, top, angle, outward = fit_eaves(*self._arguments(roof, point_m, effort, prior))
+        if loss >= IMPOSSIBLE:
+            return roof
+        return replace(roof, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss, outward_m=outward)
+
+    def _arguments(
+        self, roof: FittedRoof, point_m: np.ndarray, effort: Effort, prior: Prior
+    ) -> tuple[Any, ...]:
+        """A roof with level eaves, its points and settings, as compiled code takes them."""
         xy_m, ring_offset = flat_rings(roof.rings)
-        loss, eave, top, angle, outward = fit_eaves(
+        return (
             xy_m,
             ring_offset,
             *self._points(point_m, effort),
@@ -201,9 +201,6 @@ class Fitter:
             self.settings(effort),
             prior,
         )
-        if loss >= IMPOSSIBLE:
-            return roof
-        return replace(roof, angle_deg=angle, eave_z_m=eave, top_m=top, loss_m=loss, outward_m=outward)
 
     def loss(self, roof: FittedRoof, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
         """Loss of a roof on points (m, 3), metres."""
@@ -228,7 +225,12 @@ class Fitter:
             return np.full(len(point_m), -np.inf), np.ones(len(point_m))
         work = self._work
         face, rise = work.face[: len(point_m)], work.rise[: len(point_m)]
-        height = np.where(face == OUTSIDE, -np.inf, roof.eave_z_m + rise)
+        is_outside = face == OUTSIDE
+        if roof.outward_m is not None:
+            # the kernel's roof reaches beyond the walls
+            polygon = shapely.Polygon(roof.rings[0], roof.rings[1:])
+            is_outside |= ~shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
+        height = np.where(is_outside, -np.inf, roof.eave_z_m + rise)
         return height, np.where(face >= 0, work.cosine[face], 1.0)
 
     def settings(self, effort: Effort) -> Settings:

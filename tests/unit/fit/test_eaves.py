@@ -72,6 +72,9 @@ def test_the_height_over_a_point_is_that_of_the_solid() -> None:
     xy_m = np.array([[1.0, 0.5], [6.0, 3.5], [11.0, 8.5]])
     height, _ = Fitter(Limits()).roof_over(part, np.column_stack([xy_m, np.zeros(3)]))
     assert height == pytest.approx(catslide(xy_m), abs=0.1)
+    # slopes begin outside the walls, but the roof ends there
+    outside = np.array([[6.0, -0.5, 0.0]])
+    assert Fitter(Limits()).roof_over(part, outside)[0][0] == -np.inf
     top = mesh.vertex_m[:, 2].max()
     assert Fitter(Limits()).roof_over(part, np.array([[6.0, 3.5, 0]]))[0][0] == pytest.approx(top, abs=0.1)
 
