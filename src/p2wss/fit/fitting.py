@@ -264,14 +264,36 @@ class _FitTask:
                     candidates.insert(0, (refit, new_boxes))
         for candidate, candidate_boxes in candidates:
             if candidate_boxes:
-                mesh = _union_with_boxes(candidate, candidate_boxes, self.building.ground_z_m, self.config)
+                mesh = self._sound_union(candidate, candidate_boxes)
                 if mesh is not None:
                     return self._of_mesh(candidate, mesh), candidate
             elif candidate is not parts_fit:
                 reconstruction, closed_fit = self._build_mesh(candidate, loose_boxes)
                 if reconstruction.has_mesh and _is_sound(reconstruction):
                     return reconstruction, closed_fit
-        return None
+        return self._with_some_boxes(parts_fit, boxes)
+
+    def _with_some_boxes(
+        self, parts_fit: _PartsFit, boxes: Sequence[Box]
+    ) -> tuple[Reconstruction, _PartsFit] | None:
+        """The building with those boxes that can be added one after the other, None if there are none. Its parts are
+        fitted to the points of all boxes, as parts that rely on a box would be wrong without it."""
+        chosen: list[Box] = []
+        best = None
+        for box in boxes:
+            mesh = self._sound_union(parts_fit, [*chosen, box])
+            if mesh is not None:
+                chosen, best = [*chosen, box], mesh
+        return None if best is None else (self._of_mesh(parts_fit, best), parts_fit)
+
+    def _sound_union(self, parts_fit: _PartsFit, boxes: Sequence[Box]) -> Mesh | None:
+        """The union of the parts with all of the boxes, None if it is not sound."""
+        config = self.config
+        heights = (self.building.ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
+        raised = [box.as_part() for box in boxes if not box.is_recess]
+        recesses = [box for box in boxes if box.is_recess]
+        mesh = union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
+        return mesh if mesh is not None and is_sound(mesh) else None
 
     def confidence(self, parts_fit: _PartsFit) -> float | None:
         """The expected share of the building's values that are right."""
@@ -299,7 +321,8 @@ class _FitTask:
         building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
         price_m = self.thresholds.cutting.min_gain_m(len(parts_fit.point_m))
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
-        mesh = without_short_edges(mesh, rings, parts_fit.point_m, price_m, self.thresholds.short_edge_m)
+        point_m = parts_fit.point_m - (0.0, 0.0, ground)
+        mesh = without_short_edges(mesh, rings, point_m, price_m, self.thresholds.short_edge_m)
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
@@ -387,27 +410,3 @@ def _is_sound(reconstruction: Reconstruction) -> bool:
     return is_sound(
         Mesh(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, reconstruction.edge)
     )
-
-
-def _union_with_boxes(
-    parts_fit: _PartsFit, boxes: Sequence[Box], ground_z_m: float, config: Reconstruct
-) -> Mesh | None:
-    """The union of the parts with all boxes or, if that is not sound, with those that can be added one after the
-    other without making it unsound; None if there is no such box."""
-
-    def _union_of(chosen: Sequence[Box]) -> Mesh | None:
-        raised = [box.as_part() for box in chosen if not box.is_recess]
-        recesses = [box for box in chosen if box.is_recess]
-        heights = (ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
-        return union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
-
-    mesh = _union_of(boxes)
-    if mesh is not None and is_sound(mesh):
-        return mesh
-    chosen: list[Box] = []
-    best = None
-    for box in boxes:
-        mesh = _union_of([*chosen, box])
-        if mesh is not None and is_sound(mesh):
-            chosen, best = [*chosen, box], mesh
-    return best

@@ -18,6 +18,8 @@ from p2wss.skeleton import Polygons, Status
 
 _WELD_M = 1e-4
 _SHORT_EDGE_M = 1e-2
+# triangles smaller than this count as turned over
+_NO_AREA_M2 = 1e-6
 _BELOW_GROUND_M = 30.0
 # how much higher each further part is raised, and how far a surface may move when slivers are removed
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
@@ -59,7 +61,7 @@ def union(
             continue
         if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
             return mesh
-        merged = _collapse_vertices(mesh, _SHORT_EDGE_M)
+        merged = collapse_vertices(mesh, _SHORT_EDGE_M)
         if _shortest_edge_m(merged) >= _SHORT_EDGE_M and is_closed(merged.vertex_m, merged.triangle):
             return merged
         first_closed = first_closed or mesh
@@ -155,7 +157,7 @@ def _mesh_of(whole: manifold3d.Manifold, simplify_m: float) -> Mesh | None:
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
     triangle = np.array(out.tri_verts, np.int32)
     mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
-    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else _collapse_vertices(mesh)
+    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else collapse_vertices(mesh)
 
 
 def _prism(rings: Sequence[np.ndarray], height_m: float) -> manifold3d.Manifold:
@@ -179,30 +181,38 @@ def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifol
     return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, np.array(bottom + top + walls, np.uint64)))
 
 
-def _collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
-    """The mesh after vertices have moved along an edge to its other end: those in only two planes, which lie within a
-    straight edge, and those at edges shorter than ``short_m``."""
+def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
+    """The mesh without the vertices in only two planes, which lie within a straight edge, and after vertices have moved
+    along edges shorter than ``short_m`` to their other ends."""
     vertex_m, triangle, plane = mesh.vertex_m, mesh.triangle, mesh.plane
     rows, place, plane_of = dict(enumerate(triangle.tolist())), vertex_m.tolist(), plane.tolist()
+    kind_of = mesh.kind.tolist()
     normal_of = _plane_normals(vertex_m, triangle, plane)
     around: dict[int, set[int]] = {}
     for t, corners in rows.items():
         for v in corners:
             around.setdefault(v, set()).add(t)
     for v in sorted(around):
-        is_straight = len({plane_of[t] for t in around[v]}) == 2
-        if not is_straight and not short_m:
-            continue
-        planes_of: dict[int, set[int]] = {}
-        for t in around[v]:
-            for w in rows[t]:
-                if w != v:
-                    planes_of.setdefault(w, set()).add(plane_of[t])
-        for end in sorted(planes_of):
-            along = is_straight and len(planes_of[end]) == 2
-            if not along and dist(place[v], place[end]) >= short_m:
+        if len({plane_of[t] for t in around[v]}) == 2:
+            filled = _without_straight_vertex(vertex_m, rows, around, plane_of, normal_of, v)
+            if filled is not None:
+                for t in sorted(around.pop(v)):
+                    for w in rows.pop(t):
+                        if w != v:
+                            around[w].discard(t)
+                for like, corners in filled:
+                    t = len(plane_of)
+                    rows[t] = corners
+                    plane_of.append(plane_of[like])
+                    kind_of.append(kind_of[like])
+                    normal_of.append(normal_of[like])
+                    for w in corners:
+                        around[w].add(t)
                 continue
-            if _can_move(place, rows, around, normal_of, v, end):
+        if not short_m:
+            continue
+        for end in sorted({w for t in around[v] for w in rows[t]} - {v}):
+            if dist(place[v], place[end]) < short_m and _can_move(place, rows, around, normal_of, v, end):
                 for t in around.pop(v):
                     if end in rows[t]:
                         for w in rows.pop(t):
@@ -212,9 +222,54 @@ def _collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
                         rows[t] = [end if w == v else w for w in rows[t]]
                         around[end].add(t)
                 break
-    remaining = np.array(list(rows), int)
+    remaining = list(rows)
     used, index = np.unique(np.array(list(rows.values()), int), return_inverse=True)
-    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), mesh.kind[remaining], plane[remaining])
+    kind, plane = np.array(kind_of, np.uint8)[remaining], np.array(plane_of, np.int32)[remaining]
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind, plane)
+
+
+def _without_straight_vertex(
+    vertex_m: np.ndarray,
+    rows: dict[int, list[int]],
+    around: dict[int, set[int]],
+    plane_of: list[int],
+    normal_of: list[list[float]],
+    v: int,
+) -> list[tuple[int, list[int]]] | None:
+    """Triangles that fill the two faces around a vertex within a straight edge once it is gone, each with one of the
+    triangles there, whose plane it shares; None if they cannot be filled without it.
+
+    Moving the vertex to an end of its edge would turn triangles over in a face that cannot be seen whole from there.
+    """
+    following: dict[int, dict[int, int]] = {}
+    for t in around[v]:
+        k = rows[t].index(v)
+        following.setdefault(plane_of[t], {})[rows[t][k - 2]] = rows[t][k - 1]
+    borders = {w for t in around[v] for w in rows[t]} - {v}
+    sides = {
+        (w, rows[t][k - 2]) for u in borders for t in around[u] - around[v] for k, w in enumerate(rows[t])
+    }
+    like = {plane_of[t]: t for t in sorted(around[v])}
+    result = []
+    for number, after in sorted(following.items()):
+        starts = after.keys() - after.values()
+        if len(starts) != 1:
+            return None
+        chain = [starts.pop()]
+        while chain[-1] in after:
+            chain.append(after[chain[-1]])
+        if len(chain) != len(after) + 1:
+            return None
+        normal = np.array(normal_of[like[number]])
+        dropped = int(np.abs(normal).argmax())
+        flat_m = vertex_m[chain][:, [(dropped + 1) % 3, (dropped + 2) % 3]] * (1.0, np.sign(normal[dropped]))
+        for corners in manifold3d.triangulate([flat_m]).tolist() if len(chain) > 2 else []:
+            (ax, ay), (bx, by), (cx, cy) = flat_m[corners].tolist()
+            if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < _NO_AREA_M2:
+                return None
+            result.append((like[number], [chain[k] for k in corners]))
+    new_sides = [(w, row[k - 2]) for _, row in result for k, w in enumerate(row)]
+    return None if len(set(new_sides)) < len(new_sides) or sides.intersection(new_sides) else result
 
 
 def _plane_normals(vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray) -> list[list[float]]:
@@ -241,7 +296,7 @@ def _can_move(
     for t in around[v]:
         if end not in rows[t]:
             after = _normal(*(place[end if w == v else w] for w in rows[t]))
-            if sum(x * x for x in after) < 1e-12 or sum(map(mul, after, normal_of[t])) < 0:
+            if sum(x * x for x in after) < _NO_AREA_M2**2 or sum(map(mul, after, normal_of[t])) < 0:
                 return False
     return True
 

@@ -74,6 +74,17 @@ def test_parts_are_kept_only_if_they_gain_more_than_they_cost(monkeypatch, loss_
         assert reconstruction.eave_height_m == pytest.approx(6.6)
 
 
+def test_the_height_of_the_ground_does_not_decide_whether_a_step_stays() -> None:
+    """The case lies at 100 m. A step of 0.15 m is a short edge, which the points pay for."""
+    house = on_roof(HOUSE, np.zeros(4), 6.0, 400, 0)
+    annex = on_roof(ANNEX, np.zeros(4), 5.85, 200, 1)
+    case = building(np.vstack([house, annex]))
+    (reconstruction,) = fitting.fit([case], CONFIG)
+    assert reconstruction.num_parts == 2
+    top_m = np.unique(reconstruction.vertex_m[reconstruction.vertex_m[:, 2] > 1, 2].round(2))
+    assert top_m == pytest.approx([5.85, 6.0], abs=0.02)
+
+
 @pytest.mark.parametrize(("residual_m", "num_searches", "num_parts"), [(0.04, 1, 1), (0.2, 2, 2)])
 def test_a_building_far_from_the_network_is_also_searched_without_it(
     monkeypatch, residual_m, num_searches, num_parts
