@@ -13,6 +13,7 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
+from p2wss.fit.adjustment import adjusted
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
 from p2wss.fit.frame import enclosing_rectangle, roof_frame
@@ -323,6 +324,7 @@ class _FitTask:
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
         point_m = parts_fit.point_m - (0.0, 0.0, ground)
         mesh = without_short_edges(mesh, rings, point_m, price_m, self.thresholds.short_edge_m)
+        mesh = adjusted(mesh, rings, point_m)
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
@@ -401,8 +403,21 @@ def _mesh_single_parts(
         np.array([part.top_m for part in parts]),
     )
     for i, reconstruction in zip(indices, reconstructions, strict=True):
-        result[i] = reconstruction
+        # one part alone is the parametric building of the paper, with one angle for each edge
+        is_parametric = config.max_parts == 1
+        result[i] = reconstruction if is_parametric else _adjusted_single_part(reconstruction, parts_fits[i])
     return result
+
+
+def _adjusted_single_part(reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
+    """A reconstruction of the kernel with roofs that are adjusted to the points."""
+    if not reconstruction.has_mesh:
+        return reconstruction
+    point_m = parts_fit.in_building_frame(parts_fit.point_m) - (0.0, 0.0, reconstruction.ground_z_m)
+    faces = np.column_stack([reconstruction.kind, reconstruction.edge])
+    plane = np.unique(faces, axis=0, return_inverse=True)[1].reshape(-1)
+    mesh = Mesh(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, plane)
+    return replace(reconstruction, vertex_m=adjusted(mesh, reconstruction.rings, point_m).vertex_m)
 
 
 def _is_sound(reconstruction: Reconstruction) -> bool:

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turns_over
 from p2wss.fit.planes import neighbours
 from p2wss.fit.solid import Mesh, is_closed, is_sound, simplified
-from p2wss.skeleton.compiled import entry
-from p2wss.skeleton.types import FaceKind
 
 # no plane shifts by more than the first figure, and no vertex moves by more than the second
 _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
@@ -24,17 +23,10 @@ _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
 _MAX_PASSES = 3
 # each edge may add at most this share of the price of a part to the sum of the residuals
 _PRICE_SHARE = 0.2
-# larger residuals count as this, as in the fit
-_CAP_M = 1.0
-# a wall whose plane contains an edge of the footprint is an outer wall
-_ON_WALL_M = 1e-3
-_UPRIGHT_NZ = 0.05
 # how heavily a square metre of a plane weighs without points, as a share of the points per square metre
 _AREA_WEIGHT = 0.1
 # vertices nearer to each other are one
 _SAME_PLACE_M = 1e-3
-# a triangle that is turned over by no more than this, twice its area in square metres, has no area
-_NO_AREA_M2 = 1e-6
 _RANK, _INCONSISTENT_M = 1e-6, 1e-6
 
 
@@ -63,7 +55,8 @@ def _simpler(
     edges = _short_edges(mesh, short_edge_m)
     if not edges:
         return None
-    planes = _Planes.of(mesh, rings)
+    planes = MeshPlanes.of(mesh, rings)
+    shifts = _Shifts(planes)
     residuals = _Residuals.of(mesh, planes, point_m)
     if not len(residuals.plane):
         return None
@@ -75,12 +68,12 @@ def _simpler(
             continue
         trial = np.where(cluster_of == cluster_of[end], cluster_of[start], cluster_of)
         clusters = _clusters(trial)
-        shift_m = planes.smallest_shifts(mesh.vertex_m, clusters, weight)
+        shift_m = shifts.smallest(mesh.vertex_m, clusters, weight)
         if shift_m is None or np.abs(shift_m).max() > _MAX_SHIFT_M:
             continue
         if residuals.growth_m(planes, shift_m) > _PRICE_SHARE * price_m * (num_removed + 1):
             continue
-        moved_m = planes.moved(mesh.vertex_m, clusters, shift_m)
+        moved_m = shifts.moved(mesh.vertex_m, clusters, shift_m)
         if np.linalg.norm(moved_m - mesh.vertex_m, axis=1).max() > _MAX_MOVE_M:
             continue
         triangle = _merged_triangles(mesh, planes, moved_m, trial)
@@ -115,47 +108,17 @@ def _short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True)
-class _Planes:
-    """The planes of a mesh, numbered from 0.
+class _Shifts:
+    """Shifts of the planes of a mesh. known: the conditions of clusters that were asked for."""
 
-    number: (t,), of each triangle. normal: (p, 3), outwards. area_m2: (p,). is_free: (p,), whether a plane may shift.
-    at: the planes of each vertex. known: the conditions of clusters that were asked for.
-    """
-
-    number: np.ndarray
-    normal: np.ndarray
-    area_m2: np.ndarray
-    is_free: np.ndarray
-    at: list[set[int]]
+    planes: MeshPlanes
     known: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, mesh: Mesh, rings: Sequence[np.ndarray]) -> _Planes:
-        number = np.unique(mesh.plane, return_inverse=True)[1].reshape(-1)
-        corner_m = mesh.vertex_m[mesh.triangle]
-        cross = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
-        normal = np.column_stack([np.bincount(number, cross[:, axis]) for axis in range(3)])
-        twice_m2 = np.linalg.norm(normal, axis=1)
-        normal = normal / twice_m2[:, None]
-        offset_m = np.zeros(len(normal))
-        offset_m[number] = (normal[number] * corner_m[:, 0]).sum(axis=1)
-        start = np.concatenate(list(rings))
-        end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
-        gap_m = np.maximum(*(np.abs(ends @ normal[:, :2].T - offset_m) for ends in (start, end)))
-        is_outer = (np.abs(normal[:, 2]) < _UPRIGHT_NZ) & (gap_m.min(axis=0) < _ON_WALL_M)
-        is_free = ~is_outer
-        is_free[number[mesh.kind == FaceKind.GROUND]] = False
-        at: list[set[int]] = [set() for _ in mesh.vertex_m]
-        for plane, corners in zip(number.tolist(), mesh.triangle.tolist(), strict=True):
-            for vertex in corners:
-                at[vertex].add(plane)
-        return cls(number, normal, twice_m2 / 2, is_free, at)
 
     def _meeting(self, vertex_m: np.ndarray, cluster: list[int]) -> tuple[list[int], np.ndarray, np.ndarray]:
         """(planes, normals (k, 3), distances (k,) of the planes from the first vertex) at a cluster of vertices."""
-        planes = sorted(set().union(*(self.at[v] for v in cluster)))
-        on_plane = [next(v for v in cluster if plane in self.at[v]) for plane in planes]
-        normal = self.normal[planes]
+        planes = sorted(set().union(*(self.planes.at[v] for v in cluster)))
+        on_plane = [next(v for v in cluster if plane in self.planes.at[v]) for plane in planes]
+        normal = self.planes.normal[planes]
         return planes, normal, (normal * (vertex_m[on_plane] - vertex_m[cluster[0]])).sum(axis=1)
 
     def _conditions(self, vertex_m: np.ndarray, cluster: list[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -166,12 +129,12 @@ class _Planes:
             planes, normal, distance_m = self._meeting(vertex_m, cluster)
             vectors, size, _ = np.linalg.svd(normal)
             dependence = vectors[:, (size > _RANK).sum() :].T
-            rows = np.zeros((len(dependence), len(self.normal)))
+            rows = np.zeros((len(dependence), len(self.planes.normal)))
             rows[:, planes] = dependence
             self.known[key] = rows, -dependence @ distance_m
         return self.known[key]
 
-    def smallest_shifts(
+    def smallest(
         self, vertex_m: np.ndarray, clusters: list[list[int]], weight: np.ndarray
     ) -> np.ndarray | None:
         """The shifts (p,) along the normals with the smallest weighted sum of squares for which the planes of each
@@ -179,14 +142,14 @@ class _Planes:
         found = [
             self._conditions(vertex_m, cluster)
             for cluster in clusters
-            if len(cluster) > 1 or len(self.at[cluster[0]]) > 3
+            if len(cluster) > 1 or len(self.planes.at[cluster[0]]) > 3
         ]
-        result = np.zeros(len(self.normal))
+        result = np.zeros(len(self.planes.normal))
         conditions = np.vstack([rows for rows, _ in found])
         right_side = np.concatenate([right for _, right in found])
-        scale = 1.0 / np.sqrt(weight[self.is_free])
-        result[self.is_free] = (
-            scale * np.linalg.lstsq(conditions[:, self.is_free] * scale, right_side, 1e-8)[0]
+        scale = 1.0 / np.sqrt(weight[self.planes.is_free])
+        result[self.planes.is_free] = (
+            scale * np.linalg.lstsq(conditions[:, self.planes.is_free] * scale, right_side, 1e-8)[0]
         )
         is_consistent = np.abs(conditions @ result - right_side).max(initial=0.0) < _INCONSISTENT_M
         return result if is_consistent else None
@@ -196,7 +159,7 @@ class _Planes:
         result = vertex_m.copy()
         shifted = set(np.flatnonzero(shift_m).tolist())
         for cluster in clusters:
-            if len(cluster) > 1 or not shifted.isdisjoint(self.at[cluster[0]]):
+            if len(cluster) > 1 or not shifted.isdisjoint(self.planes.at[cluster[0]]):
                 planes, normal, distance_m = self._meeting(vertex_m, cluster)
                 place = np.linalg.lstsq(normal, distance_m + shift_m[planes], _RANK)[0]
                 result[cluster] = vertex_m[cluster[0]] + place
@@ -205,63 +168,43 @@ class _Planes:
 
 @dataclass(frozen=True)
 class _Residuals:
-    """The points that lie over a roof. plane: (m,), that of the topmost roof. residual_m: (m,), along its normal."""
+    """The points that lie over a roof. plane: (m,), that of the topmost roof. residual_m: (m,), along its normal.
+    points_per_m2: in plan."""
 
     plane: np.ndarray
     residual_m: np.ndarray
+    points_per_m2: float
 
     @classmethod
-    def of(cls, mesh: Mesh, planes: _Planes, point_m: np.ndarray) -> _Residuals:
-        is_up = planes.normal[planes.number, 2] > _UPRIGHT_NZ
+    def of(cls, mesh: Mesh, planes: MeshPlanes, point_m: np.ndarray) -> _Residuals:
+        is_up = planes.is_roof[planes.number]
         corner_m = np.ascontiguousarray(mesh.vertex_m[mesh.triangle[is_up]])
         triangle, roof_z = topmost(corner_m, np.ascontiguousarray(point_m, np.float64))
         is_over = triangle >= 0
         plane = planes.number[is_up][triangle[is_over]]
-        return cls(plane, (roof_z - point_m[:, 2])[is_over] * planes.normal[plane, 2])
+        residual_m = (roof_z - point_m[:, 2])[is_over] * planes.normal[plane, 2]
+        return cls(
+            plane,
+            residual_m,
+            len(plane) / float((planes.area_m2 * planes.normal[:, 2])[planes.is_roof].sum()),
+        )
 
-    def weights(self, planes: _Planes) -> np.ndarray:
+    def weights(self, planes: MeshPlanes) -> np.ndarray:
         """(p,): the number of points on each plane, and a little for its area."""
         count = np.bincount(self.plane, minlength=len(planes.normal))
-        return count + _AREA_WEIGHT * self._points_per_m2(planes) * planes.area_m2
+        return count + _AREA_WEIGHT * self.points_per_m2 * planes.area_m2
 
-    def growth_m(self, planes: _Planes, shift_m: np.ndarray) -> float:
+    def growth_m(self, planes: MeshPlanes, shift_m: np.ndarray) -> float:
         """How much the sum of the residuals grows if planes shift. Beside a wall that moves, the roof is missing, or
         too much, over a strip."""
-        before = np.minimum(np.abs(self.residual_m), _CAP_M)
-        after = np.minimum(np.abs(self.residual_m + shift_m[self.plane]), _CAP_M)
-        is_wall = np.abs(planes.normal[:, 2]) < _UPRIGHT_NZ
-        strip_m3 = float((planes.area_m2 * np.abs(shift_m))[is_wall].sum())
-        return float((after - before).sum()) + self._points_per_m2(planes) * strip_m3
-
-    def _points_per_m2(self, planes: _Planes) -> float:
-        is_roof = planes.normal[:, 2] > _UPRIGHT_NZ
-        return len(self.plane) / float((planes.area_m2 * planes.normal[:, 2])[is_roof].sum())
-
-
-@entry
-def topmost(corner_m, point_m):
-    """(number of the topmost triangle over or below each point, its height there); -1 and minus infinity for none.
-    corner_m: float64 (t, 3, 3), counter-clockwise seen from above. point_m: float64 (m, 3)."""
-    num = len(point_m)
-    triangle, height = np.full(num, -1), np.full(num, -np.inf)
-    for t in range(len(corner_m)):
-        a, b, c = corner_m[t, 0], corner_m[t, 1], corner_m[t, 2]
-        bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
-        twice_m2 = bx * cy - by * cx
-        if twice_m2 <= 0.0:
-            continue
-        for k in range(num):
-            x, y = point_m[k, 0] - a[0], point_m[k, 1] - a[1]
-            share_b, share_c = (x * cy - y * cx) / twice_m2, (bx * y - by * x) / twice_m2
-            if share_b >= 0.0 and share_c >= 0.0 and share_b + share_c <= 1.0:
-                z = a[2] + share_b * (b[2] - a[2]) + share_c * (c[2] - a[2])
-                if z > height[k]:
-                    triangle[k], height[k] = t, z
-    return triangle, height
+        before = np.minimum(np.abs(self.residual_m), CAP_M)
+        after = np.minimum(np.abs(self.residual_m + shift_m[self.plane]), CAP_M)
+        strip_m3 = float((planes.area_m2 * np.abs(shift_m))[planes.is_wall].sum())
+        return float((after - before).sum()) + self.points_per_m2 * strip_m3
 
 
 def _merged_triangles(
-    mesh: Mesh, planes: _Planes, moved_m: np.ndarray, cluster_of: np.ndarray
+    mesh: Mesh, planes: MeshPlanes, moved_m: np.ndarray, cluster_of: np.ndarray
 ) -> np.ndarray | None:
     """The triangles (t, 3) after the vertices of each cluster, and others that moved to one place, have become one;
     None if a triangle turns over, or if the mesh is not closed."""
@@ -271,8 +214,6 @@ def _merged_triangles(
     triangle = first[near.argmax(axis=1)][index][mesh.triangle]
     has_area = (triangle != np.roll(triangle, 1, axis=1)).all(axis=1)
     triangle = triangle[has_area]
-    corner_m = moved_m[triangle]
-    cross = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
-    if ((cross * planes.normal[planes.number[has_area]]).sum(axis=1) < -_NO_AREA_M2).any():
+    if turns_over(moved_m, triangle, planes.normal[planes.number[has_area]]):
         return None
     return triangle if is_closed(moved_m, triangle) else None

@@ -1,0 +1,222 @@
+"""The planes of a roof adjusted to its points by least squares, without any more vertices.
+
+The search gives all edges that face the same way one slope, and every eave is level and parallel to a wall of the
+footprint. Real roofs are not so exact: footprints are askew, ridges lean, eaves sink. So in the end each plane of the
+roof may tilt and shift a little, level ones only shift, and the vertices move to where the planes meet. Faces, edges
+and outer walls stay as they are.
+
+Where more than three planes meet, they have to go on meeting. To first order, that is a linear condition on their tilts
+and shifts, as are the moves of the vertices. So each round solves one linear system, in which large residuals weigh
+less (iteratively reweighted least squares).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turns_over
+from p2wss.fit.solid import Mesh, is_closed
+from p2wss.skeleton.types import FaceKind
+
+_NUM_ROUNDS = 3
+# residuals below the first figure have full weight, those above the second one none
+_NOISE_M, _OUTLIER_M = 0.03, 0.5
+# How heavily the places of the vertices weigh against a point with full weight: the first at which the adjusted mesh is
+# valid is taken. Without this, planes that are nearly parallel would meet far away.
+_VERTEX_WEIGHTS = (0.3, 3.0, 30.0)
+# an adjusted mesh has to gain this in the mean of the residuals
+_MIN_GAIN_M = 0.002
+# no vertex moves by more than the first figure, and no plane turns by more than the second
+_MAX_MOVE_M, _MAX_TURN_DEG = 0.6, 8.0
+# vertices are in their planes up to this
+_OFF_PLANE_M = 1e-4
+# the condition that planes meet, and parameters that nothing determines, by their weights
+_MEET_WEIGHT, _KEEP_WEIGHT = 3e5, 3e-5
+# smaller singular values of the normals at a vertex, relative to the largest, count as zero
+_RANK = 1e-3
+
+
+def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Mesh:
+    """The mesh with planes that are nearer to the points, the mesh itself if that gains little or is not possible.
+
+    rings: of the footprint, whose walls stay. point_m: (m, 3), on the roof. All are in the frame of the mesh.
+    """
+    point_m = np.ascontiguousarray(point_m, np.float64)
+    system = _System.of(mesh, MeshPlanes.of(mesh, rings), point_m)
+    if not len(system.roofs):
+        return mesh
+    start = system.start()
+    if not len(start.plane):
+        return mesh
+    max_loss_m = start.loss_m - _MIN_GAIN_M * len(point_m)
+    for vertex_weight in _VERTEX_WEIGHTS:
+        state = start
+        for _ in range(_NUM_ROUNDS):
+            state = system.improved(state, vertex_weight)
+        if system.is_valid(state):
+            return replace(mesh, vertex_m=state.vertex_m) if state.loss_m <= max_loss_m else mesh
+    return mesh
+
+
+@dataclass(frozen=True)
+class _State:
+    """One position of the planes. normal: (p, 3). offset_m: (p,). vertex_m: (v, 3). point_m: (k, 3), those points that
+    are over a roof. plane: (k,), that of the topmost roof. above_m: (k,), how high the points are above it. loss_m: the
+    sum of the residuals of all points."""
+
+    normal: np.ndarray
+    offset_m: np.ndarray
+    vertex_m: np.ndarray
+    point_m: np.ndarray
+    plane: np.ndarray
+    above_m: np.ndarray
+    loss_m: float
+
+
+@dataclass(frozen=True)
+class _System:
+    """What all rounds have in common. The unknowns of a roof are the height of its plane at its centre and its slopes
+    along x and y.
+
+    point_m: (m, 3). roofs: (r,), the planes that may move. roof_of: (p,), the number of each plane in roofs, -1 for
+    others. centre_m: (p, 2). is_free: (3 r,), which unknowns there are. at: (v, k), the planes of each vertex, -1
+    beyond the last. pairs: (vertices, places in at, roofs), one for each roof at each vertex.
+    """
+
+    mesh: Mesh
+    planes: MeshPlanes
+    point_m: np.ndarray
+    roofs: np.ndarray
+    roof_of: np.ndarray
+    centre_m: np.ndarray
+    is_free: np.ndarray
+    at: np.ndarray
+    pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(cls, mesh: Mesh, planes: MeshPlanes, point_m: np.ndarray) -> _System:
+        num_planes = len(planes.normal)
+        kind = np.zeros(num_planes, np.uint8)
+        kind[planes.number] = mesh.kind
+        roofs = np.flatnonzero((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT))
+        roof_of = np.full(num_planes, -1)
+        roof_of[roofs] = np.arange(len(roofs))
+        middle_m = mesh.vertex_m[mesh.triangle].mean(axis=1)
+        count = np.bincount(planes.number)
+        centre_m = np.column_stack([np.bincount(planes.number, middle_m[:, k]) / count for k in range(2)])
+        is_free = np.ones((len(roofs), 3), bool)
+        is_free[kind[roofs] == FaceKind.FLAT, 1:] = False
+        at = np.full((len(planes.at), max(map(len, planes.at))), -1)
+        for vertex, at_vertex in enumerate(planes.at):
+            at[vertex, : len(at_vertex)] = sorted(at_vertex)
+        vertices, places = np.nonzero((at >= 0) & (roof_of[at] >= 0))
+        pairs = vertices, places, roof_of[at[vertices, places]]
+        return cls(mesh, planes, point_m, roofs, roof_of, centre_m, is_free.ravel(), at, pairs)
+
+    def start(self) -> _State:
+        """The mesh as it is."""
+        return self._state(self.planes.normal, self.planes.offset_m, self.mesh.vertex_m)
+
+    def _state(self, normal: np.ndarray, offset_m: np.ndarray, vertex_m: np.ndarray) -> _State:
+        triangle, number = self.mesh.triangle, self.planes.number
+        is_up = self.roof_of[number] >= 0
+        topmost_triangle, roof_z = topmost(np.ascontiguousarray(vertex_m[triangle[is_up]]), self.point_m)
+        is_over = topmost_triangle >= 0
+        plane = number[is_up][topmost_triangle[is_over]]
+        above_m = (self.point_m[:, 2] - roof_z)[is_over]
+        loss_m = float(np.minimum(np.abs(above_m) * normal[plane, 2], CAP_M).sum()) + CAP_M * (~is_over).sum()
+        return _State(normal, offset_m, vertex_m, self.point_m[is_over], plane, above_m, loss_m)
+
+    def improved(self, state: _State, vertex_weight: float) -> _State:
+        """The state after one round."""
+        num = len(self.roofs)
+        matrix, right_side = self._point_equations(state)
+        for rows, distance_m, weight in self._vertex_equations(state, vertex_weight):
+            matrix += weight * rows.T @ rows
+            right_side += weight * rows.T @ distance_m
+        matrix[np.diag_indices(3 * num)] += _KEEP_WEIGHT / _NOISE_M
+        step = np.zeros(3 * num)
+        step[self.is_free] = np.linalg.solve(
+            matrix[np.ix_(self.is_free, self.is_free)], right_side[self.is_free]
+        )
+        rise_m, turn = np.split(step.reshape(num, 3), [1], axis=1)
+        normal, offset_m, centre_m = state.normal.copy(), state.offset_m.copy(), self.centre_m[self.roofs]
+        up = normal[self.roofs]
+        height_m = (offset_m[self.roofs] - (up[:, :2] * centre_m).sum(axis=1)) / up[:, 2] + rise_m[:, 0]
+        up = np.column_stack([up[:, :2] / up[:, 2:] - turn, np.ones(num)])
+        up /= np.linalg.norm(up, axis=1)[:, None]
+        normal[self.roofs] = up
+        offset_m[self.roofs] = (up[:, :2] * centre_m).sum(axis=1) + up[:, 2] * height_m
+        vertex_m = state.vertex_m.copy()
+        moving = np.unique(self.pairs[0])
+        normals, gap_m = self._meeting(moving, normal, offset_m, vertex_m)
+        vertex_m[moving] += (np.linalg.pinv(normals, _RANK) @ gap_m[..., None])[..., 0]
+        return self._state(normal, offset_m, vertex_m)
+
+    def is_valid(self, state: _State) -> bool:
+        """Whether the mesh is still one, close to what it was."""
+        mesh, number = self.mesh, self.planes.number
+        move_m = np.linalg.norm(state.vertex_m - mesh.vertex_m, axis=1).max()
+        turn_cos = (state.normal * self.planes.normal).sum(axis=1).min()
+        if move_m > _MAX_MOVE_M or turn_cos < np.cos(np.radians(_MAX_TURN_DEG)):
+            return False
+        height_m = (state.vertex_m[mesh.triangle] * state.normal[number, None]).sum(axis=2)
+        return (
+            bool(np.abs(height_m - state.offset_m[number, None]).max() < _OFF_PLANE_M)
+            and not turns_over(state.vertex_m, mesh.triangle, state.normal[number])
+            and is_closed(state.vertex_m, mesh.triangle)
+        )
+
+    def _point_equations(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix (3 r, 3 r) and right side (3 r,) of the weighted least squares over the points."""
+        num, roof = len(self.roofs), self.roof_of[state.plane]
+        slant = state.normal[state.plane, 2]
+        residual_m = np.abs(state.above_m) * slant
+        weight = np.where(residual_m > _OUTLIER_M, 0.0, slant**2 / np.maximum(residual_m, _NOISE_M))
+        lever = np.vstack([np.ones(len(roof)), (state.point_m[:, :2] - self.centre_m[state.plane]).T])
+        matrix, right_side = np.zeros((num, 3, num, 3)), np.zeros((num, 3))
+        own = np.arange(num)
+        for i in range(3):
+            right_side[:, i] = np.bincount(roof, weight * lever[i] * state.above_m, num)
+            for j in range(i, 3):
+                total = np.bincount(roof, weight * lever[i] * lever[j], num)
+                matrix[own, i, own, j] = matrix[own, j, own, i] = total
+        return matrix.reshape(3 * num, 3 * num), right_side.ravel()
+
+    def _vertex_equations(
+        self, state: _State, vertex_weight: float
+    ) -> list[tuple[np.ndarray, np.ndarray, float]]:
+        """(rows (k, 3 r), right sides (k,), weight) of the equations by which vertices stay at their first places, and
+        by which planes meet at vertices where there are more than three."""
+        (vertices, places, roofs), (num_vertices, num_at) = self.pairs, self.at.shape
+        normals, gap_m = self._meeting(np.arange(num_vertices), state.normal, state.offset_m, state.vertex_m)
+        inverse = np.linalg.pinv(normals, _RANK)
+        plane = self.roofs[roofs]
+        # how far a plane moves along its normal at a vertex, for a unit of each unknown
+        lever = np.column_stack([np.ones(len(plane)), state.vertex_m[vertices, :2] - self.centre_m[plane]])
+        lever *= state.normal[plane, 2, None]
+        by_roof = np.zeros((num_vertices, num_at, len(self.roofs), 3))
+        by_roof[vertices, places, roofs] = lever
+        shift = by_roof.reshape(num_vertices, num_at, -1)
+        back_m = (self.mesh.vertex_m - state.vertex_m).ravel()
+        result = [((inverse @ shift).reshape(len(back_m), -1), back_m, vertex_weight / _NOISE_M)]
+        many = np.flatnonzero((self.at >= 0).sum(axis=1) > 3)
+        if len(many):
+            # the part of the shifts that no move of the vertex explains
+            rest = np.eye(num_at) - normals[many] @ inverse[many]
+            rows = (rest @ shift[many]).reshape(-1, shift.shape[2])
+            result.append((rows, -(rest @ gap_m[many, :, None]).ravel(), _MEET_WEIGHT / _NOISE_M))
+        return result
+
+    def _meeting(
+        self, vertices: np.ndarray, normal: np.ndarray, offset_m: np.ndarray, vertex_m: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(normals (n, k, 3) of the planes at some vertices, their distances (n, k) from these); 0 beyond the last."""
+        at = self.at[vertices]
+        normals = np.where((at >= 0)[..., None], normal[at], 0.0)
+        return normals, np.where(
+            at >= 0, offset_m[at] - (normals * vertex_m[vertices, None]).sum(axis=2), 0.0
+        )
