@@ -19,6 +19,7 @@ import numpy as np
 
 from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turns_over
 from p2wss.fit.solid import Mesh, is_closed
+from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
 _NUM_ROUNDS = 3
@@ -63,13 +64,16 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
 
 @dataclass(frozen=True)
 class _State:
-    """One position of the planes. normal: (p, 3). offset_m: (p,). vertex_m: (v, 3). point_m: (k, 3), those points that
-    are over a roof. plane: (k,), that of the topmost roof. above_m: (k,), how high the points are above it. loss_m: the
-    sum of the residuals of all points."""
+    """One position of the planes. normal: (p, 3). offset_m: (p,). vertex_m: (v, 3). normals: (n, k, 3), of the planes
+    at the vertices that may move, and their pseudo-inverses (n, 3, k). point_m: (k, 3), those points that are over a
+    roof. plane: (k,), that of the topmost roof. above_m: (k,), how high the points are above it. loss_m: the sum of the
+    residuals of all points."""
 
     normal: np.ndarray
     offset_m: np.ndarray
     vertex_m: np.ndarray
+    normals: np.ndarray
+    inverse: np.ndarray
     point_m: np.ndarray
     plane: np.ndarray
     above_m: np.ndarray
@@ -82,8 +86,9 @@ class _System:
     along x and y.
 
     point_m: (m, 3). roofs: (r,), the planes that may move. roof_of: (p,), the number of each plane in roofs, -1 for
-    others. centre_m: (p, 2). is_free: (3 r,), which unknowns there are. at: (v, k), the planes of each vertex, -1
-    beyond the last. pairs: (vertices, places in at, roofs), one for each roof at each vertex.
+    others. centre_m: (p, 2). is_free: (3 r,), which unknowns there are. moving: (n,), the vertices of roofs. at:
+    (n, k), the planes of each of these vertices, -1 beyond the last. pairs: (rows of at, places there, roofs), one for
+    each roof at each of them.
     """
 
     mesh: Mesh
@@ -93,6 +98,7 @@ class _System:
     roof_of: np.ndarray
     centre_m: np.ndarray
     is_free: np.ndarray
+    moving: np.ndarray
     at: np.ndarray
     pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -109,18 +115,26 @@ class _System:
         centre_m = np.column_stack([np.bincount(planes.number, middle_m[:, k]) / count for k in range(2)])
         is_free = np.ones((len(roofs), 3), bool)
         is_free[kind[roofs] == FaceKind.FLAT, 1:] = False
-        at = np.full((len(planes.at), max(map(len, planes.at))), -1)
-        for vertex, at_vertex in enumerate(planes.at):
-            at[vertex, : len(at_vertex)] = sorted(at_vertex)
-        vertices, places = np.nonzero((at >= 0) & (roof_of[at] >= 0))
-        pairs = vertices, places, roof_of[at[vertices, places]]
-        return cls(mesh, planes, point_m, roofs, roof_of, centre_m, is_free.ravel(), at, pairs)
+        moving = np.unique(mesh.triangle[roof_of[planes.number] >= 0])
+        at = planes.table(moving.tolist())
+        rows, places = np.nonzero((at >= 0) & (roof_of[at] >= 0))
+        pairs = rows, places, roof_of[at[rows, places]]
+        return cls(mesh, planes, point_m, roofs, roof_of, centre_m, is_free.ravel(), moving, at, pairs)
 
     def start(self) -> _State:
         """The mesh as it is."""
-        return self._state(self.planes.normal, self.planes.offset_m, self.mesh.vertex_m)
+        normals = self._normals(self.planes.normal)
+        inverse = np.linalg.pinv(normals, _RANK)
+        return self._state(self.planes.normal, self.planes.offset_m, self.mesh.vertex_m, normals, inverse)
 
-    def _state(self, normal: np.ndarray, offset_m: np.ndarray, vertex_m: np.ndarray) -> _State:
+    def _state(
+        self,
+        normal: np.ndarray,
+        offset_m: np.ndarray,
+        vertex_m: np.ndarray,
+        normals: np.ndarray,
+        inverse: np.ndarray,
+    ) -> _State:
         triangle, number = self.mesh.triangle, self.planes.number
         is_up = self.roof_of[number] >= 0
         topmost_triangle, roof_z = topmost(np.ascontiguousarray(vertex_m[triangle[is_up]]), self.point_m)
@@ -128,7 +142,8 @@ class _System:
         plane = number[is_up][topmost_triangle[is_over]]
         above_m = (self.point_m[:, 2] - roof_z)[is_over]
         loss_m = float(np.minimum(np.abs(above_m) * normal[plane, 2], CAP_M).sum()) + CAP_M * (~is_over).sum()
-        return _State(normal, offset_m, vertex_m, self.point_m[is_over], plane, above_m, loss_m)
+        point_m = self.point_m[is_over]
+        return _State(normal, offset_m, vertex_m, normals, inverse, point_m, plane, above_m, loss_m)
 
     def improved(self, state: _State, vertex_weight: float) -> _State:
         """The state after one round."""
@@ -150,11 +165,11 @@ class _System:
         up /= np.linalg.norm(up, axis=1)[:, None]
         normal[self.roofs] = up
         offset_m[self.roofs] = (up[:, :2] * centre_m).sum(axis=1) + up[:, 2] * height_m
-        vertex_m = state.vertex_m.copy()
-        moving = np.unique(self.pairs[0])
-        normals, gap_m = self._meeting(moving, normal, offset_m, vertex_m)
-        vertex_m[moving] += (np.linalg.pinv(normals, _RANK) @ gap_m[..., None])[..., 0]
-        return self._state(normal, offset_m, vertex_m)
+        vertex_m, normals = state.vertex_m.copy(), self._normals(normal)
+        inverse = np.linalg.pinv(normals, _RANK)
+        gap_m = self._gap_m(normals, offset_m, vertex_m)
+        vertex_m[self.moving] += (inverse @ gap_m[..., None])[..., 0]
+        return self._state(normal, offset_m, vertex_m, normals, inverse)
 
     def is_valid(self, state: _State) -> bool:
         """Whether the mesh is still one, close to what it was."""
@@ -172,51 +187,64 @@ class _System:
 
     def _point_equations(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
         """Matrix (3 r, 3 r) and right side (3 r,) of the weighted least squares over the points."""
-        num, roof = len(self.roofs), self.roof_of[state.plane]
-        slant = state.normal[state.plane, 2]
-        residual_m = np.abs(state.above_m) * slant
-        weight = np.where(residual_m > _OUTLIER_M, 0.0, slant**2 / np.maximum(residual_m, _NOISE_M))
-        lever = np.vstack([np.ones(len(roof)), (state.point_m[:, :2] - self.centre_m[state.plane]).T])
-        matrix, right_side = np.zeros((num, 3, num, 3)), np.zeros((num, 3))
-        own = np.arange(num)
-        for i in range(3):
-            right_side[:, i] = np.bincount(roof, weight * lever[i] * state.above_m, num)
-            for j in range(i, 3):
-                total = np.bincount(roof, weight * lever[i] * lever[j], num)
-                matrix[own, i, own, j] = matrix[own, j, own, i] = total
-        return matrix.reshape(3 * num, 3 * num), right_side.ravel()
+        num = len(self.roofs)
+        sums = _sums_of_points(
+            state.point_m, state.above_m, state.plane, self.roof_of, state.normal, self.centre_m, num
+        )
+        matrix, roof = np.zeros((num, 3, num, 3)), np.arange(num)
+        matrix[roof, :, roof, :] = sums[:, :, :3]
+        return matrix.reshape(3 * num, 3 * num), sums[:, :, 3].ravel()
 
     def _vertex_equations(
         self, state: _State, vertex_weight: float
     ) -> list[tuple[np.ndarray, np.ndarray, float]]:
         """(rows (k, 3 r), right sides (k,), weight) of the equations by which vertices stay at their first places, and
         by which planes meet at vertices where there are more than three."""
-        (vertices, places, roofs), (num_vertices, num_at) = self.pairs, self.at.shape
-        normals, gap_m = self._meeting(np.arange(num_vertices), state.normal, state.offset_m, state.vertex_m)
-        inverse = np.linalg.pinv(normals, _RANK)
-        plane = self.roofs[roofs]
+        (rows, places, roofs), (num_vertices, num_at) = self.pairs, self.at.shape
+        plane, vertices = self.roofs[roofs], self.moving[rows]
         # how far a plane moves along its normal at a vertex, for a unit of each unknown
         lever = np.column_stack([np.ones(len(plane)), state.vertex_m[vertices, :2] - self.centre_m[plane]])
         lever *= state.normal[plane, 2, None]
         by_roof = np.zeros((num_vertices, num_at, len(self.roofs), 3))
-        by_roof[vertices, places, roofs] = lever
+        by_roof[rows, places, roofs] = lever
         shift = by_roof.reshape(num_vertices, num_at, -1)
-        back_m = (self.mesh.vertex_m - state.vertex_m).ravel()
-        result = [((inverse @ shift).reshape(len(back_m), -1), back_m, vertex_weight / _NOISE_M)]
+        back_m = (self.mesh.vertex_m - state.vertex_m)[self.moving].ravel()
+        result = [((state.inverse @ shift).reshape(len(back_m), -1), back_m, vertex_weight / _NOISE_M)]
         many = np.flatnonzero((self.at >= 0).sum(axis=1) > 3)
         if len(many):
             # the part of the shifts that no move of the vertex explains
-            rest = np.eye(num_at) - normals[many] @ inverse[many]
-            rows = (rest @ shift[many]).reshape(-1, shift.shape[2])
-            result.append((rows, -(rest @ gap_m[many, :, None]).ravel(), _MEET_WEIGHT / _NOISE_M))
+            rest = np.eye(num_at) - state.normals[many] @ state.inverse[many]
+            gap_m = self._gap_m(state.normals, state.offset_m, state.vertex_m)[many]
+            unexplained = (rest @ shift[many]).reshape(-1, shift.shape[2])
+            result.append((unexplained, -(rest @ gap_m[..., None]).ravel(), _MEET_WEIGHT / _NOISE_M))
         return result
 
-    def _meeting(
-        self, vertices: np.ndarray, normal: np.ndarray, offset_m: np.ndarray, vertex_m: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(normals (n, k, 3) of the planes at some vertices, their distances (n, k) from these); 0 beyond the last."""
-        at = self.at[vertices]
-        normals = np.where((at >= 0)[..., None], normal[at], 0.0)
-        return normals, np.where(
-            at >= 0, offset_m[at] - (normals * vertex_m[vertices, None]).sum(axis=2), 0.0
-        )
+    def _normals(self, normal: np.ndarray) -> np.ndarray:
+        """(n, k, 3), those of the planes at the vertices that may move; 0 beyond the last."""
+        return np.where((self.at >= 0)[..., None], normal[self.at], 0.0)
+
+    def _gap_m(self, normals: np.ndarray, offset_m: np.ndarray, vertex_m: np.ndarray) -> np.ndarray:
+        """(n, k), how far the planes are from the vertices that may move; 0 beyond the last."""
+        height_m = (normals * vertex_m[self.moving, None]).sum(axis=2)
+        return np.where(self.at >= 0, offset_m[self.at] - height_m, 0.0)
+
+
+@entry
+def _sums_of_points(point_m, above_m, plane, roof_of, normal, centre_m, num_roofs):
+    """float64 (num_roofs, 3, 4): matrix and right side of the weighted least squares over the points (m, 3) of each
+    roof. above_m, plane: (m,), as in a state. roof_of, normal, centre_m: of the planes."""
+    result, lever = np.zeros((num_roofs, 3, 4)), np.ones(3)
+    for k in range(len(point_m)):
+        slant = normal[plane[k], 2]
+        residual_m = abs(above_m[k]) * slant
+        if residual_m > _OUTLIER_M:
+            continue
+        weight = slant * slant / max(residual_m, _NOISE_M)
+        for axis in range(2):
+            lever[1 + axis] = point_m[k, axis] - centre_m[plane[k], axis]
+        sums = result[roof_of[plane[k]]]
+        for i in range(3):
+            for j in range(3):
+                sums[i, j] += weight * lever[i] * lever[j]
+            sums[i, 3] += weight * lever[i] * above_m[k]
+    return result

@@ -16,12 +16,14 @@ _ON_LINE_M = 1e-6
 _UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
 _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
+# the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
+NEXT = np.array([1, 2, 0])
 
 
 def neighbours(triangle: np.ndarray) -> np.ndarray:
     """int64 (t, 3): the triangle across each side, which runs from a corner to the next; -1 for none."""
     size = int(triangle.max()) + 1
-    start, end = triangle.astype(np.int64).ravel(), np.roll(triangle, -1, axis=1).astype(np.int64).ravel()
+    start, end = triangle.astype(np.int64).ravel(), triangle[:, NEXT].astype(np.int64).ravel()
     forward, back = start * size + end, end * size + start
     order = np.argsort(forward, kind="stable")
     place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turns_over
-from p2wss.fit.planes import neighbours
+from p2wss.fit.planes import NEXT, neighbours
 from p2wss.fit.solid import Mesh, is_closed, is_sound, simplified
 
 # no plane shifts by more than the first figure, and no vertex moves by more than the second
@@ -99,10 +99,12 @@ def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
 
 def _short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
     """(start, end) of the short edges between two planes, the shortest first."""
-    start, end = mesh.triangle, np.roll(mesh.triangle, -1, axis=1)
+    start, end = mesh.triangle, mesh.triangle[:, NEXT]
     length_m = np.linalg.norm(mesh.vertex_m[start] - mesh.vertex_m[end], axis=2)
-    across = mesh.plane[neighbours(mesh.triangle)]
-    is_short = (length_m < short_edge_m) & (start < end) & (across != mesh.plane[:, None])
+    is_short = (length_m < short_edge_m) & (start < end)
+    if not is_short.any():
+        return []
+    is_short &= mesh.plane[neighbours(mesh.triangle)] != mesh.plane[:, None]
     order = np.argsort(length_m[is_short], kind="stable")
     return list(zip(start[is_short][order].tolist(), end[is_short][order].tolist(), strict=True))
 
@@ -158,11 +160,19 @@ class _Shifts:
         """The vertices (v, 3) after the shifts: those of a cluster where its planes meet."""
         result = vertex_m.copy()
         shifted = set(np.flatnonzero(shift_m).tolist())
+        single = []
         for cluster in clusters:
-            if len(cluster) > 1 or not shifted.isdisjoint(self.planes.at[cluster[0]]):
+            if len(cluster) > 1:
                 planes, normal, distance_m = self._meeting(vertex_m, cluster)
                 place = np.linalg.lstsq(normal, distance_m + shift_m[planes], _RANK)[0]
                 result[cluster] = vertex_m[cluster[0]] + place
+            elif not shifted.isdisjoint(self.planes.at[cluster[0]]):
+                single += cluster
+        if single:
+            at = self.planes.table(single)
+            normals = np.where(at[..., None] >= 0, self.planes.normal[at], 0.0)
+            distance_m = np.where(at >= 0, shift_m[at], 0.0)
+            result[single] += (np.linalg.pinv(normals, _RANK) @ distance_m[..., None])[..., 0]
         return result
 
 
@@ -212,7 +222,7 @@ def _merged_triangles(
     place_m = moved_m[first]
     near = np.linalg.norm(place_m[:, None] - place_m[None], axis=2) < _SAME_PLACE_M
     triangle = first[near.argmax(axis=1)][index][mesh.triangle]
-    has_area = (triangle != np.roll(triangle, 1, axis=1)).all(axis=1)
+    has_area = (triangle != triangle[:, NEXT]).all(axis=1)
     triangle = triangle[has_area]
     if turns_over(moved_m, triangle, planes.normal[planes.number[has_area]]):
         return None

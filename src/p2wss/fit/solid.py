@@ -13,7 +13,7 @@ import numpy as np
 from p2wss import skeleton
 from p2wss.fit.dormers import Box
 from p2wss.fit.one_height import FittedRoof
-from p2wss.fit.planes import face_planes, neighbours, planes_at, snap_vertices
+from p2wss.fit.planes import NEXT, face_planes, neighbours, planes_at, snap_vertices
 from p2wss.skeleton import Polygons, Status
 
 _WELD_M = 1e-4
@@ -70,7 +70,7 @@ def union(
 
 def _shortest_edge_m(mesh: Mesh) -> float:
     corner_m = mesh.vertex_m[mesh.triangle]
-    return float(np.linalg.norm(corner_m - np.roll(corner_m, 1, axis=1), axis=2).min())
+    return float(np.linalg.norm(corner_m - corner_m[:, NEXT], axis=2).min())
 
 
 def is_sound(mesh: Mesh) -> bool:
@@ -84,16 +84,16 @@ def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
     """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
     distinguish."""
     corner = _weld(vertex_m)[triangle]
-    corner = corner[(corner != np.roll(corner, 1, axis=1)).all(axis=1)]
+    corner = corner[(corner != corner[:, NEXT]).all(axis=1)]
     size = len(vertex_m)
-    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    start, end = corner.ravel(), corner[:, NEXT].ravel()
     forward, back = np.sort(start * size + end), np.sort(end * size + start)
-    return bool(len(forward) and (np.diff(forward) > 0).all() and np.array_equal(forward, back))
+    return bool(len(forward) and (forward[1:] > forward[:-1]).all() and (forward == back).all())
 
 
 def _weld(vertex_m: np.ndarray) -> np.ndarray:
     """A number per vertex, the same for vertices at the same place to a tenth of a millimetre."""
-    place = np.round(vertex_m / _WELD_M).astype(np.int64)
+    place = np.rint(vertex_m / _WELD_M)
     order = np.lexsort(place.T)
     ordered = place[order]
     number = np.zeros(len(order), np.int64)
