@@ -22,6 +22,7 @@ from figures import Figures
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
+from p2wss.fit.chimneys import Chimneys
 from p2wss.fit.dormers import Boxes
 from p2wss.fit.fitting import Thresholds
 from p2wss.fit.one_height import Limits
@@ -44,6 +45,10 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "no wall moves": (_DEFAULT.model_copy(update={"max_wall_shift_m": 0.0}), Thresholds()),
     "`detail: low`": (_DEFAULT.model_copy(update={"detail": "low"}), Thresholds()),
     "`detail: high`": (_DEFAULT.model_copy(update={"detail": "high"}), Thresholds()),
+    "`detail: high`, no chimneys": (
+        _DEFAULT.model_copy(update={"detail": "high"}),
+        Thresholds(chimneys=Chimneys(min_gain_m=np.inf)),
+    ),
 }
 
 

@@ -15,6 +15,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -61,9 +62,15 @@ FEW = (10, 20, 40, 80, 200)
 def read(folder: Path, name: str, config: Config) -> list[Building]:
     """The buildings of a data set, clean footprints with their points."""
     place, cloud_files, _ = SETS[name]
-    frame = scenes.read_footprints(folder / place / "footprints.gpkg", None, needs_crs=False)
+    data = folder / place
+    return read_files(data / "footprints.gpkg", [data / file for file in cloud_files], name, config)
+
+
+def read_files(footprints: Path, cloud_files: Sequence[Path], name: str, config: Config) -> list[Building]:
+    """The buildings of a footprint file, clean footprints with their points."""
+    frame = scenes.read_footprints(footprints, None, needs_crs=False)
     frame = scenes.clean_footprints(frame, reconstruct.footprint_settings(config))
-    cloud = clouds.read_clouds([folder / place / file for file in cloud_files], reconstruct.window(frame))
+    cloud = clouds.read_clouds(list(cloud_files), reconstruct.window(frame))
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)
     origin = polygon_arrays.origins(polygons)

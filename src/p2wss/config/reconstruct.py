@@ -190,7 +190,7 @@ class Reconstruct(Section):
     detail: Literal["low", "normal", "high"] = Field(
         "normal",
         description="level of detail, set by the penalty of a part, dormer or recess: low = fewer triangles, "
-        "high = nearer to the points",
+        "high = nearer to the points, and chimneys",
     )
     max_wall_shift_m: float = Field(
         1,

@@ -14,6 +14,7 @@ from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.fit.adjustment import adjusted
+from p2wss.fit.chimneys import Chimneys, with_chimneys
 from p2wss.fit.confidence import expected_share
 from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
 from p2wss.fit.frame import enclosing_rectangle, roof_frame
@@ -51,6 +52,7 @@ class Thresholds:
     limits: Limits = field(default_factory=Limits)
     cutting: Cutting = field(default_factory=Cutting)
     boxes: Boxes = field(default_factory=Boxes)
+    chimneys: Chimneys = field(default_factory=Chimneys)
     short_edge_m: float = 0.2
 
 
@@ -80,6 +82,7 @@ def fit(
     result = []
     for task, parts_fit, single in zip(tasks, parts_fits, _mesh_single_parts(tasks, parts_fits), strict=True):
         reconstruction, parts_fit = task.reconstruct(parts_fit, single)
+        reconstruction = task.with_chimneys(reconstruction, parts_fit)
         if parts_fit.parts:
             reconstruction = replace(reconstruction, confidence=task.confidence(parts_fit))
         if not reconstruction.has_mesh and task.initial is not None and task.initial.has_mesh:
@@ -295,6 +298,13 @@ class _FitTask:
         recesses = [box for box in boxes if box.is_recess]
         mesh = union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
         return mesh if mesh is not None and is_sound(mesh) else None
+
+    def with_chimneys(self, reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
+        """A reconstruction with the chimneys on the roof that a fit describes, at the highest level of detail."""
+        if self.config.detail != "high" or not self.config.dormers or not parts_fit.parts:
+            return reconstruction
+        frame = parts_fit.rotation, parts_fit.point_m, self._open_ground
+        return with_chimneys(reconstruction, *frame, self.thresholds.chimneys)
 
     def confidence(self, parts_fit: _PartsFit) -> float | None:
         """The expected share of the building's values that are right."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -14,6 +15,14 @@ from p2wss.towns.site import ground_z_m, in_lidar_tile
 
 CELL_M = 0.1
 AROUND_M = 4.0  # points further from a building are not written, to keep the file small
+
+
+class Detail(NamedTuple):
+    """A chimney or a dormer with a level top. outline: (4, 2). top_m: above the ground."""
+
+    outline: np.ndarray
+    top_m: float
+    is_chimney: bool
 
 
 class Surface:
@@ -32,8 +41,8 @@ class Surface:
             floor = float(np.median(ground_z_m(corner[:, 0], corner[:, 1])))
             for wing in building.wings:
                 self._raise(wing.outline, _roof(wing, floor))
-            for outline, top_m in _details(building, rng):
-                self._raise(outline, _flat_top(floor + top_m))
+            for detail in draw_details(building, rng):
+                self._raise(detail.outline, _flat_top(floor + detail.top_m))
         coarse = max(1, round(0.5 / CELL_M))
         near = shapely.union_all([outline.buffer(AROUND_M) for outline in outlines])
         shapely.prepare(near)
@@ -79,24 +88,24 @@ def _flat_top(top_m: float) -> Callable[[np.ndarray], np.ndarray]:
     return lambda xy: np.full(len(xy), top_m)
 
 
-def _details(building: DrawnBuilding, rng: np.random.Generator) -> list[tuple[np.ndarray, float]]:
-    """Dormers and chimneys: (outline, top above the ground)."""
+def draw_details(building: DrawnBuilding, rng: np.random.Generator) -> list[Detail]:
+    """The chimney, if there is one, and the dormers of a building."""
     main = building.wings[0]
     if building.kind not in ("house", "row", "block") or len(main.slopes) < 2:
         return []
     start, along, inward, length = block_side(main.outline, main.slopes[0])
     depth = block_side(main.outline, main.slopes[0] + 1)[3]
     tangent = np.tan(np.radians(main.pitch_deg))
-    details = []
+    details: list[Detail] = []
     if rng.random() < 0.6:
         u = rng.uniform(0.15, 0.75) * length
         outline = to_world(start, along, inward, rectangle(u, 0.55 * depth, u + 0.7, 0.55 * depth + 0.6))
-        details.append((outline, main.eave_m + depth / 2 * tangent + rng.uniform(0.5, 1)))
+        details.append(Detail(outline, main.eave_m + depth / 2 * tangent + rng.uniform(0.5, 1), True))
     if depth / 2 * tangent > 2.4 and rng.random() < 0.45:
         number = int(rng.integers(1, 3))
         for u in (np.arange(number) + 0.5) * length / number - 0.8:
             outline = to_world(start, along, inward, rectangle(u, 0.7, u + 1.6, 0.7 + 1.6 / tangent))
-            details.append((outline, main.eave_m + rng.uniform(1.8, 2.1)))
+            details.append(Detail(outline, main.eave_m + rng.uniform(1.8, 2.1), False))
     return details
 
 

@@ -1,5 +1,7 @@
 """Boxes on a roof: detected where they are and only there, one closed solid with the roof, on by default."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,7 +10,7 @@ from test_one_height import sample
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.fitting import fit
-from p2wss.fit.solid import is_closed
+from p2wss.fit.solid import Mesh, is_closed, is_sound
 
 WIDE_M, DEEP_M, EAVE_M = 14.0, 9.0, 5.0
 HOUSE = np.array([[0, 0], [WIDE_M, 0], [WIDE_M, DEEP_M], [0, DEEP_M]])
@@ -134,6 +136,96 @@ def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
         assert with_option.vertex_m.tobytes() == without.vertex_m.tobytes()
     # the points do show the chimney
     assert (house(chimney).point_m[:, 2] > 9.5).any()
+
+
+# x from, x to, y from, y to, top: on a slope, at the ridge, beside an eave and on the wall of the gable
+ON_SLOPE, AT_RIDGE = (6.0, 6.5, 2.0, 2.6, 8.3), (10.0, 10.6, 4.2, 4.8, RIDGE_M + 0.9)
+BESIDE_EAVE, ON_GABLE = (3.0, 3.5, 0.1, 0.7, 6.6), (13.5, 14.0, 6.0, 6.6, 8.2)
+# about 14 points per square metre
+NUM_POINTS = 1800
+
+
+def fit_detail(building: Building, detail: str, max_parts: int = 1) -> Reconstruction:
+    (reconstruction,) = fit([building], Reconstruct(detail=detail, max_parts=max_parts))
+    return reconstruction
+
+
+@pytest.mark.parametrize("chimney", [ON_SLOPE, AT_RIDGE, BESIDE_EAVE, ON_GABLE])
+@pytest.mark.parametrize("max_parts", [1, 4])
+def test_a_chimney_is_built_at_detail_high_only(chimney: tuple[float, ...], max_parts: int) -> None:
+    x0, x1, y0, y1, top = chimney
+    building, without = house(chimney, num_points=NUM_POINTS), house(num_points=NUM_POINTS)
+    normal, high = (fit_detail(building, detail, max_parts) for detail in ("normal", "high"))
+    mesh = Mesh(high.vertex_m, high.triangle, high.kind, high.edge)
+    assert is_closed(mesh.vertex_m, mesh.triangle) and is_sound(mesh)
+    assert high.num_parts == 1 and high.vertex_m[:, 2].max() == pytest.approx(max(top, RIDGE_M), abs=0.1)
+    at = np.array([[(x0 + x1) / 2, (y0 + y1) / 2]])
+    beside = at + np.array([[-0.7, 0.0], [0.0, 0.7]])
+    for reconstruction, expected in ((high, top), (normal, roof_z(at)[0])):
+        height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, np.vstack([at, beside]))
+        assert height[0] == pytest.approx(expected, abs=0.1)
+        assert height[1:] == pytest.approx(roof_z(beside), abs=0.1)
+    # upright walls up to a level top, nothing beyond the footprint
+    assert volume(high) - volume(normal) == pytest.approx(true_volume(chimney) - true_volume(), abs=0.2)
+    assert (high.vertex_m[:, :2] > -1e-6).all() and (
+        high.vertex_m[:, :2] < [WIDE_M + 1e-6, DEEP_M + 1e-6]
+    ).all()
+    plain = fit_detail(without, "normal", max_parts)
+    assert len(normal.triangle) == len(plain.triangle) < len(high.triangle)
+    # a chimney at the wall stands on it
+    wall_m = 14.0 if chimney is ON_GABLE else np.inf
+    assert (
+        not np.isfinite(wall_m) or (high.vertex_m[np.abs(high.vertex_m[:, 2] - top) < 0.1, 0] == wall_m).any()
+    )
+
+
+def crown(building: Building) -> Building:
+    """Returns of class building from a tree whose crown reaches over the roof: at all heights, with the roof between
+    them."""
+    rng = np.random.default_rng(5)
+    z_m = rng.uniform(8.0, 11.0, 25)
+    radius_m, turn = 1.2 * np.sqrt(rng.random(25)), rng.uniform(0, 2 * np.pi, 25)
+    xy_m = np.array([7.0, 1.0]) + radius_m[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    return with_points(building, np.column_stack([xy_m, z_m]))
+
+
+def with_points(building: Building, point_m: np.ndarray) -> Building:
+    point_m = np.vstack([building.point_m, point_m])
+    return replace(building, point_m=point_m, classification=np.full(len(point_m), 6))
+
+
+def test_neither_a_tree_nor_birds_nor_a_mast_become_a_chimney() -> None:
+    plain = house(num_points=NUM_POINTS)
+    expected = fit_detail(plain, "normal")
+    mast = np.column_stack([np.full(4, 7.0), np.full(4, 3.0), np.linspace(8.0, 11.0, 4)])
+    pair = np.array([[5.0, 2.0, 8.0], [5.2, 2.1, 8.02]])
+    # at one height, far above the roof
+    wires = np.array([[5.0, 2.0, 11.0], [5.2, 2.1, 11.0], [5.1, 2.3, 11.02], [4.9, 2.2, 11.01]])
+    # the eave of a higher neighbour: a row of returns along the wall
+    row = np.column_stack([np.arange(4.0, 6.0, 0.2), np.full(10, 0.05), np.full(10, 6.5)])
+    for building in (
+        crown(plain),
+        *(with_points(plain, each) for each in (mast, pair, wires, row, pair[:1])),
+    ):
+        high = fit_detail(building, "high")
+        assert len(high.triangle) == len(expected.triangle)
+        assert high.vertex_m[:, 2].max() == pytest.approx(expected.vertex_m[:, 2].max(), abs=0.1)
+
+
+def test_three_returns_make_a_chimney_and_dormers_switch_it_off() -> None:
+    place = np.array([[6.1, 2.1, 8.3], [6.4, 2.2, 8.32], [6.2, 2.5, 8.28]])
+    building = house(num_points=NUM_POINTS)
+    around = np.abs(building.point_m[:, :2] - [6.25, 2.3]).max(axis=1) < 0.3
+    cleared = replace(building, point_m=building.point_m[~around])
+    assert len(fit_detail(with_points(cleared, place[:2]), "high").triangle) == len(
+        fit_detail(building, "normal").triangle
+    )
+    shown = with_points(cleared, place)
+    high = fit_detail(shown, "high")
+    height, _ = roof_over(high.vertex_m, high.triangle, np.array([[6.25, 2.3]]))
+    assert height[0] == pytest.approx(8.3, abs=0.05)
+    (off,) = fit([shown], Reconstruct(detail="high", dormers=False, max_parts=1))
+    assert len(off.triangle) == len(fit_detail(building, "normal").triangle)
 
 
 def test_on_by_default() -> None:
