@@ -2,8 +2,8 @@
 
 The search gives all edges that face the same way one slope, and every eave is level and parallel to a wall of the
 footprint. Real roofs are not so exact: footprints are askew, ridges lean, eaves sink. So in the end each plane of the
-roof may tilt and shift a little, level ones only shift, and the vertices move to where the planes meet. Faces, edges
-and outer walls stay as they are.
+roof may tilt and shift a little, level ones only shift, and the vertices move to where the planes meet. Before that,
+walls between roofs shift to where the points show the step. Faces, edges and outer walls stay as they are.
 
 Where more than three planes meet, they have to go on meeting. To first order, that is a linear condition on their tilts
 and shifts, as are the moves of the vertices. So each round solves one linear system, in which large residuals weigh
@@ -30,6 +30,8 @@ _NOISE_M, _OUTLIER_M = 0.03, 0.5
 _VERTEX_WEIGHTS = (0.3, 3.0, 30.0)
 # an adjusted mesh has to gain this in the mean of the residuals
 _MIN_GAIN_M = 0.002
+# a wall between two roofs moves by one of the first if that gains the second in the mean of the residuals
+_WALL_SHIFTS_M, _MIN_WALL_GAIN_M = (0.1, -0.1, 0.25, -0.25), 0.0005
 # no vertex moves by more than the first figure, and no plane turns by more than the second
 _MAX_MOVE_M, _MAX_TURN_DEG = 0.6, 8.0
 # vertices are in their planes up to this
@@ -52,14 +54,17 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
     start = system.start()
     if not len(start.plane):
         return mesh
+    start = system.with_shifted_walls(start)
+    shifted = mesh if start.vertex_m is mesh.vertex_m else replace(mesh, vertex_m=start.vertex_m)
+    system = replace(system, mesh=shifted)
     max_loss_m = start.loss_m - _MIN_GAIN_M * len(point_m)
     for vertex_weight in _VERTEX_WEIGHTS:
         state = start
         for _ in range(_NUM_ROUNDS):
             state = system.improved(state, vertex_weight)
         if system.is_valid(state):
-            return replace(mesh, vertex_m=state.vertex_m) if state.loss_m <= max_loss_m else mesh
-    return mesh
+            return replace(mesh, vertex_m=state.vertex_m) if state.loss_m <= max_loss_m else shifted
+    return shifted
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,29 @@ class _System:
         loss_m = float(np.minimum(np.abs(above_m) * normal[plane, 2], CAP_M).sum()) + CAP_M * (~is_over).sum()
         point_m = self.point_m[is_over]
         return _State(normal, offset_m, vertex_m, normals, inverse, point_m, plane, above_m, loss_m)
+
+    def with_shifted_walls(self, state: _State) -> _State:
+        """The state after each wall between roofs has moved to where the points show the step, if that gains enough and
+        no roof has to follow."""
+        for wall in np.flatnonzero(self.planes.is_free & self.planes.is_wall).tolist():
+            rows, places = np.nonzero(self.at == wall)
+            # the moves of its vertices for a metre, and by how much these would miss the other planes there
+            move_m = state.inverse[rows, :, places]
+            miss_m = (state.normals[rows] @ move_m[..., None])[..., 0]
+            miss_m[np.arange(len(rows)), places] -= 1.0
+            if np.abs(miss_m).max(initial=0.0) > _OFF_PLANE_M:
+                continue
+            best = state
+            for shift_m in _WALL_SHIFTS_M:
+                offset_m, vertex_m = state.offset_m.copy(), state.vertex_m.copy()
+                offset_m[wall] += shift_m
+                vertex_m[self.moving[rows]] += shift_m * move_m
+                trial = self._state(state.normal, offset_m, vertex_m, state.normals, state.inverse)
+                is_better = trial.loss_m < best.loss_m - _MIN_WALL_GAIN_M * len(self.point_m)
+                if is_better and self.is_valid(trial):
+                    best = trial
+            state = best
+        return state
 
     def improved(self, state: _State, vertex_weight: float) -> _State:
         """The state after one round."""

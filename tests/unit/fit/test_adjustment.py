@@ -109,3 +109,16 @@ def test_planes_do_not_follow_a_tree() -> None:
     point_m[:, 2] = heights_m(mesh, point_m[:, :2])
     point_m[point_m[:, 0] > 10, 2] += 2.0
     assert adjusted(mesh, [HOUSE], point_m) is mesh
+
+
+@pytest.mark.parametrize(("step_m", "wall_m"), [(6.25, 6.25), (5.9, 5.9), (6.02, 6.0)])
+def test_a_wall_moves_to_the_step(step_m, wall_m) -> None:
+    west, east = (np.array([[a, 0], [b, 0], [b, 8], [a, 8.0]]) for a, b in ((0.0, 6.0), (6.0, 12.0)))
+    roofs = [FittedRoof([ring], np.zeros(4), z, np.inf, 0.0, 0) for ring, z in ((west, 5.0), (east, 4.0))]
+    mesh = union(roofs, 0.0, 1.0, 50.0)
+    assert mesh is not None
+    result = adjusted(mesh, [HOUSE], points(lambda x, y: np.where(x < step_m, 5.0, 4.0)))
+    is_inner = (result.vertex_m[:, 0] > 1.0) & (result.vertex_m[:, 0] < 11.0)
+    assert is_inner.sum() >= 4
+    np.testing.assert_allclose(result.vertex_m[is_inner, 0], wall_m, atol=1e-6)
+    assert is_sound(result)
