@@ -48,10 +48,10 @@ def inward_distances(xy_m, ring_offset, x, y):
 
 
 @embedded
-def lower_envelope(inward_m, angle_deg, tangent, max_roof_height_m, face, distance, rise):
-    """As :func:`p2wss.skeleton.queries.assign`, but from :func:`inward_distances`. tangent: of the angles, 0 for 0
-    and 90 degrees. Writes the height of the roof above the eave to ``rise``. Returns False if there is an angle that
-    the kernel refuses."""
+def lower_envelope(inward_m, angle_deg, tangent, cosine, max_roof_height_m, face, distance, rise, slant):
+    """As :func:`p2wss.skeleton.queries.assign`, but from :func:`inward_distances`. tangent, cosine: of the angles, 0
+    and 1 for 0 and 90 degrees. Writes the height of the roof above the eave to ``rise`` and the z of its unit normal to
+    ``slant``, NaN outside. Returns False if there is an angle that the kernel refuses."""
     n, m = len(inward_m) - 1, inward_m.shape[1]
     is_flat, has_slope = False, False
     for e in range(n):
@@ -62,23 +62,27 @@ def lower_envelope(inward_m, angle_deg, tangent, max_roof_height_m, face, distan
             if not MIN_SLOPE_DEG <= angle <= MAX_SLOPE_DEG:
                 return False
             has_slope = True
+    # without branches, so that several points are evaluated at once
     if is_flat or not has_slope:
         for k in range(m):
-            face[k], distance[k], rise[k] = FLAT, 0.0, 0.0
+            face[k], distance[k], rise[k], slant[k] = FLAT, 0.0, 0.0, 1.0
     else:
         for k in range(m):
-            face[k], rise[k] = CUT, max_roof_height_m
+            face[k], distance[k], rise[k], slant[k] = CUT, max_roof_height_m, max_roof_height_m, 1.0
         for e in range(n):
-            t = tangent[e]
+            t, c = tangent[e], cosine[e]
             if t > 0.0:
                 for k in range(m):
                     height = t * inward_m[e, k]
                     is_lower = height < rise[k]
                     rise[k] = height if is_lower else rise[k]
                     face[k] = e if is_lower else face[k]
-        for k in range(m):
-            distance[k] = inward_m[face[k], k] if face[k] >= 0 else max_roof_height_m
+                    distance[k] = inward_m[e, k] if is_lower else distance[k]
+                    slant[k] = c if is_lower else slant[k]
     for k in range(m):
-        if inward_m[n, k] < _OUTSIDE_M:
-            face[k], distance[k], rise[k] = OUTSIDE, 0.0, 0.0
+        is_outside = inward_m[n, k] < _OUTSIDE_M
+        face[k] = OUTSIDE if is_outside else face[k]
+        distance[k] = 0.0 if is_outside else distance[k]
+        rise[k] = 0.0 if is_outside else rise[k]
+        slant[k] = np.nan if is_outside else slant[k]
     return True

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.skeleton.compiled import ZERO, allocating, inner
+from p2wss.skeleton.compiled import ONE, ZERO, allocating, inner
 from p2wss.skeleton.ordering import sort_first, stable_order
 
 _STEP_M, _BIN_M = 0.25, 1.2
@@ -40,6 +40,31 @@ def _extent(values):
 
 
 @allocating
+def _by_cell(cell, num_cells):
+    """(indices of the points (m,) by the number of their cell, where each cell begins there)."""
+    order, first = np.empty(len(cell), np.int64), np.zeros(num_cells + 2, np.int64)
+    for number in cell:
+        first[number + 2] += 1
+    for number in range(num_cells):
+        first[number + 2] += first[number + 1]
+    for k in range(len(cell)):
+        order[first[cell[k] + 1]] = k
+        first[cell[k] + 1] += 1
+    return order, first
+
+
+@inner
+def _merge_by_height(along, z, count, new_along, new_z, num_new):
+    """Adds ``num_new`` points to the first ``count``; both are in order of height."""
+    k = count
+    for new in range(num_new - 1, -1, -1):
+        while k > 0 and z[k - 1] > new_z[new]:
+            along[k + new], z[k + new] = along[k - 1], z[k - 1]
+            k -= 1
+        along[k + new], z[k + new] = new_along[new], new_z[new]
+
+
+@allocating
 def jump_scores(along, across, z, lines, low_m, high_m):
     """How much of a jump there is across each of the ``lines`` (ascending positions in ``along``), in square metres:
     the difference of the medians on either side beyond what slopes explain, at most 2 m, summed over strips.
@@ -51,42 +76,42 @@ def jump_scores(along, across, z, lines, low_m, high_m):
     stretch = max(1.0, spacing_m / _DENSE_M)
     num_bins = max(1, int((high_m - low_m) / (_BIN_M * stretch)))
     width = (high_m - low_m) / num_bins
-    # sort the points by strip, and along each
-    strip, order, first = (
-        np.empty(len(z), np.int64),
-        np.empty(len(z), np.int64),
-        np.zeros(num_bins + 2, np.int64),
-    )
+    # the points by strip, and along each by steps
+    num_steps = 2 + int((high_along - low_along) / _STEP_M)
+    cell = np.empty(len(z), np.int64)
     for k in range(len(z)):
-        strip[k] = min(max(int((across[k] - low_m) / width), 0), num_bins - 1)
-        first[strip[k] + 2] += 1
-    for b in range(num_bins):
-        first[b + 2] += first[b + 1]
-    for k in stable_order(along):
-        order[first[strip[k] + 1]] = k
-        first[strip[k] + 1] += 1
-    start = first[:num_bins].copy()
+        strip = min(max(int((across[k] - low_m) / width), 0), num_bins - 1)
+        cell[k] = strip * num_steps + int((along[k] - low_along) / _STEP_M)
+    order, first = _by_cell(cell, num_bins * num_steps)
+    # the points near a line in order of height: most of them are near the next line too
+    near_along, near_z = np.empty(len(z)), np.empty(len(z))
+    new_along, new_z = np.empty(len(z)), np.empty(len(z))
     before, after = np.empty(len(z)), np.empty(len(z))
     score = np.zeros(len(lines))
-    for i in range(len(lines)):
-        for b in range(num_bins):
+    far_m = _FAR_M * stretch
+    for b in range(num_bins):
+        count, step = ZERO, ZERO
+        for i in range(len(lines)):
+            num_new = ZERO
+            # one step early, so that rounding leaves no point out
+            while step < num_steps and low_along + (step - 1) * _STEP_M < lines[i] + far_m:
+                for k in order[first[b * num_steps + step] : first[b * num_steps + step + 1]]:
+                    _merge_by_height(new_along, new_z, num_new, along[k : k + 1], z[k : k + 1], ONE)
+                    num_new += 1
+                step += 1
+            _merge_by_height(near_along, near_z, count, new_along, new_z, num_new)
+            # without branches, which are slow where every other one is taken
+            num_near, count = count + num_new, ZERO
             left, right = ZERO, ZERO
-            while start[b] < first[b + 1] and along[order[start[b]]] - lines[i] <= -_FAR_M * stretch:
-                start[b] += 1
-            for k in order[start[b] : first[b + 1]]:
-                offset = along[k] - lines[i]
-                if offset >= _FAR_M * stretch:
-                    break
-                if -_FAR_M * stretch < offset < -_NEAR_M:
-                    before[left] = z[k]
-                    left += 1
-                elif offset > _NEAR_M:
-                    after[right] = z[k]
-                    right += 1
+            for c in range(num_near):
+                offset = near_along[c] - lines[i]
+                before[left] = after[right] = near_z[c]
+                left += int((offset > -far_m) & (offset < -_NEAR_M))
+                right += int((offset > _NEAR_M) & (offset < far_m))
+                near_along[count], near_z[count] = near_along[c], near_z[c]
+                count += int(offset > -far_m)
             if left < 3 or right < 3:
                 continue
-            sort_first(before, left)
-            sort_first(after, right)
             jump = abs(quantile(before, left, 0.5) - quantile(after, right, 0.5))
             spread = quantile(before, left, 0.9) - quantile(before, left, 0.1)
             spread += quantile(after, right, 0.9) - quantile(after, right, 0.1)

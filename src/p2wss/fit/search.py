@@ -86,6 +86,35 @@ def set_excess(problem, work):
     return total, other
 
 
+@embedded
+def _level_loss(problem, work):
+    """The least loss of a level roof, without the prior. Between heights at which the residual of a point is 0 or the
+    cap the loss is linear, and only at those where it is 0 may it be least."""
+    m, z, cap_m = len(problem.z), problem.z, problem.cap_m
+    total = work.sort_buffer[:m]
+    for i in range(m):
+        total[i] = 0.0
+    for k in range(m):
+        for i in range(m):
+            residual = abs(z[i] - z[k])
+            total[i] += residual if residual < cap_m else cap_m
+    least = np.inf
+    for i in range(m):
+        least = min(least, total[i])
+    return least / m
+
+
+@inner
+def _is_level(problem, angle_deg):
+    """Whether a roof is level whatever its slopes: see :mod:`p2wss.fit.envelope`. False for polygons that are not
+    convex."""
+    is_flat, has_slope = False, False
+    for e in range(problem.num_edges):
+        is_flat = is_flat or angle_deg[e] == 0.0
+        has_slope = has_slope or angle_deg[e] != 90.0
+    return len(problem.inward_m) > 0 and (is_flat or not has_slope)
+
+
 @inner
 def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     """Changes edges and directions while that lowers the loss by more than ``tolerance``; ``angle_deg`` is
@@ -95,6 +124,8 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
     # What comes after the last change has been tried since. (With many edges a try depends on those before it, but
     # then there is one round only.)
     last_change = n + problem.num_directions
+    # rounding aside, no level roof is better than this
+    least_level_loss = _level_loss(problem, work) - 1e-9
     for _ in range(max_rounds):
         changed = False
         evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
@@ -111,6 +142,8 @@ def _descend(problem, work, angle_deg, eave, top, loss, max_rounds, tolerance):
             is_better = False
             for alternative in range(len(_ALTERNATIVES_DEG)):
                 if not _propose(problem, angle_deg, unit, alternative, proposed):
+                    continue
+                if least_level_loss >= best_loss and _is_level(problem, proposed):
                     continue
                 new_loss, new_eave, new_top = improve_at(
                     work.code, problem, work.at, proposed, eave, top, _ROUNDS_CANDIDATE, False, True,

@@ -67,9 +67,11 @@ def _evaluate(problem, work, angle_deg, eave_m, top_m):
     if is_same:
         return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
     work.last_roof[0] = -1.0
-    face, distance, rise = work.face[:m], work.distance[:m], work.rise[:m]
+    face, distance, rise, slant = work.face[:m], work.distance[:m], work.rise[:m], work.slant[:m]
     if len(problem.inward_m) > 0:
-        if not lower_envelope(problem.inward_m, angle_deg, work.tangent, top, face, distance, rise):
+        if not lower_envelope(
+            problem.inward_m, angle_deg, work.tangent, work.cosine, top, face, distance, rise, slant
+        ):
             return IMPOSSIBLE
     else:
         if set_angles(work.skeleton.edge, problem.num_edges, angle_deg) != _OK:
@@ -82,9 +84,7 @@ def _evaluate(problem, work, angle_deg, eave_m, top_m):
             return IMPOSSIBLE
         for k in range(m):
             rise[k] = work.tangent[max(face[k], 0)] * distance[k] if face[k] >= 0 else distance[k]
-    for k in range(m):
-        slant = work.cosine[max(face[k], 0)] if face[k] >= 0 else 1.0
-        work.slant[k] = slant if face[k] != OUTSIDE else np.nan
+            slant[k] = work.cosine[face[k]] if face[k] >= 0 else np.nan if face[k] == OUTSIDE else 1.0
     work.last_roof[0], work.last_roof[1] = m, top
     return _loss(problem, work, eave_m) + prior_cost_m(problem, angle_deg, eave_m)
 
