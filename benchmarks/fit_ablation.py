@@ -36,6 +36,7 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "eaves of a part at one height": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False))),
     "short edges stay": (_DEFAULT, Thresholds(short_edge_m=0.0)),
     "neither of these two": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False), short_edge_m=0.0)),
+    "planes are not adjusted": (_DEFAULT, Thresholds(adjust=False)),
     "no flat tops": (_DEFAULT, Thresholds(limits=Limits(flat_top=False))),
     "no penalty for slopes": (_DEFAULT, Thresholds(cutting=Cutting(slope_share=1e-9))),
     "no cut below the penalty of a part": (_DEFAULT, Thresholds(cutting=Cutting(over_share=1.0))),

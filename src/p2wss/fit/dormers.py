@@ -43,6 +43,7 @@ class Boxes(Gain):
     costs.
     """
 
+    gain_m: float = 0.0165
     max_boxes: int = 8
     above_m: float = 0.4
     cap_m: float = 1.0

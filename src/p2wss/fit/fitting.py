@@ -37,7 +37,7 @@ _GROUND_INSIDE_M = 0.5
 # What a part costs: multiples of the normal price. Above this area the price does not grow any more: a part has to
 # explain as much volume between roof and points in a block as in a house.
 _DETAIL = {"low": 2.0, "normal": 1.0, "high": 0.5}
-_FULL_PRICE_M2 = 70.0
+_FULL_PRICE_M2 = 60.0
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
@@ -46,7 +46,8 @@ _FAR_OFF_M = 0.05
 @dataclass(frozen=True)
 class Thresholds:
     """What decides between roofs; `docs/methods/fit.md` says how the defaults were chosen. short_edge_m: shorter edges
-    of the mesh are removed if the points do not need them."""
+    of the mesh are removed if the points do not need them. adjust: whether the planes of the mesh are adjusted to the
+    points."""
 
     effort: Effort = field(default_factory=Effort)
     limits: Limits = field(default_factory=Limits)
@@ -54,6 +55,7 @@ class Thresholds:
     boxes: Boxes = field(default_factory=Boxes)
     chimneys: Chimneys = field(default_factory=Chimneys)
     short_edge_m: float = 0.2
+    adjust: bool = True
 
 
 def fit(
@@ -334,7 +336,8 @@ class _FitTask:
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
         point_m = parts_fit.point_m - (0.0, 0.0, ground)
         mesh = without_short_edges(mesh, rings, point_m, price_m, self.thresholds.short_edge_m)
-        mesh = adjusted(mesh, rings, point_m)
+        if self.thresholds.adjust:
+            mesh = adjusted(mesh, rings, point_m)
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
@@ -414,8 +417,9 @@ def _mesh_single_parts(
     )
     for i, reconstruction in zip(indices, reconstructions, strict=True):
         # one part alone is the parametric building of the paper, with one angle for each edge
-        is_parametric = config.max_parts == 1
-        result[i] = reconstruction if is_parametric else _adjusted_single_part(reconstruction, parts_fits[i])
+        if config.max_parts > 1 and tasks[i].thresholds.adjust:
+            reconstruction = _adjusted_single_part(reconstruction, parts_fits[i])
+        result[i] = reconstruction
     return result
 
 

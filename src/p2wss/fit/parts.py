@@ -35,7 +35,7 @@ class Cutting(Gain):
     min_points: of a part.
     """
 
-    gain_m: float = 0.01
+    gain_m: float = 0.014
     max_parts: int = 32
     slope_share: float = 0.3
     over_share: float = 0.2
