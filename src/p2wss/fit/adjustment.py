@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -126,6 +127,12 @@ class _System:
         pairs = rows, places, roof_of[at[rows, places]]
         return cls(mesh, planes, point_m, roofs, roof_of, centre_m, is_free.ravel(), moving, at, pairs)
 
+    @cached_property
+    def _roof_triangles(self) -> tuple[np.ndarray, np.ndarray]:
+        """(triangles (t, 3) of the roofs that may move, their planes (t,))."""
+        is_roof = self.roof_of[self.planes.number] >= 0
+        return self.mesh.triangle[is_roof], self.planes.number[is_roof]
+
     def start(self) -> _State:
         """The mesh as it is."""
         normals = self._normals(self.planes.normal)
@@ -140,11 +147,10 @@ class _System:
         normals: np.ndarray,
         inverse: np.ndarray,
     ) -> _State:
-        triangle, number = self.mesh.triangle, self.planes.number
-        is_up = self.roof_of[number] >= 0
-        topmost_triangle, roof_z = topmost(np.ascontiguousarray(vertex_m[triangle[is_up]]), self.point_m)
+        triangle, number = self._roof_triangles
+        topmost_triangle, roof_z = topmost(vertex_m[triangle], self.point_m)
         is_over = topmost_triangle >= 0
-        plane = number[is_up][topmost_triangle[is_over]]
+        plane = number[topmost_triangle[is_over]]
         above_m = (self.point_m[:, 2] - roof_z)[is_over]
         loss_m = float(np.minimum(np.abs(above_m) * normal[plane, 2], CAP_M).sum()) + CAP_M * (~is_over).sum()
         point_m = self.point_m[is_over]

@@ -96,13 +96,17 @@ def find_boxes(
     orders = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
     reach_m, extent_m = boxes.max_area_m2**0.5, float(max(np.ptp(x), np.ptp(y)))
     grown: dict[tuple[int, bytes], tuple[float, np.ndarray, np.ndarray, float]] = {}
+    signs = (1, -1) if boxes.recesses else (1,)
     while True:
-        before = np.minimum(np.abs(z - roof_z) * slant, boxes.cap_m)
+        above_m = (z - roof_z) * slant
+        before = np.minimum(np.abs(above_m), boxes.cap_m)
         best_gain, best = (min_gain_m if strict_loss is None else loose_share * min_gain_m), None
-        for sign in (1, -1) if boxes.recesses else (1,):
-            off = sign * (z - roof_z) * slant > boxes.above_m
-            seeds = _clusters(point_m, off, boxes.min_points) if len(result) < boxes.max_boxes else []
-            for seed in seeds:
+        for sign in signs if len(result) < boxes.max_boxes else ():
+            off = sign * above_m > boxes.above_m
+            # together, the clusters have no more to gain than all their points
+            if _MOST_GAIN * before[off].sum() <= best_gain:
+                continue
+            for seed in _clusters(point_m, off, boxes.min_points):
                 if _MOST_GAIN * before[seed].sum() <= best_gain:
                     continue
                 key = sign, seed.tobytes()
@@ -248,22 +252,21 @@ def _on_footprint(
 ) -> np.ndarray | None:
     """The counter-clockwise ring of a box whose sides are moved to walls and cuts nearby, and that is clipped to the
     footprint unless it is a recess; None if its size is not allowed."""
-    bounds = [low[0], low[1], high[0], high[1]]
+    bounds = np.concatenate([low, high])
     if min(high - low) < boxes.min_width_m:
         return None
     for side in range(4):
         nearest = lines[side % 2][np.argmin(np.abs(lines[side % 2] - bounds[side]))]
         if abs(nearest - bounds[side]) < _TO_CUT_M:
             bounds[side] = nearest
-    # strips are those of the bounds before any side is moved beyond a wall
-    original = list(bounds)
+    # for each side the bounds of the strip beyond it, before any side is moved beyond a wall
+    strips = np.tile(bounds, (4, 1))
     for side in range(4):
-        strip = list(original)
-        strip[side] += -_TO_WALL_M if side < 2 else _TO_WALL_M
-        strip[(side + 2) % 4] = original[side]
-        beyond = shapely.box(*strip)
-        if beyond.intersection(footprint).area < 0.9 * beyond.area:
-            bounds[side] = strip[side]
+        strips[side, side] += -_TO_WALL_M if side < 2 else _TO_WALL_M
+        strips[side, (side + 2) % 4] = bounds[side]
+    beyond = shapely.box(*strips.T)
+    ends_at_wall = shapely.area(shapely.intersection(beyond, footprint)) < 0.9 * shapely.area(beyond)
+    bounds = np.where(ends_at_wall, strips.diagonal(), bounds)
     rectangle = shapely.box(*bounds)
     shape = rectangle.intersection(footprint)
     largest = min(boxes.max_area_m2, boxes.max_share * float(shapely.area(footprint)))

@@ -226,5 +226,7 @@ def _is_open(
         place, depth = (xy_m - start) @ along, (xy_m - start) @ np.array([-along[1], along[0]])
         near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M)
         inside.append(int((near & (depth > 0) & (depth < shift_m)).sum()))
+        if not inside[0]:
+            return False
         beyond.append(int((near & (depth < 0) & (depth > -_BEYOND_M)).sum()))
     return inside[0] > ground_share * sum(inside) and beyond[1] <= _MOST_BUILDING * beyond[0]

@@ -55,7 +55,9 @@ def union(
     """
     first_closed = None
     for step_m, simplify_m in _ATTEMPTS_M:
-        raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
+        raised = parts
+        if step_m:
+            raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
         mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
         if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
             continue
