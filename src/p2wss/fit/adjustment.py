@@ -30,7 +30,7 @@ _NOISE_M, _OUTLIER_M = 0.03, 0.5
 # valid is taken. Without this, planes that are nearly parallel would meet far away.
 _VERTEX_WEIGHTS = (0.3, 3.0, 30.0)
 # an adjusted mesh has to gain this in the mean of the residuals
-_MIN_GAIN_M = 0.002
+_MIN_GAIN_M = 0.001
 # a wall between two roofs moves by one of the first if that gains the second in the mean of the residuals
 _WALL_SHIFTS_M, _MIN_WALL_GAIN_M = (0.1, -0.1, 0.25, -0.25), 0.0005
 # no vertex moves by more than the first figure, and no plane turns by more than the second
