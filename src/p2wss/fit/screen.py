@@ -249,17 +249,21 @@ def best_cut(
     for c in order[:num_tried]:
         if min(num_low[c], m - num_low[c]) < min_points:
             continue
-        low = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], False, min_points,
-            settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work.at, settings,
-            slope_prior(max_edges, slope_cost_m / num_low[c]),
-        )  # fmt: skip
-        if low[0] >= IMPOSSIBLE or low[0] * num_low[c] > best_cost:
-            continue
         num_high = m - num_low[c]
-        high = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], True, min_points,
+        # again the side with more points first
+        is_high = num_high > num_low[c]
+        count = max(num_low[c], num_high)
+        first = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], is_high, min_points,
             settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work.at, settings,
-            slope_prior(max_edges, slope_cost_m / num_high),
+            slope_prior(max_edges, slope_cost_m / count),
         )  # fmt: skip
+        if first[0] >= IMPOSSIBLE or first[0] * count > best_cost:
+            continue
+        second = fit_side_at(work.code, xy_m, ring_offset, angle_deg, points, axes[c], positions[c], not is_high,
+            min_points, settings.num_points, min_clearance_m, no_angles, IMPOSSIBLE, 0.0, work.at, settings,
+            slope_prior(max_edges, slope_cost_m / (m - count)),
+        )  # fmt: skip
+        low, high = (second, first) if is_high else (first, second)
         cost = low[0] * num_low[c] + high[0] * num_high
         if cost < best_cost:
             best, best_cost, best_low, best_high = c, cost, low, high

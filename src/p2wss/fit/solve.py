@@ -28,6 +28,8 @@ _KEEP_EAVE, _KEEP_SLOPE = 1e-3, 0.5
 _MAX_DIFFERENCE_DEG, MAX_DIFFERENCE_M = 20.0, 3.0
 _MIN_DIFFERENCE_DEG, _MIN_DIFFERENCE_M = 1.0, 0.1
 _DEGREE = np.pi / 180.0
+# with more values, selecting their median is faster than counting
+_MAX_COUNTED = 100
 
 
 @inner
@@ -143,7 +145,17 @@ def _median_eave(problem, work):
         if f != OUTSIDE:
             work.sort_buffer[count] = problem.z[k] - work.rise[k]
             count += 1
-    return select(work.sort_buffer, count, count // 2) if count > 0 else 0.0
+    if count > _MAX_COUNTED:
+        return select(work.sort_buffer, count, count // 2)
+    # of few values the median is the one with so many less than it: counting has no branches that are hard to predict
+    for i in range(count):
+        value, num_less, num_least = work.sort_buffer[i], ZERO, ZERO
+        for k in range(count):
+            num_less += int(work.sort_buffer[k] < value)
+            num_least += int(work.sort_buffer[k] <= value)
+        if num_less <= count // 2 < num_least:
+            return value
+    return 0.0
 
 
 @embedded
