@@ -53,7 +53,7 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
     if not len(system.roofs):
         return mesh
     start = system.start()
-    if not len(start.plane):
+    if (start.top < 0).all():
         return mesh
     start = system.with_shifted_walls(start)
     shifted = mesh if start.vertex_m is mesh.vertex_m else replace(mesh, vertex_m=start.vertex_m)
@@ -71,17 +71,16 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
 @dataclass(frozen=True)
 class _State:
     """One position of the planes. normal: (p, 3). offset_m: (p,). vertex_m: (v, 3). normals: (n, k, 3), of the planes
-    at the vertices that may move, and their pseudo-inverses (n, 3, k). point_m: (k, 3), those points that are over a
-    roof. plane: (k,), that of the topmost roof. above_m: (k,), how high the points are above it. loss_m: the sum of the
-    residuals of all points."""
+    at the vertices that may move, and their pseudo-inverses (n, 3, k). top: (m,), the number of the topmost triangle of
+    a roof over or below each point, -1 for none. above_m: (m,), how high the points are above it, infinite without one.
+    loss_m: the sum of the residuals."""
 
     normal: np.ndarray
     offset_m: np.ndarray
     vertex_m: np.ndarray
     normals: np.ndarray
     inverse: np.ndarray
-    point_m: np.ndarray
-    plane: np.ndarray
+    top: np.ndarray
     above_m: np.ndarray
     loss_m: float
 
@@ -147,14 +146,11 @@ class _System:
         normals: np.ndarray,
         inverse: np.ndarray,
     ) -> _State:
-        triangle, number = self._roof_triangles
-        topmost_triangle, roof_z = topmost(vertex_m[triangle], self.point_m)
-        is_over = topmost_triangle >= 0
-        plane = number[topmost_triangle[is_over]]
-        above_m = (self.point_m[:, 2] - roof_z)[is_over]
-        loss_m = float(np.minimum(np.abs(above_m) * normal[plane, 2], CAP_M).sum()) + CAP_M * (~is_over).sum()
-        point_m = self.point_m[is_over]
-        return _State(normal, offset_m, vertex_m, normals, inverse, point_m, plane, above_m, loss_m)
+        triangle, plane = self._roof_triangles
+        top, roof_z = topmost(vertex_m[triangle], self.point_m)
+        above_m = self.point_m[:, 2] - roof_z
+        loss_m = float(np.minimum(np.abs(above_m) * normal[plane, 2][top], CAP_M).sum())
+        return _State(normal, offset_m, vertex_m, normals, inverse, top, above_m, loss_m)
 
     def with_shifted_walls(self, state: _State) -> _State:
         """The state after each wall between roofs has moved to where the points show the step, if that gains enough and
@@ -186,15 +182,13 @@ class _System:
         for rows, distance_m, weight in self._vertex_equations(state, vertex_weight):
             matrix += weight * rows.T @ rows
             right_side += weight * rows.T @ distance_m
-        matrix[np.diag_indices(3 * num)] += _KEEP_WEIGHT / _NOISE_M
-        step = np.zeros(3 * num)
-        step[self.is_free] = np.linalg.solve(
-            matrix[np.ix_(self.is_free, self.is_free)], right_side[self.is_free]
-        )
-        rise_m, turn = np.split(step.reshape(num, 3), [1], axis=1)
+        matrix.flat[:: 3 * num + 1] += _KEEP_WEIGHT / _NOISE_M
+        step, free = np.zeros(3 * num), np.flatnonzero(self.is_free)
+        step[free] = np.linalg.solve(matrix[free[:, None], free], right_side[free])
+        rise_m, turn = step[::3], step.reshape(num, 3)[:, 1:]
         normal, offset_m, centre_m = state.normal.copy(), state.offset_m.copy(), self.centre_m[self.roofs]
         up = normal[self.roofs]
-        height_m = (offset_m[self.roofs] - (up[:, :2] * centre_m).sum(axis=1)) / up[:, 2] + rise_m[:, 0]
+        height_m = (offset_m[self.roofs] - (up[:, :2] * centre_m).sum(axis=1)) / up[:, 2] + rise_m
         up = np.column_stack([up[:, :2] / up[:, 2:] - turn, np.ones(num)])
         up /= np.linalg.norm(up, axis=1)[:, None]
         normal[self.roofs] = up
@@ -222,11 +216,13 @@ class _System:
     def _point_equations(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
         """Matrix (3 r, 3 r) and right side (3 r,) of the weighted least squares over the points."""
         num = len(self.roofs)
+        plane = self._roof_triangles[1]
+        roof = self.roof_of[plane]
         sums = _sums_of_points(
-            state.point_m, state.above_m, state.plane, self.roof_of, state.normal, self.centre_m, num
+            self.point_m, state.above_m, state.top, roof, state.normal[plane, 2], self.centre_m[plane], num
         )
-        matrix, roof = np.zeros((num, 3, num, 3)), np.arange(num)
-        matrix[roof, :, roof, :] = sums[:, :, :3]
+        matrix, roofs = np.zeros((num, 3, num, 3)), np.arange(num)
+        matrix[roofs, :, roofs, :] = sums[:, :, :3]
         return matrix.reshape(3 * num, 3 * num), sums[:, :, 3].ravel()
 
     def _vertex_equations(
@@ -264,19 +260,19 @@ class _System:
 
 
 @entry
-def _sums_of_points(point_m, above_m, plane, roof_of, normal, centre_m, num_roofs):
+def _sums_of_points(point_m, above_m, top, roof, slant, centre_m, num_roofs):
     """float64 (num_roofs, 3, 4): matrix and right side of the weighted least squares over the points (m, 3) of each
-    roof. above_m, plane: (m,), as in a state. roof_of, normal, centre_m: of the planes."""
+    roof. above_m, top: (m,), as in a state. roof, slant, centre_m: of each triangle, the number of its roof, z of its
+    normal, and the centre (2,) of its plane."""
     result, lever = np.zeros((num_roofs, 3, 4)), np.ones(3)
     for k in range(len(point_m)):
-        slant = normal[plane[k], 2]
-        residual_m = abs(above_m[k]) * slant
-        if residual_m > _OUTLIER_M:
+        t = top[k]
+        if t < 0 or abs(above_m[k]) * slant[t] > _OUTLIER_M:
             continue
-        weight = slant * slant / max(residual_m, _NOISE_M)
+        weight = slant[t] * slant[t] / max(abs(above_m[k]) * slant[t], _NOISE_M)
         for axis in range(2):
-            lever[1 + axis] = point_m[k, axis] - centre_m[plane[k], axis]
-        sums = result[roof_of[plane[k]]]
+            lever[1 + axis] = point_m[k, axis] - centre_m[t, axis]
+        sums = result[roof[t]]
         for i in range(3):
             for j in range(3):
                 sums[i, j] += weight * lever[i] * lever[j]
