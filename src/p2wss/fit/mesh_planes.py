@@ -48,7 +48,7 @@ class MeshPlanes:
         offset_m = np.zeros(len(normal))
         offset_m[number] = (normal[number] * corner_m[:, 0]).sum(axis=1)
         start = np.concatenate(list(rings))
-        end = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
+        end = np.concatenate([points for ring in rings for points in (ring[1:], ring[:1])])
         gap_m = np.maximum(*(np.abs(ends @ normal[:, :2].T - offset_m) for ends in (start, end)))
         is_outer = (np.abs(normal[:, 2]) < _UPRIGHT_NZ) & (gap_m.min(axis=0) < _ON_WALL_M)
         is_free = ~is_outer

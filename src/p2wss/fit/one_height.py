@@ -114,6 +114,8 @@ class Fitter:
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self._work: FitWork = linked_work(32, 1024)
+        # of a loss, which needs no search
+        self._loss_settings = self.settings(Effort())
 
     @property
     def num_evaluations(self) -> int:
@@ -205,17 +207,16 @@ class Fitter:
     def loss(self, roof: FittedRoof, point_m: np.ndarray, prior: Prior = NO_PRIOR) -> float:
         """Loss of a roof on points (m, 3), metres."""
         xy_m, ring_offset = flat_rings(roof.slope_rings)
-        all_points = Effort(num_points=len(point_m))
         return improve_roof(
             xy_m,
             ring_offset,
-            *self._points(point_m, all_points),
+            *np.ascontiguousarray(point_m.T, np.float64),
             np.array(roof.angle_deg, np.float64),
             float(roof.eave_z_m),
             float(roof.top_m),
             0,
             self.work(len(xy_m), len(point_m)),
-            self.settings(all_points),
+            self._loss_settings,
             prior,
         )
 

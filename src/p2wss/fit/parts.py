@@ -131,11 +131,14 @@ def _with_eaves(
     if not slope_cost_m or roof.loss_m < _NOISE_M:
         return part
     slope_prior = with_slope_cost(prior, slope_cost_m, len(point_m), len(roof.angle_deg))
+    loss_m = fitter.loss(roof, point_m, slope_prior)
+    # eaves at different heights are those of two slopes at least, which cost as much each
+    if loss_m * len(point_m) <= 3 * slope_cost_m:
+        return part
     uneven = fitter.fit_eaves(roof, point_m, effort, slope_prior)
     if uneven is roof:
         return part
-    loss_m = [fitter.loss(each, point_m, slope_prior) for each in (roof, uneven)]
-    gain_m = (loss_m[0] - loss_m[1]) * len(point_m) - slope_cost_m
+    gain_m = (loss_m - fitter.loss(uneven, point_m, slope_prior)) * len(point_m) - slope_cost_m
     if gain_m <= 0:
         return part
     uneven = replace(uneven, loss_m=fitter.loss(uneven, point_m, prior))
