@@ -14,6 +14,16 @@ _CELL_M = 0.5
 _WALL_CELL_M, _WALL_SHARE, _SAME_HEIGHT_M, _BELOW_TOP_M = 0.6, 0.25, 0.3, 2.0
 
 
+def _spread(value: np.ndarray) -> np.ndarray:
+    """The lower 16 bits of each number with a zero bit between any two."""
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        value = (value | (value << shift)) & mask
+    return value
+
+
+_SPREAD = _spread(np.arange(1 << 16))
+
+
 def roof_points(
     polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
 ) -> np.ndarray:
@@ -64,8 +74,8 @@ def even_order(point_m: np.ndarray) -> np.ndarray:
     """Indices of points (m, 3) along a space-filling curve, whatever their order in the file. Every k-th point in
     this order makes an even sample."""
     x, y, z = np.ascontiguousarray(point_m.T)
-    spread = _spread(np.floor(np.stack([x - x.min(), y - y.min()]) / _CELL_M).astype(np.uint64))
-    code = spread[0] | (spread[1] << np.uint64(1))
+    cell_x, cell_y = (np.floor((each - each.min()) / _CELL_M).astype(np.int64) & 0xFFFF for each in (x, y))
+    code = _SPREAD[cell_x] | (_SPREAD[cell_y] << 1)
     order = np.lexsort((x, code))
     ordered_code, ordered_x = code[order], x[order]
     tie = (ordered_code[1:] == ordered_code[:-1]) & (ordered_x[1:] == ordered_x[:-1])
@@ -77,11 +87,3 @@ def every_kth(num_points: int, max_count: int) -> np.ndarray:
     if num_points <= max_count:
         return np.arange(num_points)
     return ((np.arange(max_count) + 0.5) * num_points / max_count).astype(np.int64)
-
-
-def _spread(value: np.ndarray) -> np.ndarray:
-    """The lower 16 bits of each number with a zero bit between any two."""
-    value = value & np.uint64(0xFFFF)
-    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-        value = (value | (value << np.uint64(shift))) & np.uint64(mask)
-    return value
