@@ -22,7 +22,7 @@ _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
 # planes that have become one leave other edges short
 _MAX_PASSES = 3
 # each edge may add at most this share of the price of a part to the sum of the residuals
-_PRICE_SHARE = 0.35
+_PRICE_SHARE = 0.4
 # how heavily a square metre of a plane weighs without points, as a share of the points per square metre
 _AREA_WEIGHT = 0.1
 # vertices nearer to each other are one
