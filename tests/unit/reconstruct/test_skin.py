@@ -17,8 +17,9 @@ from p2wss.reconstruct.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
 
 
-def exact(solids: list[Solid]) -> list[Skin]:
-    """Skins that keep every step, checked against the union."""
+def exact(solids: list[Solid], merged_m3: float = 0.0) -> list[Skin]:
+    """Skins that keep every step, checked against the union. merged_m3: how much the volume may change as corners that
+    are millimetres apart become one."""
     result = skins(solids, step_m=0.0)
     assert [skin.failure for skin in result] == [None] * len(result)
     for skin in result:
@@ -27,7 +28,7 @@ def exact(solids: list[Solid]) -> list[Skin]:
         s.building_id for s in solids
     )
     total = sum(volume(skin.vertex_m, skin.triangle) for skin in result)
-    assert total == pytest.approx(united(solids).volume(), rel=1e-6)
+    assert total == pytest.approx(united(solids).volume(), rel=1e-6, abs=merged_m3)
     return result
 
 
@@ -192,7 +193,8 @@ def test_any_coverage(
                 polygon = shapely.Polygon(corner @ turned + place)
                 solids.append(solid(f"{number:02}", polygon, heights[number], angles))
     if step_m == 0:
-        exact(solids)
+        # a slope may end within millimetres of the height of a neighbour
+        exact(solids, merged_m3=0.05)
     for skin in skins(solids, step_m):
         assert_closed(skin)
         assert skin.failure is None
