@@ -33,6 +33,9 @@ _VERTEX_WEIGHTS = (0.3, 3.0, 30.0)
 _MIN_GAIN_M = 0.001
 # a wall between two roofs moves by one of the first if that gains the second in the mean of the residuals
 _WALL_SHIFTS_M, _MIN_WALL_GAIN_M = (0.1, -0.1, 0.25, -0.25), 0.0005
+# Time and memory grow with the cube of these: roofs of a mesh, and planes that meet at one vertex, as over a round
+# tower. Meshes with more stay as they are. Walls stay where they would take more tests of points against triangles.
+_MAX_NUM_ROOFS, _MAX_NUM_MEETING, _MAX_WALL_TESTS = 100, 16, 50_000_000
 # no vertex moves by more than the first figure, and no plane turns by more than the second
 _MAX_MOVE_M, _MAX_TURN_DEG = 0.6, 8.0
 # vertices are in their planes up to this
@@ -50,7 +53,7 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
     """
     point_m = np.ascontiguousarray(point_m, np.float64)
     system = _System.of(mesh, MeshPlanes.of(mesh, rings), point_m)
-    if not len(system.roofs):
+    if not 0 < len(system.roofs) <= _MAX_NUM_ROOFS or system.at.shape[1] > _MAX_NUM_MEETING:
         return mesh
     start = system.start()
     if (start.top < 0).all():
@@ -155,7 +158,10 @@ class _System:
     def with_shifted_walls(self, state: _State) -> _State:
         """The state after each wall between roofs has moved to where the points show the step, if that gains enough and
         no roof has to follow."""
-        for wall in np.flatnonzero(self.planes.is_free & self.planes.is_wall).tolist():
+        walls = np.flatnonzero(self.planes.is_free & self.planes.is_wall).tolist()
+        if len(walls) * len(self.mesh.triangle) * len(self.point_m) > _MAX_WALL_TESTS:
+            return state
+        for wall in walls:
             rows, places = np.nonzero(self.at == wall)
             # the moves of its vertices for a metre, and by how much these would miss the other planes there
             move_m = state.inverse[rows, :, places]

@@ -122,3 +122,14 @@ def test_a_wall_moves_to_the_step(step_m, wall_m) -> None:
     assert is_inner.sum() >= 4
     np.testing.assert_allclose(result.vertex_m[is_inner, 0], wall_m, atol=1e-6)
     assert is_sound(result)
+
+
+def test_a_round_tower_stays_as_it_is() -> None:
+    """All of its planes meet at one vertex, for which the equations would take gigabytes."""
+    angle = np.linspace(0, 2 * np.pi, 250, endpoint=False)
+    ring = 20 * np.column_stack([np.cos(angle), np.sin(angle)])
+    mesh = union([FittedRoof([ring], np.full(250, 30.0), 5.0, np.inf, 0.0, 0)], 0.0, 1.0, 50.0)
+    assert mesh is not None
+    xy_m = np.random.default_rng(0).uniform(-14, 14, (3000, 2))
+    point_m = np.column_stack([xy_m, heights_m(mesh, xy_m) + 0.03 * xy_m[:, 0]])
+    assert adjusted(mesh, [ring], point_m) is mesh
