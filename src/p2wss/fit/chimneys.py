@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from p2wss.data.building import Reconstruction
+from p2wss.fit.dormers import moved_to_walls
 from p2wss.fit.mesh_planes import CAP_M, topmost
 from p2wss.fit.open_ground import OpenGround
 from p2wss.fit.solid import Mesh, is_closed, is_sound, simplified
@@ -28,7 +29,6 @@ _APART_M, _STEP_M = 0.7, 0.3
 _MAX_GAP_M = 0.15
 # a side this near to the end of the roof is moved there
 _TO_WALL_M = 0.15
-_INSIDE_SHARE = 0.9
 # how much wider a chimney gets on each side, at most, until its union with the building is sound
 _WIDER_M = (0.0, 0.05, 0.1)
 # vertices below this height are those of the floor
@@ -198,15 +198,7 @@ def with_chimneys(
 
 def _to_walls(chimney: Chimney, footprint: shapely.Polygon) -> Chimney:
     """The chimney with those sides moved beyond walls that are nearly there."""
-    bounds = np.concatenate([chimney.low, chimney.high])
-    original = bounds.copy()
-    for side in range(4):
-        strip = original.copy()
-        strip[side] += -_TO_WALL_M if side < 2 else _TO_WALL_M
-        strip[(side + 2) % 4] = original[side]
-        beyond = shapely.box(*strip)
-        if beyond.intersection(footprint).area < _INSIDE_SHARE * beyond.area:
-            bounds[side] = strip[side]
+    bounds = moved_to_walls(np.concatenate([chimney.low, chimney.high]), footprint, _TO_WALL_M)
     return Chimney(bounds[:2], bounds[2:], chimney.top_z_m)
 
 

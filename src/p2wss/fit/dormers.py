@@ -24,6 +24,8 @@ from p2wss.fit.work import NO_PRIOR
 _CELL_M = 0.8
 # a side within this distance of the footprint's edge is moved onto it
 _TO_WALL_M = 0.6
+# a strip of which less than this share is over the footprint ends at a wall
+_INSIDE_SHARE = 0.9
 # a side within this distance of a cut between parts is moved onto the cut
 _TO_CUT_M = 0.15
 # a box gains at most this multiple of the residuals of the points from which its search begins
@@ -259,14 +261,7 @@ def _on_footprint(
         nearest = lines[side % 2][np.argmin(np.abs(lines[side % 2] - bounds[side]))]
         if abs(nearest - bounds[side]) < _TO_CUT_M:
             bounds[side] = nearest
-    # for each side the bounds of the strip beyond it, before any side is moved beyond a wall
-    strips = np.tile(bounds, (4, 1))
-    for side in range(4):
-        strips[side, side] += -_TO_WALL_M if side < 2 else _TO_WALL_M
-        strips[side, (side + 2) % 4] = bounds[side]
-    beyond = shapely.box(*strips.T)
-    ends_at_wall = shapely.area(shapely.intersection(beyond, footprint)) < 0.9 * shapely.area(beyond)
-    bounds = np.where(ends_at_wall, strips.diagonal(), bounds)
+    bounds = moved_to_walls(bounds, footprint, _TO_WALL_M)
     rectangle = shapely.box(*bounds)
     shape = rectangle.intersection(footprint)
     largest = min(boxes.max_area_m2, boxes.max_share * float(shapely.area(footprint)))
@@ -279,3 +274,18 @@ def _on_footprint(
     if is_recess:
         shape = rectangle
     return shapely.get_coordinates(shapely.orient_polygons(shape.simplify(0.01)))[:-1]
+
+
+def moved_to_walls(bounds: np.ndarray, footprint: shapely.Geometry, reach_m: float) -> np.ndarray:
+    """The bounds (4,) of a rectangle, the low ones first, with those sides moved outwards by ``reach_m`` beside which
+    the footprint ends within that distance."""
+    # for each side the bounds of the strip beyond it, before any side is moved
+    strips = np.tile(bounds, (4, 1))
+    for side in range(4):
+        strips[side, side] += -reach_m if side < 2 else reach_m
+        strips[side, (side + 2) % 4] = bounds[side]
+    beyond = shapely.box(*strips.T)
+    ends_at_wall = shapely.area(shapely.intersection(beyond, footprint)) < _INSIDE_SHARE * shapely.area(
+        beyond
+    )
+    return np.where(ends_at_wall, strips.diagonal(), bounds)

@@ -294,12 +294,17 @@ class _FitTask:
 
     def _sound_union(self, parts_fit: _PartsFit, boxes: Sequence[Box]) -> Mesh | None:
         """The union of the parts with all of the boxes, None if it is not sound."""
+        mesh = self._union(parts_fit, boxes)
+        return mesh if mesh is not None and is_sound(mesh) else None
+
+    def _union(self, parts_fit: _PartsFit, boxes: Sequence[Box] = ()) -> Mesh | None:
+        """The union of the parts with boxes, in the frame of the parts, heights above the ground; None if it is not
+        closed."""
         config = self.config
         heights = (self.building.ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
         raised = [box.as_part() for box in boxes if not box.is_recess]
         recesses = [box for box in boxes if box.is_recess]
-        mesh = union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
-        return mesh if mesh is not None and is_sound(mesh) else None
+        return union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
 
     def with_chimneys(self, reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
         """A reconstruction with the chimneys on the roof that a fit describes, at the highest level of detail."""
@@ -316,15 +321,13 @@ class _FitTask:
     def _mesh_of_parts(self, parts_fit: _PartsFit) -> Reconstruction:
         """The reconstruction that a fit describes. With several parts it has the eave height of the largest one that is
         not open ground and, for each edge of the footprint, the angle of the part there."""
-        building, config = self.building, self.config
+        building = self.building
         if not parts_fit.parts:
             return no_mesh(building, self.method, parts_fit.reason)
         (single,) = _mesh_single_parts([self], [parts_fit])
         if single is not None:
             return single
-        ground = building.ground_z_m
-        heights = (ground, config.min_eave_height_m, config.max_roof_height_m)
-        mesh = union(parts_fit.parts, *heights, (), parts_fit.outline)
+        mesh = self._union(parts_fit)
         if mesh is None:
             return no_mesh(building, self.method, reasons.NO_CLOSED_UNION)
         return self._of_mesh(parts_fit, mesh)
