@@ -18,17 +18,18 @@ from functools import cached_property
 
 import numpy as np
 
-from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turns_over
+from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turned_over
 from p2wss.fit.solid import Mesh, is_closed
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
-_NUM_ROUNDS = 3
+# of the first try, and of those after it
+_NUM_ROUNDS = (3, *7 * (2,))
 # residuals below the first figure have full weight, those above the second one none
 _NOISE_M, _OUTLIER_M = 0.03, 0.5
-# How heavily the places of the vertices weigh against a point with full weight: the first at which the adjusted mesh is
-# valid is taken. Without this, planes that are nearly parallel would meet far away.
-_VERTEX_WEIGHTS = (0.3, 3.0, 30.0)
+# How heavily the place of a vertex weighs against a point with full weight. Without this, planes that are nearly
+# parallel would meet far away. Vertices at which the adjusted mesh is not valid get a multiple of it in the next try.
+_VERTEX_WEIGHT, _STIFFENING = 0.1, 5.0
 # an adjusted mesh has to gain this in the mean of the residuals
 _MIN_GAIN_M = 0.001
 # a wall between two roofs moves by one of the first if that gains the second in the mean of the residuals
@@ -38,7 +39,7 @@ _WALL_SHIFTS_M, _MIN_WALL_GAIN_M = (0.1, -0.1, 0.25, -0.25), 0.0005
 _MAX_NUM_ROOFS, _MAX_NUM_MEETING, _MAX_WALL_TESTS = 100, 16, 50_000_000
 # no vertex moves by more than the first figure, and no plane turns by more than the second
 _MAX_MOVE_M, _MAX_TURN_DEG = 0.6, 8.0
-# vertices are in their planes up to this
+# vertices are in their planes up to this, and to how far they were off them before
 _OFF_PLANE_M = 1e-4
 # the condition that planes meet, and parameters that nothing determines, by their weights
 _MEET_WEIGHT, _KEEP_WEIGHT = 3e5, 3e-5
@@ -62,12 +63,15 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
     shifted = mesh if start.vertex_m is mesh.vertex_m else replace(mesh, vertex_m=start.vertex_m)
     system = replace(system, mesh=shifted)
     max_loss_m = start.loss_m - _MIN_GAIN_M * len(point_m)
-    for vertex_weight in _VERTEX_WEIGHTS:
-        state = start
-        for _ in range(_NUM_ROUNDS):
+    vertex_weight = np.full(len(system.moving), _VERTEX_WEIGHT)
+    state = start
+    for num_rounds in _NUM_ROUNDS:
+        for _ in range(num_rounds):
             state = system.improved(state, vertex_weight)
-        if system.is_valid(state):
+        is_invalid = system.is_invalid(state, start)
+        if not is_invalid.any():
             return replace(mesh, vertex_m=state.vertex_m) if state.loss_m <= max_loss_m else shifted
+        vertex_weight[is_invalid] *= _STIFFENING
     return shifted
 
 
@@ -138,7 +142,7 @@ class _System:
     def start(self) -> _State:
         """The mesh as it is."""
         normals = self._normals(self.planes.normal)
-        inverse = np.linalg.pinv(normals, _RANK)
+        inverse = _pseudo_inverse(normals)
         return self._state(self.planes.normal, self.planes.offset_m, self.mesh.vertex_m, normals, inverse)
 
     def _state(
@@ -158,6 +162,7 @@ class _System:
     def with_shifted_walls(self, state: _State) -> _State:
         """The state after each wall between roofs has moved to where the points show the step, if that gains enough and
         no roof has to follow."""
+        start = state
         walls = np.flatnonzero(self.planes.is_free & self.planes.is_wall).tolist()
         if len(walls) * len(self.mesh.triangle) * len(self.point_m) > _MAX_WALL_TESTS:
             return state
@@ -176,18 +181,19 @@ class _System:
                 vertex_m[self.moving[rows]] += shift_m * move_m
                 trial = self._state(state.normal, offset_m, vertex_m, state.normals, state.inverse)
                 is_better = trial.loss_m < best.loss_m - _MIN_WALL_GAIN_M * len(self.point_m)
-                if is_better and self.is_valid(trial):
+                if is_better and not self.is_invalid(trial, start).any():
                     best = trial
             state = best
         return state
 
-    def improved(self, state: _State, vertex_weight: float) -> _State:
-        """The state after one round."""
+    def improved(self, state: _State, vertex_weight: np.ndarray) -> _State:
+        """The state after one round. vertex_weight: (n,), of the vertices that may move."""
         num = len(self.roofs)
         matrix, right_side = self._point_equations(state)
         for rows, distance_m, weight in self._vertex_equations(state, vertex_weight):
-            matrix += weight * rows.T @ rows
-            right_side += weight * rows.T @ distance_m
+            weighted = rows.T * weight
+            matrix += weighted @ rows
+            right_side += weighted @ distance_m
         matrix.flat[:: 3 * num + 1] += _KEEP_WEIGHT / _NOISE_M
         step, free = np.zeros(3 * num), np.flatnonzero(self.is_free)
         step[free] = np.linalg.solve(matrix[free[:, None], free], right_side[free])
@@ -200,24 +206,30 @@ class _System:
         normal[self.roofs] = up
         offset_m[self.roofs] = (up[:, :2] * centre_m).sum(axis=1) + up[:, 2] * height_m
         vertex_m, normals = state.vertex_m.copy(), self._normals(normal)
-        inverse = np.linalg.pinv(normals, _RANK)
+        inverse = _pseudo_inverse(normals)
         gap_m = self._gap_m(normals, offset_m, vertex_m)
         vertex_m[self.moving] += (inverse @ gap_m[..., None])[..., 0]
         return self._state(normal, offset_m, vertex_m, normals, inverse)
 
-    def is_valid(self, state: _State) -> bool:
-        """Whether the mesh is still one, close to what it was."""
-        mesh, number = self.mesh, self.planes.number
-        move_m = np.linalg.norm(state.vertex_m - mesh.vertex_m, axis=1).max()
-        turn_cos = (state.normal * self.planes.normal).sum(axis=1).min()
-        if move_m > _MAX_MOVE_M or turn_cos < np.cos(np.radians(_MAX_TURN_DEG)):
-            return False
-        height_m = (state.vertex_m[mesh.triangle] * state.normal[number, None]).sum(axis=2)
-        return (
-            bool(np.abs(height_m - state.offset_m[number, None]).max() < _OFF_PLANE_M)
-            and not turns_over(state.vertex_m, mesh.triangle, state.normal[number])
-            and is_closed(state.vertex_m, mesh.triangle)
-        )
+    def is_invalid(self, state: _State, start: _State) -> np.ndarray:
+        """bool (n,): the vertices that may move at which the mesh is not one any more, or not close to what it was at
+        the start; all of them if it is not closed."""
+        triangle, number = self.mesh.triangle, self.planes.number
+        is_invalid = np.linalg.norm(state.vertex_m - start.vertex_m, axis=1) > _MAX_MOVE_M
+        turn_cos = (state.normal * start.normal).sum(axis=1)
+        is_wrong = turned_over(state.vertex_m, triangle, state.normal[number])
+        is_wrong |= turn_cos[number] < np.cos(np.radians(_MAX_TURN_DEG))
+        is_invalid[triangle[is_wrong]] = True
+        is_invalid[triangle[self._off_plane_m(state) > self._off_plane_m(start) + _OFF_PLANE_M]] = True
+        if not is_invalid.any() and is_closed(state.vertex_m, triangle):
+            return np.zeros(len(self.moving), bool)
+        return is_invalid[self.moving] | ~is_invalid[self.moving].any()
+
+    def _off_plane_m(self, state: _State) -> np.ndarray:
+        """float64 (t, 3), how far the vertices are off the planes of their triangles."""
+        number = self.planes.number
+        height_m = (state.vertex_m[self.mesh.triangle] * state.normal[number, None]).sum(axis=2)
+        return np.abs(height_m - state.offset_m[number, None])
 
     def _point_equations(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
         """Matrix (3 r, 3 r) and right side (3 r,) of the weighted least squares over the points."""
@@ -232,10 +244,10 @@ class _System:
         return matrix.reshape(3 * num, 3 * num), sums[:, :, 3].ravel()
 
     def _vertex_equations(
-        self, state: _State, vertex_weight: float
-    ) -> list[tuple[np.ndarray, np.ndarray, float]]:
-        """(rows (k, 3 r), right sides (k,), weight) of the equations by which vertices stay at their first places, and
-        by which planes meet at vertices where there are more than three."""
+        self, state: _State, vertex_weight: np.ndarray
+    ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray | float]]:
+        """(rows (k, 3 r), right sides (k,), weights (k,)) of the equations by which vertices stay at their first places
+        and by which planes meet at vertices with more than three."""
         (rows, places, roofs), (num_vertices, num_at) = self.pairs, self.at.shape
         plane, vertices = self.roofs[roofs], self.moving[rows]
         # how far a plane moves along its normal at a vertex, for a unit of each unknown
@@ -245,7 +257,9 @@ class _System:
         by_roof[rows, places, roofs] = lever
         shift = by_roof.reshape(num_vertices, num_at, -1)
         back_m = (self.mesh.vertex_m - state.vertex_m)[self.moving].ravel()
-        result = [((state.inverse @ shift).reshape(len(back_m), -1), back_m, vertex_weight / _NOISE_M)]
+        result: list[tuple[np.ndarray, np.ndarray, np.ndarray | float]] = [
+            ((state.inverse @ shift).reshape(len(back_m), -1), back_m, np.repeat(vertex_weight, 3) / _NOISE_M)
+        ]
         many = np.flatnonzero((self.at >= 0).sum(axis=1) > 3)
         if len(many):
             # the part of the shifts that no move of the vertex explains
@@ -263,6 +277,16 @@ class _System:
         """(n, k), how far the planes are from the vertices that may move; 0 beyond the last."""
         height_m = (normals * vertex_m[self.moving, None]).sum(axis=2)
         return np.where(self.at >= 0, offset_m[self.at] - height_m, 0.0)
+
+
+def _pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """(n, 3, k), the pseudo-inverses of matrices (n, k, 3)."""
+    # numpy's own function takes twice as long for so few columns
+    transposed = matrix.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(transposed @ matrix)
+    is_zero = values <= _RANK**2 * values[:, -1:]
+    inverse = np.where(is_zero, 0.0, 1 / np.where(is_zero, 1.0, values))
+    return (vectors * inverse[:, None]) @ vectors.transpose(0, 2, 1) @ transposed
 
 
 @entry

@@ -76,9 +76,9 @@ class MeshPlanes:
         return np.abs(self.normal[:, 2]) < _UPRIGHT_NZ
 
 
-def turns_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> bool:
-    """Whether a triangle (t, 3) faces away from the normal (t, 3) of its plane."""
-    return bool(((_cross(vertex_m[triangle]) * normal).sum(axis=1) < -_NO_AREA_M2).any())
+def turned_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """bool (t,): which triangles (t, 3) face away from the normals (t, 3) of their planes."""
+    return (_cross(vertex_m[triangle]) * normal).sum(axis=1) < -_NO_AREA_M2
 
 
 def _cross(corner_m: np.ndarray) -> np.ndarray:

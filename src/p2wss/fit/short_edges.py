@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turns_over
+from p2wss.fit.mesh_planes import CAP_M, MeshPlanes, topmost, turned_over
 from p2wss.fit.planes import NEXT, neighbours
 from p2wss.fit.solid import Mesh, is_closed, is_sound, simplified
 
@@ -22,7 +22,7 @@ _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
 # planes that have become one leave other edges short
 _MAX_PASSES = 3
 # each edge may add at most this share of the price of a part to the sum of the residuals
-_PRICE_SHARE = 0.4
+_PRICE_SHARE = 0.5
 # how heavily a square metre of a plane weighs without points, as a share of the points per square metre
 _AREA_WEIGHT = 0.1
 # vertices nearer to each other are one
@@ -224,6 +224,6 @@ def _merged_triangles(
     triangle = first[near.argmax(axis=1)][index][mesh.triangle]
     has_area = (triangle != triangle[:, NEXT]).all(axis=1)
     triangle = triangle[has_area]
-    if turns_over(moved_m, triangle, planes.normal[planes.number[has_area]]):
+    if turned_over(moved_m, triangle, planes.normal[planes.number[has_area]]).any():
         return None
     return triangle if is_closed(moved_m, triangle) else None

@@ -103,6 +103,31 @@ def test_the_mesh_itself_without_a_gain_and_without_points() -> None:
     assert adjusted(mesh, [HOUSE], np.array([[50.0, 50.0, 3.0]])) is mesh
 
 
+def test_only_those_vertices_are_held_back_at_which_the_mesh_would_not_be_valid() -> None:
+    """The points over the annex turn its roof further than is allowed; the roof of the house moves all the same."""
+    annex = np.array([[12, 0], [16, 0], [16, 8], [12, 8.0]])
+    shed_deg = np.array([90, 90, 90, 10.0])
+    parts = [
+        FittedRoof([HOUSE], np.array([40, 90, 40, 90.0]), 6.0, np.inf, 0.0, 0),
+        FittedRoof([annex], shed_deg, 3.0, np.inf, 0.0, 0),
+    ]
+    mesh = union(parts, 0.0, 1.0, 50.0)
+    assert mesh is not None
+    house_m = points(lambda x, y: leaning_gable(x, y) + 2.0)
+    xy_m = np.random.default_rng(2).uniform([12.05, 0.05], [15.95, 7.95], (300, 2))
+    annex_m = np.column_stack([xy_m, heights_m(mesh, xy_m) + 0.2 * (xy_m[:, 0] - 14.0)])
+    outline = np.array([[0, 0], [16, 0], [16, 8], [0, 8.0]])
+
+    result = adjusted(mesh, [outline], np.vstack([house_m, annex_m]))
+
+    assert mean_residual_m(mesh, house_m) > 3 * NOISE_M
+    assert mean_residual_m(result, house_m) < 1.5 * NOISE_M
+    assert mean_residual_m(result, annex_m) < mean_residual_m(mesh, annex_m)
+    is_annex = (mesh.vertex_m[:, 0] > 15.9) & (mesh.vertex_m[:, 2] > 1.0)
+    assert np.abs(result.vertex_m[is_annex] - mesh.vertex_m[is_annex]).max() < np.tan(np.radians(8)) * 4.0
+    assert is_sound(result)
+
+
 def test_planes_do_not_follow_a_tree() -> None:
     """The result is that without the points of the tree."""
     mesh = house([40, 90, 40, 90])
