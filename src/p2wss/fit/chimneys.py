@@ -181,7 +181,7 @@ def with_chimneys(
     rings = [ring @ rotation for ring in reconstruction.rings]
     footprint = shapely.Polygon(rings[0], rings[1:])
     vertex_m = np.column_stack([reconstruction.vertex_m[:, :2] @ rotation, reconstruction.vertex_m[:, 2]])
-    start = Mesh(vertex_m, reconstruction.triangle, reconstruction.kind, reconstruction.edge)
+    start = replace(Mesh.of(reconstruction), vertex_m=vertex_m)
     mesh = start
     for chimney in find_chimneys(start, point_m - (0.0, 0.0, reconstruction.ground_z_m), chimneys):
         mesh = _united(mesh, _to_walls(chimney, footprint)) or mesh

@@ -11,6 +11,7 @@ import manifold3d
 import numpy as np
 
 from p2wss import skeleton
+from p2wss.data.building import Reconstruction
 from p2wss.fit.dormers import Box
 from p2wss.fit.one_height import FittedRoof
 from p2wss.fit.planes import NEXT, face_planes, neighbours, planes_at, snap_vertices
@@ -34,6 +35,14 @@ class Mesh:
     triangle: np.ndarray
     kind: np.ndarray
     plane: np.ndarray
+
+    @classmethod
+    def of(cls, reconstruction: Reconstruction) -> Mesh:
+        """The mesh of a reconstruction. Its planes are numbered anew, because over one edge of the footprint there may
+        be both a wall and a roof."""
+        face = np.column_stack([reconstruction.kind, reconstruction.edge])
+        plane = np.unique(face, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
+        return cls(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, plane)
 
 
 def union(

@@ -156,7 +156,7 @@ def test_a_chimney_is_built_at_detail_high_only(chimney: tuple[float, ...], max_
     x0, x1, y0, y1, top = chimney
     building, without = house(chimney, num_points=NUM_POINTS), house(num_points=NUM_POINTS)
     normal, high = (fit_detail(building, detail, max_parts) for detail in ("normal", "high"))
-    mesh = Mesh(high.vertex_m, high.triangle, high.kind, high.edge)
+    mesh = Mesh.of(high)
     assert is_closed(mesh.vertex_m, mesh.triangle) and is_sound(mesh)
     assert high.num_parts == 1 and high.vertex_m[:, 2].max() == pytest.approx(max(top, RIDGE_M), abs=0.1)
     at = np.array([[(x0 + x1) / 2, (y0 + y1) / 2]])

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building
+from p2wss.fit.mesh import build_meshes
 from p2wss.fit.planes import face_planes, neighbours, planes_at
 from p2wss.fit.solid import Mesh, collapse_vertices, is_closed, is_sound
 
@@ -35,3 +38,24 @@ def test_a_straight_vertex_goes_where_neither_end_sees_the_whole_face() -> None:
     assert is_closed(result.vertex_m, result.triangle)
     assert is_sound(result)
     np.testing.assert_allclose(volume_m3(result), volume_m3(mesh))
+
+
+def test_a_hip_roof_of_the_kernel_is_sound() -> None:
+    """Each of its walls has the edge, and so the number, of the roof above it."""
+    ring = np.array([[0, 0], [10, 0], [10, 7], [0, 7.0]])
+    building = Building("b", "t", (0.0, 0.0), [ring], np.zeros((0, 3)), np.zeros(0, np.uint8), 0.0)
+    (hip,) = build_meshes(
+        [building],
+        [[ring]],
+        [0.0],
+        np.array([4.0]),
+        [np.full(4, 40.0)],
+        np.array([np.nan]),
+        "fit",
+        Reconstruct(),
+        [""],
+    )
+    mesh = Mesh.of(hip)
+    assert len(np.unique(mesh.plane)) == 9
+    assert is_sound(mesh)
+    assert not is_sound(Mesh(hip.vertex_m, hip.triangle, hip.kind, hip.edge))
