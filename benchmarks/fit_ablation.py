@@ -39,7 +39,12 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "planes are not adjusted": (_DEFAULT, Thresholds(adjust=False)),
     "no flat tops": (_DEFAULT, Thresholds(limits=Limits(flat_top=False))),
     "no penalty for slopes": (_DEFAULT, Thresholds(cutting=Cutting(slope_share=1e-9))),
-    "no cut below the penalty of a part": (_DEFAULT, Thresholds(cutting=Cutting(over_share=1.0))),
+    "no cut below the penalty of a part": (
+        _DEFAULT,
+        Thresholds(cutting=Cutting(over_share=1.0, loss_share=0.0)),
+    ),
+    "no second cut is sought": (_DEFAULT, Thresholds(cutting=Cutting(loss_share=0.0))),
+    "parts are not divided anew": (_DEFAULT, Thresholds(cutting=Cutting(division_share=0.0))),
     "dormers with flat tops only": (_DEFAULT, Thresholds(boxes=Boxes(slope_share=1e9))),
     "no recesses": (_DEFAULT, Thresholds(boxes=Boxes(recesses=False))),
     "neither dormers nor recesses": (_DEFAULT.model_copy(update={"dormers": False}), Thresholds()),

@@ -23,7 +23,9 @@ VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
     "cutting": {
         "gain_m": (0.005, 0.007, 0.01, 0.014, 0.02),
         "slope_share": (0.0, 0.2, 0.3, 0.5),
-        "over_share": (0.2, 0.3, 0.5, 1.0),
+        "over_share": (0.2, 0.4, 0.7, 1.0),
+        "loss_share": (0.0, 0.5, 0.7, 1.0),
+        "division_share": (0.0, 0.15, 0.3, 0.6),
         "cost_m": (0.5, 1.0, 2.0),
     },
     "limits": {

@@ -45,7 +45,7 @@ class Boxes(Gain):
     costs.
     """
 
-    gain_m: float = 0.0165
+    gain_m: float = 0.016
     max_boxes: int = 8
     above_m: float = 0.4
     cap_m: float = 1.0

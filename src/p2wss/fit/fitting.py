@@ -21,7 +21,8 @@ from p2wss.fit.frame import enclosing_rectangle, roof_frame
 from p2wss.fit.mesh import build_meshes, transfer_angles
 from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
 from p2wss.fit.open_ground import OpenGround
-from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
+from p2wss.fit.partition import fit_parts
+from p2wss.fit.parts import Cutting, cost_m, main_frame
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.prior import make_prior
 from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
@@ -275,7 +276,7 @@ class _FitTask:
                     return self._of_mesh(candidate, mesh), candidate
             elif candidate is not parts_fit:
                 reconstruction, closed_fit = self._build_mesh(candidate, loose_boxes)
-                if reconstruction.has_mesh and _is_sound(reconstruction):
+                if reconstruction.has_mesh and is_sound(Mesh.of(reconstruction)):
                     return reconstruction, closed_fit
         return self._with_some_boxes(parts_fit, boxes)
 
@@ -431,14 +432,5 @@ def _adjusted_single_part(reconstruction: Reconstruction, parts_fit: _PartsFit) 
     if not reconstruction.has_mesh:
         return reconstruction
     point_m = parts_fit.in_building_frame(parts_fit.point_m) - (0.0, 0.0, reconstruction.ground_z_m)
-    faces = np.column_stack([reconstruction.kind, reconstruction.edge])
-    plane = np.unique(faces, axis=0, return_inverse=True)[1].reshape(-1)
-    mesh = Mesh(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, plane)
-    return replace(reconstruction, vertex_m=adjusted(mesh, reconstruction.rings, point_m).vertex_m)
-
-
-def _is_sound(reconstruction: Reconstruction) -> bool:
-    """Whether the mesh of a reconstruction is :func:`p2wss.fit.solid.is_sound`."""
-    return is_sound(
-        Mesh(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, reconstruction.edge)
-    )
+    mesh = adjusted(Mesh.of(reconstruction), reconstruction.rings, point_m)
+    return replace(reconstruction, vertex_m=mesh.vertex_m)

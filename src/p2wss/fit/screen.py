@@ -27,7 +27,9 @@ from p2wss.skeleton.ordering import sort_first, stable_order
 _NUM_POINTS = np.int64(160)
 # this many of the cuts, if their cost is at most this multiple of the best, are evaluated again with flat tops; the
 # best of them are fitted in full
-_MAX_FINALISTS, _FINALIST_RATIO, _NUM_FITTED = 6, 1.4, 3
+_MAX_FINALISTS, _FINALIST_RATIO, _NUM_FITTED = 6, 1.4, 2
+# nor are cuts evaluated any further that cost more than this multiple of what they may
+_LIMIT_RATIO = 1.2
 _NEARBY_M = 0.35
 _SHIFTS_M = np.array([-0.25, -0.12, 0.12, 0.25])
 _SHIFT_ROUNDS = 2
@@ -37,32 +39,30 @@ _OFF_CORNER_RATIO, _ON_CORNER_M = 1.02, 1e-6
 
 @entry
 def split_roof(
-    xy_m, ring_offset, angle_deg, points, cost_m, min_gain, min_points, slope_cost_m, work_at, screen, settings
+    xy_m, ring_offset, angle_deg, points, limit_m, min_points, slope_cost_m, work_at, screen, settings
 ):  # fmt: skip
-    """(cost, axis, position, low side, high side) of the best cut through a part; the axis is -1 if no cut gains
-    ``min_gain``. The sides are as :func:`fit_side` returns them.
+    """(axis, position, low side, high side) of the best cut through a part; the axis is -1 if no cut costs less than
+    ``limit_m``. The sides are as :func:`fit_side` returns them.
 
-    xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points in even order. cost_m: of
-    the part, the sum of its residuals and ``slope_cost_m`` for each of its slopes. min_points: on either side. screen:
-    settings of the quick fits. settings: of the fits of the two sides.
+    xy_m, ring_offset, angle_deg: the part and its roof. points: float64 (3, m), its points in even order. A cut costs
+    the sum of the residuals and ``slope_cost_m`` for each slope. min_points: on either side. screen: settings of the
+    quick fits. settings: of the fits of the two sides.
     """
     work = fit_work_at(work_at)
     sample = _every_kth_point(points, _NUM_POINTS)
     clearance = clearance_m(xy_m, ring_offset, work_at)
     axes, positions = candidates(xy_m, points[0], points[1], points[2])
-    # as the gain is the difference, rounding may decide otherwise about a cut that gains as much exactly
-    limit_m = cost_m - min_gain
-    max_cost = limit_m + min_gain
-    cost, axis, position = IMPOSSIBLE, -1, 0.0
+    max_cost_m = limit_m
+    axis, position = -1, 0.0
     low = high = (IMPOSSIBLE, 0.0, np.inf, angle_deg, xy_m, ring_offset)
     for is_moved in (False, True):
-        new_cost, index, new_low, new_high = best_cut(
+        cost_m, index, new_low, new_high = best_cut(
             xy_m, ring_offset, angle_deg, points, sample, axes, positions, min_points, clearance, work, screen,
-            settings, slope_cost_m, max_cost,
+            settings, slope_cost_m, max_cost_m,
         )  # fmt: skip
         if index < 0:
             break
-        cost, axis, position, low, high = new_cost, axes[index], positions[index], new_low, new_high
+        axis, position, low, high = axes[index], positions[index], new_low, new_high
         if is_moved or len(xy_m) > MANY_EDGES:
             break
         nearby = _best_nearby(
@@ -72,8 +72,8 @@ def split_roof(
             break
         axes, positions = axes[:1], positions[:1]
         axes[0], positions[0] = axis, nearby
-        max_cost = cost * _OFF_CORNER_RATIO
-    return cost, (axis if cost <= limit_m else -1), position, low, high
+        max_cost_m = min(cost_m * _OFF_CORNER_RATIO, limit_m)
+    return axis, position, low, high
 
 
 @allocating
@@ -201,6 +201,7 @@ def best_cut(
         costs[c], num_low[c] = IMPOSSIBLE, _count_below(points[axes[c]], positions[c])
     no_prior, no_angles = slope_prior(ZERO, 0.0), np.empty(0)
     order, num_tried = stable_order(costs), len(axes)
+    max_screened_cost = _LIMIT_RATIO * limit_m
     if num_tried > _NUM_FITTED:
         for flat_top in (False, True):
             round_settings = with_flat_top(screen, flat_top)
@@ -231,7 +232,7 @@ def best_cut(
                             num_edges,
                         )
                         known_deg[c, side, :num_edges] = result[3]
-                    if side == larger and cost > _FINALIST_RATIO * min_cost:
+                    if side == larger and cost > min(_FINALIST_RATIO * min_cost, max_screened_cost):
                         cost = IMPOSSIBLE
                         break
                 if cost >= IMPOSSIBLE:
@@ -241,7 +242,8 @@ def best_cut(
             order = stable_order(costs)
             num_tried = min(num_tried, _NUM_FITTED if flat_top else _MAX_FINALISTS)
             while num_tried > 0:
-                if costs[order[num_tried - 1]] <= min(_FINALIST_RATIO * costs[order[0]], 0.5 * IMPOSSIBLE):
+                highest = min(_FINALIST_RATIO * costs[order[0]], max_screened_cost, 0.5 * IMPOSSIBLE)
+                if costs[order[num_tried - 1]] <= highest:
                     break
                 num_tried -= 1
     best, best_cost = -1, limit_m

@@ -11,7 +11,8 @@ from p2wss.data.building import Building
 from p2wss.fit import fitting
 from p2wss.fit.eaves import moved_walls
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Limits, flat_rings
-from p2wss.fit.parts import Cutting, fit_parts
+from p2wss.fit.partition import fit_parts
+from p2wss.fit.parts import Cutting
 from p2wss.fit.solid import is_closed, is_sound, union
 
 HOUSE = np.array([[0, 0], [12, 0], [12, 9], [0, 9.0]])

@@ -9,7 +9,8 @@ from test_one_height import sample
 from p2wss.data.solids.faces import planar_surfaces
 from p2wss.fit.merging import merged_rings
 from p2wss.fit.one_height import Effort, FittedRoof, Fitter, Limits
-from p2wss.fit.parts import Cutting, cost_m, fit_parts, main_frame
+from p2wss.fit.partition import fit_parts
+from p2wss.fit.parts import Cutting, cost_m, main_frame
 from p2wss.fit.solid import is_closed, is_sound, union
 from p2wss.skeleton import FaceKind
 
