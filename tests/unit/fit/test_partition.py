@@ -39,7 +39,7 @@ def test_an_annex_in_a_corner_is_found(seed: int, width_m: float) -> None:
     assert len(without) == 1
 
 
-@pytest.mark.parametrize(("division_share", "is_divided"), [(0.3, True), (0.0, False)])
+@pytest.mark.parametrize(("division_share", "is_divided"), [(0.3, True), (0.0, False), (20.0, False)])
 def test_two_parts_are_divided_along_a_better_line(division_share: float, is_divided: bool) -> None:
     """The step runs along x = 9, and the parts have been cut along x = 6."""
     point_m = flat_roof(0)
