@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
@@ -32,6 +32,7 @@ def checked(mesh: Mesh) -> trimesh.Trimesh:
 
 
 @settings(max_examples=20, deadline=None)
+@example(shape=(37, 37), cell_m=5.0, roughness=0.0, tolerance_m=0.0546875, seed=0)
 @given(
     shape=st.tuples(st.integers(4, 40), st.integers(4, 40)),
     cell_m=st.sampled_from([0.5, 1.0, 5.0]),
@@ -51,9 +52,9 @@ def test_every_cell_is_within_the_tolerance(
     local = checked(mesh)
     assert local.bounds[0, 2] < -50 and local.bounds[0, 2] < height.min()
     assert local.bounds[:, 0] == pytest.approx([cell_m / 2, (columns - 0.5) * cell_m])
-    # the oracle: rays from above, slightly inside the border
+    # the oracle: rays from above, slightly inside the border and beside edges, where Embree may miss both triangles
     x, y = (np.arange(columns) + 0.5) * cell_m, (rows - np.arange(rows) - 0.5) * cell_m
-    xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    xy = np.stack(np.meshgrid(x + 1.3e-4, y + 0.7e-4), axis=-1).reshape(-1, 2)
     xy = np.clip(xy, local.bounds[0, :2] + 1e-4, local.bounds[1, :2] - 1e-4)
     above = np.column_stack([xy, np.full(len(xy), 60.0)])
     down = np.tile([0.0, 0.0, -1.0], (len(xy), 1))
