@@ -26,7 +26,7 @@ from p2wss.fit.parts import Cutting, cost_m, main_frame
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.prior import make_prior
 from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
-from p2wss.fit.short_edges import without_short_edges
+from p2wss.fit.short_edges import short_edges, without_short_edges
 from p2wss.fit.solid import Mesh, is_sound, union
 
 METHOD = "fit"
@@ -339,9 +339,13 @@ class _FitTask:
         price_m = self.thresholds.cutting.min_gain_m(len(parts_fit.point_m))
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
         point_m = parts_fit.point_m - (0.0, 0.0, ground)
-        mesh = without_short_edges(mesh, rings, point_m, price_m, self.thresholds.short_edge_m)
+        short_edge_m = self.thresholds.short_edge_m
+        mesh = without_short_edges(mesh, rings, point_m, price_m, short_edge_m)
         if self.thresholds.adjust:
+            edges = short_edges(mesh, short_edge_m)
             mesh = adjusted(mesh, rings, point_m)
+            if not set(edges).issuperset(short_edges(mesh, short_edge_m)):
+                mesh = without_short_edges(mesh, rings, point_m, price_m, short_edge_m)
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg

@@ -52,7 +52,7 @@ def _simpler(
 ) -> Mesh | None:
     """The mesh after one pass over its short edges, None if none can be removed. Where the mesh without all of them
     would no longer be sound, the last ones stay."""
-    edges = _short_edges(mesh, short_edge_m)
+    edges = short_edges(mesh, short_edge_m)
     if not edges:
         return None
     planes = MeshPlanes.of(mesh, rings)
@@ -97,7 +97,7 @@ def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
     return list(members.values())
 
 
-def _short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
+def short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
     """(start, end) of the short edges between two planes, the shortest first."""
     start, end = mesh.triangle, mesh.triangle[:, NEXT]
     length_m = np.linalg.norm(mesh.vertex_m[start] - mesh.vertex_m[end], axis=2)
