@@ -6,7 +6,7 @@ footprint is cut up; then two parts become one, or are divided anew along anothe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +55,9 @@ class _Cut:
     sides: tuple[Part, Part] | None
 
 
+_NO_CUT = _Cut(0.0, None)
+
+
 class _Search:
     """The parts so far, and what is known of pairs of them: the two as one part, and the two divided anew."""
 
@@ -63,8 +66,8 @@ class _Search:
         self._fitter = part_fitter
         self._cuts: dict[Part, _Cut] = {}
         self._unions: dict[frozenset[Part], Union | None] = {}
-        self._merged: dict[frozenset[Part], Part | None] = {}
-        self._divided: dict[frozenset[Part], tuple[Part, Part] | None] = {}
+        self._merged: dict[frozenset[Part], tuple[Part, ...] | None] = {}
+        self._divided: dict[frozenset[Part], tuple[Part, ...] | None] = {}
 
     def cut(self) -> None:
         """Cuts parts, the cut that gains most first, as long as a cut gains a share of what a part costs, alone or with
@@ -77,7 +80,7 @@ class _Search:
             sides = self._cuts[part].sides
             if sides is None:
                 return
-            self._merged[frozenset(sides)] = part
+            self._merged[frozenset(sides)] = (part,)
             # the cut was the best one
             self._divided[frozenset(sides)] = None
             place = self.parts.index(part)
@@ -90,8 +93,10 @@ class _Search:
         min_gain_m, min_excess_m = cutting.over_share * price_m, _LOOK_AHEAD_SHARE * price_m
         looks_ahead = cutting.loss_share > 0 and part.excess_m >= min_excess_m
         sides = self._fitter.cut(part, -cutting.loss_share * price_m if looks_ahead else min_gain_m)
+        if sides is None:
+            return _NO_CUT
         gain_m = _gain_m([part], sides)
-        if sides is None or gain_m >= min_gain_m:
+        if gain_m >= min_gain_m:
             return _Cut(gain_m, sides)
         for side in sides:
             if side.excess_m >= min_excess_m:
@@ -99,43 +104,47 @@ class _Search:
                 if second is not None:
                     self._cuts[side] = _Cut(_gain_m([side], second), second)
                     return _Cut(gain_m + self._cuts[side].gain_m, sides)
-        return _Cut(0.0, None)
+        return _NO_CUT
 
     def merge(self) -> bool:
         """Makes those two parts one for which that saves most. Returns whether there are any."""
-        best_gain_m, best, best_part = 0.0, None, None
-        for pair in self._pairs():
-            key = frozenset(pair)
-            if key not in self._merged:
-                union = self._union(pair)
-                self._merged[key] = None if union is None else self._fitter.merged(union)
-            part = self._merged[key]
-            if part is not None and _gain_m(pair, [part]) + self._fitter.price_m > best_gain_m:
-                best_gain_m = _gain_m(pair, [part]) + self._fitter.price_m
-                best, best_part = pair, part
-        if best is None or best_part is None:
+        best = self._best_change(self._merged, self._fitter.merged)
+        if best is None:
             return False
-        self._replace(best, [best_part])
+        self._replace(*best)
         return True
 
     def divide_anew(self) -> bool:
         """Divides those two parts along another line for which that saves most. Returns whether there are any."""
-        best_gain_m, best, best_sides = 0.0, None, None
+        best = self._best_change(self._divided, self._fitter.divided)
+        if best is None:
+            return False
+        pair, sides = best
+        # both have the same union
+        self._merged[frozenset(sides)] = self._merged[frozenset(pair)]
+        self._divided[frozenset(sides)] = None
+        self._replace(pair, sides)
+        return True
+
+    def _best_change(
+        self,
+        known: dict[frozenset[Part], tuple[Part, ...] | None],
+        change: Callable[[Union], tuple[Part, ...] | None],
+    ) -> tuple[tuple[Part, Part], tuple[Part, ...]] | None:
+        """The two parts that cost less after a change, and what becomes of them, for which that saves most; None if
+        there are none. known: what becomes of pairs, None for those without a change; new ones are added."""
+        best_gain_m, best = 0.0, None
         for pair in self._pairs():
             key = frozenset(pair)
-            if key not in self._divided:
+            if key not in known:
                 union = self._union(pair)
-                self._divided[key] = None if union is None else self._fitter.divided(union)
-            sides = self._divided[key]
-            if _gain_m(pair, sides) > best_gain_m:
-                best_gain_m, best, best_sides = _gain_m(pair, sides), pair, sides
-        if best is None or best_sides is None:
-            return False
-        # both have the same union
-        self._merged[frozenset(best_sides)] = self._merged[frozenset(best)]
-        self._divided[frozenset(best_sides)] = None
-        self._replace(best, best_sides)
-        return True
+                known[key] = None if union is None else change(union)
+            parts = known[key]
+            if parts is not None:
+                gain_m = _gain_m(pair, parts) + (len(pair) - len(parts)) * self._fitter.price_m
+                if gain_m > best_gain_m:
+                    best_gain_m, best = gain_m, (pair, parts)
+        return best
 
     def _pairs(self) -> list[tuple[Part, Part]]:
         return [(one, other) for i, one in enumerate(self.parts) for other in self.parts[:i]]
@@ -150,8 +159,6 @@ class _Search:
         self.parts = [part for part in self.parts if part not in pair] + list(parts)
 
 
-def _gain_m(before: Sequence[Part], after: Sequence[Part] | None) -> float:
-    """What parts cost less than others, 0 for None."""
-    if after is None:
-        return 0.0
+def _gain_m(before: Sequence[Part], after: Sequence[Part]) -> float:
+    """What parts cost less than others, without the prices of parts."""
     return sum(part.cost_m for part in before) - sum(part.cost_m for part in after)

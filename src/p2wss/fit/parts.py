@@ -169,8 +169,8 @@ class PartFitter:
             return None
         return Union((one, other), rings, point_m)
 
-    def merged(self, union: Union) -> Part | None:
-        """Two parts as one with a new roof, None if a quick fit shows that this would cost more than both and a
+    def merged(self, union: Union) -> tuple[Part] | None:
+        """Two parts as a single one with a new roof, None if a quick fit shows that it would cost more than both and a
         price."""
         rings, point_m, num_edges = union.rings, union.point_m.T, union.num_edges
         prior = with_slope_cost(NO_PRIOR, self.slope_cost_m, len(point_m), num_edges)
@@ -179,7 +179,7 @@ class PartFitter:
             if quick is None or quick.total_loss_m > _MERGER_SLACK * (union.cost_m + self.price_m):
                 return None
         roof = self._fitter.fit(rings, point_m, self._one_round, (), prior)
-        return None if roof is None else self._part(roof, union.point_m)
+        return None if roof is None else (self._part(roof, union.point_m),)
 
     def divided(self, union: Union) -> tuple[Part, Part] | None:
         """Two parts divided along another line, None if that gains too little or is not likely to gain anything."""
@@ -189,6 +189,7 @@ class PartFitter:
             return None
         both = flat_rings([ring for part in union.parts for ring in part.roof.rings])
         both_deg = np.concatenate([part.roof.angle_deg for part in union.parts])
+        # no edge of the union is on a cut
         angle_deg = inherited_angles(*both, both_deg, *flat_rings(union.rings), 0, np.nan, 90.0)
         # what a cut gains is what it saves of the cost of both parts
         num_points = union.point_m.shape[1]
