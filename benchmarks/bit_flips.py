@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT / "tests" / "unit"))
 from figures import Figures  # noqa: E402
 from file_kinds import KINDS, flip_bits  # noqa: E402
 
-from p2wss.data import integrity  # noqa: E402
+from p2wss.storage import integrity  # noqa: E402
 
 
 def main() -> int:

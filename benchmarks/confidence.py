@@ -27,20 +27,21 @@ from scipy import stats
 from scipy.special import expit
 
 from p2wss.config import Config
-from p2wss.data import files
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.schemas.crops import CROPS, SIMULATED
-from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases, measure
 from p2wss.eval.cases import Case
-from p2wss.fit import confidence, fitting
-from p2wss.fit.evidence import Evidence
+from p2wss.eval.metrics.calibration import calibration
+from p2wss.fit import fitting
 from p2wss.fit.points import roof_points
-from p2wss.metrics.calibration import calibration
-from p2wss.metrics.surface import distance_to_mesh
+from p2wss.fit.roof.evidence import Evidence
+from p2wss.fit.roof.rounds import confidence
+from p2wss.mesh.surface import distance_to_mesh
 from p2wss.nets import decoding
 from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS, SIMULATED
+from p2wss.storage.schemas.manifest import read_manifest
 
 FEW = (None, 200, 80, 20)
 

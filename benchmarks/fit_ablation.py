@@ -22,11 +22,11 @@ from figures import Figures
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.chimneys import Chimneys
-from p2wss.fit.dormers import Boxes
+from p2wss.fit.boxes.chimneys import Chimneys
+from p2wss.fit.boxes.dormers import Boxes
 from p2wss.fit.fitting import Thresholds
-from p2wss.fit.one_height import Limits
-from p2wss.fit.parts import Cutting
+from p2wss.fit.parts.parts import Cutting
+from p2wss.fit.roof.fitter import Limits
 from p2wss.reconstruct.flat import with_fallback
 
 _NUM_COPIES, _JITTER_M = 4, 0.0025

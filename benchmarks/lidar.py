@@ -41,8 +41,8 @@ from lidar_scene import (
 
 from p2wss import scans
 from p2wss.config import Clutter
-from p2wss.data.schemas.scan import read_scan
 from p2wss.data.terrain import Terrain
+from p2wss.storage.schemas.scan import read_scan
 
 ROOT = Path(__file__).resolve().parents[1]
 STEP_BARS_S = {

@@ -15,17 +15,19 @@ import shapely
 
 from p2wss import crops, scans
 from p2wss.buildings import build_scene
+from p2wss.clouds import crops as cloud_crops
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Buildings, Clutter, Crops, Scans
-from p2wss.data import cloud_crops, files, polygon_arrays
-from p2wss.data.clouds import Cloud
-from p2wss.data.schemas.buildings import BUILDINGS
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
 from p2wss.scans import caster
 from p2wss.scans import scan as scan_module
 from p2wss.scans.surface import las_classes
 from p2wss.skeleton.types import Polygons
+from p2wss.storage import files
+from p2wss.storage.schemas.buildings import BUILDINGS
+from p2wss.storage.schemas.crops import CROPS
 
 TILE, TILE_SIZE_M, MARGIN_M = "0652_6862", 1000.0, 60.0
 CRS = pyproj.CRS(2154)

@@ -37,8 +37,8 @@ import pandas as pd
 import shapely
 from figures import Figures
 
-from p2wss.data.solids.repair import SCALE_M as CITYJSON_SCALE_M
 from p2wss.data.tiling import tiles_of_points
+from p2wss.mesh.repair import SCALE_M as CITYJSON_SCALE_M
 
 NUM_COPIES, NUM_SMALL = 106, 4
 SPACING_M = 300

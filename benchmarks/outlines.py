@@ -31,11 +31,12 @@ from figures import Figures, cpu_seconds
 from real_places import Place, judged_rows, places
 
 from p2wss import reconstruct
+from p2wss.clouds import reading as clouds
+from p2wss.clouds.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
-from p2wss.data import clouds, unclassified
-from p2wss.data.clouds import Cloud
-from p2wss.data.footprints import clean_footprints
-from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.footprints.cleaning import clean_footprints
+from p2wss.reconstruct import unclassified
 from p2wss.reconstruct.outlines import outline_frame
 
 MIN_AREA_M2 = 30.0

@@ -27,10 +27,11 @@ from figures import Figures
 from real_places import Place, judged_rows
 
 from p2wss import reconstruct, scenes
+from p2wss.clouds import reading as clouds
+from p2wss.clouds.crops import crop_cloud
 from p2wss.config import Config, Reconstruct
-from p2wss.data import clouds, polygon_arrays
+from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.cloud_crops import crop_cloud
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network

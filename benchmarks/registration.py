@@ -31,10 +31,12 @@ from real_places import Place, judged_rows, places
 from shapely import affinity
 
 from p2wss import reconstruct
+from p2wss.clouds import reading as clouds
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
-from p2wss.data import clouds, footprints, polygon_arrays
-from p2wss.data.clouds import Cloud
+from p2wss.data import polygon_arrays
 from p2wss.data.seeds import generator
+from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct.registration import COLUMN, NOTHING
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.skeleton.types import Polygons

@@ -25,9 +25,10 @@ import skins
 from figures import Figures, cpu_seconds
 
 from p2wss import reconstruct
+from p2wss.clouds import reading as clouds
 from p2wss.config import Config
-from p2wss.data import clouds, footprints
 from p2wss.data.building import Reconstruction
+from p2wss.footprints import cleaning as footprints
 from p2wss.skeleton import FaceKind
 
 # walls at most this far apart are one wall

@@ -22,15 +22,15 @@ import labelled
 
 from p2wss.config import Config
 from p2wss.crops.simulated import crop_simulated
-from p2wss.data import files
-from p2wss.data.schemas.buildings import BUILDINGS
-from p2wss.data.schemas.crops import CROPS, SIMULATED
-from p2wss.data.schemas.scan import read_scan
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
 from p2wss.eval.masked import MaskedParameters, fit_all_masked, read_all_masked
 from p2wss.eval.parameters import errors_of_masked
 from p2wss.nets.predictor import load_predictor
+from p2wss.storage import files
+from p2wss.storage.schemas.buildings import BUILDINGS
+from p2wss.storage.schemas.crops import CROPS, SIMULATED
+from p2wss.storage.schemas.scan import read_scan
 
 BARS = {"height_m": 0.17, "angle_deg": 2.34, "coordinate_m": 0.41}
 GOALS = {"height_m": 0.05, "angle_deg": 1.0, "coordinate_m": 0.20}

@@ -17,7 +17,7 @@ from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.fitting import Thresholds
 from p2wss.fit.points import roof_points
-from p2wss.metrics.surface import distance_to_mesh
+from p2wss.mesh.surface import distance_to_mesh
 
 VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
     "cutting": {

@@ -30,8 +30,8 @@ from random_solids import REGIMES, Rings  # noqa: E402
 from p2wss.config import Scenes  # noqa: E402
 from p2wss.data import polygon_arrays  # noqa: E402
 from p2wss.data.building import Reconstruction  # noqa: E402
-from p2wss.data.footprints import clean_footprints, read_footprints  # noqa: E402
-from p2wss.data.solids.repair import surfaces_to_write  # noqa: E402
+from p2wss.footprints.cleaning import clean_footprints, read_footprints  # noqa: E402
+from p2wss.mesh.repair import surfaces_to_write  # noqa: E402
 from p2wss.reconstruct.valid import labelled_mesh  # noqa: E402
 
 COLUMNS = ("solids", "broken before", "mended", "simpler", "no mesh", "invalid", "without solid")

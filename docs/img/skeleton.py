@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from p2wss.data.solids.faces import planar_surfaces
+from p2wss.mesh.faces import planar_surfaces
 from p2wss.skeleton import FaceKind, Polygons, build
 
 RECTANGLE = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)

@@ -15,12 +15,12 @@ import torch
 import toy_crops
 import toy_scene
 
-from p2wss.data import files
 from p2wss.data.building import Reconstruction
-from p2wss.data.schemas.measures import MEASURES
-from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
-from p2wss.data.schemas.scan import write_scan
 from p2wss.nets.weights import write_weights
+from p2wss.storage import files
+from p2wss.storage.schemas.measures import MEASURES
+from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
+from p2wss.storage.schemas.scan import write_scan
 
 CRS = "EPSG:2154"
 

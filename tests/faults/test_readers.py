@@ -14,14 +14,14 @@ import laspy
 import numpy as np
 import pytest
 
+from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.config import load
-from p2wss.data import files
-from p2wss.data.clouds import read_clouds, read_headers
-from p2wss.data.schemas.measures import MEASURES
 from p2wss.errors import InputError, reading
 from p2wss.eval import parts, report
 from p2wss.eval.parameters import StoredErrors
 from p2wss.formats import cityjson_read
+from p2wss.storage import files
+from p2wss.storage.schemas.measures import MEASURES
 
 ROOT = Path(__file__).parents[2]
 
@@ -157,7 +157,7 @@ def test_text_is_utf_8_in_any_locale(tmp_path: Path) -> None:
     # in ASCII: Python itself decodes the command line by the locale
     code = r"""
 from p2wss.config import load
-from p2wss.data import files
+from p2wss.storage import files
 text = load("c.yaml").eval.attribution[0]
 files.write_text("c.txt", text)
 assert files.read_text("c.txt") == text == "\xa9 IGN, \xe9t\xe9"

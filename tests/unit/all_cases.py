@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
+from p2wss.storage.schemas.manifest import read_manifest
 
 
 def all_test_cases(manifest: Path) -> list[Case]:

@@ -25,27 +25,27 @@ import toy_scene
 from torch import nn
 
 from p2wss.cli.plan import _counted_buildings
+from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.config import Optimiser
-from p2wss.data import files, integrity
-from p2wss.data.clouds import read_clouds, read_headers
-from p2wss.data.footprints import read_footprints
-from p2wss.data.schemas import scan as scan_file
-from p2wss.data.schemas.buildings import BUILDINGS
-from p2wss.data.schemas.crops import CROPS
-from p2wss.data.schemas.manifest import read_manifest
-from p2wss.data.schemas.measures import MEASURES
-from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS
-from p2wss.data.schemas.scene import SCENE, read_scene, write_scene
 from p2wss.data.terrain import read_terrain, write_terrain
 from p2wss.errors import InputError
 from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetch import bdtopo, write_cloud
+from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.dataset import TrainingLimits
 from p2wss.nets.metrics_log import MetricsLog, read_metrics
 from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.shards import load_dataset
 from p2wss.nets.training_state import TrainingState
 from p2wss.nets.weights import read_weights, write_weights
+from p2wss.storage import files, integrity
+from p2wss.storage.schemas import scan as scan_file
+from p2wss.storage.schemas.buildings import BUILDINGS
+from p2wss.storage.schemas.crops import CROPS
+from p2wss.storage.schemas.manifest import read_manifest
+from p2wss.storage.schemas.measures import MEASURES
+from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS
+from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
 
 CRS = "EPSG:2154"
 

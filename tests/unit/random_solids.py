@@ -14,13 +14,13 @@ from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.solids.repair import surfaces_to_write
-from p2wss.fit.cutting import side_of_cut
-from p2wss.fit.mesh import kernel_angles
-from p2wss.fit.one_height import FittedRoof
-from p2wss.fit.parts import main_frame
-from p2wss.fit.solid import is_sound, union
+from p2wss.fit.mesh.parametric import kernel_angles
+from p2wss.fit.mesh.union import is_sound, union
+from p2wss.fit.parts.cutting import side_of_cut
+from p2wss.fit.parts.parts import main_frame
+from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.formats import cityjson
+from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruct.valid import labelled_mesh, with_valid_solids
 from p2wss.scenes.roofs import ANGLES_DEG, FootprintEdges, draw_angles
 from p2wss.skeleton.types import Polygons

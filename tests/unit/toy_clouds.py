@@ -8,8 +8,8 @@ import pyproj
 import shapely
 
 from p2wss import scenes
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Scenes
-from p2wss.data.clouds import Cloud
 
 LAMBERT, RD, WGS84 = (pyproj.CRS.from_epsg(code) for code in (2154, 28992, 4326))
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
 
 SPLITS = ("train", "val", "test")
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from p2wss.data import files
-from p2wss.data.schemas.buildings import BUILDINGS
-from p2wss.data.schemas.scene import SCENE
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.data.tiling import tile_bounds
+from p2wss.storage import files
+from p2wss.storage.schemas.buildings import BUILDINGS
+from p2wss.storage.schemas.scene import SCENE
 
 TILE, TILE_SIZE_M, MARGIN_M = "0652500_6862000", 100.0, 40.0
 GROUND, WALL, ROOF = 0, 1, 2

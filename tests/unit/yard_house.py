@@ -6,9 +6,9 @@ import numpy as np
 
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction
-from p2wss.fit.one_height import FittedRoof
-from p2wss.fit.open_ground import OpenGround
-from p2wss.fit.solid import union
+from p2wss.fit.boxes.open_ground import OpenGround
+from p2wss.fit.mesh.union import union
+from p2wss.fit.roof.fitter import FittedRoof
 
 HOUSE_M2, YARD_M2, YARD_M, EAVE_M, SLOPE_DEG = 64.0, 48.0, 1.0, 5.0, 40.0
 FOOTPRINT = np.array([[0, 0], [14, 0], [14, 8], [0, 8.0]])

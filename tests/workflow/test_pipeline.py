@@ -94,10 +94,10 @@ def test_words_rerun_nothing(again):
     again.edit("src/p2wss/scans/scan.py", '"""', '"""Another text. ')
     again.edit("src/p2wss/data/polygon_arrays.py", '"""', '"""Another text. ')
     again.edit(
-        "src/p2wss/data/schemas/crops.py", '"num_points", pa.int32(), "', '"num_points", pa.int32(), "all '
+        "src/p2wss/storage/schemas/crops.py", '"num_points", pa.int32(), "', '"num_points", pa.int32(), "all '
     )
     again.edit(
-        "src/p2wss/data/schemas/manifest.py", 'raise InputError(f"', 'raise InputError(f"in other words: '
+        "src/p2wss/storage/schemas/manifest.py", 'raise InputError(f"', 'raise InputError(f"in other words: '
     )
     assert planned(again) == {}
 

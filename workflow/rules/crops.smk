@@ -48,7 +48,7 @@ rule crop_real:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
         config=section("region", "scenes", "crops", without=TILE_LISTS),
-        code=fingerprint("crops", "data.footprints"),
+        code=fingerprint("crops", "footprints.cleaning"),
     shell:
         "p2wss crops real --tile {wildcards.tile:q} --place={wildcards.place:q} --footprints {input.footprints:q} --clouds {input.clouds:q} --out {output.shard:q}"
         " --config {params.config:q} 2> {log:q}"

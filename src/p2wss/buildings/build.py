@@ -9,13 +9,14 @@ import numpy as np
 
 from p2wss import skeleton
 from p2wss.config import Buildings
-from p2wss.data import files, polygon_arrays
+from p2wss.data import polygon_arrays
+from p2wss.storage import files
 
 
 def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
-    """The columns of :data:`p2wss.data.schemas.buildings.BUILDINGS`, one row per row of ``scene``.
+    """The columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`, one row per row of ``scene``.
 
-    scene: the columns of :data:`p2wss.data.schemas.scene.SCENE` and a geometry. A row that the scene excludes
+    scene: the columns of :data:`p2wss.storage.schemas.scene.SCENE` and a geometry. A row that the scene excludes
     keeps its status. A row that the kernel rejects gets the kernel's reason. Both have an empty mesh.
     """
     num_buildings = len(scene)

@@ -22,7 +22,7 @@ from p2wss.nets import weights_file
 if TYPE_CHECKING:
     import pyproj
 
-    from p2wss.data.clouds import CloudHeader
+    from p2wss.clouds.reading import CloudHeader
     from p2wss.data.metric_crs import MetricCrs
     from p2wss.data.terrain import Terrain
 
@@ -61,7 +61,8 @@ def check(arguments: argparse.Namespace, config: Config) -> Inputs:
         if not path.exists():
             raise InputError(f"{path}: no such file")
 
-    from p2wss.data import clouds, metric_crs
+    from p2wss.clouds import reading as clouds
+    from p2wss.data import metric_crs
 
     if arguments.no_footprints:
         headers, metric = check_clouds(arguments)
@@ -86,7 +87,8 @@ def check(arguments: argparse.Namespace, config: Config) -> Inputs:
 
 def check_clouds(arguments: argparse.Namespace) -> tuple[list[CloudHeader], MetricCrs]:
     """The clouds without footprints and the CRS of the run. Raises :class:`InputError` if nobody states their CRS."""
-    from p2wss.data import clouds, metric_crs
+    from p2wss.clouds import reading as clouds
+    from p2wss.data import metric_crs
 
     headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
     cloud = clouds.common_header(headers) or headers[0]

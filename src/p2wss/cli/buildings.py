@@ -7,9 +7,9 @@ from pathlib import Path
 
 from p2wss.cli.common import Parsers, add_command, log_status_counts, read_config
 from p2wss.config import section_json
-from p2wss.data import files
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.storage import files
 
 
 def add_parser(stages: Parsers) -> None:
@@ -26,8 +26,8 @@ def buildings(arguments: argparse.Namespace) -> None:
     import numpy as np
 
     from p2wss.buildings import build_scene, failed_fraction
-    from p2wss.data.schemas.buildings import BUILDINGS
-    from p2wss.data.schemas.scene import read_scene
+    from p2wss.storage.schemas.buildings import BUILDINGS
+    from p2wss.storage.schemas.scene import read_scene
 
     config = read_config(arguments)
     scene, facts = read_scene(arguments.scene)

@@ -31,8 +31,8 @@ def add_parser(stages: Parsers) -> None:
 
 def check(arguments: argparse.Namespace) -> int:
     """Print the invalid solids of all files. Returns the exit status: 1 if there is one."""
-    from p2wss.data.solids.rules import MEANINGS, breaches
     from p2wss.formats import cityjson_read, val3dity
+    from p2wss.mesh.rules import MEANINGS, breaches
 
     num_invalid = 0
     for path in arguments.files:

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from p2wss.config import Config, load
-from p2wss.data import files, integrity
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.errors import InputError
+from p2wss.storage import files, integrity
 
 DEVICES = ("auto", "cpu", "cuda")
 Command = Callable[[argparse.Namespace], None]

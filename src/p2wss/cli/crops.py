@@ -19,9 +19,9 @@ from p2wss.cli.common import (
     read_config,
 )
 from p2wss.config import TILE_LISTS, section_json
-from p2wss.data import files
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.storage import files
 
 
 def add_parser(stages: Parsers) -> None:
@@ -65,8 +65,8 @@ def add_parser(stages: Parsers) -> None:
 def crops_simulated(arguments: argparse.Namespace) -> None:
     """Write the crops of a simulated scan."""
     from p2wss import crops
-    from p2wss.data.schemas.buildings import BUILDINGS
-    from p2wss.data.schemas.scan import read_scan
+    from p2wss.storage.schemas.buildings import BUILDINGS
+    from p2wss.storage.schemas.scan import read_scan
 
     config = read_config(arguments)
     facts = files.read_metadata(arguments.buildings)
@@ -87,8 +87,8 @@ def crops_simulated(arguments: argparse.Namespace) -> None:
 def crops_real(arguments: argparse.Namespace) -> None:
     """Write the crops of real LiDAR."""
     from p2wss import crops
-    from p2wss.data import footprints
-    from p2wss.data.las_classes import class_set
+    from p2wss.clouds.las_classes import class_set
+    from p2wss.footprints import cleaning as footprints
 
     config = read_config(arguments)
     tile_size_m = config.region.tile_size_m
@@ -112,7 +112,7 @@ def crops_real(arguments: argparse.Namespace) -> None:
 def _write_crops(
     out: Path, columns: dict[str, Any], num_excluded: Counter[str], tile: str, crs: str, settings: str
 ) -> None:
-    from p2wss.data.schemas.crops import CROPS
+    from p2wss.storage.schemas.crops import CROPS
 
     counts = +num_excluded
     log_status_counts(out, ["ok"] * len(columns["num_points"]) + list(counts.elements()))
@@ -125,7 +125,7 @@ def _write_crops(
 def crops_manifest(arguments: argparse.Namespace) -> None:
     """Write the manifest of all shards."""
     from p2wss.crops.manifest import list_shards
-    from p2wss.data.schemas.crops import REAL, SIMULATED
+    from p2wss.storage.schemas.crops import REAL, SIMULATED
 
     config = read_config(arguments)
     shards = [(path, SIMULATED) for path in arguments.simulated] + [(path, REAL) for path in arguments.real]

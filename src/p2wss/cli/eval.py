@@ -20,9 +20,9 @@ from p2wss.cli.common import (
     set_num_threads,
 )
 from p2wss.config import Config, dataset_name, section_json
-from p2wss.data import files
-from p2wss.data.temporary import temporary_folder
 from p2wss.provenance import fingerprint
+from p2wss.storage import files
+from p2wss.storage.temporary import temporary_folder
 
 
 def add_parser(stages: Parsers) -> None:
@@ -215,8 +215,8 @@ def _add_reconstruction_outputs(command: argparse.ArgumentParser) -> None:
 
 def eval_medians(arguments: argparse.Namespace) -> None:
     """Write the medians of the labels."""
-    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import cases
+    from p2wss.storage.schemas.manifest import read_manifest
 
     medians = cases.train_medians(read_manifest(arguments.manifest))
     medians.write(arguments.out)
@@ -226,11 +226,11 @@ def eval_medians(arguments: argparse.Namespace) -> None:
 def eval_predict(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of the network, and its errors with masked parameters (Table 1)."""
     set_num_threads(arguments.threads)
-    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import cases, parameters, predict
     from p2wss.eval.clock import CpuClock
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct.product import NETWORK
+    from p2wss.storage.schemas.manifest import read_manifest
 
     config, clock = read_config(arguments), CpuClock()
     predictor = load_predictor(arguments.model, arguments.device)
@@ -249,11 +249,11 @@ def eval_predict(arguments: argparse.Namespace) -> None:
 def eval_fit(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of the fit, with or without the network."""
     set_num_threads(arguments.threads)
-    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import cases, predict
     from p2wss.eval.clock import CpuClock
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct.product import FIT, NETWORK_AND_FIT
+    from p2wss.storage.schemas.manifest import read_manifest
 
     config, clock = read_config(arguments), CpuClock()
     facts: dict[str, Any] = {"method": FIT, "status": "ok"}
@@ -275,8 +275,8 @@ def _facts_of_weights(path: Path) -> dict[str, Any]:
 
 def eval_recording(arguments: argparse.Namespace) -> None:
     """Write the solids of recorded outputs of Roofer, and how many of the evaluated buildings they are of."""
-    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval.recording import write_recording
+    from p2wss.storage.schemas.manifest import read_manifest
 
     recording = write_recording(arguments.recorded, read_manifest(arguments.manifest), arguments.out)
     log.info("%s: %d of the evaluated buildings", arguments.out.name, recording.num_evaluated)
@@ -298,9 +298,9 @@ def _recording(arguments: argparse.Namespace, config: Config, manifest: Any) -> 
 
 def eval_baseline(arguments: argparse.Namespace) -> None:
     """Write the reconstructions of a baseline."""
-    from p2wss.data.schemas.manifest import read_manifest
     from p2wss.eval import baselines, cases, parts
     from p2wss.eval.clock import CpuClock
+    from p2wss.storage.schemas.manifest import read_manifest
 
     config, clock = read_config(arguments), CpuClock()
     manifest = read_manifest(arguments.manifest, arguments.shards)
@@ -335,7 +335,7 @@ def _reconstructions(
     arguments: argparse.Namespace, clock: Any, facts: dict[str, Any]
 ) -> Iterator[Callable[[Any, Any], None]]:
     """A function that writes cases and their reconstructions to ``--out``; the facts are those of the end."""
-    from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
+    from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
 
     status: list[str] = []
     with files.table_writer(arguments.out, RECONSTRUCTIONS) as writer:
@@ -354,10 +354,10 @@ def _reconstructions(
 
 def eval_measure(arguments: argparse.Namespace) -> None:
     """Write the measures of all reconstructions, and the errors of our variants."""
-    from p2wss.data.schemas.manifest import read_manifest
-    from p2wss.data.schemas.measures import MEASURES
-    from p2wss.data.schemas.reconstructions import read_reconstructions
     from p2wss.eval import cases, measure, parameters
+    from p2wss.storage.schemas.manifest import read_manifest
+    from p2wss.storage.schemas.measures import MEASURES
+    from p2wss.storage.schemas.reconstructions import read_reconstructions
 
     config = read_config(arguments)
     paths = {str(files.read_metadata(path)["method"]): path for path in arguments.reconstructions}

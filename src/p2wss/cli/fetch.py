@@ -8,9 +8,9 @@ from typing import Any
 
 from p2wss.cli.common import Parsers, add_command, add_tile, bounds_of_tile, log, read_config
 from p2wss.config import TILE_LISTS, Config, load, section_json
-from p2wss.data import files
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.storage import files
 
 
 def add_parser(stages: Parsers) -> None:
@@ -133,7 +133,7 @@ def fetch_lidar(arguments: argparse.Namespace) -> None:
 
 def fetch_prepare(arguments: argparse.Namespace) -> None:
     """Write the LiDAR of a tile, cropped and with ground points."""
-    from p2wss.data.las_classes import class_set
+    from p2wss.clouds.las_classes import class_set
     from p2wss.fetch import delivery_window
     from p2wss.fetch.prepare import prepare
 

@@ -28,7 +28,7 @@ def add_parser(stages: Parsers) -> None:
 
 def inspect(arguments: argparse.Namespace) -> int:
     """Describe or verify the files. Returns the exit status."""
-    from p2wss.data import inspection
+    from p2wss.cli import inspection
 
     if arguments.verify:
         checks = [inspection.check(path) for path in arguments.files]

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, get_args
 from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, log
 from p2wss.config import ClassPreset, Config, load
-from p2wss.data import files
 from p2wss.errors import InputError
+from p2wss.storage import files
 
 if TYPE_CHECKING:
     import geopandas as gpd
 
-    from p2wss.data.clouds import Cloud
+    from p2wss.clouds.reading import Cloud
 
 
 def add_parser(stages: Parsers) -> None:
@@ -53,9 +53,9 @@ def outlines(arguments: argparse.Namespace) -> None:
 
 def read_outlines(config: Config, inputs: argument_checks.Inputs) -> tuple[Cloud, gpd.GeoDataFrame]:
     """The whole cloud, and the outlines in it as footprints."""
-    from p2wss.data import clouds, unclassified
-    from p2wss.data.las_classes import class_set
-    from p2wss.reconstruct import outline_frame
+    from p2wss.clouds import reading as clouds
+    from p2wss.clouds.las_classes import class_set
+    from p2wss.reconstruct import outline_frame, unclassified
 
     settings = config.reconstruct
     paths = [header.path for header in inputs.clouds]

@@ -10,8 +10,8 @@ from typing import Any
 
 from p2wss.cli.common import Parsers
 from p2wss.config import Config, dataset_name, load, member_places, place_config
-from p2wss.data import files, integrity
 from p2wss.errors import InputError
+from p2wss.storage import files, integrity
 
 
 def add_parser(stages: Parsers) -> None:

@@ -10,14 +10,14 @@ from p2wss.cli import argument_checks
 from p2wss.cli.common import Parsers, add_command, add_device, add_threads, log, set_num_threads
 from p2wss.cli.outlines import read_outlines
 from p2wss.config import CLASSES_ALONE, OUTPUT_SUFFIXES, ClassPreset, Config, SchemaName, load, section_json
-from p2wss.data import files
 from p2wss.data.materials import MATERIALS
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.storage import files
 
 if TYPE_CHECKING:
-    from p2wss.data.cloud_index import CloudIndex
     from p2wss.reconstruct import Area
+    from p2wss.reconstruct.cloud_index import CloudIndex
 
 
 def add_parser(stages: Parsers) -> None:
@@ -155,12 +155,12 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     inputs = argument_checks.check(arguments, config)
     set_num_threads(arguments.threads)
     from p2wss import reconstruct
-    from p2wss.data import footprints
-    from p2wss.data.cloud_index import CloudIndex
-    from p2wss.data.progress import Progress
-    from p2wss.data.spool import Spool
+    from p2wss.footprints import cleaning as footprints
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
+    from p2wss.reconstruct.cloud_index import CloudIndex
+    from p2wss.reconstruct.spool import Spool
+    from p2wss.storage.progress import Progress
 
     weights, crs, terrain = inputs.weights, inputs.crs, inputs.terrain
     predictor = None if weights is None else load_predictor(weights, arguments.device)
@@ -243,8 +243,9 @@ def _read_clouds(
 
     Raises :class:`InputError` if no cloud is near the footprints; a tile may be empty."""
     from p2wss import reconstruct
-    from p2wss.data import clouds, unclassified
-    from p2wss.data.las_classes import class_set
+    from p2wss.clouds import reading as clouds
+    from p2wss.clouds.las_classes import class_set
+    from p2wss.reconstruct import unclassified
 
     metric, frame = inputs.metric, area.frame
     window = metric.window_of_clouds(reconstruct.window(frame))

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from p2wss.cli.common import Parsers, add_command, add_threads, log, read_config
 from p2wss.config import section_json
-from p2wss.data import files, integrity
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.storage import files, integrity
 
 
 def add_parser(stages: Parsers) -> None:
@@ -35,8 +35,8 @@ def scans(arguments: argparse.Namespace) -> None:
     import pyproj
 
     from p2wss import scans
-    from p2wss.data.schemas.buildings import BUILDINGS
     from p2wss.data.terrain import read_terrain
+    from p2wss.storage.schemas.buildings import BUILDINGS
 
     config = read_config(arguments)
     facts = files.read_metadata(arguments.scene)

@@ -18,10 +18,10 @@ from p2wss.cli.common import (
     read_config,
 )
 from p2wss.config import TILE_LISTS, member_places, place_config, section_json
-from p2wss.data import files, integrity
 from p2wss.data.tiling import tiles_of_bounds
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
+from p2wss.storage import files, integrity
 
 
 def add_parser(stages: Parsers) -> None:
@@ -55,7 +55,7 @@ def add_parser(stages: Parsers) -> None:
 
 def scenes_index(arguments: argparse.Namespace) -> None:
     """Write the number of buildings of each tile of the region."""
-    from p2wss.data.footprints import read_footprints
+    from p2wss.footprints.cleaning import read_footprints
     from p2wss.scenes import count_buildings
 
     config = read_config(arguments)
@@ -74,11 +74,11 @@ def scenes_index(arguments: argparse.Namespace) -> None:
 
 def scenes_cut(arguments: argparse.Namespace) -> None:
     """Write the scene of a tile and its terrain."""
-    from p2wss.data.clouds import same_crs
-    from p2wss.data.footprints import read_whole_blocks
-    from p2wss.data.schemas.scene import write_scene
+    from p2wss.clouds.reading import same_crs
     from p2wss.data.terrain import read_terrain, write_terrain
+    from p2wss.footprints.cleaning import read_whole_blocks
     from p2wss.scenes import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
+    from p2wss.storage.schemas.scene import write_scene
 
     config = read_config(arguments)
     tile, tile_size_m, margin_m = arguments.tile, config.region.tile_size_m, config.scenes.margin_m

@@ -38,9 +38,9 @@ def warm_up(arguments: argparse.Namespace) -> None:
     if marker is not None and marker.exists():
         log.info("all code is already compiled")
         return
-    from p2wss.data.progress import Progress
     from p2wss.reconstruct import warm_up as of_reconstruct
     from p2wss.scans.warm_up import warm_survey
+    from p2wss.storage.progress import Progress
 
     first: tuple[Task, ...] = of_reconstruct.TASKS
     others: tuple[Task, ...] = (warm_survey,) if arguments.all else ()

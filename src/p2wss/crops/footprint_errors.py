@@ -8,8 +8,8 @@ import numpy as np
 import shapely
 
 from p2wss.data import polygon_arrays
-from p2wss.data.coverage import block_numbers
 from p2wss.data.seeds import generator
+from p2wss.footprints.coverage import block_numbers
 from p2wss.skeleton.types import Polygons
 
 _TOUCHING_M = 0.01

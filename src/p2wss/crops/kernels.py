@@ -1,7 +1,7 @@
 """Compiled loops over the points of each polygon.
 
 Pairs of a polygon and a point are in slices: polygon p has the pairs ``offset[p]:offset[p + 1]``, and ``point[k]``
-is the index of the point of pair k (see :class:`p2wss.data.cloud_crops.CloudCrops`).
+is the index of the point of pair k (see :class:`p2wss.clouds.crops.CloudCrops`).
 """
 
 from __future__ import annotations

@@ -12,16 +12,16 @@ import numpy as np
 import pyarrow as pa
 import pyproj
 
+from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
+from p2wss.clouds.las_classes import LAS, ClassSet
+from p2wss.clouds.points import points_on_buildings
+from p2wss.clouds.reading import read_clouds, same_crs
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
-from p2wss.data.cloud_crops import GROUND_RINGS_M, crop_cloud
-from p2wss.data.clouds import read_clouds, same_crs
-from p2wss.data.las_classes import LAS, ClassSet
-from p2wss.data.points import points_on_buildings
-from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
 from p2wss.skeleton.types import Polygons
+from p2wss.storage.schemas.crops import CROPS
 
 
 def crop_real(
@@ -32,10 +32,10 @@ def crop_real(
     settings: Crops,
     classes: ClassSet = LAS,
 ) -> tuple[dict[str, Any], Counter[str]]:
-    """The columns of :data:`p2wss.data.schemas.crops.CROPS` without labels, and the number of excluded footprints
+    """The columns of :data:`p2wss.storage.schemas.crops.CROPS` without labels, and the number of excluded footprints
     per reason.
 
-    frame: the result of :func:`p2wss.data.footprints.clean_footprints`. Its footprints are assigned to tiles as in
+    frame: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. Its footprints are assigned to tiles as in
     the scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
     its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS.
 

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from p2wss.clouds.cropping import seen_share
+from p2wss.clouds.crops import CloudCrops
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Crops
 from p2wss.crops.kernels import count_distinct, count_true, gather_cm, medians
-from p2wss.data import files, polygon_arrays, reasons
-from p2wss.data.cloud_crops import CloudCrops
-from p2wss.data.clouds import Cloud
-from p2wss.data.cropping import seen_share
+from p2wss.data import polygon_arrays, reasons
 from p2wss.skeleton.types import Polygons
+from p2wss.storage import files
 
 _MAX_REACH_M = 320.0  # int16 centimetres end at 327 m
 _OUT_OF_RANGE = -32768
@@ -28,7 +29,7 @@ def crop_columns(
     settings: Crops,
     num_excluded: Counter[str],
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """The indices of the polygons that make a row, and their columns of :data:`p2wss.data.schemas.crops.CROPS`.
+    """The indices of the polygons that make a row, and their columns of :data:`p2wss.storage.schemas.crops.CROPS`.
 
     cropped: of ``cloud`` and ``polygons``. origin_xy_m: float64 (num_polygons, 2). on_roof: bool (num_pairs,),
     which of the cropped points are on the roof of their building. Polygons that are too large or have too few

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from p2wss.clouds.crops import crop_cloud
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Crops
 from p2wss.crops.footprint_errors import with_errors
 from p2wss.crops.kernels import count_true, face_kinds, walls_seen
 from p2wss.crops.rows import crop_columns, repeat_per_vertex
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
-from p2wss.data.cloud_crops import crop_cloud
-from p2wss.data.clouds import Cloud
 from p2wss.skeleton.types import FaceKind, Polygons
 
 _MIN_POINTS_OF_WALL = 10  # a wall with fewer points does not count in num_walls_seen
@@ -25,11 +25,11 @@ _LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
 def crop_simulated(
     buildings: pa.Table, scan: tuple[Cloud, np.ndarray, np.ndarray], settings: Crops
 ) -> tuple[dict[str, Any], Counter[str]]:
-    """The columns of :data:`p2wss.data.schemas.crops.CROPS` with labels, and the number of excluded buildings per
+    """The columns of :data:`p2wss.storage.schemas.crops.CROPS` with labels, and the number of excluded buildings per
     reason.
 
-    buildings: the columns of :data:`p2wss.data.schemas.buildings.BUILDINGS`; those in the margin of the tile are
-    not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.data.schemas.scan.read_scan`.
+    buildings: the columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`; those in the margin of the tile are
+    not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.storage.schemas.scan.read_scan`.
     """
     cloud, building_of_point, face_of_point = scan
     polygons = _footprints(buildings)

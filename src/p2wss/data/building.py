@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from p2wss.data.points import points_on_building
+from p2wss.clouds.points import points_on_building
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Building:
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
     classification: uint8 (m,), LAS classes. ground_z_m: z of the ground at the building as the cloud shows it
-    (:func:`p2wss.data.cloud_crops.crop_cloud`), to which all its heights refer; NaN only without points.
+    (:func:`p2wss.clouds.crops.crop_cloud`), to which all its heights refer; NaN only without points.
     stated_height_m: height above the ground that the footprint states; NaN if unknown.
     """
 
@@ -38,7 +38,7 @@ class Building:
 
     @property
     def is_on_building(self) -> np.ndarray:
-        """Mask of the points on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
+        """Mask of the points on the building, bool (m,): see :func:`p2wss.clouds.points.points_on_building`."""
         return points_on_building(self.polygon, self.point_m, self.classification, self.ground_z_m)
 
 

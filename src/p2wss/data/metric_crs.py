@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 import shapely
 
-from p2wss.data.clouds import Cloud, horizontal, same_crs
+from p2wss.clouds.reading import Cloud, horizontal, same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 

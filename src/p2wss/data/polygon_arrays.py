@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 import shapely
 
-from p2wss.data import files
 from p2wss.skeleton.types import Polygons
+from p2wss.storage import files
 
 
 def to_polygons(geometries: Sequence[shapely.Polygon] | np.ndarray) -> Polygons:
@@ -80,7 +80,7 @@ def origins(polygons: Polygons) -> np.ndarray:
 
 
 def to_columns(polygons: Polygons, origin_xy_m: np.ndarray) -> dict[str, pa.Array]:
-    """The columns ``footprint_xy_m`` and ``ring_offset`` of a table (:mod:`p2wss.data.schemas.columns`).
+    """The columns ``footprint_xy_m`` and ``ring_offset`` of a table (:mod:`p2wss.storage.schemas.columns`).
 
     origin_xy_m: float64 (num_polygons, 2), the origin of the local coordinates of each row.
     """

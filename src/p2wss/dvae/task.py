@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from p2wss.config import Dvae as DvaeConfig
-from p2wss.data import files
 from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
 from p2wss.nets import augment, compute, distributed, training
@@ -22,6 +21,7 @@ from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
 from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.shards import describe, load_dataset
 from p2wss.nets.training_state import cloud_cache_folder
+from p2wss.storage import files
 
 log = logging.getLogger("p2wss")
 # with a smaller share of its codes in use a tokenizer carries no information

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from p2wss.data.schemas.manifest import read_manifest
 from p2wss.eval import cases
 from p2wss.nets.compute import DeviceName
 from p2wss.nets.predictor import load_predictor
 from p2wss.nets.shards import load_dataset
+from p2wss.storage.schemas.manifest import read_manifest
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from p2wss.data import files, polygon_arrays
+from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.schemas.crops import CROPS, SIMULATED
-from p2wss.data.schemas.manifest import Manifest
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS, SIMULATED
+from p2wss.storage.schemas.manifest import Manifest
 
 Key = tuple[str, str, str]
 _KEY_COLUMNS = ["tile", "building_id"]

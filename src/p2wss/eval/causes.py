@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from p2wss.data.building import Reconstruction
 from p2wss.data.reasons import MEANINGS
 from p2wss.eval.cases import Case, local_points
-from p2wss.metrics.height import surface_height_m
-from p2wss.metrics.surface import distance_to_mesh, triangle_areas
+from p2wss.eval.metrics.height import surface_height_m
+from p2wss.mesh.surface import distance_to_mesh, triangle_areas
 from p2wss.skeleton.types import FaceKind
 
 FAR_M = 0.5

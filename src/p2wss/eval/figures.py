@@ -20,8 +20,8 @@ from PIL import Image
 
 from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import Case
-from p2wss.metrics.calibration import Bin
-from p2wss.metrics.surface import distance_to_mesh
+from p2wss.eval.metrics.calibration import Bin
+from p2wss.mesh.surface import distance_to_mesh
 from p2wss.skeleton.types import FaceKind
 
 # a $ in a name from the data is no formula

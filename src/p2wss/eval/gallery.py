@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.eval.cases import Key
 from p2wss.eval.causes import UNEXPLAINED_M
 from p2wss.eval.methods import main_method
 from p2wss.eval.tables import numbers, rows_of
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.storage.schemas.crops import REAL, SIMULATED
 
 Row = Any
 ROOFER = "roofer"

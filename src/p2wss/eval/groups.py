@@ -10,9 +10,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from p2wss.eval.metrics import calibration as metrics
+from p2wss.eval.metrics.calibration import Calibration
 from p2wss.eval.tables import numbers, rows_of
-from p2wss.metrics import calibration as metrics
-from p2wss.metrics.calibration import Calibration
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 
 KIND = "kind"

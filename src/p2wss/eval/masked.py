@@ -15,11 +15,11 @@ import numpy as np
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
-from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval.predict import for_dataset
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.outline_fit import fit_outline
 from p2wss.reconstruct.product import reconstruct_buildings
+from p2wss.storage.schemas.crops import SIMULATED
 
 
 class MaskedPredictor(Predictor, Protocol):

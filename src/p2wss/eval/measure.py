@@ -10,19 +10,19 @@ import shapely
 
 from p2wss.config import Eval
 from p2wss.data.building import Reconstruction
-from p2wss.data.schemas.crops import REAL
 from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case, Key, local_points
 from p2wss.eval.causes import FAR_M, UNEXPLAINED_M, cause_of_error
 from p2wss.eval.methods import fit_parts, main_method
+from p2wss.eval.metrics.chamfer import chamfer_distance_m
+from p2wss.eval.metrics.height import height_rmse_m, surface_height_m
 from p2wss.eval.roof_kinds import roof_kind
-from p2wss.metrics.chamfer import chamfer_distance_m
-from p2wss.metrics.height import height_rmse_m, surface_height_m
-from p2wss.metrics.mesh_facts import mesh_facts
-from p2wss.metrics.planarity import face_of_triangle, out_of_plane_m
-from p2wss.metrics.surface import distance_to_mesh, sample_surface, triangle_areas
+from p2wss.mesh.mesh_facts import mesh_facts
+from p2wss.mesh.planarity import face_of_triangle, out_of_plane_m
+from p2wss.mesh.surface import distance_to_mesh, sample_surface, triangle_areas
 from p2wss.reconstruct.product import NETWORK
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.schemas.crops import REAL
 
 # with fewer points on the building, distances to the roof mean nothing
 MIN_ROOF_POINTS = 10

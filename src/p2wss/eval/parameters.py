@@ -13,13 +13,13 @@ from typing_extensions import TypedDict
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.schemas.crops import SIMULATED
 from p2wss.eval.cases import Case, Key, Medians
 from p2wss.eval.masked import MaskedParameters, MaskedPredictor, fit_all_masked, read_all_masked
-from p2wss.metrics.absolute_error import AbsoluteError, absolute_error, pooled, vertex_error
+from p2wss.eval.metrics.absolute_error import AbsoluteError, absolute_error, pooled, vertex_error
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.skeleton.queries import roof_points
 from p2wss.skeleton.types import Polygons
+from p2wss.storage.schemas.crops import SIMULATED
 
 # a roof counts as seen with this many points on it, an edge with this many over its sloped face
 MIN_SEEN_POINTS = 10

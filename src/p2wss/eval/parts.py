@@ -15,12 +15,12 @@ import pyarrow.compute as pc
 from pydantic import ConfigDict
 from typing_extensions import TypedDict
 
-from p2wss.data import files
-from p2wss.data.schemas.measures import MEASURES
 from p2wss.errors import reading
 from p2wss.eval import parameters
 from p2wss.eval.baselines import RECORDED
 from p2wss.eval.clock import CpuClock
+from p2wss.storage import files
+from p2wss.storage.schemas.measures import MEASURES
 
 
 class _CpuTime(TypedDict):

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
 from p2wss.reconstruct.network import Predictor, reconstruct_with_network
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
+from p2wss.storage.schemas.crops import REAL, SIMULATED
 
 _NUM_WARM_UP = 10
 Method = Callable[[Sequence[Building], Reconstruct], list[Reconstruction]]

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS, REAL
-from p2wss.data.schemas.manifest import Manifest
-from p2wss.data.schemas.recording import RECORDING
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS, REAL
+from p2wss.storage.schemas.manifest import Manifest
+from p2wss.storage.schemas.recording import RECORDING
 
 LOD = "2.2"
 ID_FIELD = "building_id"

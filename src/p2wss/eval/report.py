@@ -13,11 +13,7 @@ import pyarrow as pa
 from pydantic import TypeAdapter
 
 from p2wss.config import Eval
-from p2wss.data import files, integrity
 from p2wss.data.building import Reconstruction
-from p2wss.data.schemas.crops import REAL, SIMULATED
-from p2wss.data.schemas.manifest import to_manifest
-from p2wss.data.schemas.measures import MEASURES
 from p2wss.errors import reading
 from p2wss.eval import figures, groups, tables, texts
 from p2wss.eval.attribution import UNKNOWN_LIDAR
@@ -29,6 +25,10 @@ from p2wss.eval.samples import Samples, read_samples
 from p2wss.eval.viewer import choices, viewer
 from p2wss.formats import html
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
+from p2wss.storage import files, integrity
+from p2wss.storage.schemas.crops import REAL, SIMULATED
+from p2wss.storage.schemas.manifest import to_manifest
+from p2wss.storage.schemas.measures import MEASURES
 
 # methods whose meshes a picture shows, as far as they were run: with the points four panels
 PICTURED = (NETWORK, NETWORK_AND_FIT, "roofer")

@@ -18,16 +18,17 @@ import pyproj
 import shapely.affinity
 
 from p2wss.config import Eval
-from p2wss.data import files, reasons
+from p2wss.data import reasons
 from p2wss.data.building import Reconstruction, no_mesh
-from p2wss.data.schemas.crops import REAL
-from p2wss.data.temporary import temporary_folder
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.recording import ID_FIELD, LOD, Recording
 from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import REAL
+from p2wss.storage.temporary import temporary_folder
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from p2wss.data import files
 from p2wss.data.building import Reconstruction
-from p2wss.data.schemas.manifest import Manifest
-from p2wss.data.schemas.reconstructions import read_reconstructions
 from p2wss.eval.cases import Case, Key, cases_of
 from p2wss.eval.causes import Cause, cause_of_error
 from p2wss.eval.methods import fit_parts
 from p2wss.eval.parts import Part
+from p2wss.storage import files
+from p2wss.storage.schemas.manifest import Manifest
+from p2wss.storage.schemas.reconstructions import read_reconstructions
 
 
 @dataclass(frozen=True)

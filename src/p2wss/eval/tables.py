@@ -11,11 +11,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from p2wss.config import Eval
-from p2wss.data.schemas.crops import REAL, SIMULATED
 from p2wss.data.seeds import generator
 from p2wss.eval.baselines import RECORDED
-from p2wss.metrics.summary import Summary, summarize
+from p2wss.eval.metrics.summary import Summary, summarize
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.storage.schemas.crops import REAL, SIMULATED
 
 # in the order of the columns
 METHOD_NAMES = {

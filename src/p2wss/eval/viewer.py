@@ -22,7 +22,7 @@ from p2wss.eval.cases import Case, Key
 from p2wss.eval.figures import COLORS, FACE_COLORS
 from p2wss.eval.samples import Samples
 from p2wss.eval.tables import numbers, rows_of
-from p2wss.metrics.surface import distance_to_mesh
+from p2wss.mesh.surface import distance_to_mesh
 
 # per data set; a building with its points and three meshes takes 20 to 60 kB of the page
 NUM_BUILDINGS = {"worst": 20, "median": 5, "best": 5}

@@ -15,10 +15,10 @@ import pyogrio
 import pyproj
 import shapely
 
-from p2wss.data import files, integrity
-from p2wss.data.clouds import same_crs
-from p2wss.data.footprint_schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
+from p2wss.clouds.reading import same_crs
 from p2wss.errors import InputError
+from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
+from p2wss.storage import files, integrity
 
 # our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
 SPELLINGS = {
@@ -38,7 +38,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
     """``frame`` with the columns of :data:`SPELLINGS` and 2D MultiPolygons, sorted by ``building_id``.
 
     Missing attributes become null (text) or NaN (numbers). Of a building that occurs more than once, one row
-    is kept. name: the file or service, used in messages. schema: of :data:`p2wss.data.footprint_schemas.SCHEMAS`, or
+    is kept. name: the file or service, used in messages. schema: of :data:`p2wss.footprints.schemas.SCHEMAS`, or
     "auto"; those other than "bdtopo" give ids, heights and floors, and repeated ids are reported.
 
     Raises :class:`InputError` if a required column is missing, a building has no id, or the CRS is missing or

@@ -14,11 +14,11 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data import files, integrity
-from p2wss.data.clouds import same_crs
-from p2wss.data.las_files import open_cloud
+from p2wss.clouds.las_files import open_cloud
+from p2wss.clouds.reading import same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
+from p2wss.storage import files, integrity
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them

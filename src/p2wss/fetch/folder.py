@@ -17,16 +17,16 @@ import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
+from p2wss.clouds.reading import horizontal, same_crs
 from p2wss.config import Folder
-from p2wss.data.archives import is_archive, unpack, unpacked_folder
-from p2wss.data.clouds import horizontal, same_crs
-from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.metric_crs import reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
 from p2wss.fetch import geoparquet
+from p2wss.fetch.archives import is_archive, unpack, unpacked_folder
 from p2wss.fetch.cloud import read_header
+from p2wss.fetch.listing import CLOUD, RASTER, VECTOR, list_files
 
 log = logging.getLogger(__name__)
 

@@ -14,10 +14,10 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.data import files, integrity
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.http import Client
+from p2wss.storage import files, integrity
 
 _BLOCK_BYTES = 1 << 17  # the octree nodes of a LiDAR HD tile have 10 to 500 kB
 

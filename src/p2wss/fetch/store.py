@@ -8,7 +8,7 @@ import logging
 from datetime import UTC, datetime
 from pathlib import Path
 
-from p2wss.data import files
+from p2wss.storage import files
 
 log = logging.getLogger(__name__)
 Request = dict[str, str]

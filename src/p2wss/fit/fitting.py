@@ -9,25 +9,25 @@ from functools import cached_property
 import numpy as np
 import shapely
 
+from p2wss.clouds.points import MIN_CLASSIFIED_POINTS
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.points import MIN_CLASSIFIED_POINTS
-from p2wss.fit.adjustment import adjusted
-from p2wss.fit.chimneys import Chimneys, with_chimneys
-from p2wss.fit.confidence import expected_share
-from p2wss.fit.dormers import Box, Boxes, find_boxes, is_over_boxes
-from p2wss.fit.frame import enclosing_rectangle, roof_frame
-from p2wss.fit.mesh import build_meshes, transfer_angles
-from p2wss.fit.one_height import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
-from p2wss.fit.open_ground import OpenGround
-from p2wss.fit.partition import fit_parts
-from p2wss.fit.parts import Cutting, cost_m, main_frame
+from p2wss.fit.boxes.chimneys import Chimneys, with_chimneys
+from p2wss.fit.boxes.dormers import Box, Boxes, find_boxes, is_over_boxes
+from p2wss.fit.boxes.open_ground import OpenGround
+from p2wss.fit.mesh.adjustment import adjusted
+from p2wss.fit.mesh.parametric import build_meshes, transfer_angles
+from p2wss.fit.mesh.short_edges import short_edges, without_short_edges
+from p2wss.fit.mesh.union import Mesh, is_sound, union
+from p2wss.fit.parts.frame import enclosing_rectangle, roof_frame
+from p2wss.fit.parts.partition import fit_parts
+from p2wss.fit.parts.parts import Cutting, cost_m, main_frame
 from p2wss.fit.points import ground_points, roof_points, wall_hits
-from p2wss.fit.prior import make_prior
+from p2wss.fit.roof.confidence import expected_share
+from p2wss.fit.roof.fitter import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
+from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
-from p2wss.fit.short_edges import short_edges, without_short_edges
-from p2wss.fit.solid import Mesh, is_sound, union
 
 METHOD = "fit"
 # Before the roof is fitted again without the points of its boxes, boxes are accepted that gain this share of the

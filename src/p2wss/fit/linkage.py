@@ -10,12 +10,12 @@ from functools import cache
 
 import numpy as np
 
-from p2wss.fit.cutting import is_sound, side_of_cut
-from p2wss.fit.roof import fit_roof, improve_roof
-from p2wss.fit.screen import fit_side
-from p2wss.fit.search import search
-from p2wss.fit.solve import evaluate, improve
-from p2wss.fit.work import NO_PRIOR, Code, FitWork, Problem, Settings, fit_work
+from p2wss.fit.parts.best_cut import fit_side
+from p2wss.fit.parts.cutting import is_sound, side_of_cut
+from p2wss.fit.roof.rounds import fit_roof, improve_roof
+from p2wss.fit.roof.search import search
+from p2wss.fit.roof.solve import evaluate, improve
+from p2wss.fit.roof.work import NO_PRIOR, Code, FitWork, Problem, Settings, fit_work
 from p2wss.skeleton.compiled import address_of
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from p2wss.data.solids.faces import Surface
-from p2wss.data.solids.repair import SCALE_M, stored
+from p2wss.mesh.faces import Surface
+from p2wss.mesh.repair import SCALE_M, stored
 from p2wss.skeleton.types import FaceKind
 
 SURFACE_TYPE = {

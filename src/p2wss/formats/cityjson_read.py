@@ -11,8 +11,8 @@ from typing import Any
 import mapbox_earcut
 import numpy as np
 
-from p2wss.data.solids.faces import Surface
 from p2wss.errors import InputError, reading
+from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
 
 _KIND = {

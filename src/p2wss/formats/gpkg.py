@@ -9,7 +9,7 @@ from typing import Any
 
 import geopandas as gpd
 
-from p2wss.data import files, integrity
+from p2wss.storage import files, integrity
 
 
 def write(

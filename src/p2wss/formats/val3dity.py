@@ -7,8 +7,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from p2wss.data.temporary import temporary_folder
 from p2wss.errors import InputError
+from p2wss.storage.temporary import temporary_folder
 
 
 def report(program: str, path: Path) -> dict[str, list[str]]:

@@ -17,7 +17,6 @@ from torch import Tensor, nn
 from p2wss.config import Augmentation
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
-from p2wss.data import files
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import augment, compute, distributed, training
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches
@@ -32,6 +31,7 @@ from p2wss.nets.shards import describe, load_dataset
 from p2wss.nets.training_state import cloud_cache_folder
 from p2wss.nets.transformer import Encoder
 from p2wss.nets.weights import load_dvae
+from p2wss.storage import files
 
 log = logging.getLogger("p2wss")
 

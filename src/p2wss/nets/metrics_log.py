@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from p2wss.data import files
 from p2wss.errors import InputError, reading
 from p2wss.nets import distributed
+from p2wss.storage import files
 
 FILE_NAME = "metrics.jsonl"
 _CHECKSUM = ', "crc32": "'

@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from p2wss.data import files, integrity
-from p2wss.data.progress import Progress
 from p2wss.errors import InputError
 from p2wss.nets import distributed
 from p2wss.nets.batch import UNKNOWN_PATCHES
 from p2wss.nets.dataset import BuildingDataset
 from p2wss.nets.patches import patch_index
+from p2wss.storage import files, integrity
+from p2wss.storage.progress import Progress
 
 log = logging.getLogger("p2wss")
 

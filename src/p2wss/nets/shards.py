@@ -18,13 +18,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from p2wss.data import files, integrity, reasons
-from p2wss.data.schemas.crops import CROPS, SIMULATED
-from p2wss.data.schemas.manifest import read_manifest
-from p2wss.data.temporary import remove_leftovers, temporary_prefix
+from p2wss.data import reasons
 from p2wss.errors import InputError, reading
 from p2wss.nets import distributed
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
+from p2wss.storage import files, integrity
+from p2wss.storage.schemas.crops import CROPS, SIMULATED
+from p2wss.storage.schemas.manifest import read_manifest
+from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
 log = logging.getLogger("p2wss")
 

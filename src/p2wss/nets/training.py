@@ -20,13 +20,13 @@ import torch
 from torch import Tensor, nn
 
 from p2wss.config import Compute, Optimiser, Section
-from p2wss.data.progress import Progress
 from p2wss.data.seeds import derive_seed
-from p2wss.data.temporary import is_running
 from p2wss.errors import InputError
 from p2wss.nets import distributed
 from p2wss.nets.metrics_log import MetricsLog
 from p2wss.nets.training_state import TrainingState
+from p2wss.storage.progress import Progress
+from p2wss.storage.temporary import is_running
 
 log = logging.getLogger("p2wss")
 

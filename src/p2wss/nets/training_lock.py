@@ -15,9 +15,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from p2wss.data.temporary import is_running
 from p2wss.errors import InputError
 from p2wss.nets import distributed
+from p2wss.storage.temporary import is_running
 
 log = logging.getLogger("p2wss")
 

@@ -17,9 +17,9 @@ from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
 from p2wss.config import Optimiser
-from p2wss.data import files, integrity
 from p2wss.nets import distributed
 from p2wss.nets.metrics_log import FILE_NAME
+from p2wss.storage import files, integrity
 
 log = logging.getLogger("p2wss")
 

@@ -15,13 +15,13 @@ from torch.nn import Module
 from p2wss import __version__
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
-from p2wss.data import files, integrity
 from p2wss.errors import InputError
 from p2wss.nets.builders import build_dvae, build_model, build_tokenizer
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.metrics_log import last_validation
 from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.weights_file import read_metadata
+from p2wss.storage import files, integrity
 
 # keys of the metadata that had another name when older files were written
 _RENAMED_KEYS = {"words": "vocabulary"}

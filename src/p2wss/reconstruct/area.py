@@ -13,12 +13,12 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
+from p2wss.clouds.crops import GROUND_RINGS_M
+from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.cloud_crops import GROUND_RINGS_M
-from p2wss.data.cloud_index import CloudIndex
-from p2wss.data.clouds import Cloud
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.terrain import Terrain
+from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.pipeline import Rows, Store
 from p2wss.reconstruct.registration import COLUMN, Surroundings, register
@@ -38,7 +38,7 @@ MAX_FOOTPRINTS = 2_000
 class Area:
     """Footprints to reconstruct, and those around on which they depend.
 
-    frame: all footprints, as :func:`p2wss.data.footprints.clean_footprints` returns them. is_chosen: bool
+    frame: all footprints, as :func:`p2wss.footprints.cleaning.clean_footprints` returns them. is_chosen: bool
     (footprints,), those whose results are requested. is_built: these and those that may share walls with them.
     """
 
@@ -103,7 +103,7 @@ class Area:
 
     def may_move(self, points: CloudIndex) -> np.ndarray:
         """The footprints of blocks around which the producer has points of class building, bool (footprints,): what
-        :mod:`p2wss.data.unclassified` takes for buildings moves no footprint."""
+        :mod:`p2wss.reconstruct.unclassified` takes for buildings moves no footprint."""
         if self._surroundings is None:
             return np.zeros(len(self.frame), bool)
         return self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))

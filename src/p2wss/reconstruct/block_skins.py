@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from p2wss.data.schemas.wedges import WEDGES
 from p2wss.formats.meshes import SURFACE_NAMES, Mesh
 from p2wss.reconstruct.skin import Skin, Solid, skins
 from p2wss.reconstruct.skin.on_terrain import cut
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.schemas.wedges import WEDGES
 
 log = logging.getLogger("p2wss")
 
@@ -83,7 +83,7 @@ def counts(skin_list: Sequence[Skin]) -> dict[str, int]:
 
 
 def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
-    """The columns of :data:`p2wss.data.schemas.wedges.WEDGES`, a row per wedge of the skins."""
+    """The columns of :data:`p2wss.storage.schemas.wedges.WEDGES`, a row per wedge of the skins."""
     kinds = np.array([SURFACE_NAMES.get(k, "") for k in range(max(SURFACE_NAMES) + 1)], dtype=object)
     parts: list[dict[str, np.ndarray]] = []
     for number, skin in enumerate(skin_list):

@@ -11,10 +11,10 @@ from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 
 from p2wss import __version__, skeleton
-from p2wss.data.clouds import horizontal
-from p2wss.data.solids.repair import LabelledMesh, repaired, surfaces_to_write
+from p2wss.clouds.reading import horizontal
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Metadata, Solid
+from p2wss.mesh.repair import LabelledMesh, repaired, surfaces_to_write
 from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
 from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.valid import labelled_mesh

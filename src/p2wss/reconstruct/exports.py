@@ -13,10 +13,7 @@ import numpy as np
 import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
-from p2wss.data import files
 from p2wss.data.materials import materials_of
-from p2wss.data.schemas.wedges import WEDGES
-from p2wss.data.spool import Lazy
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.formats import gpkg, sionna
@@ -29,6 +26,9 @@ from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
 from p2wss.reconstruct.shift_page import shift_page
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
+from p2wss.reconstruct.spool import Lazy
+from p2wss.storage import files
+from p2wss.storage.schemas.wedges import WEDGES
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ
 _SAME_SYSTEM_M = 1.0

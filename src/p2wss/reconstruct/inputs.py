@@ -7,13 +7,13 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 
+from p2wss.clouds.crops import GROUND_RINGS_M
 from p2wss.config import Config, Scenes
-from p2wss.data.cloud_crops import GROUND_RINGS_M
 from p2wss.data.tiling import Bounds, tiles_of_points
 
 
 def footprint_settings(config: Config) -> Scenes:
-    """The settings with which :func:`p2wss.data.footprints.clean_footprints` cleans the user's footprints: those of the
+    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints: those of the
     section scenes, but with ``reconstruct.simplify_m``."""
     return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
 

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 import shapely
 
-from p2wss.data.solids.repair import LabelledMesh
-from p2wss.metrics.planarity import face_of_triangle
+from p2wss.mesh.planarity import face_of_triangle
+from p2wss.mesh.repair import LabelledMesh
 from p2wss.skeleton.types import FaceKind
 
 # planes with less slope are flat

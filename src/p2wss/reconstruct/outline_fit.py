@@ -16,7 +16,7 @@ import shapely
 from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 
 # points of class building this far below the eaves are on a wall or on a lower annex
 _BELOW_EAVES_M = 0.6

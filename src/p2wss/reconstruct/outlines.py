@@ -20,11 +20,11 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
-from p2wss.data.clouds import Cloud
-from p2wss.data.cropping import crop_points
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.errors import InputError
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, mean_directions, regularised, seam_lines
 
@@ -65,7 +65,7 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
     """Polygons of the outlines of all buildings in the cloud, an object array in the order of their lower left corners.
 
     Neighbours share vertices along common walls. Raises :class:`InputError` if the cloud has no points, or none of
-    class building (:func:`p2wss.data.unclassified.with_classes` gives a cloud without classes some).
+    class building (:func:`p2wss.reconstruct.unclassified.with_classes` gives a cloud without classes some).
     """
     if not len(cloud):
         raise InputError("no outlines: the cloud has no points")

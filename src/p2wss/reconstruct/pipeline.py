@@ -15,22 +15,22 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
+from p2wss.clouds.cropping import seen_share
+from p2wss.clouds.crops import CloudCrops, crop_cloud
+from p2wss.clouds.points import on_millimetres
+from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.cloud_crops import CloudCrops, crop_cloud
-from p2wss.data.clouds import GPS_EPOCH, Cloud
-from p2wss.data.cropping import seen_share
-from p2wss.data.points import on_millimetres
-from p2wss.data.spool import Lazy
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.fit.roof_edges import mean_overhang_m
-from p2wss.metrics.surface import distance_to_mesh
+from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.measures import MeshMeasures, measure, party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import COLUMN, Registration
+from p2wss.reconstruct.spool import Lazy
 from p2wss.reconstruct.valid import labelled_mesh
 from p2wss.skeleton.types import Polygons
 
@@ -94,7 +94,7 @@ def run(
 ) -> list[Result]:
     """One result per row of ``frame``, in its order.
 
-    frame: what :func:`p2wss.data.footprints.clean_footprints` or :func:`p2wss.reconstruct.registration.register`
+    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` or :func:`p2wss.reconstruct.registration.register`
     returns. With a network its values are fitted to the
     points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
     time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
@@ -108,7 +108,7 @@ def run(
 
 
 class Store(Protocol):
-    """Results by number: a dictionary, or a :class:`p2wss.data.spool.Spool`."""
+    """Results by number: a dictionary, or a :class:`p2wss.reconstruct.spool.Spool`."""
 
     def __getitem__(self, index: int, /) -> Result: ...
 
@@ -236,7 +236,7 @@ def _ground_z_m(
 def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     """The values of the input's own columns, one dictionary per row, None where there is no value.
 
-    frame: what :func:`p2wss.data.footprints.clean_footprints` returns; the columns that it adds and the geometry are
+    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds and the geometry are
     left out.
     """
     columns = frame.columns.drop([frame.geometry.name, *_ADDED_COLUMNS], errors="ignore")

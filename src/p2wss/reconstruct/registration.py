@@ -18,10 +18,10 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
+from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.clouds import Cloud
-from p2wss.data.cropping import crop_points
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.reconstruct.footprint_flags import contradictions
 from p2wss.reconstruct.registration_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.shifts import (
@@ -112,7 +112,7 @@ COLUMN = "p2wss_registration"
 def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
     """``frame`` with its footprints where the cloud shows the buildings, and with the column :data:`COLUMN`.
 
-    frame: what :func:`p2wss.data.footprints.clean_footprints` returns, with all footprints of
+    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
     :meth:`Surroundings.around`.
     """
     shapes = frame.geometry.to_numpy()

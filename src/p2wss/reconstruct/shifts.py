@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 import scipy.ndimage
 
-from p2wss.data.cropping import crop_points
+from p2wss.clouds.cropping import crop_points
 from p2wss.skeleton.types import Polygons
 
 # The search: the largest shift, the step between shifts, and the number of cells from which the step grows.

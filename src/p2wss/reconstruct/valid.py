@@ -10,9 +10,9 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.solids.repair import LabelledMesh, repaired
 from p2wss.fit import fitting
-from p2wss.fit.walls import REACH_M, with_exact_walls
+from p2wss.fit.mesh.walls import REACH_M, with_exact_walls
+from p2wss.mesh.repair import LabelledMesh, repaired
 
 # (row, invalid reconstruction): simpler ones, the best first
 Simpler = Callable[[int, Reconstruction], Iterable[Reconstruction]]
@@ -24,7 +24,7 @@ def with_valid_solids(
     simpler: Simpler = lambda row, invalid: (),
 ) -> list[Reconstruction]:
     """The reconstructions, all of whose meshes are valid solids once they are stored in a file, with outer walls on the
-    edges of the footprints (:mod:`p2wss.fit.walls`).
+    edges of the footprints (:mod:`p2wss.fit.mesh.walls`).
 
     A solid that violates a rule is repaired by moving vertices by millimetres; otherwise it is replaced by the first
     valid one of ``simpler``; otherwise the building has no mesh, for the reason ``invalid-solid``.

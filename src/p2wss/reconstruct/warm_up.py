@@ -15,7 +15,7 @@ import numpy as np
 if TYPE_CHECKING:
     import geopandas as gpd
 
-    from p2wss.data.clouds import Cloud
+    from p2wss.clouds.reading import Cloud
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"
@@ -31,9 +31,9 @@ def warm_fit() -> None:
 def warm_footprints_and_meshes() -> None:
     """Cleaning footprints, finding their points, meshes, whether solids are valid."""
     from p2wss import skeleton
-    from p2wss.data.cloud_crops import crop_cloud
-    from p2wss.data.solids.polygon_kernels import closest_vertices
-    from p2wss.data.solids.repair import LabelledMesh, repaired
+    from p2wss.clouds.crops import crop_cloud
+    from p2wss.mesh.polygon_kernels import closest_vertices
+    from p2wss.mesh.repair import LabelledMesh, repaired
 
     square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
     crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), skeleton.clean(square).polygons)
@@ -56,8 +56,8 @@ def warm_product() -> None:
 
     from p2wss.config import Reconstruct
     from p2wss.data.terrain import Terrain
-    from p2wss.fit.merging import merged_rings
-    from p2wss.fit.short_edges import topmost
+    from p2wss.fit.mesh.short_edges import topmost
+    from p2wss.fit.parts.merging import merged_rings
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 
@@ -85,7 +85,7 @@ def sample() -> tuple[gpd.GeoDataFrame, Cloud]:
     import shapely
 
     from p2wss.config import Scenes
-    from p2wss.data.footprints import clean_footprints
+    from p2wss.footprints.cleaning import clean_footprints
 
     draw = np.random.default_rng(0)
     house, dormer = shapely.box(0, 0, 13, 8), shapely.box(30, 0, 42, 9)
@@ -113,7 +113,7 @@ def sample() -> tuple[gpd.GeoDataFrame, Cloud]:
 def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
     import pyproj
 
-    from p2wss.data.clouds import Cloud
+    from p2wss.clouds.reading import Cloud
 
     x, y, z = np.ascontiguousarray(point_m.T)
     return Cloud(x, y, z, classification, pyproj.CRS(_CRS))

@@ -12,9 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyproj
 
+from p2wss.clouds.reading import same_crs
 from p2wss.config import Scans
-from p2wss.data.clouds import same_crs
-from p2wss.data.schemas import scan as schema
 from p2wss.data.seeds import derive_seed
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds
@@ -26,6 +25,7 @@ from p2wss.scans.returns import Points, count_points
 from p2wss.scans.scene import build_surface, buildings_without_terrain, local_buildings, scan_bounds
 from p2wss.scans.surface import las_classes
 from p2wss.scans.survey import Survey, plan
+from p2wss.storage.schemas import scan as schema
 
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
 _WRITTEN_AT_ONCE = 1_000_000
@@ -125,7 +125,7 @@ def _point_facts(points: Points, origin: np.ndarray, bounds: Bounds) -> dict[str
 
 
 def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) -> None:
-    """Write the points of a scan in the format of :mod:`p2wss.data.schemas.scan`; whole or not at all."""
+    """Write the points of a scan in the format of :mod:`p2wss.storage.schemas.scan`; whole or not at all."""
     schema.write_scan(path, _las_chunks(scan), scan.origin_m, crs, threads)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 
 from p2wss.config import Scans
-from p2wss.data import files, polygon_arrays
+from p2wss.data import polygon_arrays
 from p2wss.data.seeds import derive_seed, generator
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
@@ -15,6 +15,7 @@ from p2wss.scans.clutter import LocalBuildings
 from p2wss.scans.surface import Surface, encode_face
 from p2wss.scans.terrain import local_grid
 from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.storage import files
 
 # the reflectance of a roof or of walls has this beta distribution: a mean of 0.31 and a standard deviation of 0.12
 _REFLECTANCE_BETA = (4, 9)

@@ -35,8 +35,8 @@ def _house() -> pa.Table:
     import pyarrow as pa
 
     from p2wss import skeleton
-    from p2wss.data.schemas.buildings import BUILDINGS
     from p2wss.data.tiling import tile_bounds
+    from p2wss.storage.schemas.buildings import BUILDINGS
 
     x_min, y_min, _, _ = tile_bounds(_TILE, _TILE_SIZE_M)
     corners, angle_deg = np.array([[0, 0], [10, 0], [10, 12], [0, 12.0]]), np.array([90.0, 40.0, 90.0, 40.0])

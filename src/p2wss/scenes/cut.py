@@ -10,9 +10,9 @@ import shapely
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
-from p2wss.data.footprints import clean_footprints, split_parts
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds, tiles_of_points
+from p2wss.footprints.cleaning import clean_footprints, split_parts
 from p2wss.scenes.heights import eave_heights, ground_heights
 from p2wss.scenes.roofs import FootprintEdges, draw_angles
 from p2wss.skeleton import Status
@@ -38,9 +38,9 @@ def count_buildings(frame: gpd.GeoDataFrame, tile_size_m: float, min_area_m2: fl
 def cut_scene(
     frame: gpd.GeoDataFrame, terrain: Terrain, tile: str, tile_size_m: float, config: Scenes
 ) -> gpd.GeoDataFrame:
-    """The scene of a tile: the columns of :data:`p2wss.data.schemas.scene.SCENE` and a geometry, sorted by id.
+    """The scene of a tile: the columns of :data:`p2wss.storage.schemas.scene.SCENE` and a geometry, sorted by id.
 
-    frame: whole blocks of footprints (:func:`p2wss.data.footprints.read_whole_blocks`) of which some intersect the
+    frame: whole blocks of footprints (:func:`p2wss.footprints.cleaning.read_whole_blocks`) of which some intersect the
     tile extended by ``margin_m`` + :data:`NEIGHBOUR_DISTANCE_M`, with
     ``building_id`` and the height columns of the stage fetch. terrain: of the tile and its margin, in the same
     CRS. A building belongs to the tile that contains the centre of its bounding box before cleaning; a

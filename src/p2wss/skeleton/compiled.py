@@ -2,7 +2,7 @@
 
 numba's cache notices changes in the file of a function only, yet the machine code of the function contains
 that of everything it calls. So the names of the cached files carry a digest of all sources of this package
-and, for a function of another package, of that package too: code from other sources is never loaded, not even
+and, for a function of another room, of that room with its folders too: code from other sources is never loaded, not even
 by a process that runs while a file is being edited.
 """
 
@@ -37,9 +37,12 @@ log = logging.getLogger("p2wss")
 
 @cache
 def _digest_of_sources(folder: Path) -> str:
-    """Digest of the sources of this package and of those in ``folder``."""
+    """Digest of the sources of this package and of all in the room of ``folder``."""
+    kernel = Path(__file__).parent
+    if kernel.parent in folder.parents:
+        folder = kernel.parent / folder.relative_to(kernel.parent).parts[0]
     digest = blake2b(digest_size=6)
-    for path in sorted({*Path(__file__).parent.glob("*.py"), *folder.glob("*.py")}):
+    for path in sorted({*kernel.glob("*.py"), *folder.rglob("*.py")}):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()
 

@@ -13,7 +13,7 @@ import pyogrio
 import shapely
 import shapely.affinity
 
-from p2wss.data import files
+from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.site import CRS, X_MAX, X_MIN, Y_MAX, Y_MIN, ground_z_m, in_lidar_tile
 

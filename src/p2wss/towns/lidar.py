@@ -12,8 +12,8 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.data import files
-from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.clouds.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import DATE
 from p2wss.towns.site import CRS, LIDAR_X_MIN, LIDAR_Y_MAX, ground_z_m, in_lidar_tile

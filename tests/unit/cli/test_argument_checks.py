@@ -20,9 +20,10 @@ from toy_survey import BOX, run, write_cloud, write_weights
 
 from p2wss import reconstruct
 from p2wss.cli import argument_checks
+from p2wss.clouds import reading as clouds
 from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS
-from p2wss.data import clouds, footprints
 from p2wss.data.terrain import Terrain, write_terrain
+from p2wss.footprints import cleaning as footprints
 from p2wss.formats.outputs import MESH_WRITERS
 
 

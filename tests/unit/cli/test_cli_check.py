@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from p2wss import cli, skeleton
-from p2wss.data.solids.faces import planar_surfaces
 from p2wss.formats import cityjson
+from p2wss.mesh.faces import planar_surfaces
 from p2wss.skeleton.types import Polygons
 
 

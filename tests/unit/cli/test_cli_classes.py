@@ -13,9 +13,9 @@ import pytest
 import shapely
 
 from p2wss import cli
-from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS
 from p2wss.fetch import normalise, write_footprints
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
 
 HOUSE = shapely.box(652100, 6861100, 652110, 6861112)
 TILE = "0652_6862"

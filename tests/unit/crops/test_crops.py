@@ -15,15 +15,17 @@ from toy_scene import TILE, TILE_SIZE_M, house, houses, scans_inputs, table, ter
 
 from p2wss import crops, scans, scenes
 from p2wss.cli import main
+from p2wss.clouds import reading as clouds
+from p2wss.clouds.crops import ground_height
+from p2wss.clouds.reading import Cloud, read_clouds, same_crs
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
-from p2wss.data import clouds, files, polygon_arrays
-from p2wss.data.cloud_crops import ground_height
-from p2wss.data.clouds import Cloud, read_clouds, same_crs
-from p2wss.data.schemas.crops import CROPS
+from p2wss.data import polygon_arrays
 from p2wss.data.tiling import tile_name
 from p2wss.errors import InputError
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
 
 DATA = SHARED / "data"
 needs_data = pytest.mark.skipif(not DATA.exists(), reason="the shared real data is not here")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from p2wss import skeleton
-from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS
-from p2wss.metrics.surface import sample_surface
+from p2wss.mesh.surface import sample_surface
 from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
 
 SHAPES = {
     "gable": ([(0, 0), (12, 0), (12, 8), (0, 8)], [35, 90, 35, 90]),

@@ -21,12 +21,7 @@ from truth_network import TruthNetwork
 
 from p2wss import cli
 from p2wss.config import Eval, Reconstruct
-from p2wss.data import files
 from p2wss.data.building import no_mesh
-from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
-from p2wss.data.schemas.manifest import Manifest, Shard, read_manifest
-from p2wss.data.schemas.measures import MEASURES
-from p2wss.data.schemas.reconstructions import RECONSTRUCTIONS, read_reconstructions, reconstruction_columns
 from p2wss.errors import InputError
 from p2wss.eval import (
     baselines,
@@ -44,6 +39,15 @@ from p2wss.eval.recording import write_recording
 from p2wss.nets import predictor as predictor_module
 from p2wss.nets import weights
 from p2wss.reconstruct.flat import lod1
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
+from p2wss.storage.schemas.manifest import Manifest, Shard, read_manifest
+from p2wss.storage.schemas.measures import MEASURES
+from p2wss.storage.schemas.reconstructions import (
+    RECONSTRUCTIONS,
+    read_reconstructions,
+    reconstruction_columns,
+)
 
 ROOFER = Path(__file__).with_name("toy_roofer.py")
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()

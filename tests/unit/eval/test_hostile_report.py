@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from p2wss import cli
-from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 HOSTILE = (

@@ -18,13 +18,13 @@ from scipy.spatial import cKDTree
 
 from p2wss import crops, scenes
 from p2wss.config import Config, Eval, Reconstruct
-from p2wss.data.schemas.crops import CROPS, REAL, SIMULATED
-from p2wss.data.schemas.manifest import Manifest
 from p2wss.errors import InputError
 from p2wss.eval import baselines, cases, measure, roofer, roofer_command, tables
 from p2wss.eval.recording import Recording, write_recording
-from p2wss.metrics.surface import sample_surface
+from p2wss.mesh.surface import sample_surface
 from p2wss.reconstruct.flat import lod1
+from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
+from p2wss.storage.schemas.manifest import Manifest
 
 DATA = SHARED / "data"
 JUDGE = SHARED / "tools" / "evaluate_cityjson.py"

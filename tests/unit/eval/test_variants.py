@@ -19,17 +19,17 @@ from truth_network import TruthNetwork
 
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.schemas.crops import REAL, SIMULATED
-from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
 from p2wss.eval.causes import cause_of_error
 from p2wss.eval.clock import CpuClock
 from p2wss.eval.gallery import Gallery
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.eval.samples import Samples, rows_by_key
-from p2wss.fit.mesh import build_meshes
+from p2wss.fit.mesh.parametric import build_meshes
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+from p2wss.storage.schemas.crops import REAL, SIMULATED
+from p2wss.storage.schemas.measures import MEASURES
 
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Reconstruct()
 

@@ -19,11 +19,11 @@ from all_cases import all_test_cases
 from matplotlib.image import imread
 
 from p2wss.config import Eval, Reconstruct
-from p2wss.data.schemas.measures import MEASURES
 from p2wss.eval import cases, measure
 from p2wss.eval.samples import Samples, rows_by_key
 from p2wss.eval.viewer import MAX_POINTS, Viewer, choices, choose, viewer
 from p2wss.reconstruct.flat import constant, lod1
+from p2wss.storage.schemas.measures import MEASURES
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 NAMES = {"point2wss": "Ours", "lod1": "LoD1 <flat>"}

@@ -14,12 +14,12 @@ import shapely
 from places import ROOT
 from rasterio.transform import from_origin
 
+from p2wss.clouds.reading import read_clouds
 from p2wss.config import Folder
-from p2wss.data import integrity
-from p2wss.data.clouds import read_clouds
 from p2wss.errors import InputError
 from p2wss.fetch import known_height_share, normalise, write_cloud, write_footprints
 from p2wss.fetch.folder import FolderSource, mosaic
+from p2wss.storage import integrity
 
 MINI = ROOT / "tests" / "mini"
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"

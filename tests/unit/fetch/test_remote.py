@@ -15,11 +15,11 @@ from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
 from p2wss.config import Geoplateforme
-from p2wss.data import integrity
 from p2wss.errors import InputError
 from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.fetch.http import Client, RangesUnsupportedError
 from p2wss.fetch.remote_copc import RemoteFile, write_window
+from p2wss.storage import integrity
 
 COPC = SHARED / "data" / "lidarhd_crops" / "77050_627755_LA93_IGN69.copc.laz"
 WINDOW = (770505.0, 6277510.0, 770515.0, 6277520.0)

@@ -11,8 +11,8 @@ from oracle_network import Oracle
 from toy_clouds import LAMBERT, cleaned
 
 from p2wss import reconstruct
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.clouds import Cloud
 from p2wss.reconstruct import pipeline
 
 GROUND_M, ROOF_M = 100.0, 107.0

@@ -9,9 +9,9 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.mesh import build_meshes
-from p2wss.fit.one_height import FittedRoof
-from p2wss.fit.solid import is_closed
+from p2wss.fit.mesh.parametric import build_meshes
+from p2wss.fit.mesh.union import is_closed
+from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof

@@ -17,10 +17,10 @@ from places import SHARED
 from yard_house import YARD_M2, yard_house
 
 from p2wss import skeleton
-from p2wss.data.solids.faces import Surface, planar_surfaces
 from p2wss.errors import InputError
 from p2wss.formats import cityjson, cityjson_read
 from p2wss.formats.cityjson import Solid
+from p2wss.mesh.faces import Surface, planar_surfaces
 from p2wss.skeleton.types import FaceKind, Polygons
 
 DATA = SHARED / "data"

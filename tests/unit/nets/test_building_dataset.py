@@ -10,8 +10,6 @@ import pytest
 import torch
 import toy_crops
 
-from p2wss.data import files
-from p2wss.data.schemas.crops import CROPS
 from p2wss.errors import InputError
 from p2wss.nets import dataset, patch_cache, shards
 from p2wss.nets.batch import UNKNOWN_PATCHES
@@ -19,6 +17,8 @@ from p2wss.nets.dataset import BatchSampler, TrainingLimits
 from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.patches import patch_index
 from p2wss.nets.shards import describe, load_dataset
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
 
 LIMITS = TrainingLimits(min_points=64, max_vertices=8, max_length_m=70)
 

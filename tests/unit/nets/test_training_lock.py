@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from p2wss.data.temporary import Scratch
 from p2wss.errors import InputError
 from p2wss.nets.training_lock import FILE_NAME, training_lock
+from p2wss.storage.temporary import Scratch
 
 HOLDER = """
 import sys, time
@@ -119,7 +119,7 @@ def test_no_file_is_unpickled() -> None:
         )
         # values that a process keeps for itself, in a file without a name that no other process can open
         assert not imports_pickle or path.name == "spool.py", path
-    spool = (ROOT / "src/p2wss/data/spool.py").read_text()
+    spool = (ROOT / "src/p2wss/reconstruct/spool.py").read_text()
     assert re.findall(r"pickle\.load\w*\(.*", spool) == [
         "pickle.loads(self._scratch.read(*place))  # nosec B301"
     ]

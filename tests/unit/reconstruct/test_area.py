@@ -15,12 +15,12 @@ from shapely import affinity
 from toy_clouds import LAMBERT, cleaned
 
 from p2wss import reconstruct
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.cloud_index import CloudIndex
-from p2wss.data.clouds import Cloud
-from p2wss.data.spool import Spool
 from p2wss.reconstruct import area as areas
+from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.measures import party_wall_areas_m2
+from p2wss.reconstruct.spool import Spool
 from p2wss.reconstruct.valid import labelled_mesh
 
 CONFIG = Reconstruct()

@@ -19,9 +19,9 @@ from toy_clouds import LAMBERT
 from yard_house import HOUSE_M2, SLOPE_DEG, YARD_M, YARD_M2, yard_house
 
 from p2wss import reconstruct, skeleton
+from p2wss.clouds.reading import GPS_EPOCH, read_clouds
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.clouds import GPS_EPOCH, read_clouds
 from p2wss.reconstruct import Result, measures
 from p2wss.reconstruct.city import epsg_of
 from p2wss.reconstruct.valid import labelled_mesh

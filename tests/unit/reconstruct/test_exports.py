@@ -18,12 +18,13 @@ import trimesh
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
 from p2wss import reconstruct
+from p2wss.cli import inspection
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
-from p2wss.data import files, inspection
-from p2wss.data.schemas.wedges import WEDGES
 from p2wss.data.terrain import Terrain, check_terrain_crs
 from p2wss.errors import InputError
 from p2wss.reconstruct import block_skins, exports
+from p2wss.storage import files
+from p2wss.storage.schemas.wedges import WEDGES
 
 X, Y = 652000.0, 6861000.0
 EVERYTHING = Reconstruct(outputs=list(OUTPUT_SUFFIXES), per_building=True)

@@ -12,8 +12,8 @@ from shapely import affinity
 from toy_clouds import LAMBERT, cleaned
 
 from p2wss import reconstruct
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.clouds import Cloud
 from p2wss.nets.predictor import Predictor, load_predictor
 
 NUM_BUILDINGS = 68

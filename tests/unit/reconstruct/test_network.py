@@ -15,7 +15,7 @@ from oracle_network import Oracle
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
-from p2wss.fit.mesh import kernel_angles, simplify_exterior, transfer_angles
+from p2wss.fit.mesh.parametric import kernel_angles, simplify_exterior, transfer_angles
 from p2wss.reconstruct.flat import flat_height_m, lod1, with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
 

@@ -18,8 +18,8 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
 
 from p2wss import reconstruct, scenes
+from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Reconstruct
-from p2wss.data.clouds import Cloud, read_clouds
 from p2wss.errors import InputError
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb

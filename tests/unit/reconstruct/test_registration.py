@@ -12,8 +12,8 @@ from shapely import affinity
 from toy_clouds import LAMBERT
 
 from p2wss import reconstruct
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.clouds import Cloud
 from p2wss.reconstruct import registration
 from p2wss.reconstruct.registration import COLUMN, NEIGHBOURS, NOTHING, block_shifts, decide, register
 from p2wss.reconstruct.registration_blocks import find_blocks

@@ -10,9 +10,10 @@ from skin_solids import assert_closed, smallest_angles_deg, united, volume
 from test_skin_terrain import together
 
 from p2wss import reconstruct
+from p2wss.clouds import reading as clouds
 from p2wss.config import Config, Reconstruct
-from p2wss.data import clouds, footprints
 from p2wss.data.terrain import Terrain
+from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct import block_skins, exports, terrain_mesh
 from p2wss.reconstruct.skin import Solid, skins
 from p2wss.skeleton.types import FaceKind

@@ -9,8 +9,8 @@ import shapely
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
 from p2wss import reconstruct
+from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.data.clouds import Cloud
 from p2wss.data.terrain import Terrain
 from p2wss.reconstruct.exports import with_columns
 

@@ -12,8 +12,8 @@ from p2wss import skeleton
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
-from p2wss.data.solids.repair import surfaces_to_write
 from p2wss.fit import fitting
+from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruct import valid
 from p2wss.reconstruct.product import reconstruct_buildings
 from p2wss.reconstruct.valid import labelled_mesh, simpler_fits, with_valid_solids

@@ -11,8 +11,8 @@ from numba.core.registry import CPUDispatcher
 
 import p2wss.fit
 from p2wss import reconstruct
+from p2wss.clouds import cropping
 from p2wss.config import Reconstruct
-from p2wss.data import cropping
 from p2wss.reconstruct import warm_up
 
 # called from Python by tests only
@@ -21,7 +21,7 @@ NOT_CALLED = {"inherited_angles", "clearance_m"}
 
 def entries() -> Iterator[CPUDispatcher]:
     """The compiled functions of the fit and of the cropping that Python calls."""
-    names = [f"p2wss.fit.{module.name}" for module in pkgutil.iter_modules(p2wss.fit.__path__)]
+    names = [module.name for module in pkgutil.walk_packages(p2wss.fit.__path__, "p2wss.fit.")]
     for module in (*map(importlib.import_module, names), cropping):
         for function in vars(module).values():
             if isinstance(function, CPUDispatcher) and function.py_func.__module__ == module.__name__:

@@ -5,7 +5,7 @@ import pytest
 from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from skeleton_solids import crosses_itself, judged_sound, volumes
 
-from p2wss.data.solids.faces import planar_surfaces
+from p2wss.mesh.faces import planar_surfaces
 from p2wss.skeleton import FaceKind, build, clean, roof_points
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss.data.solids.faces import planar_surfaces
 from p2wss.formats.meshes import Mesh
+from p2wss.mesh.faces import planar_surfaces
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.noding import Edge, ring_edges, split_edges
 from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, groups, tidy

@@ -11,8 +11,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from p2wss.data.solids.faces import planar_surfaces
-from p2wss.metrics.planarity import face_of_triangle
+from p2wss.mesh.faces import planar_surfaces
+from p2wss.mesh.planarity import face_of_triangle
 from p2wss.skeleton.types import FaceKind
 
 # points this near, and points this near to a wall's line, are one place

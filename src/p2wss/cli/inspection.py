@@ -1,0 +1,352 @@
+"""Describe the contents of files: those that p2wss writes, and those of IGN that it reads."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from p2wss.errors import InputError, reading
+from p2wss.storage import files, integrity
+from p2wss.storage.schemas.manifest import to_manifest
+
+Facts = dict[str, Any]
+_CHUNK_POINTS = 2_000_000
+
+
+INTACT = "intact"
+
+
+def check(path: Path) -> Facts:
+    """Verify a file: its name, and as ``checksum`` :data:`INTACT` or a description of the problem.
+
+    Of a manifest, the shards that it lists are checked too, and of the summary of a reconstruction the files that were
+    delivered with it.
+    """
+    try:
+        intact = integrity.is_intact(path)
+        if intact is False:
+            result = f"damaged or changed; {integrity.remedy(path)}"
+        elif intact is None:
+            result = "none stated: not a file of p2wss, or one of a version before checksums"
+        else:
+            result = INTACT
+            content = files.read_json(path) if path.suffix == ".json" else None
+            if isinstance(content, dict) and content.get("shards"):
+                for shard in to_manifest(content, path).shards:
+                    shard.verified()
+            elif isinstance(content, dict) and isinstance(content.get("sha256"), dict):
+                result = _check_listed(path.parent, content["sha256"])
+    except OSError as error:
+        result = f"not readable: {error.strerror or error}"
+    except InputError as error:
+        result = str(error)
+    return {"file": str(path), "checksum": result}
+
+
+def _check_listed(folder: Path, sums: dict[str, str]) -> str:
+    """:data:`INTACT`, or which of the files with these SHA-256 are not what was written."""
+    wrong = []
+    for name, stated in sums.items():
+        try:
+            if files.sha256(folder / name) != stated:
+                wrong.append(f"{name}: damaged or changed")
+        except OSError as error:
+            wrong.append(f"{name}: not readable: {error.strerror or error}")
+    return "; ".join(wrong) or INTACT
+
+
+def describe(path: Path) -> Facts:
+    """Facts about a file by name, the most important first. ``provenance`` is the metadata that p2wss stored.
+
+    Raises :class:`InputError` if the file is missing, broken or of an unknown type.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    name = path.name.lower()
+    reader = next((read for suffixes, read in _READERS if name.endswith(suffixes)), None)
+    if reader is None:
+        known = ", ".join(suffix for suffixes, _ in _READERS for suffix in suffixes)
+        raise InputError(f"{path}: unknown type of file; the known types are {known}")
+    with reading(path, f"readable as {Path(name).suffix}, or truncated"):
+        facts = {"file": str(path), "num_bytes": path.stat().st_size, **reader(path)}
+    return facts | {"checksum": check(path)["checksum"]}
+
+
+def text(facts: Facts, indent: str = "") -> str:
+    """Facts as indented lines of text."""
+    lines = []
+    for name, value in facts.items():
+        if isinstance(value, dict) and value:
+            lines += [f"{indent}{name}:", text(value, indent + "  ")]
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            lines += [f"{indent}{name}:", *(text({"-": item}, indent + "  ") for item in value)]
+        else:
+            lines.append(f"{indent}{name}: {_plain(value)}")
+    return "\n".join(lines)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.10g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_plain, value))
+    return "-" if value is None or value == {} else str(value)
+
+
+def _provenance(stored: str | bytes | None) -> Facts:
+    """The metadata that p2wss stored, with the config as nested sections instead of one line of JSON."""
+    if not stored:
+        return {}
+    facts = json.loads(stored)
+    if isinstance(facts.get("config"), str):
+        facts["config"] = json.loads(facts["config"])
+    return {"provenance": facts}
+
+
+def _crs(crs: Any) -> str | None:
+    if crs is None:
+        return None
+    import pyproj
+
+    parsed = pyproj.CRS.from_user_input(crs)
+    code = parsed.to_authority(min_confidence=70)
+    return f"{parsed.name} ({':'.join(code)})" if code else parsed.name
+
+
+def _parquet(path: Path) -> Facts:
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    file = pq.ParquetFile(path)
+    schema, metadata = file.schema_arrow, file.metadata.metadata or {}
+    facts: Facts = {"kind": "Parquet", "num_rows": file.metadata.num_rows}
+    if b"geo" in metadata:
+        geo = json.loads(metadata[b"geo"])
+        column = geo["columns"][geo["primary_column"]]
+        facts |= {
+            "kind": "GeoParquet",
+            "crs": _crs(column.get("crs", "OGC:CRS84")),
+            "bounds": column.get("bbox"),
+        }
+        facts["geometry types"] = column.get("geometry_types")
+    for name in ("status", "split", "method", "roof_type"):
+        if name in schema.names:
+            counts = pc.value_counts(pq.read_table(path, columns=[name])[name]).to_pylist()
+            facts[f"rows by {name}"] = {str(row["values"]): row["counts"] for row in counts}
+    facts["columns"] = {
+        field.name: f"{field.type}{'' if field.nullable else ' not null'}"
+        + (f"  {field.metadata[b'about'].decode()}" if field.metadata and b"about" in field.metadata else "")
+        for field in schema
+    }
+    return facts | _provenance(metadata.get(b"p2wss"))
+
+
+def _vector(path: Path) -> Facts:
+    import pyogrio
+
+    layers: list[Facts] = []
+    dataset: Facts = {}
+    for name in pyogrio.list_layers(path)[:, 0]:
+        info = pyogrio.read_info(path, layer=name, force_feature_count=True, force_total_bounds=True)
+        metadata = info["layer_metadata"] or {}
+        dataset = info["dataset_metadata"] or {}
+        bounds = info["total_bounds"]
+        layers.append(
+            {
+                "layer": str(name),
+                "num_features": info["features"],
+                "crs": _crs(info["crs"]),
+                "bounds": [float(value) for value in bounds] if bounds is not None else None,
+                "geometry type": info["geometry_type"],
+                "columns": dict(zip(info["fields"].tolist(), info["dtypes"].tolist(), strict=True)),
+                **_provenance(metadata.get("p2wss")),
+            }
+        )
+    return {"kind": f"vector, {pyogrio.read_info(path)['driver']}", "layers": layers} | _provenance(
+        dataset.get("p2wss")
+    )
+
+
+def _raster(path: Path) -> Facts:
+    import rasterio
+
+    from p2wss.data.terrain import check_size
+
+    with rasterio.open(path) as raster:
+        check_size(raster, path)
+        heights = raster.read(1, masked=True)
+        values = heights.compressed()
+        values = values[np.isfinite(values)]
+        facts: Facts = {
+            "kind": f"raster, {raster.driver}",
+            "crs": _crs(raster.crs),
+            "bounds": list(raster.bounds),
+            "num_columns": raster.width,
+            "num_rows": raster.height,
+            "cell_m": [raster.transform.a, -raster.transform.e],
+            "type": raster.dtypes[0],
+            "nodata": raster.nodata,
+            "share of cells with data": round(len(values) / heights.size, 6),
+        }
+        if len(values):
+            facts["heights"] = {
+                "lowest": float(values.min()),
+                "median": float(np.median(values)),
+                "highest": float(values.max()),
+            }
+        return facts | _provenance(raster.tags().get("p2wss"))
+
+
+def _cloud(path: Path) -> Facts:
+    import laspy
+
+    from p2wss.clouds.las_files import check_header
+
+    check_header(path)
+    with laspy.open(path) as reader:
+        header = reader.header
+        classes: Counter[int] = Counter()
+        withheld, cells = 0, set()
+        for points in reader.chunk_iterator(_CHUNK_POINTS):
+            values, counts = np.unique(np.asarray(points.classification), return_counts=True)
+            classes.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
+            withheld += int(np.asarray(points.withheld).sum())
+            column = np.floor(np.asarray(points.x)).astype(np.int64)
+            row = np.floor(np.asarray(points.y)).astype(np.int64)
+            cells |= set(np.unique(column * 10_000_000 + row).tolist())
+    if classes.total() != header.point_count:
+        raise InputError(f"{path}: truncated: {classes.total()} of {header.point_count} points")
+    is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
+    return {
+        "kind": "point cloud, COPC" if is_copc else f"point cloud, {path.suffix[1:].upper()}",
+        "version": f"LAS {header.version}, point format {header.point_format.id}",
+        "crs": _crs(header.parse_crs()),
+        "bounds": [*header.mins[:2].tolist(), *header.maxs[:2].tolist()],
+        "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
+        "num_points": header.point_count,
+        "points per m2 in cells with points": round(header.point_count / len(cells), 2) if cells else None,
+        "num_points by class": dict(sorted(classes.items())),
+        "num_withheld": withheld,
+        "scale": header.scales.tolist(),
+        "extra dimensions": list(header.point_format.extra_dimension_names),
+        "software": f"{header.system_identifier} / {header.generating_software}".strip(" /\0"),
+    }
+
+
+def _weights(path: Path) -> Facts:
+    with path.open("rb") as file:
+        (size,) = struct.unpack("<Q", file.read(8))
+        header = json.loads(file.read(size))
+    metadata = header.pop("__metadata__", {})
+    parameters = sum(int(np.prod(tensor["shape"])) for tensor in header.values())
+    end = 8 + size + max((tensor["data_offsets"][1] for tensor in header.values()), default=0)
+    if end != path.stat().st_size:
+        raise InputError(f"{path}: truncated: {path.stat().st_size} of {end} bytes")
+    types = Counter(tensor["dtype"] for tensor in header.values())
+    return {
+        "kind": "weights, safetensors",
+        "num_tensors": len(header),
+        "num_parameters": parameters,
+        "types": dict(types),
+        **_provenance(metadata.get("p2wss")),
+    }
+
+
+def _json(path: Path) -> Facts:
+    document = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(document, dict):
+        return {"kind": "JSON, a list", "num_items": len(document) if isinstance(document, list) else 1}
+    if document.get("type") == "CityJSON":
+        return {"kind": "CityJSON", **_city([document])}
+    if document.get("type") == "FeatureCollection":
+        return _vector(path)
+    document.pop("checksum", None)
+    stored = document.pop("p2wss", None) or {
+        name: document.pop(name) for name in ("version", "code", "config") if name in document
+    }
+    facts: Facts = {"kind": "JSON"}
+    for name, value in document.items():
+        facts[name] = f"{len(value)} entries" if isinstance(value, list) and len(value) > 8 else value
+    return facts | _provenance(json.dumps(stored) if stored else None)
+
+
+def _json_lines(path: Path) -> Facts:
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    lines = [line for line in lines if list(line) != ["checksum"]]
+    if lines and lines[0].get("type") == "CityJSON":
+        return {"kind": "CityJSON text sequence", **_city(lines)}
+    return {"kind": "JSON lines", "num_lines": len(lines), "first": lines[:1], "last": lines[-1:]}
+
+
+def _city(parts: list[Facts]) -> Facts:
+    metadata = parts[0].get("metadata", {})
+    city_objects = [item for part in parts for item in part.get("CityObjects", {}).values()]
+    geometry = [shape for item in city_objects for shape in item.get("geometry", [])]
+    stored = parts[0].get("+p2wss") or metadata.get("p2wss")
+    return {
+        "version": parts[0].get("version"),
+        "crs": _crs(
+            metadata["referenceSystem"].split("/")[-3] + ":" + metadata["referenceSystem"].split("/")[-1]
+        )
+        if "referenceSystem" in metadata
+        else None,
+        "bounds": metadata.get("geographicalExtent"),
+        "num_features": len(parts) - 1 or None,
+        "objects by type": dict(Counter(item["type"] for item in city_objects)),
+        "geometries by level of detail": dict(
+            Counter(f"{shape['type']} LoD{shape.get('lod')}" for shape in geometry)
+        ),
+        **_provenance(json.dumps(stored) if stored else None),
+    }
+
+
+def _glb(path: Path) -> Facts:
+    with path.open("rb") as file:
+        magic, version, total = struct.unpack("<4sII", file.read(12))
+        if magic != b"glTF" or total != path.stat().st_size:
+            raise InputError(f"{path}: not a glTF file, or truncated")
+        (size, _) = struct.unpack("<I4s", file.read(8))
+        document = json.loads(file.read(size))
+    stored = document.get("asset", {}).get("extras", {}).get("p2wss")
+    return {
+        "kind": f"glTF {version}, binary",
+        "num_nodes": len(document.get("nodes", [])),
+        "num_meshes": len(document.get("meshes", [])),
+        **_provenance(json.dumps(stored) if stored else None),
+    }
+
+
+def _archive(path: Path) -> Facts:
+    from p2wss.fetch.archives import members
+
+    names = members(path)
+    return {"kind": "7z archive", "num_files": len(names), "files": names[:20]}
+
+
+def _table(path: Path) -> Facts:
+    import pandas as pd
+
+    table = pd.read_csv(
+        path, sep="\t" if path.suffix == ".tsv" else ",", comment="#" if path.suffix == ".tsv" else None
+    )
+    return {"kind": "table", "num_rows": len(table), "columns": list(table.columns)}
+
+
+_READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
+    ((".parquet",), _parquet),
+    ((".gpkg", ".shp", ".geojson", ".fgb"), _vector),
+    ((".tif", ".tiff", ".asc", ".vrt"), _raster),
+    ((".laz", ".las"), _cloud),
+    ((".safetensors",), _weights),
+    ((".jsonl",), _json_lines),
+    ((".json",), _json),
+    ((".glb",), _glb),
+    ((".7z", ".7z.001"), _archive),
+    ((".csv", ".tsv"), _table),
+]

@@ -1,0 +1,1 @@
+"""Point clouds: reading, classes, the points of each building, and the ground under it."""

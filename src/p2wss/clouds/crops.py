@@ -1,0 +1,102 @@
+"""Crop the points of each building from a cloud, and estimate the ground at it, from which heights are measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2wss.clouds.cropping import crop_points, ring_medians
+from p2wss.clouds.las_classes import GROUND_CLASS
+from p2wss.clouds.reading import Cloud
+from p2wss.data import polygon_arrays
+from p2wss.skeleton.types import Polygons
+
+# distances from the footprint within which ground points are searched, the next one if there are too few
+GROUND_RINGS_M = (1.0, 4.0, 16.0, 64.0)
+_MIN_GROUND_POINTS = 5
+_LOW_PERCENTILE = 5.0
+# quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
+_FOOT_QUANTILE = 0.02
+
+
+@dataclass(frozen=True)
+class CloudCrops:
+    """The points of a cloud on or near each of n polygons: polygon p has the pairs ``offset[p]:offset[p + 1]``.
+
+    point: int32 (num_pairs,), index into the cloud. inside: bool (num_pairs,), false for points in the buffer around
+    the footprint. ground_z_m: float64 (n,), z of the ground at the building (:func:`ground_height`). If the cloud
+    has no ground there, it is the 2 % quantile of the heights of the building's points; NaN only without points.
+    """
+
+    point: np.ndarray
+    inside: np.ndarray
+    offset: np.ndarray
+    ground_z_m: np.ndarray
+
+    def of(self, polygon: int) -> np.ndarray:
+        """Indices of the points of one polygon."""
+        return self.point[self.offset[polygon] : self.offset[polygon + 1]]
+
+
+def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> CloudCrops:
+    """The points of ``cloud`` inside or within ``buffer_m`` of each polygon. polygons: in the CRS of the cloud."""
+    point, inside, offset = crop_points(cloud.x_m, cloud.y_m, polygons, buffer_m)
+    first_ring = (point, inside, offset) if buffer_m == GROUND_RINGS_M[0] else None
+    ground_z_m = ground_height(cloud, polygons, first_ring)
+    for p in np.flatnonzero(np.isnan(ground_z_m) & (np.diff(offset) > 0)):
+        ground_z_m[p] = np.quantile(cloud.z_m[point[offset[p] : offset[p + 1]]], _FOOT_QUANTILE)
+    return CloudCrops(point, inside, offset, ground_z_m)
+
+
+def ground_height(
+    cloud: Cloud, polygons: Polygons, first_ring: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+) -> np.ndarray:
+    """z of the ground around each polygon, float64 (num_polygons,); NaN if the cloud has no ground there.
+
+    It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it; if these are
+    fewer than five, at most 4, 16 or 64 m away (where one is enough). Without class 2 that near, it is the 5 %
+    percentile of all the points in the first of these rings that has as many. first_ring: the result of
+    :func:`crop_points` for 1 m, if it is at hand.
+    """
+    is_ground = cloud.classification == GROUND_CLASS
+    result = np.full(len(polygons), np.nan)
+    pending = np.flatnonzero(np.diff(polygons.vertex_offset) > 0)
+    if is_ground.any():
+        pending = _fill_from_rings(result, pending, cloud, polygons, is_ground, first_ring)
+    # decided for each building, because the points that are read depend on the other buildings of a run
+    _fill_from_rings(result, pending, cloud, polygons, None, first_ring)
+    return result
+
+
+def _fill_from_rings(
+    result: np.ndarray,
+    pending: np.ndarray,
+    cloud: Cloud,
+    polygons: Polygons,
+    is_ground: np.ndarray | None,
+    first_ring: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
+) -> np.ndarray:
+    """Fill the ground of the polygons ``pending`` into ``result``, and return those that have no points either.
+
+    is_ground: bool (num_points,), the points whose median it is; None for the low percentile of all points.
+    """
+    for distance_m in GROUND_RINGS_M:
+        if not len(pending):
+            break
+        if first_ring is not None and distance_m == GROUND_RINGS_M[0] and len(pending) == len(polygons):
+            point, inside, offset = first_ring
+        else:
+            point, inside, offset = crop_points(
+                cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, pending), distance_m, is_ground
+            )
+        among = np.ones(len(cloud), bool) if is_ground is None else is_ground
+        counts, height_m = ring_medians(cloud.z_m, among, point, inside, offset)
+        is_enough = counts >= (1 if distance_m == GROUND_RINGS_M[-1] else _MIN_GROUND_POINTS)
+        if is_ground is None:
+            for p in np.flatnonzero(is_enough):
+                pairs = slice(offset[p], offset[p + 1])
+                height_m[p] = np.percentile(cloud.z_m[point[pairs][~inside[pairs]]], _LOW_PERCENTILE)
+        result[pending[is_enough]] = height_m[is_enough]
+        pending = pending[~is_enough]
+    return pending

@@ -1,0 +1,97 @@
+"""Open LAS, LAZ and COPC files after checking their headers, so that none uses unbounded time or memory."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import laspy
+
+from p2wss.errors import reading
+from p2wss.storage import integrity
+
+# the phrase of messages
+KIND = "a readable LAS, LAZ or COPC file, or truncated"
+_SIGNATURE = b"LASF"
+_MIN_HEADER, _HEADER_1_4 = 227, 375
+_VLR_HEADER, _EVLR_HEADER = 54, 60
+# of LAZ, ASPRS' registered user id and record id
+_LASZIP = (b"laszip encoded", 22204)
+# of points that are decoded together
+_MAX_CHUNK_POINTS = 50_000_000
+
+
+@contextmanager
+def open_cloud(path: str | Path, kind: str = KIND, **options: Any) -> Iterator[laspy.LasReader]:
+    """``laspy.open`` for reading. Any error of the block is raised as an :class:`InputError` that names ``path`` as no
+    ``kind``; that of a damaged file says what makes it again."""
+    integrity.verify(path)
+    with reading(path, kind):
+        check_header(path)
+        with laspy.open(path, **options) as reader:
+            yield reader
+
+
+def check_header(path: str | Path) -> None:
+    """Raise ValueError for a header whose counts and offsets do not fit into the file (LAS specification 1.4-R15)."""
+    size = Path(path).stat().st_size
+    with open(path, "rb") as file:
+        head = file.read(_HEADER_1_4)
+        if len(head) < _MIN_HEADER or head[:4] != _SIGNATURE:
+            raise ValueError("it does not begin as one")
+        header_size, points_at, num_vlrs, point_format, record_size, num_points = struct.unpack_from(
+            "<HIIBHI", head, 94
+        )
+        if not header_size + _VLR_HEADER * num_vlrs <= points_at <= size:
+            raise ValueError(
+                f"its header states {num_vlrs} variable length records, which do not fit into the file"
+            )
+        if head[25] >= 4 and len(head) == _HEADER_1_4:
+            evlrs_at, num_evlrs, num_points = struct.unpack_from("<QIQ", head, 235)
+            if num_evlrs and evlrs_at + _EVLR_HEADER * num_evlrs > size:
+                raise ValueError(
+                    f"its header states {num_evlrs} extended records, which do not fit into the file"
+                )
+        if not point_format & 0x80:
+            if points_at + num_points * record_size > size:
+                raise ValueError(f"its header states {num_points} points, which do not fit into the file")
+        elif num_points:
+            _check_chunks(file, header_size, num_vlrs, points_at, size)
+
+
+def _check_chunks(file: BinaryIO, header_size: int, num_vlrs: int, points_at: int, size: int) -> None:
+    """The same for the chunks of compressed points (LAZ specification 1.4)."""
+    file.seek(header_size)
+    for _ in range(num_vlrs):
+        record = file.read(_VLR_HEADER)
+        if len(record) < _VLR_HEADER:
+            raise ValueError("its variable length records end too early")
+        user, number, length = struct.unpack_from("<16sHH", record, 2)
+        content = file.read(length)
+        if (user.rstrip(b"\0"), number) == _LASZIP and len(content) >= 16:
+            compressor, chunk_points = struct.unpack_from("<H10xI", content)
+            if chunk_points != 0xFFFFFFFF and not 0 < chunk_points <= _MAX_CHUNK_POINTS:
+                raise ValueError(f"it states chunks of {chunk_points} points")
+            if compressor not in (2, 3):
+                raise ValueError(f"it has compressor {compressor}")
+    file.seek(points_at)
+    (table_at,) = struct.unpack("<q", _exactly(file, 8))
+    if table_at == -1:  # written to a stream: at the end
+        file.seek(size - 8)
+        (table_at,) = struct.unpack("<q", _exactly(file, 8))
+    if not points_at < table_at <= size - 8:
+        raise ValueError("its chunk table is not within the file")
+    file.seek(table_at + 4)
+    (num_chunks,) = struct.unpack("<I", _exactly(file, 4))
+    if num_chunks > size - points_at:
+        raise ValueError(f"it states {num_chunks} chunks, which do not fit into the file")
+
+
+def _exactly(file: BinaryIO, count: int) -> bytes:
+    content = file.read(count)
+    if len(content) < count:
+        raise ValueError("it is truncated")
+    return content

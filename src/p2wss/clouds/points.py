@@ -1,0 +1,61 @@
+"""The points on a building: one definition for crops of real LiDAR, fit, flat roofs, residuals and measures.
+
+Crops of simulated scans do not need it, because there each point has the label of its face.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+
+from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, WATER_CLASS
+
+# with fewer points of class building, the classifier has missed the building
+MIN_CLASSIFIED_POINTS = 10
+# lower points on a building that the classifier has missed may be a car, a hedge or rough ground
+MIN_HEIGHT_M = 2.0
+_NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
+
+
+def points_on_building(
+    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
+) -> np.ndarray:
+    """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,).
+
+    These are the points of class building inside the polygon. If there are fewer than ten, they are all points
+    inside that are neither ground, noise nor water and at least 2 m above ``ground_z_m`` (if there are any). Points
+    outside the footprint never count: in a row of houses they belong to the neighbours.
+    """
+    if not len(point_m):
+        return np.zeros(0, bool)
+    inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
+    offset = np.array([0, len(point_m)])
+    return points_on_buildings(inside, classification, point_m[:, 2] - ground_z_m, offset)
+
+
+def points_on_buildings(
+    inside: np.ndarray, classification: np.ndarray, height_m: np.ndarray, offset: np.ndarray
+) -> np.ndarray:
+    """As :func:`points_on_building`, for many buildings at once: bool (num_points,).
+
+    inside: bool (num_points,), whether a point is inside the footprint. height_m: float64 (num_points,), above the
+    ground at the building. offset: building b has the points ``offset[b]:offset[b + 1]``.
+    """
+    counts = np.diff(offset)
+    building = np.repeat(np.arange(len(counts)), counts)
+    is_classified = inside & (classification == BUILDING_CLASS)
+    is_missed = np.bincount(building[is_classified], minlength=len(counts)) < MIN_CLASSIFIED_POINTS
+    if not is_missed.any():
+        return is_classified
+    is_high = inside & ~np.isin(classification, _NEVER_ON_A_BUILDING) & (height_m >= MIN_HEIGHT_M)
+    is_missed &= np.bincount(building[is_high], minlength=len(counts)) > 0
+    return np.where(is_missed[building], is_high, is_classified)
+
+
+def on_millimetres(xyz_m: np.ndarray, origin_xy_m: np.ndarray) -> np.ndarray:
+    """Points (n, 3) with x and y relative to an origin of whole metres, on a grid of millimetres.
+
+    A point in whole centimetres is then bit-identical to the same point of a crop, which stores centimetres;
+    without the grid, its coordinates would depend on the rounding of large numbers.
+    """
+    return np.rint(1000 * (xyz_m - [*origin_xy_m, 0.0])) / 1000

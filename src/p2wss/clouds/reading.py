@@ -1,0 +1,298 @@
+"""Read point clouds from LAS, LAZ and COPC files, by window and without noise; their headers; compare CRSs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date
+from itertools import pairwise
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyproj
+
+from p2wss.clouds.las_classes import LAS, ClassSet
+from p2wss.clouds.las_files import KIND, open_cloud
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError, reading
+
+# days of points count from here
+GPS_EPOCH = date(1980, 1, 6)
+_SUFFIXES = (".las", ".laz")
+_SIGNATURE = b"LASF"
+# headers may state bounds that are rounded
+_HEADER_MARGIN_M = 1.0
+_CHUNK_POINTS = 500_000
+# a window that covers more of a COPC file is not worth a query: all points are decoded
+_MAX_WINDOW_SHARE = 0.5
+_WEEK_S, _DAY_S = 604_800, 86_400
+_GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points in a projected CRS.
+
+    x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. strip: the
+    flight line (point source ID), uint16 (n,), None if unknown. day: on which the point was recorded or, if its time
+    does not state it, its file was created: uint16 (n,), days since :data:`GPS_EPOCH`, 0 or None if unknown.
+    """
+
+    x_m: np.ndarray
+    y_m: np.ndarray
+    z_m: np.ndarray
+    classification: np.ndarray
+    crs: pyproj.CRS | None
+    strip: np.ndarray | None = None
+    day: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.x_m)
+
+
+@dataclass(frozen=True)
+class CloudHeader:
+    """What the header of a file states. bounds: None where it states none."""
+
+    path: Path
+    num_points: int
+    crs: pyproj.CRS | None
+    bounds: Bounds | None
+
+    def overlaps(self, bounds: Bounds) -> bool:
+        """Whether points may be within ``bounds``."""
+        if self.bounds is None:
+            return True
+        x_min, y_min, x_max, y_max = self.bounds
+        margin_m = _HEADER_MARGIN_M
+        return (
+            x_min - margin_m <= bounds[2]
+            and x_max + margin_m >= bounds[0]
+            and y_min - margin_m <= bounds[3]
+            and y_max + margin_m >= bounds[1]
+        )
+
+
+def list_clouds(paths: Sequence[Path]) -> list[Path]:
+    """The files, with the LAS and LAZ files of a folder in its place, in the order of their names.
+
+    Raises :class:`InputError` if a file is missing or not LAS, LAZ or COPC, or if a folder has no such file.
+    """
+    result: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            of_folder = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES)
+            if not of_folder:
+                raise InputError(f"{path}: has no LAS or LAZ file")
+            result += of_folder
+        else:
+            result.append(path)
+    for path in result:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file")
+        with path.open("rb") as file:
+            if file.read(len(_SIGNATURE)) != _SIGNATURE:
+                raise InputError(f"{path}: not a LAS, LAZ or COPC file")
+    return result
+
+
+def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
+    """The headers of all files. Raises :class:`InputError` if a file is broken, or if two have different CRSs."""
+    headers: list[CloudHeader] = []
+    for path in paths:
+        with open_cloud(path) as reader:
+            header = reader.header
+            crs = header.parse_crs()
+        (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
+        bounds = (float(x_min), float(y_min), float(x_max), float(y_max))
+        has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
+        headers.append(CloudHeader(path, int(header.point_count), crs, bounds if has_bounds else None))
+    common_header(headers)
+    return headers
+
+
+def common_header(headers: Sequence[CloudHeader]) -> CloudHeader | None:
+    """The first header that states a CRS. Raises :class:`InputError` if another header states another CRS."""
+    first = None
+    for header in headers:
+        if header.crs is None:
+            continue
+        first = first or header
+        if first.crs is not None and not same_crs(first.crs, header.crs):
+            raise InputError(
+                f"{header.path}: is in {header.crs.name}, but {first.path} is in {first.crs.name}; "
+                "reproject one of them"
+            )
+    return first
+
+
+def read_clouds(
+    paths: Sequence[str | Path],
+    bounds: Bounds | None = None,
+    classes: ClassSet = LAS,
+) -> Cloud:
+    """The points of all files, in order, without noise (classes 7 and 18), withheld points and those that ``classes``
+    ignores; their classes become those of LAS.
+
+    bounds: (x_min, y_min, x_max, y_max) of the points to keep, edges included. COPC files are read by window, all
+    points of other files are decoded.
+
+    Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
+    """
+    parts = list(_parts(paths, bounds, classes, None))
+    return Cloud(
+        np.concatenate([np.zeros(0), *(part.x_m for part in parts)]),
+        np.concatenate([np.zeros(0), *(part.y_m for part in parts)]),
+        np.concatenate([np.zeros(0), *(part.z_m for part in parts)]),
+        np.concatenate([np.zeros(0, np.uint8), *(part.classification for part in parts)]),
+        parts[-1].crs if parts else None,
+        np.concatenate([np.zeros(0, np.uint16), *(part.strip for part in parts if part.strip is not None)]),
+        np.concatenate([np.zeros(0, np.uint16), *(part.day for part in parts if part.day is not None)]),
+    )
+
+
+def read_in_chunks(
+    paths: Sequence[str | Path], bounds: Bounds | None = None, classes: ClassSet = LAS
+) -> Iterator[Cloud]:
+    """The points of :func:`read_clouds`, about half a million at a time; those of COPC files in another order.
+
+    The CRS of a chunk is the first that is known.
+    """
+    return _parts(paths, bounds, classes, _CHUNK_POINTS)
+
+
+def _parts(
+    paths: Sequence[str | Path], bounds: Bounds | None, classes: ClassSet, max_points: int | None
+) -> Iterator[Cloud]:
+    crs: pyproj.CRS | None = None
+    crs_path: str | Path = ""
+    for path in paths:
+        if not Path(path).is_file():
+            raise InputError(f"{path}: no such file")
+        with reading(path, KIND):
+            for header, points in _chunks(path, bounds, max_points):
+                file_crs = header.parse_crs()
+                if file_crs is not None:
+                    if crs is not None and not same_crs(crs, file_crs):
+                        raise InputError(
+                            f"{path}: is in {file_crs.name}, but {crs_path} is in {crs.name}; "
+                            "reproject one of them"
+                        )
+                    crs, crs_path = crs or file_crs, crs_path or path
+                x_m, y_m, z_m, classification, strip, day = _filter(points, bounds, header, classes)
+                yield Cloud(x_m, y_m, z_m, classification, crs, strip, day)
+
+
+def _chunks(
+    path: str | Path, bounds: Bounds | None, max_points: int | None
+) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
+    """The points of a file, piece by piece. max_points: about as many at a time from a window of a COPC file; None for
+    all of them at once, in the order of its nodes."""
+    with open_cloud(path) as reader:
+        header = reader.header
+        is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
+        share = 1.0 if bounds is None else _share_of_file(header, bounds)
+        if bounds is None or not is_copc or (max_points is not None and share > _MAX_WINDOW_SHARE):
+            num_read = 0
+            for points in reader.chunk_iterator(_CHUNK_POINTS):
+                num_read += len(points)
+                yield header, points
+            if num_read != header.point_count:
+                raise EOFError(f"{num_read} of {header.point_count} points")
+            if num_read == 0:
+                yield header, laspy.ScaleAwarePointRecord.zeros(0, header=header)
+            return
+    count = 1 if max_points is None else math.ceil(math.sqrt(share * header.point_count / max_points))
+    with laspy.CopcReader.open(path) as reader:
+        for window in _windows(bounds, max(count, 1)):
+            # queries round their bounds to whole units of coordinates
+            unit = np.asarray(reader.header.scales[:2])
+            mins, maxs = np.array(window[:2]) - unit, np.array(window[2:]) + unit
+            points = reader.query(bounds=laspy.copc.Bounds(mins=mins, maxs=maxs))
+            # laspy silently returns no points for chunks beyond the end of a truncated file
+            info, size = reader.copc_info, Path(path).stat().st_size
+            ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
+            end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
+            if end > size:
+                raise EOFError(f"{size} of {end} bytes")
+            # a point on the border of two windows is one of the lower window
+            x, y = np.asarray(points.x), np.asarray(points.y)
+            mask = ((x > window[0]) | (window[0] == bounds[0])) & (x <= window[2])
+            mask &= ((y > window[1]) | (window[1] == bounds[1])) & (y <= window[3])
+            yield reader.header, points if mask.all() else points[mask]
+
+
+def _share_of_file(header: laspy.LasHeader, bounds: Bounds) -> float:
+    """The share of a file's area that is in a window; 1 where the header does not state the area."""
+    (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
+    area = float((x_max - x_min) * (y_max - y_min))
+    width, height = (
+        min(bounds[2], x_max) - max(bounds[0], x_min),
+        min(bounds[3], y_max) - max(bounds[1], y_min),
+    )
+    return float(max(width, 0) * max(height, 0)) / area if area > 0 else 1.0
+
+
+def _windows(bounds: Bounds, count: int) -> Iterator[Bounds]:
+    """A window in ``count`` times ``count`` pieces."""
+    x = [*(bounds[0] + (bounds[2] - bounds[0]) * np.arange(count) / count).tolist(), bounds[2]]
+    y = [*(bounds[1] + (bounds[3] - bounds[1]) * np.arange(count) / count).tolist(), bounds[3]]
+    for low_y, high_y in pairwise(y):
+        for low_x, high_x in pairwise(x):
+            yield low_x, low_y, high_x, high_y
+
+
+def _filter(
+    points: laspy.ScaleAwarePointRecord,
+    bounds: Bounds | None,
+    header: laspy.LasHeader,
+    classes: ClassSet,
+) -> tuple[np.ndarray, ...]:
+    x, y = np.asarray(points.x), np.asarray(points.y)
+    classification, keep = classes.to_las(np.asarray(points.classification).astype(np.uint8))
+    keep &= ~np.asarray(points.withheld).astype(bool)
+    if bounds is not None:
+        x_min, y_min, x_max, y_max = bounds
+        keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+    strip = np.asarray(points.point_source_id)[keep]
+    return (
+        x[keep],
+        y[keep],
+        np.asarray(points.z)[keep],
+        classification[keep],
+        strip,
+        _days(points, header)[keep],
+    )
+
+
+def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.ndarray:
+    """The days of points, as in :class:`Cloud`.
+
+    Times are seconds since the epoch, less 1e9 (LAS 1.4, "adjusted standard GPS time"), or seconds of an unknown week.
+    Files say which, but not all are right: no week has more than 604,800 seconds.
+    """
+    created = header.creation_date
+    day = np.full(len(points), 0 if created is None else max((created - GPS_EPOCH).days, 0), np.uint16)
+    if "gps_time" not in points.point_format.dimension_names:
+        return day
+    time_s = np.asarray(points.gps_time)
+    from_time = np.floor((time_s + _GPS_OFFSET_S) / _DAY_S)
+    is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < 2**16)
+    day[is_date] = from_time[is_date]
+    return day
+
+
+def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+    """The horizontal part of a compound or 3D CRS."""
+    return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+
+
+def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
+    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored."""
+    a, b = horizontal(first), horizontal(second)
+    if a.equals(b, ignore_axis_order=True):
+        return True
+    codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
+    return codes[0] is not None and codes[0] == codes[1]

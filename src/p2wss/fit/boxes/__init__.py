@@ -1,0 +1,1 @@
+"""Boxes on a roof and in it: dormers, recesses, chimneys, open ground."""

@@ -1,0 +1,70 @@
+"""Open ground within a footprint, such as a yard or a patio: outside the building, so that its faces are no roofs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.skeleton.types import FaceKind
+
+# a level face higher above the ground than this is a roof, whatever points are over it
+_MAX_HEIGHT_M = 2.0
+
+
+@dataclass(frozen=True)
+class OpenGround:
+    """What the points show of open ground within a footprint.
+
+    ground_z_m: of the building. point_m: (m, 3), the points to which the roof is fitted, in the frame of its parts.
+    num_ground: how many of them, the last ones, are of class ground. A part or a face is open ground if it is level, at
+    most 2 m above the ground, and has more of these points over it than others.
+    """
+
+    ground_z_m: float
+    point_m: np.ndarray
+    num_ground: int
+
+    def is_open(self, part: FittedRoof) -> bool:
+        """Whether a part is open ground."""
+        is_level = not part.angle_deg.any()
+        if not self.num_ground or not is_level or part.eave_z_m - self.ground_z_m > _MAX_HEIGHT_M:
+            return False
+        polygon = shapely.Polygon(part.rings[0], part.rings[1:])
+        return self._is_mostly_ground(shapely.contains_xy(polygon, *self.point_m[:, :2].T))
+
+    def kinds(
+        self, vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, plane: np.ndarray
+    ) -> np.ndarray:
+        """uint8 (t,): the kinds of a mesh with ``FLOOR`` for open ground. At least one face remains a roof.
+
+        vertex_m: (v, 3), in the frame of the points, z above the ground. triangle (t, 3), kind (t,), plane (t,): as in
+        :class:`p2wss.fit.mesh.union.Mesh`.
+        """
+        if not self.num_ground:
+            return kind
+        is_low = (kind == FaceKind.FLAT) & (vertex_m[triangle, 2].max(axis=1) <= _MAX_HEIGHT_M)
+        is_floor = np.zeros(len(kind), bool)
+        for number in np.unique(plane[is_low]).tolist():
+            face = is_low & (plane == number)
+            within = np.zeros(len(self.point_m), bool)
+            for corner in vertex_m[triangle[face], :2]:
+                within |= _are_within(corner, self.point_m[:, :2])
+            is_floor |= face & self._is_mostly_ground(within)
+        is_roof = ((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)) & ~is_floor
+        return np.where(is_floor, np.uint8(FaceKind.FLOOR), kind) if is_roof.any() else kind
+
+    def _is_mostly_ground(self, within: np.ndarray) -> bool:
+        num_ground = int(within[len(within) - self.num_ground :].sum())
+        return num_ground > int(within.sum()) - num_ground
+
+
+def _are_within(corner: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
+    """Which points (m, 2) are in a counter-clockwise triangle (3, 2), bool (m,)."""
+    within = np.ones(len(xy_m), bool)
+    for start, end in zip(corner, np.roll(corner, -1, axis=0), strict=True):
+        along, off = end - start, xy_m - start
+        within &= along[0] * off[:, 1] >= along[1] * off[:, 0]
+    return within

@@ -1,0 +1,1 @@
+"""From fitted parts to one closed mesh, and what adjusts it afterwards."""

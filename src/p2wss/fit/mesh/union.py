@@ -1,0 +1,318 @@
+"""One closed solid from the parts of a building: their union, with coplanar faces merged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import dist
+from operator import mul, sub
+
+import manifold3d
+import numpy as np
+
+from p2wss import skeleton
+from p2wss.data.building import Reconstruction
+from p2wss.fit.boxes.dormers import Box
+from p2wss.fit.mesh.planes import NEXT, face_planes, neighbours, planes_at, snap_vertices
+from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.skeleton import Polygons, Status
+
+_WELD_M = 1e-4
+_SHORT_EDGE_M = 1e-2
+# triangles smaller than this count as turned over
+_NO_AREA_M2 = 1e-6
+_BELOW_GROUND_M = 30.0
+# how much higher each further part is raised, and how far a surface may move when slivers are removed
+_ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A closed mesh. vertex_m (v, 3), triangle int32 (t, 3), kind uint8 (t,) (``FaceKind``), plane int32 (t,):
+    triangles of one kind and plane that touch are one face."""
+
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    plane: np.ndarray
+
+    @classmethod
+    def of(cls, reconstruction: Reconstruction) -> Mesh:
+        """The mesh of a reconstruction. Its planes are numbered anew, because over one edge of the footprint there may
+        be both a wall and a roof."""
+        face = np.column_stack([reconstruction.kind, reconstruction.edge])
+        plane = np.unique(face, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
+        return cls(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, plane)
+
+
+def union(
+    parts: Sequence[FittedRoof],
+    ground_z_m: float,
+    min_eave_height_m: float,
+    max_roof_height_m: float,
+    recesses: Sequence[Box] = (),
+    outline: Sequence[np.ndarray] = (),
+) -> Mesh | None:
+    """The union of the parts' solids on one ground, z above it, less the ``recesses``. None if a part has no solid, or
+    if the result is not one closed manifold. outline: rings of a footprint at which parts that reach beyond it end.
+
+    parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
+    The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
+    edge of a few millimetres, programs that merge nearby vertices tear a solid open. So the result is the first
+    attempt without such an edge, or the first without one once its ends are merged; if there is none, the first that
+    is closed.
+    """
+    first_closed = None
+    for step_m, simplify_m in _ATTEMPTS_M:
+        raised = parts
+        if step_m:
+            raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
+        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
+        if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
+            continue
+        if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
+            return mesh
+        merged = collapse_vertices(mesh, _SHORT_EDGE_M)
+        if _shortest_edge_m(merged) >= _SHORT_EDGE_M and is_closed(merged.vertex_m, merged.triangle):
+            return merged
+        first_closed = first_closed or mesh
+    return first_closed
+
+
+def _shortest_edge_m(mesh: Mesh) -> float:
+    corner_m = mesh.vertex_m[mesh.triangle]
+    return float(np.linalg.norm(corner_m - corner_m[:, NEXT], axis=2).min())
+
+
+def is_sound(mesh: Mesh) -> bool:
+    """Whether a mesh stays closed in programs that round coordinates and triangulate faces again: it has no edge of a
+    few millimetres, and no vertex within a straight edge."""
+    num_planes = planes_at(mesh.triangle, mesh.plane, len(mesh.vertex_m))
+    return _shortest_edge_m(mesh) >= _SHORT_EDGE_M and bool((num_planes >= 3).all())
+
+
+def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
+    """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
+    distinguish."""
+    corner = _weld(vertex_m)[triangle]
+    corner = corner[(corner != corner[:, NEXT]).all(axis=1)]
+    size = len(vertex_m)
+    start, end = corner.ravel(), corner[:, NEXT].ravel()
+    forward, back = np.sort(start * size + end), np.sort(end * size + start)
+    return bool(len(forward) and (forward[1:] > forward[:-1]).all() and (forward == back).all())
+
+
+def _weld(vertex_m: np.ndarray) -> np.ndarray:
+    """A number per vertex, the same for vertices at the same place to a tenth of a millimetre."""
+    place = np.rint(vertex_m / _WELD_M)
+    order = np.lexsort(place.T)
+    ordered = place[order]
+    number = np.zeros(len(order), np.int64)
+    number[order[1:]] = np.cumsum((ordered[1:] != ordered[:-1]).any(axis=1))
+    return number
+
+
+def _union(
+    parts: Sequence[FittedRoof],
+    ground_z_m: float,
+    min_eave_height_m: float,
+    max_roof_height_m: float,
+    simplify_m: float,
+    recesses: Sequence[Box],
+    outline: Sequence[np.ndarray],
+) -> Mesh | None:
+    # beyond its outline, a roof may reach below the ground
+    floor_z_m = ground_z_m - (_BELOW_GROUND_M if len(outline) else 0.0)
+    meshes = skeleton.build(
+        Polygons.from_rings([list(part.slope_rings) for part in parts]),
+        np.concatenate([part.angle_deg for part in parts]),
+        np.array([max(part.eave_z_m - floor_z_m, min_eave_height_m) for part in parts]),
+        max_roof_height_m=np.array([min(part.top_m, max_roof_height_m) for part in parts]),
+    )
+    if (meshes.status != Status.OK).any():
+        return None
+    solids = []
+    for i, part in enumerate(parts):
+        vertex_m, triangle, _, _ = meshes.mesh(i)
+        vertex_m = snap_vertices(vertex_m, np.concatenate(list(part.slope_rings)))
+        solid = manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
+        if part.outward_m is not None:
+            solid ^= _prism(part.rings, float(solid.bounding_box()[5]) + 1.0)
+        solids.append(solid)
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    for recess in recesses:
+        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m) + ground_z_m - floor_z_m
+        whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
+    if len(outline):
+        whole = whole.translate((0.0, 0.0, floor_z_m - ground_z_m))
+        low, high = (_prism(outline, z) for z in (min_eave_height_m, float(whole.bounding_box()[5]) + 1.0))
+        whole = (whole ^ high) + low
+    return _mesh_of(whole, simplify_m)
+
+
+def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
+    """A closed mesh (v, 3), (t, 3), some vertices of which may be unused, without the slivers and the vertices within
+    faces and straight edges; None if it is not one solid."""
+    used, index = np.unique(triangle, return_inverse=True)
+    corners = index.reshape(-1, 3).astype(np.uint64)
+    solid = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
+    return _mesh_of(solid, _ATTEMPTS_M[0][1])
+
+
+def _mesh_of(whole: manifold3d.Manifold, simplify_m: float) -> Mesh | None:
+    """The mesh of a solid with its faces; None if it is empty or in pieces."""
+    whole = whole.as_original().simplify(simplify_m)
+    if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
+        return None
+    out = whole.to_mesh64()
+    vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
+    triangle = np.array(out.tri_verts, np.int32)
+    mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
+    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else collapse_vertices(mesh)
+
+
+def _prism(rings: Sequence[np.ndarray], height_m: float) -> manifold3d.Manifold:
+    """The solid over a polygon from the ground up to a height."""
+    num = sum(map(len, rings))
+    mesh = skeleton.build(Polygons.from_rings([list(rings)]), np.zeros(num), np.array([height_m]))
+    vertex_m, triangle, _, _ = mesh.mesh(0)
+    vertex_m = snap_vertices(vertex_m, np.concatenate(list(rings)))
+    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
+
+
+def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifold:
+    """The solid over a rectangle along the axes; its walls have exactly the coordinates of the ring."""
+    (x0, y0), (x1, y1) = ring.min(axis=0), ring.max(axis=0)
+    corner = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    vertex_m = np.vstack([np.column_stack([corner, np.full(4, z)]) for z in (low_m, high_m)])
+    bottom, top = [[0, 2, 1], [0, 3, 2]], [[4, 5, 6], [4, 6, 7]]
+    walls = [[i, (i + 1) % 4, (i + 1) % 4 + 4] for i in range(4)] + [
+        [i, (i + 1) % 4 + 4, i + 4] for i in range(4)
+    ]
+    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, np.array(bottom + top + walls, np.uint64)))
+
+
+def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
+    """The mesh without the vertices in only two planes, which lie within a straight edge, and after vertices have moved
+    along edges shorter than ``short_m`` to their other ends."""
+    vertex_m, triangle, plane = mesh.vertex_m, mesh.triangle, mesh.plane
+    rows, place, plane_of = dict(enumerate(triangle.tolist())), vertex_m.tolist(), plane.tolist()
+    kind_of = mesh.kind.tolist()
+    normal_of = _plane_normals(vertex_m, triangle, plane)
+    around: dict[int, set[int]] = {}
+    for t, corners in rows.items():
+        for v in corners:
+            around.setdefault(v, set()).add(t)
+    for v in sorted(around):
+        if len({plane_of[t] for t in around[v]}) == 2:
+            filled = _without_straight_vertex(vertex_m, rows, around, plane_of, normal_of, v)
+            if filled is not None:
+                for t in sorted(around.pop(v)):
+                    for w in rows.pop(t):
+                        if w != v:
+                            around[w].discard(t)
+                for like, corners in filled:
+                    t = len(plane_of)
+                    rows[t] = corners
+                    plane_of.append(plane_of[like])
+                    kind_of.append(kind_of[like])
+                    normal_of.append(normal_of[like])
+                    for w in corners:
+                        around[w].add(t)
+                continue
+        if not short_m:
+            continue
+        for end in sorted({w for t in around[v] for w in rows[t]} - {v}):
+            if dist(place[v], place[end]) < short_m and _can_move(place, rows, around, normal_of, v, end):
+                for t in around.pop(v):
+                    if end in rows[t]:
+                        for w in rows.pop(t):
+                            if w != v:
+                                around[w].discard(t)
+                    else:
+                        rows[t] = [end if w == v else w for w in rows[t]]
+                        around[end].add(t)
+                break
+    remaining = list(rows)
+    used, index = np.unique(np.array(list(rows.values()), int), return_inverse=True)
+    kind, plane = np.array(kind_of, np.uint8)[remaining], np.array(plane_of, np.int32)[remaining]
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind, plane)
+
+
+def _without_straight_vertex(
+    vertex_m: np.ndarray,
+    rows: dict[int, list[int]],
+    around: dict[int, set[int]],
+    plane_of: list[int],
+    normal_of: list[list[float]],
+    v: int,
+) -> list[tuple[int, list[int]]] | None:
+    """Triangles that fill the two faces around a vertex within a straight edge once it is gone, each with one of the
+    triangles there, whose plane it shares; None if they cannot be filled without it.
+
+    Moving the vertex to an end of its edge would turn triangles over in a face that cannot be seen whole from there.
+    """
+    following: dict[int, dict[int, int]] = {}
+    for t in around[v]:
+        k = rows[t].index(v)
+        following.setdefault(plane_of[t], {})[rows[t][k - 2]] = rows[t][k - 1]
+    borders = {w for t in around[v] for w in rows[t]} - {v}
+    sides = {
+        (w, rows[t][k - 2]) for u in borders for t in around[u] - around[v] for k, w in enumerate(rows[t])
+    }
+    like = {plane_of[t]: t for t in sorted(around[v])}
+    result = []
+    for number, after in sorted(following.items()):
+        starts = after.keys() - after.values()
+        if len(starts) != 1:
+            return None
+        chain = [starts.pop()]
+        while chain[-1] in after:
+            chain.append(after[chain[-1]])
+        if len(chain) != len(after) + 1:
+            return None
+        normal = np.array(normal_of[like[number]])
+        dropped = int(np.abs(normal).argmax())
+        flat_m = vertex_m[chain][:, [(dropped + 1) % 3, (dropped + 2) % 3]] * (1.0, np.sign(normal[dropped]))
+        for corners in manifold3d.triangulate([flat_m]).tolist() if len(chain) > 2 else []:
+            (ax, ay), (bx, by), (cx, cy) = flat_m[corners].tolist()
+            if (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < _NO_AREA_M2:
+                return None
+            result.append((like[number], [chain[k] for k in corners]))
+    new_sides = [(w, row[k - 2]) for _, row in result for k, w in enumerate(row)]
+    return None if len(set(new_sides)) < len(new_sides) or sides.intersection(new_sides) else result
+
+
+def _plane_normals(vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray) -> list[list[float]]:
+    """The normal of each triangle's plane, weighted by area, as the normal of a sliver alone is unreliable."""
+    corner = vertex_m[triangle]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    total = np.zeros((plane.max() + 1, 3))
+    np.add.at(total, plane, normal)
+    return total[plane].tolist()
+
+
+def _can_move(
+    place: list[list[float]],
+    rows: dict[int, list[int]],
+    around: dict[int, set[int]],
+    normal_of: list[list[float]],
+    v: int,
+    end: int,
+) -> bool:
+    """Whether the mesh stays a manifold, and no triangle turns over, if ``v`` moves to ``end``."""
+    near_v, near_end = ({w for t in around[u] for w in rows[t]} - {v, end} for u in (v, end))
+    if len(near_v & near_end) != 2:
+        return False
+    for t in around[v]:
+        if end not in rows[t]:
+            after = _normal(*(place[end if w == v else w] for w in rows[t]))
+            if sum(x * x for x in after) < _NO_AREA_M2**2 or sum(map(mul, after, normal_of[t])) < 0:
+                return False
+    return True
+
+
+def _normal(a: list[float], b: list[float], c: list[float]) -> tuple[float, float, float]:
+    """The normal of a triangle; for three vertices numpy would take ten times as long."""
+    (ux, uy, uz), (vx, vy, vz) = map(sub, b, a), map(sub, c, a)
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -1,0 +1,1 @@
+"""Which parts a building has, and what a part costs."""

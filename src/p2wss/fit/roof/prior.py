@@ -1,0 +1,47 @@
+"""The prior of a roof: what is assumed of it before its points are seen, from a network or what is usual.
+
+It is weighed against the sum of the residuals, so that it decides where there are few points. A little of the weight
+of a network stays however many points there are: an object on a roof shifts all points of a place alike, and more
+points of the same kind do not reveal it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from p2wss.fit.roof.work import Prior
+
+# a usual slope, and what each degree of difference from it costs
+_USUAL_DEG, _USUAL_DEGREE_COST_M = 38.0, 0.003
+# What it costs to differ from a network: by a class of an edge that is e times less probable than the likeliest, by a
+# degree, by a metre of the eave height; metres of distance in the sum over the points, and in their mean.
+_CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST = (0.0125, 0.002), (0.005, 0.0005), (0.075, 0.01)
+# smaller probabilities count as this one: no network is surer than that
+_MIN_PROBABILITY = 1e-3
+
+
+def make_prior(
+    rings: Sequence[np.ndarray],
+    num_points: int,
+    angle_deg: np.ndarray | None = None,
+    class_probability: np.ndarray | None = None,
+    eave_z_m: float | None = None,
+) -> Prior:
+    """The prior of a roof over ``rings`` that has ``num_points`` points.
+
+    With values of a network: angle_deg (n,), one per edge; class_probability (n, 3): of 0 degrees, 90 degrees and a
+    slope; eave_z_m. If any of them is missing, the prior is that of a usual roof.
+    """
+    n = sum(map(len, rings))
+    if angle_deg is None or class_probability is None or eave_z_m is None:
+        cost = _USUAL_DEGREE_COST_M / num_points
+        return Prior(np.zeros((n, 3)), np.full(n, _USUAL_DEG), cost, np.zeros(0), 0.0)
+    surprise = -np.log(np.maximum(class_probability, _MIN_PROBABILITY))
+    surprise -= surprise.min(axis=1, keepdims=True)
+    slope_deg = np.where((angle_deg > 0) & (angle_deg < 90), angle_deg, _USUAL_DEG)
+    class_cost, degree_cost, eave_cost = (
+        in_sum / num_points + in_mean for in_sum, in_mean in (_CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST)
+    )
+    return Prior(class_cost * surprise, slope_deg, degree_cost, np.array([float(eave_z_m)]), eave_cost)

@@ -1,0 +1,1 @@
+"""Footprints: reading, schemas of their sources, and the cleaning of whole blocks."""

@@ -1,0 +1,263 @@
+"""Read footprints and clean them into polygons for the kernel. Each keeps a row, with a reason if it is excluded."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from p2wss import skeleton
+from p2wss.clouds.reading import horizontal
+from p2wss.config import Scenes
+from p2wss.data import polygon_arrays, reasons
+from p2wss.data.metric_crs import MetricCrs, reprojected
+from p2wss.data.tiling import Bounds, grown
+from p2wss.errors import InputError
+from p2wss.footprints.coverage import Cleaning, block_numbers, clean_block
+from p2wss.footprints.limits import repaired
+from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
+from p2wss.footprints.vector_files import read_attributes, read_vector
+
+_TYPES_WITH_POLYGONS = [
+    shapely.GeometryType.POLYGON,
+    shapely.GeometryType.MULTIPOLYGON,
+    shapely.GeometryType.GEOMETRYCOLLECTION,
+]
+# footprints that touch themselves are cut apart with a gap of this width; cleaning would close a smaller one
+_OPENING_M = 0.15
+# column of tuples: the numbers of parts of a feature that would give them the id of another feature of its file
+_TAKEN = "p2wss_taken_part_numbers"
+# options of the kernel's cleaning for which it removes only vertices that are within an edge to a micrometre
+_ONLY_WITHIN_EDGES = {"min_edge_m": 1e-3, "min_turn_deg": 0.0, "min_offset_m": 1e-6, "parallel_deg": 0.0}
+
+
+def read_footprints(
+    path: str | Path,
+    id_field: str | None = None,
+    bounds: Bounds | None = None,
+    needs_crs: bool = True,
+    schema: str = "auto",
+    height_field: str | None = None,
+    metric: MetricCrs | None = None,
+) -> gpd.GeoDataFrame:
+    """Read a vector file with polygons, in the order of the file, and add the columns ``building_id`` (text),
+    ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
+
+    id_field, schema: where the ids come from (:func:`p2wss.footprints.schemas.building_ids`); they do not depend on
+    ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.footprints.schemas.
+    stated_heights_m`). bounds: read only features that intersect this window, in the CRS of the file. needs_crs:
+    whether a missing CRS is an error. metric: the CRS to which footprints are reprojected; those without a CRS are
+    taken to be in that of the clouds.
+
+    Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS, or one in degrees without
+    ``metric``, or if ``id_field`` or ``height_field`` is missing.
+    """
+    frame = read_vector(path, bounds)
+    types = shapely.get_type_id(frame.geometry.to_numpy())
+    if len(frame) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
+        raise InputError(f"{path}: has no polygons; footprints must be polygons")
+    if frame.crs is None and needs_crs:
+        raise InputError(f"{path}: has no CRS; set one with ogr2ogr -a_srs")
+    if metric is None and frame.crs is not None and frame.crs.is_geographic:
+        raise InputError(
+            f"{path}: is in {frame.crs.name}, in degrees; reproject it to a projected CRS in metres"
+        )
+    table = pd.DataFrame(frame.drop(columns=frame.geometry.name))
+    columns = schema_of(list(table.columns), schema)
+    of_ids = table
+    if bounds is not None:
+        names = [name for name in table.columns if name == id_field or str(name).lower() in columns.ids]
+        of_ids = read_attributes(path, tuple(names)) if names else table
+    ids = building_ids(of_ids, columns, id_field, path)
+    taken = taken_part_numbers(ids)
+    ids = ids.reindex(table.index)
+    heights_m = stated_heights_m(table, columns, height_field, path)
+    frame["building_id"] = ids
+    frame[_TAKEN] = pd.Series([tuple(taken.get(name, ())) for name in ids], index=ids.index, dtype=object)
+    frame["stated_height_m"] = heights_m
+    if metric is not None:
+        frame = frame if frame.crs is not None else frame.set_crs(horizontal(metric.source))
+        frame = reprojected(frame, metric.crs, path)
+    return frame.reset_index(drop=True)
+
+
+def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.GeoDataFrame:
+    """The features that intersect a window, and all others of their blocks
+    (:func:`p2wss.footprints.coverage.block_numbers`), on which their cleaning depends: what :func:`clean_footprints` makes of
+    a footprint is then the same for any window.
+
+    Otherwise as :func:`read_footprints`.
+    """
+    # a window in which no block of the features continues beyond the border
+    reach, window = grown(bounds, snap_m), grown(bounds, snap_m)
+    while True:
+        frame = read_footprints(path, bounds=window)
+        shapes, _ = repaired(frame.geometry.to_numpy())
+        block = block_numbers(shapes, snap_m)
+        is_member = np.isin(block, block[shapely.intersects(shapes, shapely.box(*bounds))])
+        if not is_member.any():
+            return frame[is_member]
+        low_x, low_y, high_x, high_y = grown(shapely.total_bounds(shapes[is_member]).tolist(), snap_m)
+        reach = (min(reach[0], low_x), min(reach[1], low_y), max(reach[2], high_x), max(reach[3], high_y))
+        if reach == window:
+            return frame[is_member].reset_index(drop=True)
+        window = reach
+
+
+def split_parts(frame: gpd.GeoDataFrame, min_area_m2: float, tolerance_m: float = 0.2) -> gpd.GeoDataFrame:
+    """Split multipolygons into rows with one valid 2D polygon each, and add ``status`` and the centre of each.
+
+    ``centre_x_m`` and ``centre_y_m`` are of the bounding box of the polygon (if there is none, of the geometry).
+
+    Geometries are repaired by :func:`p2wss.footprints.limits.repaired`, with ``tolerance_m``. If one then has
+    several polygons, the largest is kept, and so are the others of at least ``min_area_m2``; their ids get the
+    suffixes -1, -2, .. in order, without those that are ids of other features: of any in the file, also outside the
+    window that was read (:func:`read_footprints`), so that no part has the name of another part or feature in whatever
+    tile. A geometry without polygons keeps its row, with an empty polygon and the reason as ``status``.
+    """
+    shapes = frame.geometry.to_numpy()
+    is_empty = shapely.is_missing(shapes) | shapely.is_empty(shapes)
+    centre = _box_centres(shapes)
+    shapes, status = repaired(shapes, tolerance_m)
+    is_polygon = np.isin(
+        shapely.get_type_id(shapes), [shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON]
+    )
+    status[(status == reasons.OK) & ~is_polygon] = reasons.NOT_A_POLYGON
+    status[is_empty] = reasons.EMPTY
+    parts, row = shapely.get_parts(shapes, return_index=True)
+    is_polygon = (shapely.get_type_id(parts) == shapely.GeometryType.POLYGON) & ~shapely.is_empty(parts)
+    parts, row = parts[is_polygon], row[is_polygon]
+    area = shapely.area(parts)
+    largest = np.zeros(len(frame))
+    np.maximum.at(largest, row, area)
+    keep = (area >= min_area_m2) | (area >= largest[row])
+    parts, row = parts[keep], row[keep]
+    # insert the rows without a polygon in their order
+    empty_rows = np.setdiff1d(np.arange(len(frame)), row)
+    status[empty_rows[status[empty_rows] == "ok"]] = reasons.EMPTY
+    row = np.concatenate([row, empty_rows])
+    order = np.argsort(row, kind="stable")
+    row = row[order]
+    parts = np.concatenate([parts, np.full(len(empty_rows), shapely.Polygon())])[order]
+    result = frame.iloc[row].reset_index(drop=True)
+    result = result.set_geometry(gpd.GeoSeries(parts, crs=frame.crs))
+    is_split = np.bincount(row, minlength=len(frame))[row] > 1
+    ids = result["building_id"].to_numpy(dtype=object)
+    if _TAKEN in frame:
+        taken = dict(zip(frame["building_id"], frame[_TAKEN], strict=True))
+    else:
+        taken = {
+            name: tuple(numbers)
+            for name, numbers in taken_part_numbers(frame["building_id"].astype(str)).items()
+        }
+    suffix = dict.fromkeys(row[is_split], 0)
+    for index in np.flatnonzero(is_split):
+        name, feature = ids[index], row[index]
+        suffix[feature] += 1
+        while suffix[feature] in taken.get(name, ()):
+            suffix[feature] += 1
+        ids[index] = f"{name}-{suffix[feature]}"
+    result = result.drop(columns=_TAKEN, errors="ignore")
+    result["building_id"] = ids
+    result["status"] = status[row]
+    part_centre = _box_centres(result.geometry.to_numpy())
+    result["centre_x_m"], result["centre_y_m"] = np.where(
+        np.isfinite(part_centre), part_centre, centre[row]
+    ).T
+    return result
+
+
+def _box_centres(shapes: np.ndarray) -> np.ndarray:
+    """Centre of each bounding box, (n, 2); NaN for an empty geometry."""
+    bounds = shapely.bounds(shapes)
+    return (bounds[:, :2] + bounds[:, 2:]) / 2
+
+
+def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFrame:
+    """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
+
+    After :func:`split_parts`, footprints that touch, overlap or are at most ``snap_m`` apart are cleaned together, as
+    one coverage (:func:`p2wss.footprints.coverage.clean_block`), so that they keep the walls that they share. Any other
+    footprint is simplified (Douglas-Peucker, ``simplify_m``) and cleaned by :func:`p2wss.skeleton.clean`. A footprint
+    that then touches itself is cut apart where it does, and cleaned again by itself. Every footprint keeps a row:
+    ``status`` is "ok" or the reason for exclusion, and an excluded footprint has an empty polygon.
+
+    The result of a footprint depends on those of its block only, and not on the order of the rows.
+    """
+    result = split_parts(frame, config.min_area_m2, config.simplify_m)
+    shapes = result.geometry.to_numpy().copy()
+    status = result["status"].to_numpy(dtype=object).copy()
+    codes = np.full(len(shapes), int(skeleton.Status.EMPTY))
+    touches = [skeleton.Status.NOT_SIMPLE, skeleton.Status.COURTYARD_OUTSIDE]
+
+    def clean(rows: np.ndarray, footprints: np.ndarray, **options: float) -> np.ndarray:
+        """Clean the footprints of these rows, and return the rows of those that touch themselves."""
+        cleaned = skeleton.clean(
+            polygon_arrays.to_polygons(footprints), min_area_m2=config.min_area_m2, **options
+        )
+        codes[rows] = cleaned.status
+        is_clean = cleaned.status == skeleton.Status.OK
+        shapes[rows[is_clean]] = polygon_arrays.to_geometries(polygon_arrays.take(cleaned.polygons, is_clean))
+        return rows[np.isin(cleaned.status, touches)]
+
+    coverage_rows, footprints = _clean_blocks(shapes, np.flatnonzero(status == "ok"), config)
+    # of a coverage only vertices within an edge may go, as all others may be shared
+    broken = clean(coverage_rows, footprints, **_ONLY_WITHIN_EDGES)
+    pending = np.union1d(np.setdiff1d(np.flatnonzero(status == "ok"), coverage_rows), broken)
+    alone = {
+        "min_edge_m": config.min_edge_m,
+        "parallel_deg": config.parallel_deg,
+        "max_shift_m": config.max_shift_m,
+    }
+    pending = clean(pending, _simplified(shapes[pending], config.simplify_m), **alone)
+    clean(pending, _simplified(_cut_apart(shapes[pending]), config.simplify_m), **alone)
+
+    has_code = status == "ok"
+    status[has_code] = [skeleton.Status(code).reason if code else "ok" for code in codes[has_code]]
+    num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
+    status[(status == "ok") & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
+    shapes[status != "ok"] = shapely.Polygon()
+    result["status"] = status
+    return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
+
+
+def _clean_blocks(shapes: np.ndarray, rows: np.ndarray, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, clean polygons) of the footprints that share walls with others, among those of ``rows``."""
+    rows = rows[shapely.area(shapes[rows]) >= config.min_area_m2]
+    block = block_numbers(shapes[rows], config.snap_m)
+    order = np.argsort(block, kind="stable")
+    cleaning = Cleaning(
+        config.snap_m,
+        config.simplify_m,
+        config.min_edge_m,
+        parallel_deg=config.parallel_deg,
+        max_shift_m=config.max_shift_m,
+    )
+    result = np.full(len(rows), None, dtype=object)
+    for members in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+        if len(members) > 1:
+            result[members] = clean_block(shapes[rows[members]], cleaning)
+    is_clean = ~shapely.is_missing(result)
+    return rows[is_clean], result[is_clean]
+
+
+def _simplified(shapes: np.ndarray, tolerance_m: float) -> np.ndarray:
+    return shapely.simplify(shapes, tolerance_m) if tolerance_m else shapes
+
+
+def _cut_apart(shapes: np.ndarray) -> np.ndarray:
+    """The largest piece of each polygon after cutting it where rings touch and where it is narrow."""
+    largest = np.full(len(shapes), shapely.Polygon(), dtype=object)
+    for index, shape in enumerate(shapes):
+        rings = shapely.get_rings(shape)
+        contacts = [first.intersection(second) for first, second in combinations(rings, 2)]
+        cut = shape.difference(shapely.union_all(contacts).buffer(2 * _OPENING_M, cap_style="square"))
+        eroded = cut.buffer(-_OPENING_M, join_style="mitre")
+        pieces = shapely.get_parts(eroded.buffer(_OPENING_M, join_style="mitre"))
+        if len(pieces):
+            largest[index] = pieces[np.argmax(shapely.area(pieces))]
+    return largest

@@ -1,0 +1,302 @@
+"""Clean the footprints of a block as one coverage, so that neighbours keep the walls that they share.
+
+A block is a set of footprints that touch, nearly touch or overlap. Its footprints are joined in common nodes
+(:mod:`p2wss.footprints.common_nodes`), simplified along the lines between the nodes where walls meet, and straightened with shared
+edges once (:mod:`p2wss.footprints.directions`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from p2wss import skeleton
+from p2wss.data import polygon_arrays
+from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
+from p2wss.footprints.directions import straightened
+
+
+@dataclass(frozen=True)
+class Cleaning:
+    """How the footprints of a block are cleaned.
+
+    snap_m: gaps and overlaps up to this width are closed; 0 = none. simplify_m: tolerance of Douglas-Peucker along the
+    walls between the nodes where they meet. A vertex goes too if it has an edge shorter than ``min_edge_m``, if the
+    wall turns there by less than ``min_turn_deg`` or if it is within ``min_offset_m`` of the line between its
+    neighbours, as in :func:`p2wss.skeleton.clean`. parallel_deg: edges that are parallel to within this angle become
+    exactly parallel, 0 = none, as far as no corner moves by more than ``max_shift_m``.
+    """
+
+    snap_m: float = 0.1
+    simplify_m: float = 0.2
+    min_edge_m: float = 0.1
+    min_turn_deg: float = 3.0
+    min_offset_m: float = 0.02
+    parallel_deg: float = 2.5
+    max_shift_m: float = 0.05
+
+
+def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
+    """The number of the block of each polygon, int64 (n,). Polygons at most ``snap_m`` apart are of one block; an empty
+    one is a block of its own."""
+    a, b = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=snap_m)
+    graph = coo_array((np.ones(len(a)), (a, b)), (len(shapes), len(shapes)))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
+
+
+def clean_block(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
+    """The polygons of a block as a coverage, an object array in the same order; None for a polygon that cannot be part
+    of it, for instance because it is so narrow that it collapses.
+
+    shapes: valid polygons. Shared walls have bit-identical vertices in both polygons. A vertex of one of them
+    within an edge of another is on it to the rounding of coordinates, and a vertex of both. The result does not depend
+    on the order of the polygons. Never raises for valid polygons.
+    """
+    result = np.full(len(shapes), None, dtype=object)
+    bounds = shapely.bounds(shapes)
+    order = np.lexsort((shapely.area(shapes), *bounds.T[::-1]))
+    origin = np.floor(bounds[order[0], :2]) if len(shapes) else np.zeros(2)
+    while len(order):
+        polygons, is_whole = _clean(shapes[order], origin, cleaning)
+        if is_whole.all():
+            result[order] = polygons
+            break
+        order = order[is_whole]
+    return result
+
+
+def _clean(shapes: np.ndarray, origin: np.ndarray, cleaning: Cleaning) -> tuple[np.ndarray, np.ndarray]:
+    """(polygons, whether each can be part of the coverage); they are a coverage if all can be."""
+    polygons = polygon_arrays.to_polygons(shapes)
+    local = type(polygons)(polygons.xy_m - origin, polygons.ring_offset, polygons.polygon_offset)
+    nodes = join_rings(local, cleaning.snap_m)
+    xy_m, node, ring_offset = nodes.xy_m, nodes.node, nodes.ring_offset
+    node = _contract(xy_m, node, ring_offset, cleaning.min_edge_m)
+    node, ring_offset = _without_spikes(*without_repeats(node, ring_offset))
+    rings = _Rings(node, ring_offset, polygons.polygon_offset)
+    is_whole = shapely.is_valid(rings.polygons(xy_m))
+    if not is_whole.all():
+        return np.zeros(0, object), is_whole
+    arcs = _Arcs.of_rings(rings, len(xy_m))
+    tolerance = np.full(len(arcs.nodes), cleaning.simplify_m)
+    for _ in range(3):
+        simple = arcs.simplified(xy_m, tolerance, cleaning)
+        rings = simple.rings(polygons.polygon_offset)
+        invalid = ~shapely.is_valid(rings.polygons(xy_m))
+        if not invalid.any():
+            break
+        # simplified, their walls would cross
+        tolerance[arcs.of_polygons(invalid, polygons.polygon_offset)] = -1.0
+    else:
+        return np.zeros(0, object), ~invalid
+    if cleaning.parallel_deg > 0:
+        xy_m = _straighten(xy_m, rings, cleaning)
+    # a polygon that is hardly more than a spike would not pass alone
+    alone = skeleton.clean(polygon_arrays.to_polygons(rings.polygons(xy_m)))
+    return rings.polygons(xy_m, origin), alone.status == skeleton.Status.OK
+
+
+def _straighten(xy_m: np.ndarray, rings: _Rings, cleaning: Cleaning) -> np.ndarray:
+    """Places of the nodes for which all polygons stay valid."""
+    ends = np.sort(np.column_stack([rings.node, rings.node[next_in_ring(rings.ring_offset)]]), axis=1)
+    segment, of_vertex = np.unique(ends, axis=0, return_inverse=True)
+    pairs = np.unique(np.column_stack([rings.polygon_of_vertex, of_vertex.reshape(-1)]), axis=0)
+    is_free = np.zeros(len(segment), bool)
+    for _ in range(3):
+        place_m = straightened(
+            xy_m,
+            segment,
+            pairs[:, 0],
+            pairs[:, 1],
+            float(np.sin(np.radians(cleaning.parallel_deg))),
+            cleaning.max_shift_m,
+            cleaning.min_offset_m,
+            is_free,
+        )
+        invalid = ~shapely.is_valid(rings.polygons(place_m))
+        if not invalid.any():
+            return place_m
+        is_free[pairs[invalid[pairs[:, 0]], 1]] = True
+    return xy_m
+
+
+@dataclass(frozen=True)
+class _Rings:
+    """Rings of nodes. A ring of fewer than three nodes counts as none; polygon p has the rings
+    ``polygon_offset[p]:polygon_offset[p + 1]``."""
+
+    node: np.ndarray
+    ring_offset: np.ndarray
+    polygon_offset: np.ndarray
+
+    @property
+    def polygon_of_vertex(self) -> np.ndarray:
+        """The polygon of each element of ``node``, int64."""
+        ring = np.repeat(np.arange(len(self.ring_offset) - 1), np.diff(self.ring_offset))
+        return np.searchsorted(self.polygon_offset, ring, side="right") - 1
+
+    def polygons(self, xy_m: np.ndarray, origin: np.ndarray | float = 0.0) -> np.ndarray:
+        """Object array of polygons, with places of the nodes relative to ``origin``; one whose exterior has collapsed
+        is invalid."""
+        result = np.empty(len(self.polygon_offset) - 1, object)
+        for p, (first, last) in enumerate(pairwise(self.polygon_offset.tolist())):
+            rings = [
+                xy_m[self.node[self.ring_offset[r] : self.ring_offset[r + 1]]] + origin
+                for r in range(first, last)
+                if r == first or self.ring_offset[r + 1] - self.ring_offset[r] > 2
+            ]
+            # a ring of too few vertices becomes a valid empty one, or an error: a bow tie is neither
+            is_ring = len(rings[0]) > 2
+            result[p] = shapely.Polygon(rings[0], rings[1:]) if is_ring else _BOW_TIE
+        return result
+
+
+_BOW_TIE = shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])
+
+
+@dataclass(frozen=True)
+class _Arcs:
+    """The lines between the nodes where walls meet. nodes: of each arc, first and last included. of_ring: the arcs of
+    each ring, in order, each with whether it is followed backwards."""
+
+    nodes: list[np.ndarray]
+    of_ring: list[list[tuple[int, bool]]]
+
+    @classmethod
+    def of_rings(cls, rings: _Rings, num_nodes: int) -> _Arcs:
+        """The arcs of rings whose nodes are numbered in the order of x."""
+        ends = np.sort(np.column_stack([rings.node, rings.node[next_in_ring(rings.ring_offset)]]), axis=1)
+        degree = np.bincount(np.unique(ends, axis=0).ravel(), minlength=num_nodes)
+        numbers: dict[tuple[int, ...], int] = {}
+        of_ring: list[list[tuple[int, bool]]] = []
+        for first, last in pairwise(rings.ring_offset.tolist()):
+            ring = rings.node[first:last]
+            meets = np.flatnonzero(degree[ring] != 2)
+            if not len(meets):
+                meets = np.array([ring.argmin()])  # nodes are in the order of x: this one is a corner
+            ring = np.roll(ring, -meets[0])
+            cuts = [*(meets - meets[0]).tolist(), len(ring)]
+            closed = [*ring.tolist(), int(ring[0])]
+            members = []
+            for a, b in pairwise(cuts):
+                arc = tuple(closed[a : b + 1])
+                is_back = arc[::-1] < arc
+                number = numbers.setdefault(arc[::-1] if is_back else arc, len(numbers))
+                members.append((number, is_back))
+            of_ring.append(members)
+        return cls([np.array(arc) for arc in numbers], of_ring)
+
+    def of_polygons(self, mask: np.ndarray, polygon_offset: np.ndarray) -> list[int]:
+        """The arcs of the polygons of a mask."""
+        rings = [
+            r for p in np.flatnonzero(mask).tolist() for r in range(polygon_offset[p], polygon_offset[p + 1])
+        ]
+        return sorted({number for r in rings for number, _ in self.of_ring[r]})
+
+    def rings(self, polygon_offset: np.ndarray) -> _Rings:
+        """The rings that the arcs form."""
+        rings = []
+        for members in self.of_ring:
+            pieces = [
+                self.nodes[number][::-1] if is_back else self.nodes[number] for number, is_back in members
+            ]
+            rings.append(np.concatenate([piece[:-1] for piece in pieces]))
+        offset = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])]).astype(np.int64)
+        return _Rings(np.concatenate(rings), offset, polygon_offset)
+
+    def simplified(self, xy_m: np.ndarray, tolerance_m: np.ndarray, cleaning: Cleaning) -> _Arcs:
+        """The arcs without superfluous nodes; those of negative tolerance keep all."""
+        nodes = list(self.nodes)
+        long = [k for k, arc in enumerate(nodes) if len(arc) > 2 and tolerance_m[k] >= 0]
+        if not long:
+            return self
+        node = np.concatenate([nodes[k] for k in long])
+        number = np.repeat(np.arange(len(long)), [len(nodes[k]) for k in long])
+        # the third coordinate carries the position of each vertex
+        vertex = np.column_stack([xy_m[node], np.arange(len(node))])
+        lines = shapely.linestrings(vertex, indices=number)
+        simple = shapely.simplify(lines, tolerance_m[long], preserve_topology=False)
+        vertex, number = shapely.get_coordinates(simple, include_z=True, return_index=True)
+        node = node[np.rint(vertex[:, 2]).astype(np.int64)]
+        node, number = _thinned(xy_m, node, number, cleaning)
+        for k, (first, last) in zip(
+            long, pairwise(np.searchsorted(number, np.arange(len(long) + 1)).tolist()), strict=True
+        ):
+            nodes[k] = node[first:last]
+        return _Arcs(nodes, self.of_ring)
+
+
+def _thinned(
+    xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, cleaning: Cleaning
+) -> tuple[np.ndarray, np.ndarray]:
+    """(nodes, numbers of their arcs) without nodes that :func:`p2wss.skeleton.clean` would remove, one at a time in
+    each arc, the one nearest to the line between its neighbours first. The ends of an arc stay."""
+    max_cosine = np.cos(np.radians(cleaning.min_turn_deg))
+    while len(node) > 2:
+        inner = np.flatnonzero((arc[1:-1] == arc[:-2]) & (arc[1:-1] == arc[2:])) + 1
+        is_closed = np.zeros(arc[-1] + 1, bool)
+        first = np.searchsorted(arc, np.arange(len(is_closed)))
+        last = np.searchsorted(arc, np.arange(len(is_closed)), side="right") - 1
+        is_closed = node[first] == node[last]
+        # a ring keeps three vertices
+        inner = inner[~is_closed[arc[inner]] | ((last - first)[arc[inner]] > 3)]
+        u, v = xy_m[node[inner]] - xy_m[node[inner - 1]], xy_m[node[inner + 1]] - xy_m[node[inner]]
+        u_m, v_m = np.hypot(*u.T), np.hypot(*v.T)
+        chord_m = np.hypot(*(u + v).T)
+        cross, along = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), (u * v).sum(axis=1)
+        is_spike = along <= -max_cosine * u_m * v_m
+        offset_m = cross / np.maximum(np.where(is_spike, np.maximum(u_m, v_m), chord_m), 1e-12)
+        removable = is_spike | (np.minimum(u_m, v_m) < cleaning.min_edge_m)
+        removable |= (along >= max_cosine * u_m * v_m) | (offset_m < cleaning.min_offset_m)
+        inner, offset_m = inner[removable], offset_m[removable]
+        if not len(inner):
+            break
+        order = np.lexsort((node[inner], offset_m, arc[inner]))
+        _, least = np.unique(arc[inner][order], return_index=True)
+        keep = np.ones(len(node), bool)
+        keep[inner[order[least]]] = False
+        node, arc = node[keep], arc[keep]
+    return node, arc
+
+
+def _contract(xy_m: np.ndarray, node: np.ndarray, ring_offset: np.ndarray, min_edge_m: float) -> np.ndarray:
+    """The nodes after short edges at nodes where walls meet have shrunk to the one of them where more walls meet."""
+    ends = np.sort(np.column_stack([node, node[next_in_ring(ring_offset)]]), axis=1)
+    edges = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
+    length_m = np.hypot(*(xy_m[edges[:, 0]] - xy_m[edges[:, 1]]).T)
+    degree = np.bincount(edges.ravel(), minlength=len(xy_m))
+    short = np.flatnonzero((length_m < min_edge_m) & (degree[edges] > 2).any(axis=1))
+    target = np.arange(len(xy_m))
+    for a, b in edges[short[np.lexsort((short, length_m[short]))]].tolist():
+        while target[a] != a:
+            a = int(target[a])
+        while target[b] != b:
+            b = int(target[b])
+        if a != b:
+            keep, drop = (a, b) if (degree[a], -a) >= (degree[b], -b) else (b, a)
+            target[drop] = keep
+    while (target[target] != target).any():
+        target = target[target]
+    return target[node]
+
+
+def _without_spikes(node: np.ndarray, ring_offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(nodes, offsets) of rings that nowhere turn back to the node before."""
+    while True:
+        tip = node[previous_in_ring(ring_offset)] == node[next_in_ring(ring_offset)]
+        # a ring that is all tips has collapsed, and stays so
+        counts = np.diff(ring_offset)
+        tip &= np.repeat(counts > 2, counts)
+        if not tip.any():
+            return node, ring_offset
+        counts = np.add.reduceat(~tip, ring_offset[:-1])
+        tip[ring_offset[:-1][counts == 0]] = False
+        counts = np.maximum(counts, 1)
+        node, ring_offset = without_repeats(
+            node[~tip], np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        )

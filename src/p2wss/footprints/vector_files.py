@@ -1,0 +1,108 @@
+"""Read vector files of any kind: all geometries that GDAL knows, each feature with its number in the file."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pyogrio
+import pyproj
+import shapely
+
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError, reading
+from p2wss.storage import integrity
+
+# WKB types that shapely cannot read, and those with the same bytes that it can
+_SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
+_POINT, _LINE, _POLYGON = 1, 2, 3
+
+
+def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFrame:
+    """The features of the first layer, in the order of the file; the index has the number of each in the file.
+
+    bounds: only features that intersect this window, in the CRS of the file. Curves become lines, and the triangles of
+    a TIN, the faces of a polyhedral surface a multipolygon.
+
+    Raises :class:`InputError` if the file is missing or broken, or has no geometry.
+    """
+    if not Path(path).exists():
+        raise InputError(f"{path}: no such file")
+    integrity.verify(path)
+    with reading(path, "a readable vector file"):
+        if str(path).endswith(".parquet"):
+            pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance
+            frame = gpd.read_parquet(path).reset_index(drop=True)
+            if bounds is not None:
+                frame = frame[frame.intersects(shapely.box(*bounds))]
+            return frame
+        try:
+            frame = pyogrio.read_dataframe(path, bbox=bounds, fid_as_index=True)
+        except shapely.errors.GEOSException:
+            frame = _read_surfaces(path, bounds)
+    if not isinstance(frame, gpd.GeoDataFrame):
+        raise InputError(f"{path}: has no geometry")
+    return frame
+
+
+def read_attributes(path: str | Path, columns: tuple[str, ...]) -> pd.DataFrame:
+    """These columns of all features, without geometry; the index is that of :func:`read_vector`."""
+    return _attributes(str(path), Path(path).stat().st_mtime_ns, columns)
+
+
+@lru_cache(maxsize=2)
+def _attributes(path: str, changed_ns: int, columns: tuple[str, ...]) -> pd.DataFrame:
+    if path.endswith(".parquet"):
+        return pd.read_parquet(path, columns=list(columns)).reset_index(drop=True)
+    return pyogrio.read_dataframe(path, columns=list(columns), read_geometry=False, fid_as_index=True)
+
+
+def _read_surfaces(path: str | Path, bounds: Bounds | None) -> gpd.GeoDataFrame:
+    meta, number, wkb, values = pyogrio.raw.read(path, bbox=bounds, return_fids=True)
+    geometry = [None if shape is None else shapely.from_wkb(_plain_wkb(shape), "ignore") for shape in wkb]
+    columns = dict(zip(meta["fields"], values, strict=True))
+    crs = None if meta["crs"] is None else pyproj.CRS.from_user_input(meta["crs"])
+    return gpd.GeoDataFrame(columns, geometry=geometry, crs=crs, index=pd.Index(number, name="fid"))
+
+
+def _plain_wkb(wkb: bytes) -> bytes:
+    """The same bytes with types that shapely can read."""
+    result = bytearray(wkb)
+    _convert(result, 0)
+    return bytes(result)
+
+
+def _convert(wkb: bytearray, start: int) -> int:
+    """Change the type of the geometry that begins at ``start`` and those of its parts, and return where it ends."""
+    order = "<" if wkb[start] == 1 else ">"
+    (code,) = struct.unpack_from(f"{order}I", wkb, start + 1)
+    # in codes of ISO, the thousands state the dimensions; in older codes, the uppermost bits do
+    flags, base = (code & 0xF0000000, code & 0xFFF) if code >> 28 else (code // 1000 * 1000, code % 1000)
+    has_z = bool(flags & 0x80000000) if code >> 28 else flags in (1000, 3000)
+    has_m = bool(flags & 0x40000000) if code >> 28 else flags in (2000, 3000)
+    base = _SURFACES.get(base, base)
+    struct.pack_into(f"{order}I", wkb, start + 1, base + flags)
+    point_size = 8 * (2 + has_z + has_m)
+    if base == _POINT:
+        return start + 5 + point_size
+    (count,) = struct.unpack_from(f"{order}I", wkb, start + 5)
+    at = start + 9
+    if base == _LINE:
+        return at + int(count) * point_size
+    for _ in range(count):
+        if base == _POLYGON:
+            (num_points,) = struct.unpack_from(f"{order}I", wkb, at)
+            at += 4 + num_points * point_size
+        else:
+            at = _convert(wkb, at)
+    return at
+
+
+def is_missing(values: pd.Series) -> np.ndarray:
+    """Whether each value is missing or empty text."""
+    return np.asarray(values.isna() | (values.astype(str).str.strip() == ""))

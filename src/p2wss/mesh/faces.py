@@ -1,0 +1,115 @@
+"""The faces of a labelled triangle mesh as planar polygons with holes, as CityJSON stores them.
+
+The kernel labels every triangle with the face that it was cut from, by kind and edge; a union of parts carries the
+same labels, with the number of the plane in place of the edge. So both give their faces by the same rule, without
+any geometric tolerance: triangles with equal labels that share a side are one face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2wss.mesh.planarity import face_of_triangle
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One planar polygon of a building.
+
+    kind: a ``FaceKind``. edge: the footprint edge or the plane it belongs to, or -1. rings: vertex indices, the
+    exterior first, counter-clockwise seen from outside; holes clockwise. face: the number of the face that it is, or
+    is a piece of; pieces of one face have the same.
+    """
+
+    kind: int
+    edge: int
+    rings: Sequence[np.ndarray]
+    face: int = -1
+
+
+def planar_surfaces(
+    vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, edge: np.ndarray
+) -> list[Surface]:
+    """The faces of a closed mesh, in the order of their first triangles.
+
+    vertex_m (v, 3), triangle (t, 3), kind and edge (t,). The exterior ring of a face comes first; every ring runs as
+    its triangles do. A vertex within a straight side is kept where a neighbour has a corner. A hole that touches the
+    exterior or another hole in a vertex is a ring of its own.
+    """
+    face = face_of_triangle(triangle, np.column_stack([kind, edge]))
+    face_of_side: dict[tuple[int, int], int] = {}
+    # of the triangle on the left of a side, the corner that is not on the side
+    apex: dict[tuple[int, int], int] = {}
+    for number, (a, b, c) in zip(face.tolist(), np.asarray(triangle).tolist(), strict=True):
+        for start, end, opposite in ((a, b, c), (b, c, a), (c, a, b)):
+            face_of_side[start, end], apex[start, end] = number, opposite
+    boundary: list[dict[tuple[int, int], None]] = [{} for _ in range(int(face.max(initial=-1)) + 1)]
+    for (start, end), number in face_of_side.items():
+        if face_of_side.get((end, start)) != number:
+            boundary[number][start, end] = None
+    _, first = np.unique(face, return_index=True)
+    return [
+        Surface(
+            int(kind[t]),
+            int(edge[t]),
+            _exterior_first(np.asarray(vertex_m, float), _rings(sides, apex)),
+            number,
+        )
+        for number, (t, sides) in enumerate(zip(first, boundary, strict=True))
+    ]
+
+
+def _rings(boundary: dict[tuple[int, int], None], apex: dict[tuple[int, int], int]) -> list[np.ndarray]:
+    """The boundary sides of one face, joined to rings of vertices.
+
+    From a side the next one is found by turning around their common vertex within the face. Where the exterior and a
+    hole touch in a vertex, that leads from the one to the other; such a ring is divided there.
+    """
+    pending = dict(boundary)
+    rings = []
+    while pending:
+        ring = []
+        start, end = next(iter(pending))
+        while (start, end) in pending:
+            del pending[start, end]
+            ring.append(start)
+            following = apex[start, end]
+            while (end, following) not in boundary:
+                following = apex[following, end]
+            start, end = end, following
+        rings += _simple_rings(ring)
+    return rings
+
+
+def _simple_rings(ring: list[int]) -> list[np.ndarray]:
+    """A ring as rings none of which visits a vertex twice."""
+    rings: list[np.ndarray] = []
+    path: list[int] = []
+    position: dict[int, int] = {}
+    for vertex in ring:
+        if vertex in position:
+            first = position[vertex]
+            rings.append(np.array(path[first:]))
+            for passed in path[first + 1 :]:
+                del position[passed]
+            del path[first + 1 :]
+        else:
+            position[vertex] = len(path)
+            path.append(vertex)
+    return [*rings, np.array(path)]
+
+
+def _exterior_first(vertex_m: np.ndarray, rings: list[np.ndarray]) -> list[np.ndarray]:
+    """The rings of one face; only the exterior turns about the face's normal."""
+    if len(rings) == 1:
+        return rings
+    area = []
+    for ring in rings:
+        # Newell's formula: the vector along the normal, twice as long as the ring's area
+        local = vertex_m[ring] - vertex_m[ring[0]]
+        area.append(np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0))
+    turning = np.array(area) @ np.sum(area, axis=0)
+    return [rings[i] for i in np.argsort(-turning, kind="stable")]

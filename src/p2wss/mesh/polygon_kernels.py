@@ -1,0 +1,365 @@
+"""Tests of the rings and polygons of a solid, compiled. Distances are in metres."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.skeleton.compiled import allocating, entry, inner
+
+# nearer than this, edges and faces touch; files store coordinates in steps of a tenth of a millimetre
+TOUCH_M = 1e-5
+
+
+@inner
+def segment_distance_m2(ax, ay, bx, by, cx, cy, dx, dy):
+    """Squared distance of the segments from a to b and from c to d in a plane; 0 where they cross."""
+    ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
+    c_side, d_side = ux * (cy - ay) - uy * (cx - ax), ux * (dy - ay) - uy * (dx - ax)
+    a_side, b_side = vx * (ay - cy) - vy * (ax - cx), vx * (by - cy) - vy * (bx - cx)
+    if c_side * d_side < 0.0 and a_side * b_side < 0.0:
+        return 0.0
+    near = to_segment_m2(ax, ay, cx, cy, dx, dy)
+    near = min(near, to_segment_m2(bx, by, cx, cy, dx, dy))
+    near = min(near, to_segment_m2(cx, cy, ax, ay, bx, by))
+    return min(near, to_segment_m2(dx, dy, ax, ay, bx, by))
+
+
+@inner
+def to_segment_m2(px, py, ax, ay, bx, by):
+    ux, uy = bx - ax, by - ay
+    length2 = ux * ux + uy * uy
+    share = 0.0
+    if length2 > 0.0:
+        share = min(max(((px - ax) * ux + (py - ay) * uy) / length2, 0.0), 1.0)
+    dx, dy = px - ax - share * ux, py - ay - share * uy
+    return dx * dx + dy * dy
+
+
+@allocating
+def _least_squares_normal(vertex_m, corner, first, last, normal):
+    """The centre of corners; ``normal`` becomes the unit normal of the plane with the least squared distances to them,
+    by Jacobi's rotations."""
+    a, axes = np.zeros((3, 3)), np.zeros((3, 3))
+    centre = np.zeros(3)
+    for k in range(first, last):
+        for i in range(3):
+            centre[i] += vertex_m[corner[k], i] / (last - first)
+    for k in range(first, last):
+        for i in range(3):
+            for j in range(3):
+                a[i, j] += (vertex_m[corner[k], i] - centre[i]) * (vertex_m[corner[k], j] - centre[j])
+    for i in range(3):
+        axes[i, i] = 1.0
+    for _ in range(60):
+        p, q = 0, 1
+        if abs(a[0, 2]) > abs(a[p, q]):
+            p, q = 0, 2
+        if abs(a[1, 2]) > abs(a[p, q]):
+            p, q = 1, 2
+        if abs(a[p, q]) <= 1e-18 * (a[0, 0] + a[1, 1] + a[2, 2]):
+            break
+        angle = 0.5 * np.arctan2(2.0 * a[p, q], a[q, q] - a[p, p])
+        cosine, sine = np.cos(angle), np.sin(angle)
+        for k in range(3):
+            x, y = a[k, p], a[k, q]
+            a[k, p], a[k, q] = cosine * x - sine * y, sine * x + cosine * y
+        for k in range(3):
+            x, y = a[p, k], a[q, k]
+            a[p, k], a[q, k] = cosine * x - sine * y, sine * x + cosine * y
+        for k in range(3):
+            x, y = axes[k, p], axes[k, q]
+            axes[k, p], axes[k, q] = cosine * x - sine * y, sine * x + cosine * y
+    least = 0
+    for i in range(1, 3):
+        if a[i, i] < a[least, least]:
+            least = i
+    for i in range(3):
+        normal[i] = axes[i, least]
+    return centre
+
+
+@entry
+def project(vertex_m, corner, ring_offset, face_ring, normal_m, off_plane_m):
+    """Corners (k, 2) in the plane of least squares of their face, and in ``off_plane_m`` (f,) how far the face's
+    farthest corner is from it; ``normal_m`` (f, 3) becomes the unit normals, on the side from which the exterior
+    turns counter-clockwise.
+
+    corner: vertices of all rings. ring_offset (r + 1,): ring r has ``corner[ring_offset[r]:ring_offset[r + 1]]``.
+    face_ring (f + 1,): face f has the rings ``face_ring[f]:face_ring[f + 1]``, its exterior first.
+    """
+    plane_m = np.zeros((len(corner), 2))
+    newell, across, along = np.zeros(3), np.zeros(3), np.zeros(3)
+    for f in range(len(face_ring) - 1):
+        first, last = ring_offset[face_ring[f]], ring_offset[face_ring[f + 1]]
+        end = ring_offset[face_ring[f] + 1] if face_ring[f + 1] > face_ring[f] else first
+        if end - first < 3:
+            continue
+        normal = normal_m[f]
+        centre = _least_squares_normal(vertex_m, corner, first, last, normal)
+        newell[:] = 0.0
+        for k in range(first, end):
+            m = k + 1 if k + 1 < end else first
+            p, q = vertex_m[corner[k]], vertex_m[corner[m]]
+            for i in range(3):
+                j, h = (i + 1) % 3, (i + 2) % 3
+                newell[i] += (p[j] - centre[j]) * (q[h] - centre[h]) - (p[h] - centre[h]) * (q[j] - centre[j])
+        if newell[0] * normal[0] + newell[1] * normal[1] + newell[2] * normal[2] < 0.0:
+            for i in range(3):
+                normal[i] = -normal[i]
+        flat = 0
+        for i in range(1, 3):
+            if abs(normal[i]) < abs(normal[flat]):
+                flat = i
+        along[:] = 0.0
+        along[flat] = 1.0
+        size = 0.0
+        for i in range(3):
+            along[i] -= normal[flat] * normal[i]
+            size += along[i] * along[i]
+        for i in range(3):
+            along[i] /= np.sqrt(size)
+        for i in range(3):
+            j, h = (i + 1) % 3, (i + 2) % 3
+            across[i] = normal[j] * along[h] - normal[h] * along[j]
+        for k in range(first, last):
+            off = 0.0
+            for i in range(3):
+                d = vertex_m[corner[k], i] - centre[i]
+                off += d * normal[i]
+                plane_m[k, 0] += d * along[i]
+                plane_m[k, 1] += d * across[i]
+            off_plane_m[f] = max(off_plane_m[f], abs(off))
+    return plane_m
+
+
+@inner
+def _ring_area(plane_m, first, last):
+    area = 0.0
+    for k in range(first, last):
+        m = k + 1 if k + 1 < last else first
+        area += 0.5 * (plane_m[k, 0] * plane_m[m, 1] - plane_m[m, 0] * plane_m[k, 1])
+    return area
+
+
+@inner
+def _is_inside(plane_m, first, last, x, y):
+    inside = False
+    for k in range(first, last):
+        m = k + 1 if k + 1 < last else first
+        ax, ay, bx, by = plane_m[k, 0], plane_m[k, 1], plane_m[m, 0], plane_m[m, 1]
+        if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
+            inside = not inside
+    return inside
+
+
+@inner
+def _edges_touch(plane_m, corner, a, b, c, d):
+    """Whether the edges a b and c d of rings, which may have a vertex in common, have more than it in common."""
+    touch2 = TOUCH_M * TOUCH_M
+    ax, ay, bx, by = plane_m[a, 0], plane_m[a, 1], plane_m[b, 0], plane_m[b, 1]
+    cx, cy, dx, dy = plane_m[c, 0], plane_m[c, 1], plane_m[d, 0], plane_m[d, 1]
+    if corner[a] == corner[c] or corner[a] == corner[d] or corner[b] == corner[c] or corner[b] == corner[d]:
+        far = c if corner[d] == corner[a] or corner[d] == corner[b] else d
+        other = a if corner[b] == corner[c] or corner[b] == corner[d] else b
+        if to_segment_m2(plane_m[far, 0], plane_m[far, 1], ax, ay, bx, by) < touch2:
+            return True
+        return to_segment_m2(plane_m[other, 0], plane_m[other, 1], cx, cy, dx, dy) < touch2
+    if min(ax, bx) > max(cx, dx) + TOUCH_M or min(cx, dx) > max(ax, bx) + TOUCH_M:
+        return False
+    if min(ay, by) > max(cy, dy) + TOUCH_M or min(cy, dy) > max(ay, by) + TOUCH_M:
+        return False
+    return segment_distance_m2(ax, ay, bx, by, cx, cy, dx, dy) < touch2
+
+
+@entry
+def broken_ring_rules(plane_m, corner, ring_offset, face_ring):
+    """int64 (f,): for each face the first broken rule of rings and polygons, or 0. Codes as in
+    :mod:`p2wss.mesh.rules`."""
+    result = np.zeros(len(face_ring) - 1, np.int64)
+    for f in range(len(face_ring) - 1):
+        result[f] = _broken_ring_rule(plane_m, corner, ring_offset, face_ring[f], face_ring[f + 1])
+    return result
+
+
+@allocating
+def _broken_ring_rule(plane_m, corner, ring_offset, first_ring, last_ring):
+    if last_ring <= first_ring:
+        return 101
+    for r in range(first_ring, last_ring):
+        first, last = ring_offset[r], ring_offset[r + 1]
+        if last - first < 3:
+            return 101
+        for k in range(first, last):
+            if corner[k] == corner[k + 1 if k + 1 < last else first]:
+                return 102
+        for k in range(first, last):
+            for m in range(k + 1, last):
+                if corner[k] == corner[m]:
+                    return 104
+                if _edges_touch(
+                    plane_m, corner, k, k + 1 if k + 1 < last else first, m, m + 1 if m + 1 < last else first
+                ):
+                    return 104
+        if abs(_ring_area(plane_m, first, last)) < TOUCH_M * TOUCH_M:
+            return 104
+    outer_first, outer_last = ring_offset[first_ring], ring_offset[first_ring + 1]
+    turn = _ring_area(plane_m, outer_first, outer_last)
+    for r in range(first_ring + 1, last_ring):
+        if _ring_area(plane_m, ring_offset[r], ring_offset[r + 1]) * turn > 0.0:
+            return 208
+    for r in range(first_ring, last_ring):
+        for s in range(r + 1, last_ring):
+            num_common = 0
+            for k in range(ring_offset[r], ring_offset[r + 1]):
+                for m in range(ring_offset[s], ring_offset[s + 1]):
+                    if corner[k] == corner[m]:
+                        num_common += 1
+            if num_common > 1:
+                same = num_common == ring_offset[s + 1] - ring_offset[s]
+                return 202 if same and num_common == ring_offset[r + 1] - ring_offset[r] else 205
+            for k in range(ring_offset[r], ring_offset[r + 1]):
+                after_k = k + 1 if k + 1 < ring_offset[r + 1] else ring_offset[r]
+                for m in range(ring_offset[s], ring_offset[s + 1]):
+                    after_m = m + 1 if m + 1 < ring_offset[s + 1] else ring_offset[s]
+                    if _edges_touch(plane_m, corner, k, after_k, m, after_m):
+                        return 201
+    # rings that touch one after the other in a circle divide the interior
+    if last_ring - first_ring > 2:
+        group = np.arange(last_ring - first_ring)
+        for r in range(first_ring, last_ring):
+            for s in range(r + 1, last_ring):
+                for k in range(ring_offset[r], ring_offset[r + 1]):
+                    for m in range(ring_offset[s], ring_offset[s + 1]):
+                        if corner[k] == corner[m]:
+                            one, two = group[r - first_ring], group[s - first_ring]
+                            if one == two:
+                                return 205
+                            for i in range(len(group)):
+                                if group[i] == two:
+                                    group[i] = one
+    for r in range(first_ring + 1, last_ring):
+        for k in range(ring_offset[r], ring_offset[r + 1]):
+            x, y = plane_m[k, 0], plane_m[k, 1]
+            is_common = False
+            for m in range(outer_first, outer_last):
+                if corner[k] == corner[m]:
+                    is_common = True
+            if not is_common and not _is_inside(plane_m, outer_first, outer_last, x, y):
+                return 206
+            for s in range(first_ring + 1, last_ring):
+                is_common = s == r
+                for m in range(ring_offset[s], ring_offset[s + 1]):
+                    if corner[k] == corner[m]:
+                        is_common = True
+                if not is_common and _is_inside(plane_m, ring_offset[s], ring_offset[s + 1], x, y):
+                    return 207
+    return 0
+
+
+@entry
+def closest_vertices(vertex_m, within_m):
+    """(first, second): two vertices within ``within_m`` of each other, or (-1, -1)."""
+    for i in range(len(vertex_m)):
+        for j in range(i + 1, len(vertex_m)):
+            dx = vertex_m[i, 0] - vertex_m[j, 0]
+            if abs(dx) > within_m:
+                continue
+            dy, dz = vertex_m[i, 1] - vertex_m[j, 1], vertex_m[i, 2] - vertex_m[j, 2]
+            if dx * dx + dy * dy + dz * dz <= within_m * within_m:
+                return i, j
+    return -1, -1
+
+
+@entry
+def merged_vertices(vertex_m, within_m):
+    """int64 (v,): for each vertex the first one within ``within_m`` of it that is not merged with another itself."""
+    result = np.arange(len(vertex_m))
+    for i in range(len(vertex_m)):
+        for j in range(i):
+            dx = vertex_m[i, 0] - vertex_m[j, 0]
+            if abs(dx) > within_m or result[j] != j:
+                continue
+            dy, dz = vertex_m[i, 1] - vertex_m[j, 1], vertex_m[i, 2] - vertex_m[j, 2]
+            if dx * dx + dy * dy + dz * dz <= within_m * within_m:
+                result[i] = j
+                break
+    return result
+
+
+@entry
+def make_delaunay(plane_m, triangle):
+    """Flip the diagonals of the triangles (t, 3) of one face, in place, until each is Delaunay: the constrained
+    triangulation that validators use. plane_m: (k, 2), counter-clockwise triangles index it."""
+    for _ in range(10 * len(triangle)):
+        has_flipped = False
+        for s in range(len(triangle)):
+            for t in range(s + 1, len(triangle)):
+                for i in range(3):
+                    for j in range(3):
+                        a, b = triangle[s, i], triangle[s, (i + 1) % 3]
+                        if triangle[t, j] != b or triangle[t, (j + 1) % 3] != a:
+                            continue
+                        c, d = triangle[s, (i + 2) % 3], triangle[t, (j + 2) % 3]
+                        if _is_in_circle(plane_m, a, b, c, d) and (
+                            _area2(plane_m, a, d, c) > 0.0 and _area2(plane_m, d, b, c) > 0.0
+                        ):
+                            triangle[s, 0], triangle[s, 1], triangle[s, 2] = a, d, c
+                            triangle[t, 0], triangle[t, 1], triangle[t, 2] = d, b, c
+                            has_flipped = True
+        if not has_flipped:
+            return
+
+
+@inner
+def _area2(plane_m, a, b, c):
+    ux, uy = plane_m[b, 0] - plane_m[a, 0], plane_m[b, 1] - plane_m[a, 1]
+    return ux * (plane_m[c, 1] - plane_m[a, 1]) - uy * (plane_m[c, 0] - plane_m[a, 0])
+
+
+@inner
+def _is_in_circle(plane_m, a, b, c, d):
+    """Whether d is inside the circle through a, b, c, by the angles opposite of the common edge."""
+    ax, ay = plane_m[a, 0] - plane_m[c, 0], plane_m[a, 1] - plane_m[c, 1]
+    bx, by = plane_m[b, 0] - plane_m[c, 0], plane_m[b, 1] - plane_m[c, 1]
+    ex, ey = plane_m[a, 0] - plane_m[d, 0], plane_m[a, 1] - plane_m[d, 1]
+    gx, gy = plane_m[b, 0] - plane_m[d, 0], plane_m[b, 1] - plane_m[d, 1]
+    at_c, at_d = (
+        np.arctan2(abs(ax * by - ay * bx), ax * bx + ay * by),
+        np.arctan2(abs(ex * gy - ey * gx), ex * gx + ey * gy),
+    )
+    return at_c + at_d > np.pi + 1e-9
+
+
+@entry
+def largest_fold_deg(vertex_m, triangle):
+    """The largest angle between the normals of two of the triangles (t, 3) of a face, in degrees."""
+    normal = np.zeros((len(triangle), 3))
+    for t in range(len(triangle)):
+        size = area_normal(vertex_m, triangle[t, 0], triangle[t, 1], triangle[t, 2], normal[t])
+        for i in range(3):
+            normal[t, i] /= max(size, 1e-300)
+    lowest = 1.0
+    for s in range(len(triangle)):
+        for t in range(s + 1, len(triangle)):
+            lowest = min(
+                lowest,
+                normal[s, 0] * normal[t, 0] + normal[s, 1] * normal[t, 1] + normal[s, 2] * normal[t, 2],
+            )
+    return np.degrees(np.arccos(max(lowest, -1.0)))
+
+
+@inner
+def area_normal(vertex_m, a, b, c, out):
+    """Fills ``out`` with the normal of a triangle, as long as twice its area; returns that length."""
+    ux, uy, uz = (
+        vertex_m[b, 0] - vertex_m[a, 0],
+        vertex_m[b, 1] - vertex_m[a, 1],
+        vertex_m[b, 2] - vertex_m[a, 2],
+    )
+    vx, vy, vz = (
+        vertex_m[c, 0] - vertex_m[a, 0],
+        vertex_m[c, 1] - vertex_m[a, 1],
+        vertex_m[c, 2] - vertex_m[a, 2],
+    )
+    out[0], out[1], out[2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])

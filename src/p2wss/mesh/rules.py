@@ -1,0 +1,199 @@
+"""Validate a solid against the rules of ISO 19107, as validators of city models do.
+
+The numbers of the rules and the tolerances are those of val3dity (Ledoux 2018, "val3dity: validation of 3D GIS
+primitives according to the international standards", https://doi.org/10.1186/s40965-018-0043-x;
+https://val3dity.readthedocs.io/en/latest/errors/); the tests are our own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mapbox_earcut
+import numpy as np
+
+from p2wss.mesh import polygon_kernels, shell_kernels
+from p2wss.mesh.faces import Surface
+
+MEANINGS: dict[int, str] = {
+    101: "a ring has fewer than three vertices",
+    102: "consecutive vertices of a ring are the same, within the tolerance of merging them",
+    104: "a ring touches or crosses itself",
+    201: "two rings of a face cross or touch",
+    202: "two rings of a face are the same",
+    203: "a face is not planar: a vertex is too far from the plane of least squares",
+    204: "a face is not planar: it has a fold",
+    205: "holes divide the interior of a face",
+    206: "a hole is outside the face",
+    207: "a hole is inside another hole",
+    208: "a hole turns as the exterior does",
+    301: "the shell has fewer than four faces",
+    302: "the shell is not closed",
+    303: "an edge or a vertex of the shell is not manifold",
+    305: "the shell consists of several parts",
+    306: "faces of the shell touch or cross each other",
+    307: "faces of the shell are oriented differently from their neighbours",
+    405: "the shell is inside out",
+}
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """snap_m: vertices within this distance are merged. planar_m: of vertices from the plane of a face. fold_deg:
+    between the normals of the triangles of a face."""
+
+    snap_m: float = 1e-3
+    planar_m: float = 1e-2
+    fold_deg: float = 20.0
+
+
+# the defaults of val3dity, and what we write: a little stricter, so that its rounding does not matter
+VAL3DITY = Tolerances()
+WRITING = Tolerances(1.2e-3, 9e-3, 18.0)
+
+
+@dataclass(frozen=True)
+class Breach:
+    """A rule that a solid breaks. face: the number of the face, or -1 if it is a rule of the shell."""
+
+    code: int
+    face: int = -1
+
+
+def face_breaches(
+    vertex_m: np.ndarray, surfaces: Sequence[Surface], tolerances: Tolerances = VAL3DITY
+) -> list[Breach]:
+    """The rules that the faces of a shell break, each by itself; arguments as those of :func:`breaches`."""
+    return _Faces.of(vertex_m, surfaces, tolerances.snap_m).breaches(tolerances)
+
+
+def breaches(
+    vertex_m: np.ndarray,
+    surfaces: Sequence[Surface],
+    tolerances: Tolerances = VAL3DITY,
+    is_outer: bool = True,
+) -> list[Breach]:
+    """The rules that a shell of planar polygons breaks, none for a valid one.
+
+    Vertices within ``snap_m`` of each other are one. As validators do, rules of the shell are tested only if all its
+    faces are valid, and whether faces cross only if the shell is closed. vertex_m: float64 (v, 3), coordinates as a
+    file stores them. is_outer: false for the shell of a hollow, whose faces look inwards.
+    """
+    faces = _Faces.of(vertex_m, surfaces, tolerances.snap_m)
+    result = faces.breaches(tolerances)
+    if not result and len(surfaces) < 4:
+        result = [Breach(301)]
+    if result:
+        return result
+    triangle = np.concatenate(faces.triangles)
+    code = shell_code(triangle)
+    if code == 0 and shell_kernels.intersecting_triangles(faces.vertex_m, triangle)[0] >= 0:
+        code = 306
+    if code == 0:
+        corner = faces.vertex_m[triangle]
+        volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
+        code = 0 if (volume > 0) == is_outer else 405
+    return [Breach(code)] if code else []
+
+
+@dataclass
+class _Faces:
+    """Polygons as the compiled tests take them. vertex_m: near the origin, so that rounding does not matter.
+    triangles: of each face, filled by :meth:`breaches`."""
+
+    vertex_m: np.ndarray
+    corner: np.ndarray
+    ring_offset: np.ndarray
+    face_ring: np.ndarray
+    triangles: list[np.ndarray]
+
+    @classmethod
+    def of(cls, vertex_m: np.ndarray, surfaces: Sequence[Surface], snap_m: float) -> _Faces:
+        """The faces of surfaces on vertices (v, 3), metres; vertices nearer to each other than ``snap_m`` are one."""
+        rings = [ring for surface in surfaces for ring in surface.rings]
+        corner = np.concatenate([np.zeros(0, np.int64), *rings]).astype(np.int64)
+        ring_offset = np.cumsum([0, *map(len, rings)], dtype=np.int64)
+        face_ring = np.cumsum([0, *(len(surface.rings) for surface in surfaces)], dtype=np.int64)
+        used, local = np.unique(corner, return_inverse=True)
+        near = np.ascontiguousarray(np.asarray(vertex_m, float).reshape(-1, 3)[used])
+        if len(near):
+            near = near - near.min(axis=0)
+        merged = polygon_kernels.merged_vertices(near, snap_m)
+        return cls(near, merged[local.reshape(-1)], ring_offset, face_ring, [])
+
+    def breaches(self, tolerances: Tolerances) -> list[Breach]:
+        """Rules of single faces."""
+        num_faces = len(self.face_ring) - 1
+        normal, off_plane_m = np.zeros((num_faces, 3)), np.zeros(num_faces)
+        plane_m = polygon_kernels.project(
+            self.vertex_m, self.corner, self.ring_offset, self.face_ring, normal, off_plane_m
+        )
+        codes = polygon_kernels.broken_ring_rules(plane_m, self.corner, self.ring_offset, self.face_ring)
+        size = np.diff(self.ring_offset[self.face_ring])
+        # three vertices are in a plane
+        codes[(size > 3) & (off_plane_m > tolerances.planar_m) & ((codes > 102) | (codes == 0))] = 203
+        result = [Breach(int(codes[f]), f) for f in np.flatnonzero(codes).tolist()]
+        if result:
+            return result
+        for f in range(num_faces):
+            triangle = self._triangulated(plane_m, f)
+            self.triangles.append(triangle)
+            if (
+                size[f] > 3
+                and polygon_kernels.largest_fold_deg(self.vertex_m, triangle) > tolerances.fold_deg
+            ):
+                result.append(Breach(204, f))
+        return result
+
+    def _triangulated(self, plane_m: np.ndarray, face: int) -> np.ndarray:
+        """Vertices of the triangles of a face, int64 (t, 3): its constrained Delaunay triangulation."""
+        first_ring, last_ring = self.face_ring[face], self.face_ring[face + 1]
+        first, last = self.ring_offset[first_ring], self.ring_offset[last_ring]
+        corner = self.corner[first:last]
+        if last - first == 3:
+            return corner[None]
+        local = plane_m[first:last]
+        ends = (self.ring_offset[first_ring + 1 : last_ring + 1] - first).astype(np.uint32)
+        triangle = mapbox_earcut.triangulate_float64(local, ends).reshape(-1, 3).astype(np.int64)
+        # earcut turns clockwise
+        triangle = np.ascontiguousarray(triangle[:, ::-1]) if _turns_back(local, triangle) else triangle
+        if last_ring - first_ring > 1:
+            triangle = _common_corners(corner, triangle)
+        polygon_kernels.make_delaunay(local, triangle)
+        return corner[triangle]
+
+
+def _turns_back(plane_m: np.ndarray, triangle: np.ndarray) -> bool:
+    a, b, c = plane_m[triangle[:, 0]], plane_m[triangle[:, 1]], plane_m[triangle[:, 2]]
+    u, v = b - a, c - a
+    return bool((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() < 0)
+
+
+def _common_corners(corner: np.ndarray, triangle: np.ndarray) -> np.ndarray:
+    """The triangles with one number for a vertex that two rings have in common."""
+    _, first, number = np.unique(corner, return_index=True, return_inverse=True)
+    return np.ascontiguousarray(first[number.reshape(-1)][triangle])
+
+
+def shell_code(triangle: np.ndarray) -> int:
+    """The first rule that the triangles (t, 3) break as a closed, manifold, oriented surface of one part, or 0."""
+    triangle = np.asarray(triangle, np.int64)
+    size = int(triangle.max()) + 1
+    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
+    forward, back = start * size + end, end * size + start
+    order = np.argsort(forward, kind="stable")
+    ordered = forward[order]
+    if (start == end).any():
+        return 303
+    if (np.diff(ordered) == 0).any():
+        edge = np.sort(np.minimum(forward, back))
+        return 303 if (edge[2:] == edge[:-2]).any() else 307
+    place = np.minimum(np.searchsorted(ordered, back), len(ordered) - 1)
+    if (ordered[place] != back).any():
+        return 302
+    twin = order[place]
+    num_fans, num_parts = shell_kernels.fans_and_parts(twin)
+    if num_fans != len(np.unique(triangle)):
+        return 303
+    return 305 if num_parts > 1 else 0

@@ -1,0 +1,177 @@
+"""Tests of the shell of a solid, compiled: its triangles, whether they cross, how they are connected."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.mesh.polygon_kernels import TOUCH_M, area_normal, segment_distance_m2
+from p2wss.skeleton.compiled import ZERO, entry, inner
+
+# faces at a common edge that enclose a smaller angle, in radians, lie on each other
+_FOLD_RAD = 1e-3
+
+
+@entry
+def intersecting_triangles(vertex_m, triangle):
+    """(first, second): two triangles (t, 3) that have more in common than a vertex or an edge; or (-1, -1)."""
+    num = len(triangle)
+    low, high = np.empty((num, 3)), np.empty((num, 3))
+    normal = np.empty((num, 3))
+    for t in range(num):
+        size = area_normal(vertex_m, triangle[t, 0], triangle[t, 1], triangle[t, 2], normal[t])
+        for i in range(3):
+            a, b, c = vertex_m[triangle[t, 0], i], vertex_m[triangle[t, 1], i], vertex_m[triangle[t, 2], i]
+            low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
+            normal[t, i] /= max(size, 1e-300)
+    for s in range(num):
+        for t in range(s + 1, num):
+            if low[s, 0] > high[t, 0] or low[t, 0] > high[s, 0] or low[s, 1] > high[t, 1]:
+                continue
+            if low[t, 1] > high[s, 1] or low[s, 2] > high[t, 2] or low[t, 2] > high[s, 2]:
+                continue
+            if _triangles_intersect(vertex_m, triangle, normal, s, t):
+                return s, t
+    return -1, -1
+
+
+@inner
+def _triangles_intersect(vertex_m, triangle, normal, s, t):
+    num_common, free_s, free_t = ZERO, ZERO, ZERO
+    for i in range(3):
+        for j in range(3):
+            if triangle[s, i] == triangle[t, j]:
+                num_common += 1
+                free_s += i
+                free_t += j
+    if num_common == 3:
+        return True
+    if num_common == 2:
+        # the corners that are not on the common edge
+        return _lie_on_each_other(vertex_m, triangle, s, 3 - free_s, t, 3 - free_t)
+    if num_common == 1:
+        return _edge_meets(vertex_m, triangle, normal, s, free_s, t) or _edge_meets(
+            vertex_m, triangle, normal, t, free_t, s
+        )
+    if _is_beside(vertex_m, triangle, normal, s, t) or _is_beside(vertex_m, triangle, normal, t, s):
+        return False
+    for i in range(3):
+        if _edge_meets(vertex_m, triangle, normal, s, i, t) or _edge_meets(
+            vertex_m, triangle, normal, t, i, s
+        ):
+            return True
+    return False
+
+
+@inner
+def _height(vertex_m, triangle, normal, t, v):
+    """Signed distance of vertex v from the plane of triangle t."""
+    result = 0.0
+    for i in range(3):
+        result += (vertex_m[v, i] - vertex_m[triangle[t, 0], i]) * normal[t, i]
+    return result
+
+
+@inner
+def _is_beside(vertex_m, triangle, normal, s, t):
+    """Whether triangle t is wholly on one side of the plane of triangle s."""
+    a = _height(vertex_m, triangle, normal, s, triangle[t, 0])
+    b = _height(vertex_m, triangle, normal, s, triangle[t, 1])
+    c = _height(vertex_m, triangle, normal, s, triangle[t, 2])
+    return min(a, min(b, c)) > TOUCH_M or max(a, max(b, c)) < -TOUCH_M
+
+
+@inner
+def _lie_on_each_other(vertex_m, triangle, s, i, t, j):
+    """Whether two triangles with a common edge, whose other corners are number i and j, are folded onto each other."""
+    a, b = triangle[s, (i + 1) % 3], triangle[s, (i + 2) % 3]
+    c, d = triangle[s, i], triangle[t, j]
+    length2, c_along, d_along = 0.0, 0.0, 0.0
+    for k in range(3):
+        u = vertex_m[b, k] - vertex_m[a, k]
+        length2 += u * u
+        c_along += u * (vertex_m[c, k] - vertex_m[a, k])
+        d_along += u * (vertex_m[d, k] - vertex_m[a, k])
+    dot, c2, d2 = 0.0, 0.0, 0.0
+    for k in range(3):
+        u = vertex_m[b, k] - vertex_m[a, k]
+        x = vertex_m[c, k] - vertex_m[a, k] - u * c_along / length2
+        y = vertex_m[d, k] - vertex_m[a, k] - u * d_along / length2
+        dot += x * y
+        c2 += x * x
+        d2 += y * y
+    if c2 < TOUCH_M * TOUCH_M or d2 < TOUCH_M * TOUCH_M:
+        return True
+    return dot > np.sqrt(c2 * d2) * np.cos(_FOLD_RAD)
+
+
+@inner
+def _edge_meets(vertex_m, triangle, normal, s, i, t):
+    """Whether the edge opposite of corner i of triangle s touches triangle t."""
+    p, q = triangle[s, (i + 1) % 3], triangle[s, (i + 2) % 3]
+    p_height, q_height = (
+        _height(vertex_m, triangle, normal, t, p),
+        _height(vertex_m, triangle, normal, t, q),
+    )
+    if min(p_height, q_height) > TOUCH_M or max(p_height, q_height) < -TOUCH_M:
+        return False
+    # the triangle seen along the axis in which it is largest
+    axis = 0
+    for k in range(1, 3):
+        if abs(normal[t, k]) > abs(normal[t, axis]):
+            axis = k
+    x, y = (axis + 1) % 3, (axis + 2) % 3
+    from_share, to_share = 0.0, 1.0
+    if abs(p_height - q_height) > 2.0 * TOUCH_M:
+        # the piece of the edge within the distance of a touch from the plane
+        one = (p_height - TOUCH_M) / (p_height - q_height)
+        two = (p_height + TOUCH_M) / (p_height - q_height)
+        from_share, to_share = max(min(one, two), 0.0), min(max(one, two), 1.0)
+    ax = vertex_m[p, x] + from_share * (vertex_m[q, x] - vertex_m[p, x])
+    ay = vertex_m[p, y] + from_share * (vertex_m[q, y] - vertex_m[p, y])
+    bx = vertex_m[p, x] + to_share * (vertex_m[q, x] - vertex_m[p, x])
+    by = vertex_m[p, y] + to_share * (vertex_m[q, y] - vertex_m[p, y])
+    near2 = TOUCH_M * TOUCH_M
+    num_left, num_right = 0, 0
+    for k in range(3):
+        c, d = triangle[t, k], triangle[t, (k + 1) % 3]
+        cx, cy, dx, dy = vertex_m[c, x], vertex_m[c, y], vertex_m[d, x], vertex_m[d, y]
+        if segment_distance_m2(ax, ay, bx, by, cx, cy, dx, dy) < near2:
+            return True
+        side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+        if side > 0.0:
+            num_left += 1
+        else:
+            num_right += 1
+    return num_left == 3 or num_right == 3
+
+
+@entry
+def fans_and_parts(twin):
+    """(fans of triangles around all vertices, connected parts) of a closed surface of triangles. twin: the opposite of
+    each half-edge; half-edge 3 t + k leaves corner k of triangle t."""
+    num_fans, num_parts = 0, 0
+    seen = np.zeros(len(twin), np.bool_)
+    for h in range(len(twin)):
+        if seen[h]:
+            continue
+        num_fans += 1
+        k = h
+        while not seen[k]:
+            seen[k] = True
+            k = twin[k - 1 if k % 3 > 0 else k + 2]
+    reached = np.zeros(len(twin) // 3, np.bool_)
+    pending = np.empty(len(twin) // 3, np.int64)
+    for t in range(len(reached)):
+        if reached[t]:
+            continue
+        num_parts += 1
+        reached[t], pending[0], num_pending = True, t, 1
+        while num_pending > 0:
+            num_pending -= 1
+            here = pending[num_pending]
+            for k in range(3):
+                other = twin[3 * here + k] // 3
+                if not reached[other]:
+                    reached[other], pending[num_pending] = True, other
+                    num_pending += 1
+    return num_fans, num_parts

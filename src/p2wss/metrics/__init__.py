@@ -1,1 +1,0 @@
-"""Metrics on arrays, one per file. Pure: they know no stage, no file and no configuration."""

@@ -1,0 +1,159 @@
+"""Building and ground points for clouds without these classes, from heights above the ground and planarity.
+
+Ground: the lowest points of cells of 1 m, opened with growing windows; what an opening lowers by more than a slope
+allows is not ground (K. Pingel et al. 2013, "An improved simple morphological filter for the terrain classification of
+airborne LIDAR data"). Buildings: points at least 2 m above the ground whose neighbours lie on planes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from p2wss.clouds.las_classes import (
+    BUILDING_CLASS,
+    GROUND_CLASS,
+    UNCLASSIFIED_CLASS,
+    VEGETATION_CLASS,
+    WATER_CLASS,
+)
+from p2wss.clouds.points import MIN_HEIGHT_M
+from p2wss.clouds.reading import Cloud
+
+_CELL_M = 1.0
+# half the width of the widest building that is not taken for ground
+_MAX_RADIUS_M = 30
+_GROUND_SLOPE = 0.15
+# without single low outliers: a cell counts as no lower than this below the second lowest of the nine around it
+_LOW_PERCENTILE, _MAX_BELOW_M = 20, 1.0
+_GROUND_TOLERANCE_M = 0.4
+_NUM_NEIGHBOURS = 12
+_MAX_DISTANCE_M = 2.0
+# rms distance of neighbours from their plane, and the steepest plane
+_MAX_ROUGHNESS_M = 0.12
+_MIN_UPRIGHT = np.cos(np.radians(75))
+_CHUNK = 100_000
+_WITHOUT_GROUND = (
+    "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
+    " more accurate"
+)
+_WITHOUT_BUILDINGS = (
+    "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than ten of"
+    " them, all points 2 m above the ground), and footprints are not moved (--register on moves them nevertheless)"
+)
+
+
+def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
+    """The cloud with ground and building points where it has none at all of a class, and a warning for each class.
+
+    Only points that are unclassified, vegetation or of a class without a meaning in LAS get another class.
+    """
+    classes = cloud.classification
+    if not len(cloud):
+        return cloud, []
+    has_ground, has_buildings = (classes == GROUND_CLASS).any(), (classes == BUILDING_CLASS).any()
+    if not has_ground:
+        classes = np.where(_is_open(classes) & _lowest(cloud), GROUND_CLASS, classes).astype(np.uint8)
+    if not has_buildings:
+        height_m = cloud.z_m - _ground_z_m(cloud, classes == GROUND_CLASS)
+        candidates = np.flatnonzero(_is_open(classes) & (height_m >= MIN_HEIGHT_M))
+        is_planar = _planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
+        classes = classes.copy()
+        classes[candidates] = np.where(is_planar, BUILDING_CLASS, VEGETATION_CLASS)
+    return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 1)
+
+
+def warnings(num_without_ground: int, num_without_buildings: int, num_footprints: int) -> list[str]:
+    """A warning for each class that the points around some footprints lack."""
+    result: list[str] = []
+    for count, number, text in (
+        (num_without_ground, "2 (ground)", _WITHOUT_GROUND),
+        (num_without_buildings, "6 (building)", _WITHOUT_BUILDINGS),
+    ):
+        if count:
+            which = (
+                "the footprints" if count == num_footprints else f"{count} of the {num_footprints} footprints"
+            )
+            result.append(f"no point around {which} has class {number}: {text}")
+    return result
+
+
+def _is_open(classes: np.ndarray) -> np.ndarray:
+    """Whether a point of each class may be ground or building."""
+    meanings = (GROUND_CLASS, BUILDING_CLASS, WATER_CLASS, *range(10, 19))
+    return (classes <= UNCLASSIFIED_CLASS) | ~np.isin(classes, meanings)
+
+
+def _cells(cloud: Cloud) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
+    """(row of each point, its column, shape of the raster); cells begin at whole metres, whatever the window."""
+    row, column = (
+        np.floor(cloud.y_m / _CELL_M).astype(np.int64),
+        np.floor(cloud.x_m / _CELL_M).astype(np.int64),
+    )
+    row, column = row - row.min(), column - column.min()
+    return row, column, (int(row.max()) + 1, int(column.max()) + 1)
+
+
+def _filled(raster: np.ndarray) -> np.ndarray:
+    """The raster with the nearest value in cells without one (NaN)."""
+    index = ndimage.distance_transform_edt(np.isnan(raster), return_distances=False, return_indices=True)
+    return raster[tuple(index)]
+
+
+def _lowest(cloud: Cloud) -> np.ndarray:
+    """Whether each point is ground, bool (n,)."""
+    row, column, shape = _cells(cloud)
+    lowest = np.full(shape, np.inf)
+    np.minimum.at(lowest, (row, column), cloud.z_m)
+    lowest[np.isinf(lowest)] = np.nan
+    surface = _filled(lowest)
+    low = ndimage.percentile_filter(surface, _LOW_PERCENTILE, 3)
+    surface = np.maximum(surface, low - _MAX_BELOW_M)
+    is_object = np.zeros(shape, bool)
+    opened = surface
+    for radius in range(1, int(_MAX_RADIUS_M / _CELL_M) + 1):
+        size = 2 * radius + 1
+        after = ndimage.grey_opening(opened, (size, size)) if radius < 4 or radius % 3 == 0 else opened
+        is_object |= opened - after > _GROUND_SLOPE * radius * _CELL_M
+        opened = after
+    ground = _filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
+    return cloud.z_m - ground[row, column] <= _GROUND_TOLERANCE_M
+
+
+def _ground_z_m(cloud: Cloud, is_ground: np.ndarray) -> np.ndarray:
+    """The height of the ground at each point, float64 (n,): the mean ground point of its cell or of the nearest."""
+    row, column, shape = _cells(cloud)
+    if not is_ground.any():
+        return np.full(len(cloud), cloud.z_m.min())
+    cell = row * shape[1] + column
+    size = shape[0] * shape[1]
+    count = np.bincount(cell[is_ground], minlength=size)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(cell[is_ground], cloud.z_m[is_ground], size) / count
+    return _filled(mean.reshape(shape))[row, column]
+
+
+def _planar(xyz_m: np.ndarray) -> np.ndarray:
+    """Whether each point is on a plane with most of its neighbours, bool (n,)."""
+    if len(xyz_m) <= _NUM_NEIGHBOURS:
+        return np.zeros(len(xyz_m), bool)
+    local = xyz_m - np.floor(xyz_m.min(axis=0))
+    tree = cKDTree(local)
+    is_flat = np.zeros(len(local), bool)
+    neighbour = np.empty((len(local), _NUM_NEIGHBOURS), np.int32)
+    for first in range(0, len(local), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        distance_m, neighbour[rows] = tree.query(local[rows], _NUM_NEIGHBOURS)
+        around = local[neighbour[rows]]
+        around = around - around.mean(axis=1, keepdims=True)
+        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / _NUM_NEIGHBOURS)
+        is_flat[rows] = (
+            (np.sqrt(np.maximum(values[:, 0], 0)) <= _MAX_ROUGHNESS_M)
+            & (np.abs(vectors[:, 2, 0]) >= _MIN_UPRIGHT)
+            & (distance_m[:, -1] <= _MAX_DISTANCE_M)
+        )
+    # edges and chimneys of a roof are among its points, single branches of a tree are not
+    return is_flat[neighbour].mean(axis=1) >= 0.5

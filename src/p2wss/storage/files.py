@@ -1,0 +1,334 @@
+"""Read and write files. Writing is atomic: a file is complete or absent. Reading verifies checksums: see
+:mod:`p2wss.storage.integrity`.
+
+Every Parquet file has a JSON object under the metadata key ``p2wss`` with its provenance (version, config
+sections, code fingerprint, CRS, counts).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from pydantic import TypeAdapter, ValidationError
+
+from p2wss import __version__
+from p2wss.errors import InputError, reading
+from p2wss.storage import integrity
+from p2wss.storage.table_checks import checked
+from p2wss.storage.temporary import remove_leftovers, temporary_prefix
+
+# GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
+os.environ.setdefault("OGR_CURRENT_DATE", "1970-01-01T00:00:00.000Z")
+
+METADATA_KEY = b"p2wss"
+_CHECKSUM_KEY = b"p2wss.checksum"
+_JSON_CHECKSUM = "checksum"
+# rows that are compressed and read together
+ROW_GROUP_SIZE = 512
+
+
+def provenance(**facts: Any) -> dict[str, Any]:
+    """Metadata for a file: the version of the package and ``facts`` (config, code, crs, ..)."""
+    return {"version": __version__, **facts}
+
+
+@contextmanager
+def atomic(path: str | Path) -> Iterator[Path]:
+    """A temporary path beside ``path``. It is renamed to ``path`` if the block succeeds, and deleted otherwise.
+
+    It has the suffix of ``path``, from which GDAL and laspy infer the format. A slot for a checksum
+    (:mod:`p2wss.storage.integrity`) is filled. A full disk or any other ``OSError`` inside the block is raised as an
+    :class:`InputError` that names ``path``. Temporary files that killed processes left in the folder are removed.
+    """
+    path = Path(path)
+    suffix = "".join(path.suffixes)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(path.parent)
+        prefix = temporary_prefix(path.name.removesuffix(suffix))
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        integrity.fill(temporary)
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: not written: {error.strerror or error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_table(
+    path: str | Path, columns: dict[str, Any], schema: pa.Schema, metadata: dict[str, Any]
+) -> None:
+    """Write ``columns`` as Parquet (zstd) with the types of ``schema``; ``metadata`` is stored as JSON."""
+    with table_writer(path, schema) as writer:
+        writer.append(columns)
+        writer.metadata = metadata
+
+
+class TableWriter:
+    """An open Parquet file, see :func:`table_writer`. ``metadata`` is stored as JSON at the end."""
+
+    def __init__(self, writer: pq.ParquetWriter) -> None:
+        self._writer = writer
+        self.metadata: Mapping[str, Any] = {}
+
+    def append(self, columns: Mapping[str, Any]) -> None:
+        """Write rows, one array or list of values per column of the schema."""
+        schema = self._writer.schema
+        # an array without a value may be of any type: of a tile without buildings, for instance
+        arrays = {
+            field.name: pa.array(columns[field.name] if len(columns[field.name]) else [], type=field.type)
+            for field in schema
+        }
+        self.append_table(pa.table(arrays, schema=schema))
+
+    def append_table(self, table: pa.Table) -> None:
+        """Write rows of the schema."""
+        self._writer.write_table(table, row_group_size=ROW_GROUP_SIZE)
+
+
+@contextmanager
+def table_writer(path: str | Path, schema: pa.Schema) -> Iterator[TableWriter]:
+    """Write Parquet (zstd) piece by piece: only one piece is in memory. The file appears at the end of the block."""
+    with (
+        atomic(path) as temporary,
+        pq.ParquetWriter(
+            temporary, schema, compression="zstd", compression_level=3, write_page_checksum=True
+        ) as writer,
+    ):
+        table = TableWriter(writer)
+        yield table
+        writer.add_key_value_metadata({METADATA_KEY: json.dumps(table.metadata).encode()})
+        writer.add_key_value_metadata({_CHECKSUM_KEY: integrity.SLOT.encode()})
+
+
+def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = None) -> pa.Table:
+    """Read the columns of ``schema`` from a Parquet file. columns: read only these.
+
+    Raises :class:`InputError` if the file is missing, broken or damaged, or lacks one of the columns.
+    """
+    names = columns or schema.names
+    with _readable(path) as file:
+        _check_columns(path, file, names)
+        table = file.read(columns=names)
+    return checked(table, schema, path)
+
+
+def read_rows(
+    path: str | Path, schema: pa.Schema, columns: list[str], select: Callable[[pa.Table], np.ndarray]
+) -> pa.Table:
+    """Rows of a Parquet file with all columns of ``schema``; only those parts of the file that have any are read.
+
+    select: from a table of ``columns`` with n rows to a mask, bool (n,). Raises :class:`InputError` as
+    :func:`read_table` does.
+    """
+    pieces = [schema.empty_table()]
+    with _readable(path) as file:
+        _check_columns(path, file, schema.names)
+        for i in range(file.num_row_groups):
+            mask = select(file.read_row_group(i, columns=columns))
+            if mask.any():
+                pieces.append(file.read_row_group(i, columns=schema.names).filter(pa.array(mask)))
+        table = pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
+    return checked(table, schema, path)
+
+
+def rows_with(columns: list[str], keys: Collection[tuple[str, ...]]) -> Callable[[pa.Table], np.ndarray]:
+    """A function from a table to the mask of the rows whose values of ``columns`` are one of ``keys``, bool (n,)."""
+    selection, last = set(keys), pa.array(sorted({key[-1] for key in keys}), pa.string())
+
+    def select(table: pa.Table) -> np.ndarray:
+        mask = np.array(pc.is_in(table[columns[-1]], last), bool)
+        rows = table.select(columns).take(np.flatnonzero(mask))
+        mask[mask] = [
+            key in selection for key in zip(*(rows[name].to_pylist() for name in columns), strict=True)
+        ]
+        return mask
+
+    return select
+
+
+def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> None:
+    missing = [name for name in names if name not in file.schema_arrow.names]
+    if missing:
+        raise InputError(
+            f"{path}: has no columns {', '.join(missing)}; was it written by another version of p2wss?"
+        )
+
+
+@contextmanager
+def _readable(path: str | Path) -> Iterator[pq.ParquetFile]:
+    integrity.verify(path)
+    with (
+        reading(path, "a readable Parquet file"),
+        pq.ParquetFile(path, page_checksum_verification=True) as file,
+    ):
+        yield file
+
+
+def write_geoparquet(
+    path: str | Path, frame: Any, metadata: dict[str, Any], schema: pa.Schema | None = None
+) -> None:
+    """Write a GeoDataFrame as GeoParquet (zstd); ``metadata`` is stored as JSON.
+
+    schema: the types of its columns, which an empty frame does not show.
+    """
+    with atomic(path) as temporary:
+        frame.to_parquet(temporary, compression="zstd")
+        table = pq.read_table(temporary)
+        if schema is not None and not table.num_rows:
+            for field in schema:
+                place = table.column_names.index(field.name)
+                table = table.set_column(place, field, pa.array([], field.type))
+        stored = table.schema.metadata | {METADATA_KEY: json.dumps(metadata).encode()}
+        table = table.replace_schema_metadata(stored)
+        with pq.ParquetWriter(
+            temporary, table.schema, compression="zstd", write_page_checksum=True
+        ) as writer:
+            writer.write_table(table)
+            writer.add_key_value_metadata({_CHECKSUM_KEY: integrity.SLOT.encode()})
+
+
+def read_metadata(path: str | Path) -> dict[str, Any]:
+    """The metadata of a Parquet file that p2wss wrote.
+
+    Raises :class:`InputError` if it has none or one of another type, and when a key is asked for that it lacks.
+    """
+    with _readable(path) as file:
+        stored = (file.metadata.metadata or {}).get(METADATA_KEY)
+        if stored is None:
+            raise InputError(f"{path}: not written by p2wss: it has no metadata with the key p2wss")
+        facts = _Facts(json.loads(stored))
+        for name, kinds in _FACT_TYPES.items():
+            if name in facts and (isinstance(facts[name], bool) or not isinstance(facts[name], kinds)):
+                raise InputError(f"{path}: its metadata has {facts[name]!r} as {name}")
+    facts.path = path
+    return facts
+
+
+# of the facts that stages read again
+_FACT_TYPES: Mapping[str, tuple[type, ...]] = {
+    "tile": (str,),
+    "place": (str,),
+    "crs": (str, type(None)),
+    "tile_size_m": (int, float),
+    "margin_m": (int, float),
+    "method": (str,),
+    "status": (str,),
+    "names": (str,),
+    "sha256": (str,),
+    "num_evaluated": (int,),
+}
+
+
+class _Facts(dict[str, Any]):
+    """The metadata of a file."""
+
+    path: str | Path = ""
+
+    def __missing__(self, name: str) -> Any:
+        raise InputError(
+            f"{self.path}: its metadata lacks {name}; was it written by another version of p2wss?"
+        )
+
+
+def write_json(path: str | Path, value: Any) -> None:
+    """Write ``value`` as indented JSON; an object gets a first key ``checksum``, see :mod:`p2wss.storage.integrity`."""
+    if isinstance(value, dict):  # a checksum that the value has brought from another file is no longer true
+        value = {name: each for name, each in value.items() if name != _JSON_CHECKSUM}
+    text = json.dumps(value, indent=1, sort_keys=True) + "\n"
+    if isinstance(value, dict):
+        stated = f'{{\n "{_JSON_CHECKSUM}": "{integrity.SLOT}"'
+        text = stated + (f",{text[1:]}" if value else "\n}\n")
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_text(path: str | Path, text: str | Iterable[str]) -> None:
+    """Write a text file, of one text or of pieces that follow each other."""
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines([text] if isinstance(text, str) else text)
+
+
+def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
+    """Write a binary file."""
+    with atomic(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def read_text(path: str | Path) -> str:
+    """The content of a text file. Raises :class:`InputError` if it is missing, damaged or not UTF-8."""
+    integrity.verify(path)
+    with reading(path, "UTF-8 text"):
+        return Path(path).read_text(encoding="utf-8")
+
+
+def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes") -> Any:
+    """The value in a JSON file, without its checksum.
+
+    kind: the type that it must have, as pydantic understands it, such as a dataclass or ``dict[str, float]``. name:
+    of such a file, for messages.
+    Raises :class:`InputError` if it is missing, not JSON or of another type.
+    """
+    text = read_text(path)
+    with reading(path, "JSON"):
+        value = json.loads(text)
+    if isinstance(value, dict) and _JSON_CHECKSUM in value:
+        integrity.require_checksum(str(value.pop(_JSON_CHECKSUM)), path)
+    return value if kind is Any else validated(value, path, kind, name)
+
+
+def validated(value: Any, path: str | Path, kind: Any, name: str) -> Any:
+    """A value of a JSON file as ``kind``, see :func:`read_json`. Raises :class:`InputError` for another type."""
+    try:
+        return TypeAdapter(kind).validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(map(str, first["loc"]))
+        raise InputError(f"{path}: not {name}: {key + ': ' if key else ''}{first['msg']}") from error
+
+
+def sha256(path: str | Path) -> str:
+    """The SHA-256 checksum of a file, hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def reserve(path: str | Path, num_bytes: int) -> None:
+    """Give a new file its size. A full disk is an OSError here, and would be a SIGBUS when the file is mapped."""
+    with open(path, "r+b") as file:
+        if hasattr(os, "posix_fallocate") and num_bytes:
+            os.posix_fallocate(file.fileno(), 0, num_bytes)
+        else:
+            file.truncate(num_bytes)
+
+
+def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """A list column as (values, offsets): row i is ``values[offsets[i]:offsets[i + 1]]``; a null row is empty."""
+    column = table.column(name).combine_chunks()
+    lengths = np.nan_to_num(column.value_lengths().to_numpy(zero_copy_only=False)).astype(np.int64)
+    return column.flatten().to_numpy(zero_copy_only=False), np.concatenate([[0], np.cumsum(lengths)])
+
+
+def ragged(values: np.ndarray, offsets: np.ndarray) -> pa.ListArray:
+    """The inverse of :func:`list_column`: a list array with the slices of ``values`` between ``offsets``."""
+    return pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(values))

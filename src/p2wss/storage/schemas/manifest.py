@@ -1,0 +1,138 @@
+"""The manifest of the crops: JSON that lists the shards (written by the stage crops)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, NotRequired
+
+import numpy as np
+import pyarrow as pa
+from pydantic import Field
+from typing_extensions import TypedDict
+
+from p2wss.data.seeds import derive_seed
+from p2wss.errors import InputError, reading
+from p2wss.storage import files, integrity
+from p2wss.storage.schemas.crops import SIMULATED
+
+
+class _Entry(TypedDict):
+    path: str
+    dataset: str
+    sha256: NotRequired[str | None]
+
+
+_Rank = Annotated[int, Field(ge=0, lt=2**64)]
+_Range = TypedDict("_Range", {"from": _Rank, "below": _Rank})
+
+
+class _Selection(TypedDict):
+    ranges: NotRequired[dict[str, dict[str, _Range]]]
+    seed: NotRequired[int]
+
+
+class _Listing(TypedDict):
+    """What is read of a manifest."""
+
+    shards: list[_Entry]
+    selection: NotRequired[_Selection]
+
+
+class Shard(NamedTuple):
+    """A shard of crops. dataset: see :mod:`p2wss.storage.schemas.crops`; sha256: None if the manifest has none."""
+
+    path: Path
+    dataset: str
+    sha256: str | None = None
+
+    def verified(self) -> Path:
+        """The file, which has the content that the manifest lists. Raises :class:`InputError` otherwise."""
+        integrity.verify(self.path)
+        if self.sha256 is not None and files.sha256(self.path) != self.sha256:
+            raise InputError(
+                f"{self.path}: not the file that the manifest lists: its content differs; list the shards again"
+                " (snakemake -R crops ..)"
+            )
+        return self.path
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The shards of the stage crops, in the order of the manifest."""
+
+    shards: Sequence[Shard]
+    # see p2wss.crops.selection; a data set that is absent is used whole
+    selection: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+
+    def select(self, table: pa.Table, dataset: str, purposes: Sequence[str]) -> np.ndarray:
+        """Mask of the rows of a shard that are used for any of the purposes, bool (n,).
+
+        table: with the columns ``split``, ``tile`` and ``building_id``. purposes: of simulated buildings splits; of
+        real clouds "test" or "dvae". Raises :class:`InputError` if the manifest does not state the range of a purpose.
+        """
+        split = table["split"].to_numpy(zero_copy_only=False).astype(str)
+        ranges = self.selection.get(dataset)
+        if ranges is None:
+            return np.isin(split, list(purposes)) if dataset == SIMULATED else np.ones(len(table), bool)
+        rank, mask = building_ranks(table, self.seed), np.zeros(len(table), bool)
+        for purpose in purposes:
+            if purpose not in ranges:
+                raise InputError(
+                    f"the manifest has no range of ranks for {dataset}, {purpose}; run the stage crops again"
+                )
+            first, end = np.uint64(ranges[purpose]["from"]), np.uint64(ranges[purpose]["below"])
+            in_split = (split == purpose) | (dataset != SIMULATED)
+            mask |= in_split & (rank >= first) & (rank < end)
+        return mask
+
+    def crs(self) -> dict[str, str | None]:
+        """CRS of each data set, from its first shard; None if that does not state one."""
+        by_dataset: dict[str, str | None] = {}
+        for shard in self.shards:
+            if shard.dataset not in by_dataset:
+                by_dataset[shard.dataset] = files.read_metadata(shard.verified()).get("crs")
+        return by_dataset
+
+
+def building_ranks(table: pa.Table, seed: int) -> np.ndarray:
+    """The rank of each building, uint64 (n,), evenly distributed below 2^63: from the seed, its tile and its id."""
+    tiles, names = table["tile"].to_pylist(), table["building_id"].to_pylist()
+    ranks = [derive_seed(seed, "dataset", tile, name) for tile, name in zip(tiles, names, strict=True)]
+    return np.array(ranks, np.uint64)
+
+
+def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manifest:
+    """The shards that a manifest lists; relative paths start at its folder, or else at the current folder.
+
+    only: these of its shards, in the order of the manifest; the others need not exist. Raises :class:`InputError`
+    if the manifest or a shard is missing, or if it does not list one of ``only``.
+    """
+    return to_manifest(files.read_json(path), path, only)
+
+
+def to_manifest(value: Any, path: str | Path, only: Sequence[Path] | None = None) -> Manifest:
+    """What :func:`read_manifest` returns, and raises, if ``value`` is what the JSON file ``path`` holds."""
+    content = files.validated(value, path, _Listing, "a manifest of crops")
+    shards = []
+    with reading(path, "a manifest of crops"):  # a name may be none that a file can have
+        for entry in content["shards"]:
+            name = Path(entry["path"])
+            beside = Path(path).parent / name
+            shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
+    if only is not None:
+        listed = {os.path.abspath(shard.path) for shard in shards}
+        requests = {os.path.abspath(name): name for name in only}
+        for place, name in requests.items():
+            if place not in listed:
+                raise InputError(f"{path}: does not list {name}; run the stage crops again")
+        shards = [shard for shard in shards if os.path.abspath(shard.path) in requests]
+    with reading(path, "a manifest of crops"):
+        missing = [str(shard.path) for shard in shards if not shard.path.exists()]
+    if missing:
+        raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
+    selection = content.get("selection", {})
+    return Manifest(shards, selection.get("ranges", {}), selection.get("seed", 0))

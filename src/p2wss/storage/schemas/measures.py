@@ -1,0 +1,100 @@
+"""Measures: Parquet of the errors of each building and method.
+
+Written and read by the stage eval.
+"""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+from p2wss.storage.schemas.columns import IDENTITY, field
+
+MEASURES = pa.schema(
+    [
+        field("dataset", pa.string(), "simulated (the test split) or real"),
+        *IDENTITY,
+        field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
+        field(
+            "status",
+            pa.string(),
+            "'ok', or why the method gave no mesh: then there is none, or the flat roof of the product",
+        ),
+        field("num_points", pa.int32(), "points of the crop of the building"),
+        field("num_vertices", pa.int32(), "vertices of the footprint, all rings"),
+        field("density_per_m2", pa.float32(), "points inside the footprint, per m2 of its area"),
+        field("roof_type", pa.string(), "label; null for real LiDAR", True),
+        field(
+            "roof_kind",
+            pa.string(),
+            "kind of roof by the angles of the reconstruction; null without any",
+            True,
+        ),
+        field("visible_roof_share", pa.float32(), "as in the crop"),
+        field("confidence", pa.float32(), "expected share of correct values; null if unknown", True),
+        field(
+            "cause",
+            pa.string(),
+            "why the mesh is far from the points (p2wss.eval.causes), where it is determined: of our best variant "
+            "and, of real LiDAR, of the network",
+            True,
+        ),
+        field("num_parts", pa.int32(), "parts with their own eave height; null without a mesh", True),
+        field(
+            "num_triangles", pa.int32(), "triangles of the mesh, ground included; null without a mesh", True
+        ),
+        field("num_mesh_vertices", pa.int32(), "distinct vertices of the mesh; null without a mesh", True),
+        field("watertight", pa.bool_(), "every edge has two triangles; null without a mesh", True),
+        field("oriented", pa.bool_(), "watertight, with consistent orientation; null without a mesh", True),
+        field(
+            "manifold",
+            pa.bool_(),
+            "oriented, and the triangles at each vertex form one fan; null without a mesh",
+            True,
+        ),
+        field(
+            "planar",
+            pa.bool_(),
+            "the vertices of each face are within 1 cm of a plane; null without a mesh",
+            True,
+        ),
+        field("num_small_faces", pa.int32(), "roof faces and walls below 0.25 m2; null without a mesh", True),
+        field("chamfer_m", pa.float32(), "Chamfer distance of the paper: cloud to whole mesh", True),
+        field(
+            "roof_chamfer_m",
+            pa.float32(),
+            "Chamfer distance of the points on the building to the roof faces; null with fewer than 10 points",
+            True,
+        ),
+        field(
+            "points_to_mesh_m", pa.float32(), "mean distance of the points on the building to the mesh", True
+        ),
+        field(
+            "far_share", pa.float32(), "share of the points on the building over 0.5 m from the mesh", True
+        ),
+        field(
+            "height_rmse_m",
+            pa.float32(),
+            "root mean square height above the roof of the points 0.5 m or more inside the footprint",
+            True,
+        ),
+        field("height_bias_m", pa.float32(), "median of these heights: positive = roof too low", True),
+        field(
+            "overshoot_m",
+            pa.float32(),
+            "height of the top of the mesh above the highest point on the building, negative below it",
+            True,
+        ),
+        field(
+            "height_error_m", pa.float32(), "absolute error of the z of the eave; null without label", True
+        ),
+        field(
+            "angle_error_deg", pa.float32(), "mean absolute error over the edges; null without label", True
+        ),
+        field(
+            "right_share",
+            pa.float32(),
+            "share of height and angles with errors below 0.5 m and 5 degrees; null without label",
+            True,
+        ),
+    ]
+)

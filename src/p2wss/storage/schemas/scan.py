@@ -1,0 +1,93 @@
+"""Scans: LAZ of a simulated survey, each point with the building and the face that it lies on.
+
+LAS 1.4, point format 6, coordinates in millimetres. Classes: 2 ground, 5 vegetation, 6 building. Extra dimensions:
+
+* ``building_id`` int32: the row in the buildings file of the same tile, or -1;
+* ``face_id`` int32: -1 on the terrain; else ``kind = face_id & 3`` is 0 clutter, 1 wall, 2 roof, 3 flat roof, and
+  ``edge = (face_id >> 2) - 1`` the footprint edge from which the face grows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import laspy
+import lazrs
+import numpy as np
+import pyproj
+
+from p2wss.clouds.las_files import open_cloud
+from p2wss.clouds.reading import Cloud
+from p2wss.storage import files, integrity
+
+MM = 0.001
+_READ_AT_ONCE = 1_000_000
+
+
+def write_scan(
+    path: str | Path,
+    chunks: Iterable[Mapping[str, np.ndarray]],
+    origin_m: np.ndarray,
+    crs: pyproj.CRS,
+    threads: int = 1,
+) -> None:
+    """Write points as LAZ, completely or not at all.
+
+    chunks: arrays of shape (n,) by LAS dimension, ``X``, ``Y`` and ``Z`` int32 in millimetres from ``origin_m``
+    (float64 (3,), whole metres), ``building_id`` and ``face_id`` among them.
+    """
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, MM), origin_m
+    header.system_identifier, header.generating_software = "p2wss simulated survey", "p2wss"
+    header.creation_date = None  # the same points make the same file on any day
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.WEEK_TIME
+    header.add_crs(crs)
+    header.add_extra_dims(
+        [
+            laspy.ExtraBytesParams("building_id", "int32", "row in buildings, -1 none"),
+            laspy.ExtraBytesParams("face_id", "int32", "4 (edge + 1) + kind, -1 none"),
+        ]
+    )
+    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
+    with files.atomic(path) as temporary:
+        try:
+            with laspy.open(temporary, "w", header=header, laz_backend=backend, do_compress=True) as writer:
+                for chunk in chunks:
+                    record = laspy.ScaleAwarePointRecord.zeros(len(chunk["X"]), header=header)
+                    for dimension, values in chunk.items():
+                        record[dimension] = values
+                    writer.write_points(record)
+        except lazrs.LazrsError as error:  # a full disk, which files.atomic turns into a message
+            raise OSError(str(error)) from error
+        integrity.append(temporary)
+
+
+def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
+    """The points of a scan, and the building id and face id of each, int32 (n,).
+
+    Raises :class:`InputError` for a file that is missing, truncated or no such scan.
+    """
+    integrity.verify(path)
+    needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
+    needed |= laspy.DecompressionSelection.POINT_SOURCE_ID
+    needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
+    kind = "a readable scan of p2wss, or truncated"
+    with open_cloud(path, kind, decompression_selection=needed) as reader:
+        count, crs = reader.header.point_count, reader.header.parse_crs()
+        xyz = [np.empty(count) for _ in range(3)]
+        classification = np.empty(count, np.uint8)
+        building, face = np.empty(count, np.int32), np.empty(count, np.int32)
+        strip = np.empty(count, np.uint16)
+        first = 0
+        for points in reader.chunk_iterator(_READ_AT_ONCE):
+            part = slice(first, first + len(points))
+            for column, name in zip(xyz, "xyz", strict=True):
+                column[part] = points[name]
+            classification[part] = points.classification
+            building[part], face[part] = points["building_id"], points["face_id"]
+            strip[part] = points.point_source_id
+            first = part.stop
+        if first != count:
+            raise EOFError(f"{first} of {count} points")
+    return Cloud(xyz[0], xyz[1], xyz[2], classification, crs, strip), building, face

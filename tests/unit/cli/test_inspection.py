@@ -1,0 +1,169 @@
+"""Facts about files, compared with their contents."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import laspy
+import numpy as np
+import pytest
+import torch
+from places import MINI, SHARED
+from safetensors.torch import save_file
+
+from p2wss.cli import main
+from p2wss.cli.inspection import describe, text
+from p2wss.data.terrain import Terrain, write_terrain
+from p2wss.errors import InputError
+from p2wss.formats import gpkg
+from p2wss.storage import files
+from p2wss.storage.schemas.measures import MEASURES
+
+DATA = SHARED / "data"
+LAZ = MINI / "lidar" / "LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
+GPKG = MINI / "bdtopo" / "BDTOPO_mini.gpkg"
+ASC = MINI / "rgealti" / "RGEALTI_FXX_0652_6861_MNT_LAMB93_IGN69.asc"
+FACTS = {"version": "1", "code": "abc", "config": json.dumps({"scans": {"seed": 3}})}
+SHOWN = {"version": "1", "code": "abc", "config": {"scans": {"seed": 3}}}
+
+
+def test_cloud() -> None:
+    facts, cloud = describe(LAZ), laspy.read(LAZ)
+    assert facts["num_points"] == len(cloud)
+    assert facts["num_points by class"] == {c: int((cloud.classification == c).sum()) for c in (1, 2, 5, 6)}
+    assert facts["crs"] == "RGF93 v1 / Lambert-93 (EPSG:2154)"
+    assert facts["bounds"] == pytest.approx(
+        [cloud.x.min(), cloud.y.min(), cloud.x.max(), cloud.y.max()], abs=0.011
+    )
+    cells = len(set(zip(np.floor(cloud.x).tolist(), np.floor(cloud.y).tolist(), strict=True)))
+    assert facts["points per m2 in cells with points"] == pytest.approx(len(cloud) / cells, abs=0.006)
+
+
+@pytest.mark.skipif(not DATA.exists(), reason="no shared/data")
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (
+            "lidarhd_crops/77050_627755_LA93_IGN69.copc.laz",
+            {"kind": "point cloud, COPC", "num_points": 73355},
+        ),
+        ("delft_ahn3/ahn3.laz", {"num_points": 190006, "crs": None}),
+        ("delft_ahn3/roofer_lod22.city.jsonl", {"num_features": 74, "version": "2.0"}),
+        (
+            "olemps_bdtopo/dtm/RGEALTI_FXX_0664_6360_MNT_LAMB93_IGN69.asc",
+            {"num_rows": 1000, "cell_m": [1, 1]},
+        ),
+        ("geoplateforme/batiment_one_feature.json", {"kind": "vector, GeoJSON"}),
+    ],
+)
+def test_real_files(name: str, expected: dict[str, Any]) -> None:
+    facts = describe(DATA / name)
+    assert {key: facts[key] for key in expected} == expected
+
+
+def test_vector() -> None:
+    (layer,) = describe(GPKG)["layers"]
+    frame = gpd.read_file(GPKG)
+    assert layer["layer"] == "batiment" and layer["num_features"] == len(frame)
+    assert layer["bounds"] == pytest.approx(frame.total_bounds.tolist())
+    assert set(layer["columns"]) == set(frame.columns) - {"geometry"}
+
+
+def test_a_gpkg_of_p2wss_has_its_provenance(tmp_path: Path) -> None:
+    gpkg.write(tmp_path / "a.gpkg", gpd.read_file(GPKG).iloc[:3], FACTS)
+    assert describe(tmp_path / "a.gpkg")["provenance"] == SHOWN
+
+
+def test_a_gpkg_has_the_same_bytes_whenever_it_is_written(tmp_path: Path) -> None:
+    frame = gpd.read_file(GPKG).iloc[:3]
+    gpkg.write(tmp_path / "a.gpkg", frame, FACTS)
+    time.sleep(0.01)  # times in a GeoPackage have milliseconds
+    gpkg.write(tmp_path / "b.gpkg", frame, FACTS)
+    assert (tmp_path / "a.gpkg").read_bytes() == (tmp_path / "b.gpkg").read_bytes()
+
+
+def test_rasters(tmp_path: Path) -> None:
+    facts = describe(ASC)
+    heights = np.loadtxt(ASC, skiprows=6)
+    assert (facts["num_rows"], facts["num_columns"], facts["crs"]) == (200, 200, None)
+    assert facts["heights"]["highest"] == pytest.approx(heights.max())
+    heights[0] = np.nan
+    write_terrain(tmp_path / "a.tif", Terrain(heights, 652000, 6862000, 5.0), "EPSG:2154", FACTS)
+    facts = describe(tmp_path / "a.tif")
+    assert facts["share of cells with data"] == pytest.approx(199 / 200)
+    assert facts["bounds"] == [652000, 6861000, 653000, 6862000] and facts["provenance"] == SHOWN
+
+
+def test_tables(tmp_path: Path) -> None:
+    columns = {name: [] for name in MEASURES.names}
+    files.write_table(tmp_path / "a.parquet", columns, MEASURES, FACTS)
+    facts = describe(tmp_path / "a.parquet")
+    assert facts["num_rows"] == 0 and facts["provenance"] == SHOWN
+    assert facts["columns"]["num_points"] == "int32 not null  points of the crop of the building"
+    frame = gpd.read_file(GPKG).assign(status=lambda f: np.where(f.hauteur > 5, "ok", "low"))
+    frame.to_parquet(tmp_path / "b.parquet")
+    facts = describe(tmp_path / "b.parquet")
+    assert facts["kind"] == "GeoParquet" and "EPSG:2154" in facts["crs"]
+    assert facts["rows by status"]["ok"] == (frame["status"] == "ok").sum()
+    (tmp_path / "c.tsv").write_text("tile\tnum_buildings\n0652_6862\t7\n")
+    assert describe(tmp_path / "c.tsv")["columns"] == ["tile", "num_buildings"]
+
+
+def test_weights(tmp_path: Path) -> None:
+    path = tmp_path / "model.safetensors"
+    tensors = {"a": torch.zeros(3, 4), "b": torch.zeros(5, dtype=torch.int64)}
+    save_file(tensors, path, {"p2wss": json.dumps(FACTS)})
+    facts = describe(path)
+    assert (facts["num_tensors"], facts["num_parameters"], facts["provenance"]) == (2, 17, SHOWN)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(InputError, match=r"model\.safetensors: truncated"):
+        describe(path)
+
+
+def test_json(tmp_path: Path) -> None:
+    files.write_json(tmp_path / "manifest.json", {"num_rows": 2, "shards": [{"tile": "a"}]} | FACTS)
+    facts = describe(tmp_path / "manifest.json")
+    assert facts["num_rows"] == 2 and facts["provenance"] == SHOWN
+    (tmp_path / "m.jsonl").write_text('{"step": 1}\n{"step": 2}\n')
+    assert describe(tmp_path / "m.jsonl")["last"] == [{"step": 2}]
+
+
+def test_text_has_one_fact_per_line() -> None:
+    shown = text({"a": 1.5, "b": {"c": [1, 2], "d": None}, "e": [{"f": "g"}]})
+    assert shown.splitlines() == ["a: 1.5", "b:", "  c: 1, 2", "  d: -", "e:", "  -:", "    f: g"]
+
+
+@pytest.mark.parametrize(
+    "suffix", ["laz", "gpkg", "tif", "asc", "parquet", "json", "jsonl", "glb", "7z", "safetensors"]
+)
+def test_a_broken_file_is_an_error_of_one_line(tmp_path: Path, suffix: str, capsys: Any) -> None:
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(b"<html>nothing of the kind</html>")
+    assert main(["inspect", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"p2wss: error: {path}: ")
+
+
+def test_command(tmp_path: Path, capsys: Any) -> None:
+    assert main(["inspect", "--json", str(ASC), str(GPKG)]) == 0
+    first, second = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert first["num_rows"] == 200 and second["layers"][0]["layer"] == "batiment"
+    assert main(["inspect", str(tmp_path / "none.laz")]) == 2
+    assert "none.laz: no such file" in capsys.readouterr().err
+    (tmp_path / "a.xyz").write_text("1 2 3")
+    assert main(["inspect", str(tmp_path / "a.xyz")]) == 2
+    assert "unknown type of file" in capsys.readouterr().err
+
+
+def test_a_reader_that_stops_ends_the_command_without_a_traceback() -> None:
+    command = [sys.executable, "-c", "from p2wss.cli import main; raise SystemExit(main())", "inspect"]
+    with subprocess.Popen([*command, GPKG], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        assert run.stdout is not None and run.stderr is not None
+        run.stdout.close()
+        assert run.stderr.read() == b"" and run.wait() == 141

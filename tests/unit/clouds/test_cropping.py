@@ -1,0 +1,126 @@
+"""The cropping kernel agrees with shapely."""
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from p2wss.clouds.cropping import crop_points, seen_share
+from p2wss.crops.kernels import gather_cm, medians
+from p2wss.data.polygon_arrays import to_polygons
+
+
+def oracle(x, y, shapes, buffer_m):
+    """Sorted pairs (polygon, point), and whether the point is inside."""
+    points = shapely.points(x, y)
+    polygon, point = shapely.STRtree(points).query(shapes, predicate="dwithin", distance=buffer_m)
+    order = np.lexsort((point, polygon))
+    return (
+        polygon[order],
+        point[order],
+        shapely.contains_xy(shapes[polygon[order]], x[point[order]], y[point[order]]),
+    )
+
+
+def check(x, y, shapes, buffer_m):
+    shapes = np.array(shapes, dtype=object)
+    point, inside, offset = crop_points(x, y, to_polygons(shapes), buffer_m)
+    polygon = np.repeat(np.arange(len(shapes)), np.diff(offset))
+    order = np.lexsort((point, polygon))
+    expected = oracle(x, y, shapes, buffer_m)
+    np.testing.assert_array_equal(polygon[order], expected[0])
+    np.testing.assert_array_equal(point[order], expected[1])
+    differ = inside[order] != expected[2]
+    at = shapely.points(x[point[order][differ]], y[point[order][differ]])
+    # only a point on the boundary may be called inside by one and outside by the other
+    assert (shapely.distance(shapely.boundary(shapes[polygon[order][differ]]), at) < 1e-9).all()
+    return len(point)
+
+
+def town(rng, count, extent_m, origin):
+    shapes = []
+    for _ in range(count):
+        w, h = rng.uniform(4, 30, 2)
+        shape = shapely.box(-w / 2, -h / 2, w / 2, h / 2)
+        kind = rng.integers(4)
+        if kind == 1:
+            shape = shape.difference(shapely.box(0, 0, w, h))
+        elif kind == 2 and min(w, h) > 8:
+            shape = shape.difference(shapely.box(-w / 4, -h / 4, w / 4, h / 4))
+        elif kind == 3:
+            shape = shapely.Point(0, 0).buffer(w / 2, quad_segs=int(rng.integers(2, 40)))
+        if rng.uniform() < 0.7:
+            shape = shapely.affinity.rotate(shape, rng.uniform(0, 360))
+        shapes.append(shapely.affinity.translate(shape, *(origin + rng.uniform(0, extent_m, 2))))
+    return shapes
+
+
+@pytest.mark.parametrize("count", [50_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_pairs_agree_with_dwithin(count):
+    rng = np.random.default_rng(count)
+    extent_m = np.sqrt(count / 10)
+    origin = np.array([652_000.0, 6_861_000.0])
+    xy = np.round(origin + rng.uniform(-5, extent_m + 5, (count, 2)), 3)
+    pairs = check(xy[:, 0], xy[:, 1], town(rng, count // 1500, extent_m, origin), 1.0)
+    assert pairs > count / 20
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.25, 1.0, 4.0, 16.0]))
+def test_points_and_corners_on_a_grid(seed, buffer_m):
+    # everything on whole quarters: many points lie on edges or at exactly the buffer's distance
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(-80, 160, (2, 400)) / 4 + 652_000.0
+    shapes = []
+    for _ in range(6):
+        x0, y0, w, h = rng.integers(0, 60, 2).tolist() + rng.integers(3, 40, 2).tolist()
+        shape = shapely.box(x0, y0, x0 + w, y0 + h)
+        if min(w, h) > 4:
+            shape = shape.difference(shapely.box(x0 + 1, y0 + 1, x0 + w - 2, y0 + h - 1))
+        shapes.append(
+            shapely.affinity.translate(
+                shapely.affinity.scale(shape, 0.25, 0.25, origin=(0, 0)), 652_000, 652_000
+            )
+        )
+    check(x, y, shapes, buffer_m)
+
+
+def test_the_order_of_the_points_changes_only_their_indices():
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(0, 60, (2, 3000))
+    polygons = to_polygons(town(rng, 12, 60, np.zeros(2)))
+    point, _, offset = crop_points(x, y, polygons, 1.0)
+    shuffle = rng.permutation(len(x))
+    again, _, same = crop_points(x[shuffle], y[shuffle], polygons, 1.0)
+    np.testing.assert_array_equal(offset, same)
+    for p in range(len(polygons)):
+        assert set(point[offset[p] : offset[p + 1]]) == set(shuffle[again[offset[p] : offset[p + 1]]])
+
+
+def test_empty_polygons_and_no_points():
+    polygons = to_polygons([shapely.Polygon(), shapely.box(0, 0, 2, 2), None])
+    point, inside, offset = crop_points(np.array([1.0, 2.5, 9.0]), np.array([1.0, 1.0, 9.0]), polygons, 1.0)
+    assert offset.tolist() == [0, 0, 2, 2]
+    assert dict(zip(point.tolist(), inside.tolist(), strict=True)) == {0: True, 1: False}
+    assert crop_points(np.zeros(0), np.zeros(0), polygons, 1.0)[2].tolist() == [0, 0, 0, 0]
+    assert crop_points(np.ones(1), np.ones(1), to_polygons([]), 1.0)[2].tolist() == [0]
+
+
+def test_gathering():
+    value = np.array([1.0, 2.006, 3.0, 900.0])
+    point, offset = np.array([0, 1, 3, 2], np.int32), np.array([0, 0, 3, 4])
+    assert gather_cm(value, point, offset, np.array([0.0, 1.0, 4.0])).tolist() == [0, 101, -32768, -100]
+    np.testing.assert_array_equal(medians(value, point, offset), [np.nan, 2.006, 3.0])
+
+
+def test_seen_share_counts_cells_of_one_metre():
+    polygons = to_polygons([shapely.box(0, 0, 4, 3), shapely.box(0.1, 0.1, 0.3, 0.3)])
+    x_cm = np.array([50, 60, 150, 350, 450, 20], np.int16)
+    y_cm = np.array([50, 60, 50, 250, 50, 20], np.int16)
+    roof = np.array([True, True, False, True, True, True])
+    offset = np.array([0, 5, 6])
+    shares = seen_share(
+        x_cm, y_cm, roof, offset, polygons.xy_m, polygons.ring_offset, polygons.polygon_offset
+    )
+    np.testing.assert_allclose(shares, [2 / 12, 1.0])

@@ -1,0 +1,113 @@
+"""Open ground within a footprint has a floor, not a roof."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building, Reconstruction
+from p2wss.fit import fitting
+from p2wss.fit.boxes.open_ground import OpenGround
+from p2wss.fit.mesh.union import is_closed
+from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.skeleton.types import FaceKind
+
+CONFIG = Reconstruct()
+FOOTPRINT = np.array([[0, 0], [20, 0], [20, 8], [0, 8.0]])
+GROUND, BUILDING = 2, 6
+
+
+def level(low: tuple[float, float], high: tuple[float, float], z_m: float, seed: int) -> np.ndarray:
+    """Four points per m² of a level rectangle, with noise of 2 cm."""
+    rng = np.random.default_rng(seed)
+    num = int(4 * (high[0] - low[0]) * (high[1] - low[1]))
+    return np.column_stack([rng.uniform(low, high, (num, 2)), z_m + 0.02 * rng.standard_normal(num)])
+
+
+def fitted(*surfaces: tuple[np.ndarray, int]) -> Reconstruction:
+    """The building on ground at 100 m whose points are ``surfaces`` with their classes."""
+    point_m = np.vstack([point_m for point_m, _ in surfaces])
+    point_m[:, 2] += 100.0
+    classes = np.concatenate([np.full(len(point_m), number, np.uint8) for point_m, number in surfaces])
+    building = Building("b", "t", (1000.0, 2000.0), [FOOTPRINT], point_m, classes, 100.0)
+    (reconstruction,) = fitting.fit([building], CONFIG)
+    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    return reconstruction
+
+
+def area_and_height_m(reconstruction: Reconstruction, kind: FaceKind) -> tuple[float, float]:
+    """(area in plan, mean height) of the faces of a kind."""
+    corner = reconstruction.vertex_m[reconstruction.triangle[reconstruction.kind == kind]]
+    area_m2 = shapely.area(np.asarray(shapely.polygons(corner[:, :, :2])))
+    return float(area_m2.sum()), float(corner[:, :, 2].mean())
+
+
+@pytest.mark.parametrize(("yard_m", "floor_m"), [(1.4, 1.4), (0.2, 1.0), (-0.4, 1.0)])
+def test_a_yard_has_a_floor(yard_m: float, floor_m: float) -> None:
+    """The yard is larger than the house, and does not determine the height of its eaves."""
+    house, yard = level((0, 0), (8, 8), 5.0, 0), level((8, 0), (20, 8), yard_m, 1)
+    reconstruction = fitted((house, BUILDING), (yard, GROUND))
+    area_m2, height_m = area_and_height_m(reconstruction, FaceKind.FLOOR)
+    assert area_m2 == pytest.approx(96, abs=4) and height_m == pytest.approx(floor_m, abs=0.03)
+    area_m2, height_m = area_and_height_m(reconstruction, FaceKind.FLAT)
+    assert area_m2 == pytest.approx(64, abs=4) and height_m == pytest.approx(5.0, abs=0.03)
+    assert reconstruction.eave_height_m == pytest.approx(5.0, abs=0.03)
+    assert reconstruction.status == "ok"
+
+
+def test_a_patio_in_the_middle_has_a_floor() -> None:
+    around = level((0, 0), (20, 8), 4.0, 0)
+    is_patio = (np.abs(around[:, :2] - [10, 4]) < [3, 2]).all(axis=1)
+    patio = level((7, 2), (13, 6), 0.2, 1)
+    reconstruction = fitted((around[~is_patio], BUILDING), (patio, GROUND))
+    area_m2, height_m = area_and_height_m(reconstruction, FaceKind.FLOOR)
+    assert area_m2 == pytest.approx(24, abs=5) and height_m == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("low_m", [0.4, 1.5])
+def test_a_low_annex_has_a_roof_of_at_least_the_minimum(low_m: float) -> None:
+    house, annex = level((0, 0), (12, 8), 5.0, 0), level((12, 0), (20, 8), low_m, 1)
+    reconstruction = fitted((house, BUILDING), (annex, BUILDING), (level((14, 2), (16, 4), 0.0, 2), GROUND))
+    assert set(reconstruction.kind.tolist()) == {FaceKind.GROUND, FaceKind.WALL, FaceKind.FLAT}
+    flat = reconstruction.vertex_m[reconstruction.triangle[reconstruction.kind == FaceKind.FLAT], 2]
+    assert flat.min() == pytest.approx(max(low_m, CONFIG.min_eave_height_m), abs=0.05)
+
+
+def test_high_ground_is_a_roof() -> None:
+    """Points on a terrace above the street may have the class of the ground."""
+    house, terrace = level((0, 0), (12, 8), 5.0, 0), level((12, 0), (20, 8), 2.5, 1)
+    reconstruction = fitted((house, BUILDING), (terrace, GROUND))
+    assert not (reconstruction.kind == FaceKind.FLOOR).any()
+    assert area_and_height_m(reconstruction, FaceKind.FLAT)[0] == pytest.approx(160)
+
+
+def part(ring: np.ndarray, angle_deg: float, eave_z_m: float) -> FittedRoof:
+    return FittedRoof([ring], np.full(len(ring), angle_deg), eave_z_m, np.inf, 0.0, 0)
+
+
+def test_only_level_and_low_parts_with_mostly_ground_are_open() -> None:
+    ring = np.array([[0, 0], [4, 0], [4, 4], [0, 4.0]])
+    inside = np.array([[1, 1, 100.3], [2, 3, 100.3], [3, 2, 100.3], [3, 3, 100.3]])
+    open_ground = OpenGround(100.0, inside, 3)
+    assert open_ground.is_open(part(ring, 0.0, 100.3)) and open_ground.is_open(part(ring, 0.0, 101.9))
+    for roof in (part(ring, 20.0, 100.3), part(ring, 0.0, 102.1), part(ring + 9, 0.0, 100.3)):
+        assert not open_ground.is_open(roof)
+    for num_ground in (0, 2):
+        assert not OpenGround(100.0, inside, num_ground).is_open(part(ring, 0.0, 100.3))
+
+
+def test_a_building_keeps_a_roof() -> None:
+    """A mesh whose only upper face is over open ground is of a building that the cloud does not show."""
+    vertex_m = np.array([[0, 0, 0.5], [4, 0, 0.5], [4, 4, 0.5], [0, 4, 0.5], [8, 0, 5], [8, 4, 5.0]])
+    triangle, plane = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5]]), np.array([0, 0, 1])
+    kind = np.array([FaceKind.FLAT, FaceKind.FLAT, FaceKind.ROOF], np.uint8)
+    open_ground = OpenGround(100.0, np.array([[3, 1, 100.4]]), 1)
+    with_floor = open_ground.kinds(vertex_m, triangle, kind, plane)
+    assert (
+        with_floor.tolist() == [FaceKind.FLOOR, FaceKind.FLOOR, FaceKind.ROOF]
+        and with_floor.dtype == np.uint8
+    )
+    only = open_ground.kinds(vertex_m, triangle[:2], kind[:2], plane[:2])
+    assert only.tolist() == [FaceKind.FLAT, FaceKind.FLAT]

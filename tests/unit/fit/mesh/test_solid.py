@@ -1,0 +1,61 @@
+"""Solids: vertices within straight edges are removed, whatever the faces beside them look like."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from p2wss.config import Reconstruct
+from p2wss.data.building import Building
+from p2wss.fit.mesh.parametric import build_meshes
+from p2wss.fit.mesh.planes import face_planes, neighbours, planes_at
+from p2wss.fit.mesh.union import Mesh, collapse_vertices, is_closed, is_sound
+
+
+def volume_m3(mesh: Mesh) -> float:
+    a, b, c = np.moveaxis(mesh.vertex_m[mesh.triangle], 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def test_a_straight_vertex_goes_where_neither_end_sees_the_whole_face() -> None:
+    # the footprint is a W; vertex 10 divides its straight side, and all of the floor meets there
+    corner_m = np.array([[0, 0], [10, 0], [8, 3], [5, 0.5], [2, 3]], float)
+    vertex_m = np.vstack(
+        [np.column_stack([corner_m, np.full(5, z)]) for z in (0.0, 4.0)] + [np.array([[5.0, 0.0, 0.0]])]
+    )
+    floor = [[10, 0, 4], [10, 4, 3], [10, 3, 2], [10, 2, 1]]
+    top = [[5, 8, 9], [5, 6, 8], [6, 7, 8]]
+    side = [[0, 10, 5], [10, 6, 5], [10, 1, 6]]
+    walls = [t for i in range(1, 5) for t in ([i, (i + 1) % 5, i + 5], [(i + 1) % 5, (i + 1) % 5 + 5, i + 5])]
+    triangle = np.array(floor + top + side + walls, np.int32)
+    mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
+    assert is_closed(vertex_m, triangle)
+    assert not is_sound(mesh)
+
+    result = collapse_vertices(mesh)
+
+    assert len(result.vertex_m) == 10
+    assert (planes_at(result.triangle, result.plane, 10) >= 3).all()
+    assert is_closed(result.vertex_m, result.triangle)
+    assert is_sound(result)
+    np.testing.assert_allclose(volume_m3(result), volume_m3(mesh))
+
+
+def test_a_hip_roof_of_the_kernel_is_sound() -> None:
+    """Each of its walls has the edge, and so the number, of the roof above it."""
+    ring = np.array([[0, 0], [10, 0], [10, 7], [0, 7.0]])
+    building = Building("b", "t", (0.0, 0.0), [ring], np.zeros((0, 3)), np.zeros(0, np.uint8), 0.0)
+    (hip,) = build_meshes(
+        [building],
+        [[ring]],
+        [0.0],
+        np.array([4.0]),
+        [np.full(4, 40.0)],
+        np.array([np.nan]),
+        "fit",
+        Reconstruct(),
+        [""],
+    )
+    mesh = Mesh.of(hip)
+    assert len(np.unique(mesh.plane)) == 9
+    assert is_sound(mesh)
+    assert not is_sound(Mesh(hip.vertex_m, hip.triangle, hip.kind, hip.edge))

@@ -1,0 +1,193 @@
+"""Fits of one height against buildings with known parameters."""
+
+import numpy as np
+import pytest
+import shapely
+
+from p2wss.fit.points import even_order, every_kth, roof_points
+from p2wss.fit.roof.fitter import Effort, Fitter, Limits, flat_rings
+from p2wss.fit.roof.prior import make_prior
+from p2wss.fit.roof.starts import edge_groups
+from p2wss.skeleton import Polygons
+from p2wss.skeleton import roof_points as roof
+
+RECTANGLE = np.array([[0, 0], [11, 0], [11, 7], [0, 7.0]])
+ELL = np.array([[0, 0], [14, 0], [14, 6], [6, 6], [6, 12], [0, 12.0]])
+OUTER = np.array([[0, 0], [24, 0], [24, 20], [0, 20.0]])
+COURTYARD = np.array([[8, 7], [8, 13], [16, 13], [16, 7.0]])
+
+
+def sample(rings, angle_deg, eave_z_m, num_points, noise_m=0.0, top_m=np.inf, seed=0):
+    """Points on the roof, from the kernel's exact queries."""
+    rng = np.random.default_rng(seed)
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    xy = rng.uniform(polygon.bounds[:2], polygon.bounds[2:], (num_points * 4, 2))
+    xy = xy[shapely.contains_xy(polygon, xy[:, 0], xy[:, 1])][:num_points]
+    z = roof(
+        Polygons.from_rings([list(rings)]), np.asarray(angle_deg, float), eave_z_m, xy,
+        np.zeros(len(xy), int), max_roof_height_m=top_m,
+    ).z_m  # fmt: skip
+    return np.column_stack([xy, z + noise_m * rng.standard_normal(len(xy))])
+
+
+@pytest.mark.parametrize(
+    ("rings", "angle_deg"),
+    [
+        ([RECTANGLE], [35, 90, 35, 90]),
+        ([RECTANGLE], [90, 48, 90, 48]),
+        ([RECTANGLE], [30, 55, 30, 55]),
+        ([RECTANGLE], [12, 90, 90, 90]),
+        ([ELL], [40, 90, 40, 40, 90, 40]),
+        ([OUTER, COURTYARD], [35] * 8),
+    ],
+)
+def test_recovers_a_known_building(rings, angle_deg):
+    point_m = sample(rings, angle_deg, 107.3, 400, noise_m=0.04)
+    fit = Fitter(Limits()).fit_whole(rings, point_m, Effort())
+    # whole degrees, up to the one that noise moves it by
+    np.testing.assert_allclose(fit.angle_deg, angle_deg, atol=1)
+    assert fit.eave_z_m == pytest.approx(107.3, abs=0.08)
+    assert fit.loss_m < 0.05
+
+
+def test_recovers_a_flat_roof_as_zero_degrees():
+    point_m = sample([ELL], [0] * 6, 5.0, 200, noise_m=0.03)
+    fit = Fitter(Limits()).fit_whole([ELL], point_m, Effort())
+    assert fit.angle_deg.tolist() == [0] * 6
+    assert fit.eave_z_m == pytest.approx(5.0, abs=0.01)
+
+
+def test_recovers_a_flat_top():
+    point_m = sample([OUTER], [50] * 4, 5.0, 500, noise_m=0.03, top_m=3.0)
+    fit = Fitter(Limits()).fit_whole([OUTER], point_m, Effort())
+    assert fit.top_m == pytest.approx(3.0, abs=0.1)
+    np.testing.assert_allclose(fit.angle_deg, 50, atol=2)
+    without = Fitter(Limits(flat_top=False)).fit_whole([OUTER], point_m, Effort())
+    assert without.top_m == np.inf
+    assert fit.loss_m < without.loss_m
+
+
+def test_outliers_do_not_move_the_roof():
+    point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
+    point_m[::12, 2] += 4.0
+    fit = Fitter(Limits()).fit_whole([RECTANGLE], point_m, Effort())
+    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
+    assert fit.eave_z_m == pytest.approx(6.0, abs=0.08)
+
+
+def test_returns_from_a_wall_that_stands_back_are_not_a_steep_roof():
+    point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
+    rng = np.random.default_rng(1)
+    wall_m = np.column_stack([np.full(20, 10.6), rng.uniform(2, 5, 20), rng.uniform(6.5, 8.0, 20)])
+    fit = Fitter(Limits()).fit_whole([RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
+    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
+
+
+def test_a_steep_end_that_is_as_wide_as_a_roof_stays():
+    point_m = sample([OUTER], [45, 63, 45, 63], 6.0, 600, noise_m=0.03)
+    fit = Fitter(Limits()).fit_whole([OUTER], point_m, Effort(num_points=600))
+    np.testing.assert_allclose(fit.angle_deg, [45, 63, 45, 63], atol=2)
+
+
+def test_edges_that_face_the_same_way_have_different_slopes_where_the_points_show_it():
+    angle_deg = [40, 90, 25, 40, 45, 40]
+    point_m = sample([ELL], angle_deg, 6.0, 400, noise_m=0.03)
+    fit = Fitter(Limits()).fit_whole([ELL], point_m, Effort(num_points=400))
+    np.testing.assert_allclose(fit.angle_deg, angle_deg, atol=1)
+    together = Fitter(Limits(separate_slope_gain_m=1.0)).fit_whole([ELL], point_m, Effort(num_points=400))
+    assert together.loss_m > fit.loss_m + 0.02
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_never_worse_than_the_guess_or_a_flat_roof(seed):
+    rng = np.random.default_rng(seed)
+    angle_deg = rng.choice([0, 90, 25, 45, 60.0], len(ELL))
+    point_m = sample([ELL], angle_deg, 5.0, 80, noise_m=0.3, seed=seed)
+    point_m = point_m[np.isfinite(point_m[:, 2])]
+    fitter = Fitter(Limits())
+    guess = rng.choice([0, 90, 30, 50.0], len(ELL))
+    fit = fitter.fit([ELL], point_m, Effort(num_search_points=80), [guess])
+    flat = np.abs(point_m[:, 2] - np.median(point_m[:, 2])).clip(max=1.0).mean()
+    assert fit.loss_m <= flat + 1e-9
+    assert fitter.loss(fit, point_m) == pytest.approx(fit.loss_m, abs=1e-12)
+
+
+def test_same_result_whatever_the_order_of_the_points_and_earlier_fits():
+    point_m = sample([ELL], [40, 90, 40, 40, 90, 40], 5.0, 500, noise_m=0.1)
+    fitter = Fitter(Limits())
+    first = fitter.fit_whole([ELL], point_m, Effort())
+    fitter.fit_whole([OUTER, COURTYARD], sample([OUTER, COURTYARD], [35] * 8, 5.0, 300), Effort())
+    again = fitter.fit_whole([ELL], point_m[np.random.default_rng(1).permutation(len(point_m))], Effort())
+    assert first.angle_deg.tolist() == again.angle_deg.tolist()
+    assert first.eave_z_m == again.eave_z_m
+
+
+# probabilities of 0 degrees, 90 degrees and a slope
+SURE_GABLE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] * 2)
+
+
+def test_a_network_decides_where_points_are_few_and_gives_way_to_many():
+    """Points of a gable along x; the network took it for a gable along y, two degrees and 0.2 m off."""
+    network_deg = np.array([90, 37, 90, 37.0])
+    many = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 400, noise_m=0.03)
+    few = np.array([[5.5, 3.5, 8.4], [5.4, 3.4, 8.4], [5.6, 3.6, 8.4]])
+    fitter = Fitter(Limits())
+    prior = make_prior([RECTANGLE], len(few), network_deg, SURE_GABLE, 6.2)
+    assert (
+        fitter.fit_whole([RECTANGLE], few, Effort(), [network_deg], prior).angle_deg.tolist()
+        == network_deg.tolist()
+    )
+    prior = make_prior([RECTANGLE], len(many), network_deg, SURE_GABLE, 6.2)
+    fit = fitter.fit_whole([RECTANGLE], many, Effort(), [network_deg], prior)
+    np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
+
+
+def test_the_prior_is_part_of_the_loss():
+    point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 50)
+    fitter = Fitter(Limits())
+    fit = fitter.fit_whole([RECTANGLE], point_m, Effort())
+    probability = np.array([[0.01, 0.01, 0.98], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98], [0.01, 0.09, 0.9]])
+    prior = make_prior([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), probability, 6.0 + 2.0)
+    more = fitter.loss(fit, point_m, prior) - fitter.loss(fit, point_m)
+    # a class ten times less probable and the eave 2 m off
+    assert more == pytest.approx(
+        (np.log(10) * 0.0125 + 2 * 0.075) / 50 + np.log(10) * 0.002 + 2 * 0.01, rel=0.05
+    )
+
+
+def test_too_few_points_give_no_roof():
+    assert Fitter(Limits()).fit([RECTANGLE], np.zeros((2, 3)), Effort()) is None
+
+
+def test_many_edges_take_few_evaluations():
+    turn = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    ring = np.column_stack([np.cos(turn), np.sin(turn)]) * 15
+    point_m = np.column_stack([sample([RECTANGLE], [0] * 4, 6.0, 200)[:, :2] - 4, np.full(200, 6.0)])
+    fitter = Fitter(Limits())
+    assert fitter.fit_whole([ring], point_m, Effort()).loss_m < 0.05
+    assert fitter.num_evaluations < 200
+
+
+def test_direction_groups():
+    direction, axis, _, length = edge_groups(*flat_rings([ELL]))
+    assert len(set(direction[[0, 2, 4]].tolist())) == 2 and len(set(direction.tolist())) == 4
+    assert axis.tolist() == [0, 1, 0, 1, 0, 1]
+    assert length.tolist() == [14, 6, 8, 6, 6, 12]
+
+
+def test_roof_points_are_those_over_the_footprint():
+    polygon = shapely.Polygon(RECTANGLE)
+    point_m = np.array([[1, 1, 9], [12, 1, 9], [2, 2, 9], [3, 3, 9], [4, 4, 1.0]])
+    building = np.full(5, 6, np.uint8)
+    assert len(roof_points(polygon, np.tile(point_m, (4, 1)), np.tile(building, 4), 0.0)) == 16
+    unclassified = np.ones(5, np.uint8)
+    assert roof_points(polygon, point_m, unclassified, 0.0)[:, 0].tolist() == [1, 2, 3]
+
+
+def test_every_kth_along_the_curve_is_even():
+    rng = np.random.default_rng(0)
+    point_m = np.column_stack([rng.uniform(0, 16, (4096, 2)), np.zeros(4096)])
+    chosen = point_m[even_order(point_m)][every_kth(4096, 64)]
+    counts = np.histogram2d(chosen[:, 0], chosen[:, 1], bins=4, range=[[0, 16]] * 2)[0]
+    # 4 each would be perfect; independent draws spread from 0 to 9
+    assert counts.min() >= 2 and counts.max() <= 6
