@@ -1,9 +1,9 @@
 """Decorators that compile functions to cached machine code, without the GIL; a division by zero gives infinity.
 
 numba's cache notices changes in the file of a function only, yet the machine code of the function contains
-that of everything it calls. So the names of the cached files carry a digest of all sources of this package
-and, for a function of another room, of that room with its folders too: code from other sources is never loaded, not even
-by a process that runs while a file is being edited.
+that of everything it calls. So the names of the cached files carry a digest of the file and of all modules of this
+package that it imports: code from other sources is never loaded, not even by a process that runs while a file is
+being edited.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import gc
 import inspect
 import logging
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -32,19 +33,35 @@ from numba.np.arrayobj import populate_array
 # that constant
 ZERO: Any = np.int64(0)
 ONE: Any = np.int64(1)
+# read as text, since parsing all files takes longer than most commands
+_IMPORT = re.compile(r"^from (p2wss[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+_NAME = re.compile(r"\w+")
 log = logging.getLogger("p2wss")
 
 
 @cache
-def _digest_of_sources(folder: Path) -> str:
-    """Digest of the sources of this package and of all in the room of ``folder``."""
-    kernel = Path(__file__).parent
-    if kernel.parent in folder.parents:
-        folder = kernel.parent / folder.relative_to(kernel.parent).parts[0]
+def _digest_of_sources(path: Path) -> str:
+    """Digest of a file's source and of the sources of all modules of this package that it imports, directly or not."""
     digest = blake2b(digest_size=6)
-    for path in sorted({*kernel.glob("*.py"), *folder.rglob("*.py")}):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    pending, found = [path], {path}
+    while pending:
+        imported = _imported(pending.pop()) - found
+        found |= imported
+        pending += imported
+    for each in sorted(found):
+        digest.update(each.name.encode() + b"\0" + each.read_bytes())
     return digest.hexdigest()
+
+
+@cache
+def _imported(path: Path) -> frozenset[Path]:
+    root = Path(__file__).parents[2]
+    result = set()
+    for module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
+        base = root.joinpath(*module.split("."))
+        modules = [base, base / "__init__", *(base / name for name in _NAME.findall(names))]
+        result |= {each.with_suffix(".py") for each in modules if each.with_suffix(".py").is_file()}
+    return frozenset(result)
 
 
 class CacheLocator:
@@ -56,7 +73,7 @@ class CacheLocator:
     def __init__(self, function: Callable, file: str, folder: str) -> None:
         self._py_file = file
         self._folder = Path(folder)
-        self._digest = _digest_of_sources(Path(file).parent)
+        self._digest = _digest_of_sources(Path(file))
         self._function = f"{Path(file).stem}.{function.__qualname__}".replace("<", "").replace(">", "")
         self._line = function.__code__.co_firstlineno
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from test_one_height import sample
+from toy_roofs import sample
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from test_one_height import sample
+from toy_roofs import sample
 
 from p2wss.fit.mesh.union import is_closed, is_sound, union
 from p2wss.fit.parts.merging import merged_rings

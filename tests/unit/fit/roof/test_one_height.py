@@ -3,31 +3,17 @@
 import numpy as np
 import pytest
 import shapely
+from toy_roofs import sample
 
 from p2wss.fit.points import even_order, every_kth, roof_points
 from p2wss.fit.roof.fitter import Effort, Fitter, Limits, flat_rings
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof.starts import edge_groups
-from p2wss.skeleton import Polygons
-from p2wss.skeleton import roof_points as roof
 
 RECTANGLE = np.array([[0, 0], [11, 0], [11, 7], [0, 7.0]])
 ELL = np.array([[0, 0], [14, 0], [14, 6], [6, 6], [6, 12], [0, 12.0]])
 OUTER = np.array([[0, 0], [24, 0], [24, 20], [0, 20.0]])
 COURTYARD = np.array([[8, 7], [8, 13], [16, 13], [16, 7.0]])
-
-
-def sample(rings, angle_deg, eave_z_m, num_points, noise_m=0.0, top_m=np.inf, seed=0):
-    """Points on the roof, from the kernel's exact queries."""
-    rng = np.random.default_rng(seed)
-    polygon = shapely.Polygon(rings[0], rings[1:])
-    xy = rng.uniform(polygon.bounds[:2], polygon.bounds[2:], (num_points * 4, 2))
-    xy = xy[shapely.contains_xy(polygon, xy[:, 0], xy[:, 1])][:num_points]
-    z = roof(
-        Polygons.from_rings([list(rings)]), np.asarray(angle_deg, float), eave_z_m, xy,
-        np.zeros(len(xy), int), max_roof_height_m=top_m,
-    ).z_m  # fmt: skip
-    return np.column_stack([xy, z + noise_m * rng.standard_normal(len(xy))])
 
 
 @pytest.mark.parametrize(
