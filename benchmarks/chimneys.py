@@ -4,8 +4,8 @@
 
 What is measured is the difference between two meshes of a building, with and without chimneys, on a raster of 10 cm:
 each of its connected regions is a chimney that was built. It is right if its centre lies over a chimney that the town
-has, and that chimney then counts as detected. The price in `p2wss.fit.boxes.chimneys` was chosen on the towns of the seeds
-1 and 2, and the figures of the miniature were seen when its rules were written; the other seeds are the test.
+has, and that chimney then counts as detected. The price in `p2wss.fit.boxes.chimneys` was chosen on the towns of
+the seeds 1 and 2, and the figures of the miniature were seen when its rules were written; the other seeds are the test.
 """
 
 from __future__ import annotations

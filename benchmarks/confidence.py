@@ -33,8 +33,8 @@ from p2wss.eval.cases import Case
 from p2wss.eval.metrics.calibration import calibration
 from p2wss.fit import fitting
 from p2wss.fit.points import roof_points
+from p2wss.fit.roof import confidence
 from p2wss.fit.roof.evidence import Evidence
-from p2wss.fit.roof.rounds import confidence
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.nets import decoding
 from p2wss.reconstruct.network import reconstruct_with_network

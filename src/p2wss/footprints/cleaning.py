@@ -87,8 +87,8 @@ def read_footprints(
 
 def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.GeoDataFrame:
     """The features that intersect a window, and all others of their blocks
-    (:func:`p2wss.footprints.coverage.block_numbers`), on which their cleaning depends: what :func:`clean_footprints` makes of
-    a footprint is then the same for any window.
+    (:func:`p2wss.footprints.coverage.block_numbers`), on which their cleaning depends: what
+    :func:`clean_footprints` makes of a footprint is then the same for any window.
 
     Otherwise as :func:`read_footprints`.
     """

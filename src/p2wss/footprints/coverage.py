@@ -1,8 +1,8 @@
 """Clean the footprints of a block as one coverage, so that neighbours keep the walls that they share.
 
 A block is a set of footprints that touch, nearly touch or overlap. Its footprints are joined in common nodes
-(:mod:`p2wss.footprints.common_nodes`), simplified along the lines between the nodes where walls meet, and straightened with shared
-edges once (:mod:`p2wss.footprints.directions`).
+(:mod:`p2wss.footprints.common_nodes`), simplified along the lines between the nodes where walls meet, and
+straightened with shared edges once (:mod:`p2wss.footprints.directions`).
 """
 
 from __future__ import annotations

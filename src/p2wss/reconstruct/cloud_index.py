@@ -1,8 +1,8 @@
 """A cloud in cells on disk: written chunk by chunk, read by places.
 
 Memory holds one chunk and the requested points, however large the cloud is. Points get classes where their
-producer has none, by :func:`p2wss.reconstruct.unclassified.with_classes`; what is read for a place is the same whatever else
-is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
+producer has none, by :func:`p2wss.reconstruct.unclassified.with_classes`; what is read for a place is the same
+whatever else is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
 """
 
 from __future__ import annotations

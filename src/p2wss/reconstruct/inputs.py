@@ -13,8 +13,8 @@ from p2wss.data.tiling import Bounds, tiles_of_points
 
 
 def footprint_settings(config: Config) -> Scenes:
-    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints: those of the
-    section scenes, but with ``reconstruct.simplify_m``."""
+    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints:
+    those of the section scenes, but with ``reconstruct.simplify_m``."""
     return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
 
 

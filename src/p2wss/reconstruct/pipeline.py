@@ -236,8 +236,8 @@ def _ground_z_m(
 def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     """The values of the input's own columns, one dictionary per row, None where there is no value.
 
-    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds and the geometry are
-    left out.
+    frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns; the columns that it adds and the
+    geometry are left out.
     """
     columns = frame.columns.drop([frame.geometry.name, *_ADDED_COLUMNS], errors="ignore")
     values = pd.DataFrame(frame[columns]).astype(object)

@@ -1,9 +1,9 @@
 """Dormers and other small boxes that rise out of a roof, and recesses in it (terraces, loggias, corners that the
 building leaves out), as the points above and below the roof show them.
 
-Everything is in the frame of :func:`p2wss.fit.parts.parts.main_frame`: a box is a rectangle along its axes, clipped to the
-footprint, with a flat top or, if that is worth its slopes, a roof of its own. Where the roof is higher than the box,
-the roof stays; where it is lower than the floor of a recess, too.
+Everything is in the frame of :func:`p2wss.fit.parts.parts.main_frame`: a box is a rectangle along its axes, clipped
+to the footprint, with a flat top or, if that is worth its slopes, a roof of its own. Where the roof is higher than
+the box, the roof stays; where it is lower than the floor of a recess, too.
 """
 
 from __future__ import annotations

@@ -23,9 +23,9 @@ _WALL_DEG, _MIN_WALL_M = 4.0, 2.0
 def roof_frame(rings: Sequence[np.ndarray], roof_point_m: np.ndarray) -> np.ndarray:
     """Rotation (2, 2) for which roofs slope along the axes of ``xy @ rotation``.
 
-    That is the frame of the walls (:func:`p2wss.fit.parts.parts.main_frame`), unless the planes of the roof slope in other
-    directions that agree with each other: a block may be cut off by the border of a map, or be drawn from a raster.
-    roof_point_m: (m, 3), the points on the roof.
+    That is the frame of the walls (:func:`p2wss.fit.parts.parts.main_frame`), unless the planes of the roof slope
+    in other directions that agree with each other: a block may be cut off by the border of a map, or be drawn from
+    a raster. roof_point_m: (m, 3), the points on the roof.
     """
     frame = main_frame(rings)
     roof_deg = _direction_of_slopes_deg(roof_point_m)

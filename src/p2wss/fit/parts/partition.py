@@ -30,7 +30,8 @@ def fit_parts(
     prior: Prior = NO_PRIOR,
 ) -> list[FittedRoof]:
     """The parts of a building: one if no cut gains enough, none if no roof can be fitted. Everything is in the frame
-    of ``rings``, which is that of :func:`p2wss.fit.parts.parts.main_frame`; vertices on a cut have exactly its coordinate.
+    of ``rings``, which is that of :func:`p2wss.fit.parts.parts.main_frame`; vertices on a cut have exactly its
+    coordinate.
 
     effort: of the whole building. guesses, prior: of the whole building, too.
     """

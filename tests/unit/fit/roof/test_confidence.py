@@ -10,9 +10,9 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.eval.metrics.calibration import calibration
 from p2wss.fit import fitting
+from p2wss.fit.roof import confidence
 from p2wss.fit.roof.evidence import roof_evidence
 from p2wss.fit.roof.fitter import FittedRoof, Fitter, Limits
-from p2wss.fit.roof.rounds import confidence
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
 
