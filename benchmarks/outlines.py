@@ -30,14 +30,15 @@ import shapely
 from figures import Figures, cpu_seconds
 from real_places import Place, judged_rows, places
 
-from p2wss import reconstruct
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.footprints.cleaning import clean_footprints
 from p2wss.reconstruct import unclassified
+from p2wss.reconstruct.inputs import footprint_settings
 from p2wss.reconstruct.outlines import outline_frame
+from p2wss.reconstruct.pipeline import Result, run
 
 MIN_AREA_M2 = 30.0
 # houses at most this far apart touch
@@ -134,8 +135,8 @@ def judged(
 ) -> dict[str, Any]:
     """Solids on the outlines: their number, which are closed, points to mesh by the judge."""
     config = Config()
-    cleaned = clean_footprints(frame, reconstruct.footprint_settings(config))
-    results = reconstruct.run(cleaned, cloud, None, "tile", config.reconstruct)
+    cleaned = clean_footprints(frame, footprint_settings(config))
+    results = run(cleaned, cloud, None, "tile", config.reconstruct)
     with tempfile.TemporaryDirectory() as folder:
         outlines = Path(folder) / "outlines.gpkg"
         frame.to_file(outlines)
@@ -160,7 +161,7 @@ def judged(
     }
 
 
-def is_closed(result: reconstruct.Result) -> bool:
+def is_closed(result: Result) -> bool:
     """Whether each edge of the mesh is in two triangles, in opposite directions."""
     triangle = result.reconstruction.triangle
     edges = np.concatenate([triangle[:, [0, 1]], triangle[:, [1, 2]], triangle[:, [2, 0]]])

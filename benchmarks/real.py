@@ -26,7 +26,7 @@ import thresholds
 from figures import Figures
 from real_places import Place, judged_rows
 
-from p2wss import reconstruct, scenes
+from p2wss import scenes
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import Config, Reconstruct
@@ -34,7 +34,9 @@ from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.reconstruct.flat import with_fallback
+from p2wss.reconstruct.inputs import footprint_settings, window
 from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.product import NETWORK
 
 _CROPS = ("77050_627755", "77050_627760", "77055_627755")
@@ -70,8 +72,8 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
 def read_files(footprints: Path, cloud_files: Sequence[Path], name: str, config: Config) -> list[Building]:
     """The buildings of a footprint file, clean footprints with their points."""
     frame = scenes.read_footprints(footprints, None, needs_crs=False)
-    frame = scenes.clean_footprints(frame, reconstruct.footprint_settings(config))
-    cloud = clouds.read_clouds(list(cloud_files), reconstruct.window(frame))
+    frame = scenes.clean_footprints(frame, footprint_settings(config))
+    cloud = clouds.read_clouds(list(cloud_files), window(frame))
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)
     origin = polygon_arrays.origins(polygons)
@@ -120,7 +122,7 @@ def judged(
 ) -> list[dict[str, Any]]:
     """The judge's rows, one per building."""
     place, cloud_files, epsg = SETS[name]
-    results = [reconstruct.Result(row, "ok", None, 0, np.nan, np.nan, False) for row in reconstructions]
+    results = [Result(row, "ok", None, 0, np.nan, np.nan, False) for row in reconstructions]
     data = arguments.data / place
     files = Place(data / "footprints.gpkg", tuple(data / file for file in cloud_files), epsg)
     return judged_rows(arguments.judge, results, files)

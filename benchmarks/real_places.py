@@ -13,7 +13,8 @@ from typing import Any
 
 import pyproj
 
-from p2wss import reconstruct
+from p2wss.reconstruct.city import city_json as reconstruct_city_json
+from p2wss.reconstruct.pipeline import Result
 
 
 @dataclass(frozen=True)
@@ -45,13 +46,13 @@ def judged_file(judge: Path, city_json: Path, footprints: Path, clouds: Sequence
 
 
 def judged_rows(
-    judge: Path, results: Sequence[reconstruct.Result], place: Place, footprints: Path | None = None
+    judge: Path, results: Sequence[Result], place: Place, footprints: Path | None = None
 ) -> list[dict[str, Any]]:
     """What the judge says of reconstructions, one row per building. footprints: others than those of the place."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "reconstructions.city.jsonl"
         path.write_text(
-            "".join(reconstruct.city_json(results, pyproj.CRS.from_epsg(place.epsg))), encoding="utf-8"
+            "".join(reconstruct_city_json(results, pyproj.CRS.from_epsg(place.epsg))), encoding="utf-8"
         )
         rows: list[dict[str, Any]] = judged_file(judge, path, footprints or place.footprints, place.clouds)[
             "rows"

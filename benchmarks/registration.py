@@ -30,14 +30,14 @@ from figures import Figures, cpu_seconds
 from real_places import Place, judged_rows, places
 from shapely import affinity
 
-from p2wss import reconstruct
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.data import polygon_arrays
 from p2wss.data.seeds import generator
 from p2wss.footprints import cleaning as footprints
-from p2wss.reconstruct.registration import COLUMN, NOTHING
+from p2wss.reconstruct.pipeline import run as run_reconstruct
+from p2wss.reconstruct.registration import COLUMN, NOTHING, register
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.skeleton.types import Polygons
 
@@ -85,7 +85,7 @@ def judged(
 ) -> dict[str, dict[str, Any]]:
     """The judge's rows by id. settings: of the section reconstruct that differ from the defaults."""
     config = Config().reconstruct.model_copy(update=settings)
-    results = reconstruct.run(frame, cloud, predictor, "tile", config)
+    results = run_reconstruct(frame, cloud, predictor, "tile", config)
     return {row["id"]: row for row in judged_rows(judge, results, place)}
 
 
@@ -119,7 +119,7 @@ def of_moved_blocks(
         for seed in arguments.seeds if length_m else arguments.seeds[:1]:
             result, vector, block = moved(frame, length_m, seed, noise_m)
             if not arguments.off:
-                result = reconstruct.register(result, cloud)
+                result = register(result, cloud)
                 left = np.linalg.norm(vector + [row.shift_m for row in result[COLUMN]], axis=1)
                 remaining += [float(left[block == b].mean()) for b in range(block.max() + 1)]
             runs.append(measures(judged(result, cloud, place, predictor, arguments.judge)))
@@ -139,7 +139,7 @@ def of_moved_blocks(
             spread = {"p90": float(np.quantile(remaining, 0.9)), "max": max(remaining)}
             figures.row(f"{name}, remaining shift", spread)
     if not arguments.off:
-        seconds = cpu_seconds(lambda: reconstruct.register(frame, cloud), repeats=5)
+        seconds = cpu_seconds(lambda: register(frame, cloud), repeats=5)
         figures.at_most(f"{title}, CPU ms per building", 1e3 * seconds / len(frame), CPU_MS)
 
 
@@ -153,7 +153,7 @@ def of_overhangs(figures: Figures, place: Place, predictor: Any, judge: Path) ->
             for number, axis_m in enumerate((cloud.x_m, cloud.y_m, cloud.z_m))
         )
         jittered = replace(cloud, x_m=x_m, y_m=y_m, z_m=z_m)
-        registered = reconstruct.register(frame, jittered)
+        registered = register(frame, jittered)
         for title, settings in OVERHANGS.items():
             rows = judged(registered, jittered, place, predictor, judge, **settings)
             runs.setdefault(title, []).append(measures(rows))
@@ -193,10 +193,10 @@ def of_sheds(figures: Figures, arguments: argparse.Namespace) -> None:
             sheds = shed_footprints(frame, cloud, generator(seed, "sheds", name))
             shapes = np.array([*frame.geometry, *sheds], dtype=object)
             both = gpd.GeoDataFrame({"building_id": range(len(shapes)), "status": "ok"}, geometry=shapes)
-            rows = reconstruct.register(both, cloud)[COLUMN][len(frame) :]
+            rows = register(both, cloud)[COLUMN][len(frame) :]
             num_sheds += len(rows)
             num_moved += sum(row.shift_m != (0.0, 0.0) for row in rows)
-        rows = reconstruct.register(frame, cloud)[COLUMN]
+        rows = register(frame, cloud)[COLUMN]
         moved_m = [np.hypot(*row.shift_m) for row in rows if row.shift_m != (0.0, 0.0)]
         num_known = sum(row.source != NOTHING for row in rows)
         print(

@@ -24,11 +24,14 @@ import shapely
 import skins
 from figures import Figures, cpu_seconds
 
-from p2wss import reconstruct
 from p2wss.clouds import reading as clouds
 from p2wss.config import Config
 from p2wss.data.building import Reconstruction
 from p2wss.footprints import cleaning as footprints
+from p2wss.nets.weights_file import weights_to_use
+from p2wss.reconstruct.inputs import footprint_settings, window
+from p2wss.reconstruct.pipeline import run, vertices_m
+from p2wss.reconstruct.registration import register
 from p2wss.skeleton import FaceKind
 
 # walls at most this far apart are one wall
@@ -56,16 +59,16 @@ def read(data: Path, model: Path | None) -> Scene:
     """The scene that ``p2wss reconstruct`` makes of Delft with its defaults."""
     config, folder = Config(), data / "delft_ahn3"
     features = footprints.read_footprints(folder / "footprints.gpkg", needs_crs=False)
-    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
-    cloud = clouds.read_clouds([folder / "ahn3.laz"], reconstruct.window(frame))
-    weights, predictor = reconstruct.weights_to_use(model, config.reconstruct), None
+    frame = footprints.clean_footprints(features, footprint_settings(config))
+    cloud = clouds.read_clouds([folder / "ahn3.laz"], window(frame))
+    weights, predictor = weights_to_use(model, config.reconstruct), None
     if weights is not None:
         from p2wss.nets.predictor import load_predictor
 
         predictor = load_predictor(weights)
     if config.reconstruct.registration:
-        frame = reconstruct.register(frame, cloud)
-    results = reconstruct.run(frame, cloud, predictor, "delft", config.reconstruct)
+        frame = register(frame, cloud)
+    results = run(frame, cloud, predictor, "delft", config.reconstruct)
     rows = [result.reconstruction for result in results]
     source = footprints.split_parts(features, config.scenes.min_area_m2).geometry.to_numpy()
     first, second = shapely.STRtree(source).query(source, predicate="dwithin", distance=0.5)
@@ -75,7 +78,7 @@ def read(data: Path, model: Path | None) -> Scene:
 
 def outline(row: Reconstruction) -> shapely.Geometry:
     """The polygon of a building's ground faces in the CRS."""
-    xy_m = reconstruct.vertices_m(row)[:, :2]
+    xy_m = vertices_m(row)[:, :2]
     corner = xy_m[row.triangle[row.kind == FaceKind.GROUND]]
     return shapely.union_all(shapely.polygons(corner))
 
@@ -123,7 +126,7 @@ def measure_overlap(scene: Scene, figures: Figures) -> None:
     solids = []
     origin = np.array([*np.floor(shapely.bounds(scene.source[0])[:2]), 0.0])
     for row in scene.reconstructions:
-        vertex = reconstruct.vertices_m(row) - origin
+        vertex = vertices_m(row) - origin
         solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex, row.triangle.astype(np.uint64))))
     volume = [(solids[i] ^ solids[j]).volume() for i, j in scene.pairs.tolist()]
     figures.row("overlap", {"pairs above 1 litre": int((np.array(volume) > 1e-3).sum())})
@@ -156,7 +159,7 @@ def measure_cleaning(scene: Scene, figures: Figures) -> None:
     path = scene.data / "olemps_bdtopo" / "BATIMENT.shp"
     if not path.exists():
         return
-    frame, settings = footprints.read_footprints(path), reconstruct.footprint_settings(Config())
+    frame, settings = footprints.read_footprints(path), footprint_settings(Config())
     seconds = cpu_seconds(lambda: footprints.clean_footprints(frame, settings))
     figures.at_most("cleaning, ms per footprint of Olemps", 1e3 * seconds / len(frame), 1.0)
     largest = frame.iloc[[int(shapely.get_num_coordinates(frame.geometry.to_numpy()).argmax())]]

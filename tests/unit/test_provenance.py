@@ -214,11 +214,11 @@ def test_an_empty_field_is_not_taken_for_another(digest_of: Callable[[str], str]
 def test_the_real_schemas_and_messages_follow_the_rule(copy):
     root, of = copy
     before = of("model")
-    reword(root / "data" / "schemas" / "crops.py", r'field\(\s*"num_points", pa.int32\(\), "')
-    reword(root / "data" / "schemas" / "manifest.py", r'raise InputError\(f"')
+    reword(root / "storage" / "schemas" / "crops.py", r'field\(\s*"num_points", pa.int32\(\), "')
+    reword(root / "storage" / "schemas" / "manifest.py", r'raise InputError\(f"')
     reword(root / "model" / "task.py", r'log\.info\("')
     assert of("model") == before
-    edit(root / "data" / "schemas" / "crops.py", '"num_points"', '"number_of_points"')
+    edit(root / "storage" / "schemas" / "crops.py", '"num_points"', '"number_of_points"')
     assert of("model") != before
 
 

@@ -55,7 +55,8 @@ def read_outlines(config: Config, inputs: argument_checks.Inputs) -> tuple[Cloud
     """The whole cloud, and the outlines in it as footprints."""
     from p2wss.clouds import reading as clouds
     from p2wss.clouds.las_classes import class_set
-    from p2wss.reconstruct import outline_frame, unclassified
+    from p2wss.reconstruct import unclassified
+    from p2wss.reconstruct.outlines import outline_frame
 
     settings = config.reconstruct
     paths = [header.path for header in inputs.clouds]

@@ -16,7 +16,7 @@ from p2wss.provenance import fingerprint
 from p2wss.storage import files
 
 if TYPE_CHECKING:
-    from p2wss.reconstruct import Area
+    from p2wss.reconstruct.area import Area
     from p2wss.reconstruct.cloud_index import CloudIndex
 
 
@@ -154,11 +154,15 @@ def reconstruct(arguments: argparse.Namespace) -> None:
     config = _reconstruct_config(arguments)
     inputs = argument_checks.check(arguments, config)
     set_num_threads(arguments.threads)
-    from p2wss import reconstruct
     from p2wss.footprints import cleaning as footprints
     from p2wss.nets.predictor import load_predictor
     from p2wss.reconstruct import exports
+    from p2wss.reconstruct.area import Area as reconstruct_Area
+    from p2wss.reconstruct.area import run_area
     from p2wss.reconstruct.cloud_index import CloudIndex
+    from p2wss.reconstruct.inputs import footprint_settings, in_tile, output_stem
+    from p2wss.reconstruct.pipeline import Result, check_overlap, summary
+    from p2wss.reconstruct.registration import summary as registration_summary
     from p2wss.reconstruct.spool import Spool
     from p2wss.storage.progress import Progress
 
@@ -177,14 +181,12 @@ def reconstruct(arguments: argparse.Namespace) -> None:
             height_field=settings.height_field or None,
             metric=inputs.metric,
         )
-    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(config))
-    area = reconstruct.Area(
-        frame, reconstruct.in_tile(frame, arguments.tile, config.region.tile_size_m), settings
-    )
+    frame = footprints.clean_footprints(features, footprint_settings(config))
+    area = reconstruct_Area(frame, in_tile(frame, arguments.tile, config.region.tile_size_m), settings)
     folder = argument_checks.existing_folder(arguments.out)
     with (
         CloudIndex(area.boxes, folder, adds_classes=cloud is None) as points,
-        Spool[reconstruct.Result](len(area.numbers), folder) as store,
+        Spool[Result](len(area.numbers), folder) as store,
     ):
         if cloud is None:
             _read_clouds(arguments, config, inputs, area, points)
@@ -200,16 +202,14 @@ def reconstruct(arguments: argparse.Namespace) -> None:
             log.info("note: %s", note)
         method = "fit to the points without a network" if weights is None else f"model {weights}"
         log.info("%d footprints, %d points around them; %s", len(chosen), points.num_points, method)
-        stem = arguments.tile or reconstruct.output_stem(arguments.clouds[0])
+        stem = arguments.tile or output_stem(arguments.clouds[0])
         with Progress("reconstruct", len(area.numbers), "buildings") as progress:
-            reconstruct.run_area(
-                area, points, predictor, stem, settings, store, registers, progress.update, terrain
-            )
+            run_area(area, points, predictor, stem, settings, store, registers, progress.update, terrain)
         results = store[: len(chosen)]
         if registers[area.is_chosen].any():
-            log.info("%s", reconstruct.registration_summary(result.registration for result in results))
+            log.info("%s", registration_summary(result.registration for result in results))
         if arguments.tile is None and not arguments.no_footprints:
-            reconstruct.check_overlap(results, arguments.clouds[0], arguments.footprints)
+            check_overlap(results, arguments.clouds[0], arguments.footprints)
         if terrain is not None and (difference := exports.terrain_note(results, terrain)):
             log.info("note: %s", difference)
         sections = section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE)
@@ -220,7 +220,7 @@ def reconstruct(arguments: argparse.Namespace) -> None:
         facts["clouds"] = [header.path.name for header in inputs.clouds]
         outputs = exports.write(arguments.out, stem, results, crs, facts, settings, terrain)
         log.info("%s: %s", arguments.out, ", ".join(outputs))
-        log.info("%s", reconstruct.summary(results))
+        log.info("%s", summary(results))
 
 
 def _split_inputs(arguments: argparse.Namespace) -> None:
@@ -242,15 +242,16 @@ def _read_clouds(
     """Put the points of the clouds into the index, with warnings where they lack classes.
 
     Raises :class:`InputError` if no cloud is near the footprints; a tile may be empty."""
-    from p2wss import reconstruct
     from p2wss.clouds import reading as clouds
     from p2wss.clouds.las_classes import class_set
     from p2wss.reconstruct import unclassified
+    from p2wss.reconstruct.inputs import window as reconstruct_window
+    from p2wss.reconstruct.pipeline import no_overlap
 
     metric, frame = inputs.metric, area.frame
-    window = metric.window_of_clouds(reconstruct.window(frame))
+    window = metric.window_of_clouds(reconstruct_window(frame))
     if arguments.tile is None and not any(header.overlaps(window) for header in inputs.clouds):
-        raise InputError(reconstruct.no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
+        raise InputError(no_overlap(len(frame), arguments.clouds[0], arguments.footprints))
     window = metric.window_of_clouds(points.bounds)
     near = [header.path for header in inputs.clouds if header.overlaps(window)]
     for chunk in clouds.read_in_chunks(near, window, class_set(config.region.classes)):

@@ -18,13 +18,13 @@ import trimesh
 from places import ROOT
 from toy_survey import BOX, run, write_cloud, write_weights
 
-from p2wss import reconstruct
 from p2wss.cli import argument_checks
 from p2wss.clouds import reading as clouds
 from p2wss.config import OUTPUT_SUFFIXES, TABLES_AND_MODELS
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.footprints import cleaning as footprints
 from p2wss.formats.outputs import MESH_WRITERS
+from p2wss.reconstruct.inputs import output_stem
 
 
 def write_files(place: Path) -> None:
@@ -293,4 +293,4 @@ def test_headers_without_bounds_are_read(tmp_path: Path) -> None:
     assert not header.overlaps((652020, 6861000, 652030, 6861001))
     unknown = clouds.CloudHeader(header.path, 450, header.crs, None)
     assert unknown.overlaps((652020, 6861000, 652030, 6861001))
-    assert reconstruct.output_stem(tmp_path) == tmp_path.name
+    assert output_stem(tmp_path) == tmp_path.name

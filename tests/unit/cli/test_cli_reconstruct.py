@@ -16,9 +16,10 @@ from oracle_network import Oracle
 from toy_survey import run, write_weights
 
 import p2wss
-from p2wss import cli, reconstruct
+from p2wss import cli
 from p2wss.data.terrain import Terrain, write_terrain
 from p2wss.nets import predictor, weights_file
+from p2wss.nets.weights_file import shipped_model
 
 
 def test_files_named_after_the_cloud(place: Path) -> None:
@@ -129,7 +130,7 @@ def test_shipped_weights_are_the_default(place: Path, monkeypatch: pytest.Monkey
 
 
 def test_shipped_weights_are_found_in_the_package() -> None:
-    weights = reconstruct.shipped_model()
+    weights = shipped_model()
     assert weights is None or weights.stat().st_size > 0
     expected = Path(p2wss.__file__).parent / "weights" / "point2wss.safetensors"
     assert (weights == expected) if expected.exists() else weights is None

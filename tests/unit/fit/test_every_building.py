@@ -10,10 +10,11 @@ import trimesh
 from oracle_network import Oracle
 from toy_clouds import LAMBERT, cleaned
 
-from p2wss import reconstruct
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.reconstruct import pipeline
+from p2wss.reconstruct.attributes import attributes as reconstruct_attributes
+from p2wss.reconstruct.pipeline import Result, run, summary
 
 GROUND_M, ROOF_M = 100.0, 107.0
 
@@ -63,12 +64,12 @@ class Scene:
             ring = np.column_stack([np.full(count, x0 - 0.5), np.linspace(y0, y1, count)])
             self.points.append(np.column_stack([ring, np.full(count, GROUND_M), np.full(count, classes[1])]))
 
-    def results(self, predictor: Oracle | None, config: Reconstruct) -> dict[str, reconstruct.Result]:
+    def results(self, predictor: Oracle | None, config: Reconstruct) -> dict[str, Result]:
         x, y, z, classification = np.concatenate(self.points).T
         cloud = Cloud(x, y, z, classification.astype(np.uint8), LAMBERT)
         shapes = gpd.GeoSeries(self.shapes, crs=LAMBERT)
         frame = gpd.GeoDataFrame({"building_id": self.names}, geometry=shapes)
-        results = reconstruct.run(cleaned(frame), cloud, predictor, "tile", config)
+        results = run(cleaned(frame), cloud, predictor, "tile", config)
         return {result.reconstruction.building_id: result for result in results}
 
 
@@ -103,7 +104,7 @@ def scene() -> Scene:
     return scene
 
 
-def check(results: dict[str, reconstruct.Result]) -> None:
+def check(results: dict[str, Result]) -> None:
     for name, result in results.items():
         reconstruction = result.reconstruction
         assert result.status in ("ok", "flat", "none"), name
@@ -114,7 +115,7 @@ def check(results: dict[str, reconstruct.Result]) -> None:
             assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0, name
             # without a point on the roof there is only the network's guess and nothing to compare it with
             assert result.residual_m < 1 or result.status == "flat" or result.visible_share == 0, name
-        attributes = reconstruct.attributes(result)
+        attributes = reconstruct_attributes(result)
         assert attributes["num_parts"] == (reconstruction.num_parts if reconstruction.has_mesh else None)
         assert attributes["visible_share"] is None or 0 <= attributes["visible_share"] <= 1
 
@@ -162,7 +163,7 @@ def test_a_building_that_one_roof_cannot_describe_is_flagged() -> None:
     single = scene.results(None, Reconstruct(max_parts=1, dormers=False))
     assert single["tower"].not_representable and single["tower"].residual_m > 1
     assert not single["good"].not_representable
-    assert "1 of them not representable" in reconstruct.summary(list(single.values()))
+    assert "1 of them not representable" in summary(list(single.values()))
     several = scene.results(None, Reconstruct())
     assert several["tower"].reconstruction.num_parts == 2 and not several["tower"].not_representable
     # the network's own values are not fitted: a large residual does not mean that the building is not representable
@@ -178,4 +179,4 @@ def test_batches_and_progress_change_nothing(scene: Scene, monkeypatch: pytest.M
     assert list(whole) == list(parts)
     for name, result in whole.items():
         assert np.array_equal(result.reconstruction.vertex_m, parts[name].reconstruction.vertex_m)
-        assert reconstruct.attributes(result) == reconstruct.attributes(parts[name])
+        assert reconstruct_attributes(result) == reconstruct_attributes(parts[name])

@@ -14,12 +14,13 @@ import torch
 from shapely import affinity
 from toy_clouds import LAMBERT, cleaned
 
-from p2wss import reconstruct
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.reconstruct import area as areas
+from p2wss.reconstruct.area import Area, run_area
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.measures import party_wall_areas_m2
+from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.spool import Spool
 from p2wss.reconstruct.valid import labelled_mesh
 
@@ -64,15 +65,15 @@ def town() -> tuple[gpd.GeoDataFrame, Cloud]:
 
 def results_of(
     town: tuple[gpd.GeoDataFrame, Cloud], folder: Path, is_chosen: np.ndarray | None = None, **options: bool
-) -> tuple[dict[str, reconstruct.Result], int]:
+) -> tuple[dict[str, Result], int]:
     """The results by the ids of buildings, and the number of batches."""
     frame, cloud = town
     is_chosen = np.ones(len(frame), bool) if is_chosen is None else is_chosen
-    area = reconstruct.Area(frame, is_chosen, CONFIG)
+    area = Area(frame, is_chosen, CONFIG)
     with CloudIndex(area.boxes, folder) as points, Spool[Any](len(area.numbers), folder) as store:
         points.append(cloud)
         registers = area.may_move(points) | options.get("registers", False)
-        reconstruct.run_area(area, points, None, "tile", CONFIG, store, registers)
+        run_area(area, points, None, "tile", CONFIG, store, registers)
         num_batches = len(list(area.batches(points)))
         results = list(store[: int(is_chosen.sum())])
     return {result.reconstruction.building_id: result for result in results}, num_batches

@@ -18,12 +18,15 @@ import solid_rules
 from toy_clouds import LAMBERT
 from yard_house import HOUSE_M2, SLOPE_DEG, YARD_M, YARD_M2, yard_house
 
-from p2wss import reconstruct, skeleton
+from p2wss import skeleton
 from p2wss.clouds.reading import GPS_EPOCH, read_clouds
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.reconstruct import Result, measures
-from p2wss.reconstruct.city import epsg_of
+from p2wss.data.metric_crs import common_crs
+from p2wss.reconstruct import measures
+from p2wss.reconstruct.attributes import TO_3DBAG, attributes
+from p2wss.reconstruct.city import city_json, epsg_of
+from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.valid import labelled_mesh
 from p2wss.skeleton.types import Polygons
 
@@ -95,7 +98,7 @@ def test_open_ground_is_no_roof() -> None:
     ):
         assert getattr(measured, name) == pytest.approx(getattr(without, name), abs=1e-3), name
     assert measured.volume_m3 == pytest.approx(without.volume_m3 + YARD_M2 * YARD_M, rel=1e-4)
-    assert reconstruct.attributes(result(row))["outer_floor_area_m2"] == pytest.approx(YARD_M2)
+    assert attributes(result(row))["outer_floor_area_m2"] == pytest.approx(YARD_M2)
 
 
 def test_quantiles_are_those_of_a_fine_raster() -> None:
@@ -122,28 +125,26 @@ def test_party_walls_are_where_neighbours_overlap() -> None:
     areas = measures.party_wall_areas_m2([labelled_mesh(row) for row in rows])
     assert areas == pytest.approx([4 * 3, 4 * 3, 0], abs=1e-6)
     assert measures.party_wall_areas_m2([]).shape == (0,)
-    values = reconstruct.attributes(result(rows[1], party_wall_area_m2=float(areas[1])))
+    values = attributes(result(rows[1], party_wall_area_m2=float(areas[1])))
     assert values["party_wall_area_m2"] == 12 and values["outer_wall_area_m2"] == 2 * (12 + 8) * 3 - 12
 
 
 def test_names_of_3dbag() -> None:
     gable = result(building("a", BOX, GABLE), dates=(date(2020, 12, 30), date(2021, 2, 3)), is_reliable=True)
-    ours, theirs = (
-        reconstruct.attributes(gable, {"clouds": ["ahn.laz"]}, names) for names in ("p2wss", "3dbag")
-    )
+    ours, theirs = (attributes(gable, {"clouds": ["ahn.laz"]}, names) for names in ("p2wss", "3dbag"))
     assert ours["points_date"] == "2021-02-03"
     assert theirs["b3_pw_datum"] == 2021 and theirs["b3_pw_bron"] == "ahn.laz"
     assert theirs["b3_h_nok"] == ours["ridge_z_m"] == 109
     assert (ours["roof_type"], theirs["b3_dak_type"]) == ("several-slopes", "slanted")
     assert theirs["b3_kwaliteitsindicator"] is True and theirs["b3_val3dity_lod22"] == "[]"
-    assert set(ours) - set(theirs) == {name for name in reconstruct.TO_3DBAG if name in ours}
+    assert set(ours) - set(theirs) == {name for name in TO_3DBAG if name in ours}
     flat = replace(gable, status="flat", reason=reasons.NO_ROOF)
-    assert reconstruct.attributes(flat, names="3dbag")["b3_dak_type"] == "no planes"
+    assert attributes(flat, names="3dbag")["b3_dak_type"] == "no planes"
     none = Result(
         replace(gable.reconstruction, triangle=np.zeros((0, 3), int)), "none", reasons.NO_POINTS, 0,
         float("nan"), float("nan"), False,
     )  # fmt: skip
-    values = reconstruct.attributes(none, names="3dbag")
+    values = attributes(none, names="3dbag")
     assert values["b3_dak_type"] == "no points" and values["b3_volume_lod22"] is None
     assert values["b3_val3dity_lod22"] is None and values["b3_pw_datum"] is None
 
@@ -160,7 +161,7 @@ def test_columns_of_the_input_come_first_and_keep_their_names() -> None:
         "codes": np.array([1, 2]),
         "geometry": "none",
     }
-    values = reconstruct.attributes(result(building("a", BOX, GABLE), columns=columns))
+    values = attributes(result(building("a", BOX, GABLE), columns=columns))
     assert list(values)[:3] == ["usage", "input_STATUS", "height"]
     assert values["status"] == "ok" and values["input_STATUS"] == "En service"
     assert values["gap"] is None and values["etages"] == 2 and values["height"] == 4.5
@@ -174,7 +175,7 @@ def test_a_block_of_lod_1_2_stands_beside_the_roof() -> None:
     facts = {"clouds": ["a.laz", "b.laz", "c.laz", "d.laz"]}
     results[0] = replace(results[0], dates=(date(2021, 3, 1), date(2021, 3, 1)))
     for lods, expected in ((["1.2", "2.0"], ["1.2", "2.0"]), (["1.2"], ["1.2"]), (["2.0"], ["2.0"])):
-        text = "".join(reconstruct.city_json(results, LAMBERT, "cityjsonseq", facts, lods))
+        text = "".join(city_json(results, LAMBERT, "cityjsonseq", facts, lods))
         header, *features = map(json.loads, text.splitlines())
         assert header["metadata"]["title"].endswith(
             "from a.laz, b.laz, c.laz and 1 more, points of 2021-03-01"
@@ -185,7 +186,7 @@ def test_a_block_of_lod_1_2_stands_beside_the_roof() -> None:
             assert [geometry["lod"] for geometry in geometries] == expected
         assert not any(solid_rules.codes_of_text(text).values())
         assert cityjson_rules.assert_sequence([header, *features]) == 2 * len(lods)
-    document = json.loads("".join(reconstruct.city_json(results, LAMBERT, "cityjson", facts, ["1.2", "2.0"])))
+    document = json.loads("".join(city_json(results, LAMBERT, "cityjson", facts, ["1.2", "2.0"])))
     assert cityjson_rules.assert_document(document) == 4
     block, _ = document["CityObjects"]["a"]["geometry"]
     used = {v for rings in block["boundaries"][0] for ring in rings for v in ring}
@@ -195,7 +196,7 @@ def test_a_block_of_lod_1_2_stands_beside_the_roof() -> None:
 
 
 def test_slopes_have_the_names_of_3dbag_too() -> None:
-    text = "".join(reconstruct.city_json([result(building("a", BOX, GABLE))], LAMBERT, names="3dbag"))
+    text = "".join(city_json([result(building("a", BOX, GABLE))], LAMBERT, names="3dbag"))
     (geometry,) = json.loads(text.splitlines()[1])["CityObjects"]["a"]["geometry"]
     roofs = [s for s in geometry["semantics"]["surfaces"] if s["type"] == "RoofSurface"]
     assert sorted(roof["b3_azimut"] for roof in roofs) == [0, 180]
@@ -223,9 +224,9 @@ def test_the_reference_system_has_heights_where_they_are_known(crs: str, expecte
 
 def test_heights_that_the_user_states_belong_to_the_reference_system() -> None:
     names = ("a.laz", "b.gpkg")
-    assert reconstruct.common_crs(LAMBERT, LAMBERT, "EPSG:5698", names)[0] == pyproj.CRS(5698)
+    assert common_crs(LAMBERT, LAMBERT, "EPSG:5698", names)[0] == pyproj.CRS(5698)
     with_heights = pyproj.CRS(5698)
-    assert reconstruct.common_crs(with_heights, LAMBERT, "EPSG:2154", names)[0] == with_heights
+    assert common_crs(with_heights, LAMBERT, "EPSG:2154", names)[0] == with_heights
 
 
 def test_days_of_points(tmp_path: Path) -> None:
@@ -246,11 +247,11 @@ def test_days_of_points(tmp_path: Path) -> None:
 def test_a_rejected_footprint_has_no_measures() -> None:
     gable = building("a", BOX, GABLE)
     empty = Building("a", "t", (0.0, 0.0), [], np.zeros((0, 3)), np.zeros(0, np.uint8), float("nan"))
-    values = reconstruct.attributes(
+    values = attributes(
         Result(
             no_mesh(empty, "fit", reasons.EMPTY), "none", reasons.EMPTY, 0, float("nan"), float("nan"), False
         )
     )
-    expected = reconstruct.attributes(result(gable))
+    expected = attributes(result(gable))
     assert list(values) == list(expected)
     assert values["roof_type"] is None and values["volume_m3"] is None and values["is_reliable"] is False

@@ -17,12 +17,12 @@ import sionna_scene
 import trimesh
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
-from p2wss import reconstruct
 from p2wss.cli import inspection
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data.terrain import Terrain, check_terrain_crs
 from p2wss.errors import InputError
 from p2wss.reconstruct import block_skins, exports
+from p2wss.reconstruct.pipeline import Result, run
 from p2wss.storage import files
 from p2wss.storage.schemas.wedges import WEDGES
 
@@ -31,7 +31,7 @@ EVERYTHING = Reconstruct(outputs=list(OUTPUT_SUFFIXES), per_building=True)
 
 
 @pytest.fixture(scope="module")
-def results() -> list[reconstruct.Result]:
+def results() -> list[Result]:
     """Two flat houses 6 m high on ground at 2 m, and a footprint without points."""
     boxes = [shapely.box(X + 30 * i, Y, X + 30 * i + 10, Y + 8) for i in range(2)]
     frame = gpd.GeoDataFrame(
@@ -39,12 +39,10 @@ def results() -> list[reconstruct.Result]:
         geometry=[*boxes, shapely.box(X + 900, Y, X + 910, Y + 9)],
         crs=LAMBERT,
     )
-    return reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
+    return run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
 
 
-def test_the_summary_tells_whether_a_delivered_file_is_damaged(
-    results: list[reconstruct.Result], tmp_path: Path
-) -> None:
+def test_the_summary_tells_whether_a_delivered_file_is_damaged(results: list[Result], tmp_path: Path) -> None:
     config = EVERYTHING.model_copy(update={"per_building": True})
     exports.write(tmp_path, "out", results, LAMBERT, {}, config)
     delivered = {path for path in tmp_path.rglob("*") if path.is_file()} - {tmp_path / "out.json"}
@@ -66,7 +64,7 @@ def test_the_summary_tells_whether_a_delivered_file_is_damaged(
     assert "not readable: No such file" in inspection.check(summary)["checksum"]
 
 
-def test_every_format_has_the_same_content(results: list[reconstruct.Result], tmp_path: Path) -> None:
+def test_every_format_has_the_same_content(results: list[Result], tmp_path: Path) -> None:
     written = exports.write(tmp_path, "out", results, LAMBERT, {"code": "x"}, EVERYTHING)
     names = sorted(path.name for path in tmp_path.iterdir() if path.is_file())
     suffixes = [suffix for suffix in OUTPUT_SUFFIXES.values() if "/" not in suffix]
@@ -131,7 +129,7 @@ def test_materials_are_those_of_the_columns_or_of_the_settings(tmp_path: Path) -
         geometry=boxes,
         crs=LAMBERT,
     )
-    results = reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
+    results = run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
     assert [dict(result.columns) for result in results] == [
         {"materiaux_des_murs": "49", "materiaux_de_la_toiture": "20", "usage": "Annexe"},
         {"materiaux_des_murs": None, "materiaux_de_la_toiture": "90", "usage": None},
@@ -155,7 +153,7 @@ def test_materials_are_those_of_the_columns_or_of_the_settings(tmp_path: Path) -
     assert "mtllib out.mtl" in lines and (tmp_path / "out.mtl").read_text().count("newmtl") == 4
 
 
-def test_meshes_stand_in_the_terrain(results: list[reconstruct.Result], tmp_path: Path) -> None:
+def test_meshes_stand_in_the_terrain(results: list[Result], tmp_path: Path) -> None:
     slope = np.tile(np.linspace(0, 4, 200, dtype=np.float32), (100, 1))
     land = Terrain(slope, X - 80, Y + 50, 1.0)
     config = Reconstruct(
@@ -184,7 +182,7 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     boxes = [shapely.box(X + 10 * i, Y, X + 10 * i + 10, Y + 8) for i in range(2)]
     boxes.append(shapely.box(X + 40, Y, X + 50, Y + 8))
     frame = gpd.GeoDataFrame({"building_id": ["b", "a", "alone"]}, geometry=boxes, crs=LAMBERT)
-    row = reconstruct.run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
+    row = run(cleaned(frame), cloud_over(*boxes), None, "tile", Reconstruct())
     config = Reconstruct(outputs=["ply", "cityjsonseq"], skin=True, wedges=True)
     written = exports.write(tmp_path, "out", row, LAMBERT, {"code": "x"}, config)
     pieces = trimesh.load_mesh(tmp_path / "out.ply").split()
@@ -226,7 +224,7 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     assert [json.loads(line)["id"] for line in document[1:]] == ["b", "a", "alone"]
 
 
-def test_terrain_of_another_place_is_refused(results: list[reconstruct.Result], tmp_path: Path) -> None:
+def test_terrain_of_another_place_is_refused(results: list[Result], tmp_path: Path) -> None:
     away = Terrain(np.zeros((20, 20), np.float32), X + 5000, Y, 1.0)
     with pytest.raises(InputError, match="no height around the buildings"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(), away)
@@ -239,9 +237,7 @@ def test_terrain_of_another_place_is_refused(results: list[reconstruct.Result], 
     assert exports.terrain_note(results, same) is None
 
 
-def test_a_file_that_cannot_be_written_leaves_the_others_whole(
-    results: list[reconstruct.Result], tmp_path: Path
-) -> None:
+def test_a_file_that_cannot_be_written_leaves_the_others_whole(results: list[Result], tmp_path: Path) -> None:
     (tmp_path / "out.obj").mkdir()
     (tmp_path / "out.obj" / "in the way").touch()
     with pytest.raises(InputError, match=r"out\.obj: not written"):

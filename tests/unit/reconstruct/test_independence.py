@@ -11,10 +11,11 @@ from places import ROOT
 from shapely import affinity
 from toy_clouds import LAMBERT, cleaned
 
-from p2wss import reconstruct
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.nets.predictor import Predictor, load_predictor
+from p2wss.reconstruct.inputs import window
+from p2wss.reconstruct.pipeline import run
 
 NUM_BUILDINGS = 68
 
@@ -51,12 +52,12 @@ def reconstructions(
 ) -> dict[str, tuple[object, ...]]:
     """Everything that is known of each building, to the bit, from the points in the run's window."""
     frame = cleaned(frame.reset_index(drop=True))
-    x_min, y_min, x_max, y_max = reconstruct.window(frame)
+    x_min, y_min, x_max, y_max = window(frame)
     near = (cloud.x_m >= x_min) & (cloud.x_m <= x_max) & (cloud.y_m >= y_min) & (cloud.y_m <= y_max)
     columns = (cloud.x_m, cloud.y_m, cloud.z_m, cloud.classification)
     cloud = Cloud(*(column[near] for column in columns), LAMBERT)
     result: dict[str, tuple[object, ...]] = {}
-    for row in reconstruct.run(frame, cloud, predictor, "tile", config):
+    for row in run(frame, cloud, predictor, "tile", config):
         single = row.reconstruction
         arrays = (single.angle_deg, single.vertex_m, single.triangle, single.kind, *single.rings)
         numbers = (single.eave_height_m, single.confidence, row.residual_m, row.visible_share)

@@ -17,14 +17,20 @@ from oracle_network import Oracle
 from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
 
-from p2wss import reconstruct, scenes
+from p2wss import scenes
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Reconstruct
+from p2wss.data.metric_crs import common_crs
 from p2wss.errors import InputError
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import frame_around
 from p2wss.reconstruct import exports
+from p2wss.reconstruct.attributes import table
+from p2wss.reconstruct.city import city_json
+from p2wss.reconstruct.inputs import window
+from p2wss.reconstruct.pipeline import check_overlap, run
+from p2wss.reconstruct.pipeline import summary as reconstruct_summary
 
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)
@@ -32,12 +38,12 @@ NETWORK_ALONE = Reconstruct(fit=False)
 
 
 def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
-    assert reconstruct.common_crs(LAMBERT, None, None, NAMES) == (LAMBERT, None)
-    assert reconstruct.common_crs(None, None, "EPSG:28992", NAMES)[0] == RD
-    crs, note = reconstruct.common_crs(None, RD, None, NAMES)
+    assert common_crs(LAMBERT, None, None, NAMES) == (LAMBERT, None)
+    assert common_crs(None, None, "EPSG:28992", NAMES)[0] == RD
+    crs, note = common_crs(None, RD, None, NAMES)
     assert crs == RD and note is not None and "a.laz" in note
     with_heights = pyproj.CRS.from_user_input("EPSG:2154+5720")
-    assert reconstruct.common_crs(with_heights, LAMBERT, None, NAMES)[0] == with_heights
+    assert common_crs(with_heights, LAMBERT, None, NAMES)[0] == with_heights
 
 
 @pytest.mark.parametrize(
@@ -51,13 +57,13 @@ def test_crs_from_the_cloud_the_user_or_the_footprints() -> None:
 )
 def test_other_crs_is_one_clear_line(cloud: object, frame: object, stated: str | None, message: str) -> None:
     with pytest.raises(InputError) as error:
-        reconstruct.common_crs(cloud, frame, stated, NAMES)  # type: ignore[arg-type]
+        common_crs(cloud, frame, stated, NAMES)  # type: ignore[arg-type]
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
 def test_footprints_in_another_crs_leave_that_of_the_cloud() -> None:
-    assert reconstruct.common_crs(LAMBERT, RD, None, NAMES) == (LAMBERT, None)
-    assert reconstruct.common_crs(None, RD, "EPSG:2154", NAMES)[0] == LAMBERT
+    assert common_crs(LAMBERT, RD, None, NAMES) == (LAMBERT, None)
+    assert common_crs(None, RD, "EPSG:2154", NAMES)[0] == LAMBERT
 
 
 def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
@@ -76,22 +82,22 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
         np.append(cloud.classification, 6).astype(np.uint8),
         LAMBERT,
     )
-    results = reconstruct.run(cleaned(frame), lone, Oracle(), "tile", NETWORK_ALONE)
+    results = run(cleaned(frame), lone, Oracle(), "tile", NETWORK_ALONE)
     assert [r.status for r in results] == ["ok", "none", "none", "flat"]
     assert results[1].reason == "no-points" and results[3].reason == "too-few-points"
-    assert "4 buildings: 1 ok, 1 flat (too-few-points: 1)" in reconstruct.summary(results)
+    assert "4 buildings: 1 ok, 1 flat (too-few-points: 1)" in reconstruct_summary(results)
     # eave at the median of the points above the ground, roof points are on the eave
     assert results[0].reconstruction.eave_height_m == pytest.approx(6.0)
 
     path = tmp_path / "out.gpkg"
-    gpkg.write(path, reconstruct.table(results, LAMBERT), {"code": "x"})
+    gpkg.write(path, table(results, LAMBERT), {"code": "x"})
     back = gpd.read_file(path)
     assert back.crs == LAMBERT and back["building_id"].tolist() == frame["building_id"].tolist()
     assert back["status"].tolist() == ["ok", "none", "none", "flat"]
     assert back["angle_deg"].iloc[0].split() == ["35"] * 4
     assert back.geometry.iloc[1].equals(far)
 
-    header, *features = map(json.loads, "".join(reconstruct.city_json(results, LAMBERT)).splitlines())
+    header, *features = map(json.loads, "".join(city_json(results, LAMBERT)).splitlines())
     assert header["metadata"]["referenceSystem"].endswith("/2154")
     assert sorted(f["id"] for f in features) == sorted(frame["building_id"])
     with_mesh = {f["id"] for f in features if "geometry" in f["CityObjects"][f["id"]]}
@@ -101,7 +107,7 @@ def test_every_footprint_gets_a_row_and_a_reason(tmp_path: Path) -> None:
 def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
     place = shapely.box(652000, 6861000, 652010, 6861010)
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[place], crs=LAMBERT)
-    results = reconstruct.run(cleaned(frame), cloud_over(place), Oracle(), "tile", NETWORK_ALONE)
+    results = run(cleaned(frame), cloud_over(place), Oracle(), "tile", NETWORK_ALONE)
     path = tmp_path / "a.glb"
     meshes = [exports.mesh(result, Reconstruct()) for result in results]
     path.write_bytes(glb(meshes, frame_around(meshes, "EPSG:2154"), {"code": "x"}))
@@ -118,17 +124,17 @@ def test_glb_is_y_up_around_a_stated_origin(tmp_path: Path) -> None:
 def test_nothing_at_all_can_be_written() -> None:
     frame = gpd.GeoDataFrame({"building_id": []}, geometry=[], crs=LAMBERT)
     empty = Cloud(*(np.zeros(0),) * 3, np.zeros(0, np.uint8), LAMBERT)
-    results = reconstruct.run(cleaned(frame), empty, Oracle(), "tile", NETWORK_ALONE)
+    results = run(cleaned(frame), empty, Oracle(), "tile", NETWORK_ALONE)
     assert results == []
-    assert len("".join(reconstruct.city_json(results, LAMBERT)).splitlines()) == 1
-    assert len(reconstruct.table(results, LAMBERT)) == 0
+    assert len("".join(city_json(results, LAMBERT)).splitlines()) == 1
+    assert len(table(results, LAMBERT)) == 0
 
 
 def test_no_overlap_is_one_clear_line() -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[shapely.box(900, 0, 910, 10)], crs=LAMBERT)
-    results = reconstruct.run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", NETWORK_ALONE)
+    results = run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", NETWORK_ALONE)
     with pytest.raises(InputError, match=r"no point near any of the 1 footprints of b\.gpkg"):
-        reconstruct.check_overlap(results, Path("a.laz"), Path("b.gpkg"))
+        check_overlap(results, Path("a.laz"), Path("b.gpkg"))
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="no shared data")
@@ -141,12 +147,12 @@ def test_real_clouds_give_watertight_buildings(
 ) -> None:
     folder = SHARED / "data" / place
     frame = scenes.read_footprints(folder / "footprints.gpkg")
-    points = read_clouds([folder / cloud], reconstruct.window(frame))
-    crs, _ = reconstruct.common_crs(points.crs, frame.crs, None, NAMES)
-    results = reconstruct.run(cleaned(frame), points, Oracle(), place, NETWORK_ALONE)
+    points = read_clouds([folder / cloud], window(frame))
+    crs, _ = common_crs(points.crs, frame.crs, None, NAMES)
+    results = run(cleaned(frame), points, Oracle(), place, NETWORK_ALONE)
     assert (len(results), sum(r.status == "ok" for r in results)) == (num_buildings, num_meshes)
     path = tmp_path / "out.city.jsonl"
-    path.write_text("".join(reconstruct.city_json(results, crs)))
+    path.write_text("".join(city_json(results, crs)))
     judge = [sys.executable, SHARED / "tools" / "evaluate_cityjson.py", path, folder / "footprints.gpkg"]
     completed = subprocess.run([*judge, folder / cloud, "--json"], capture_output=True, text=True, check=True)
     summary = json.loads(completed.stdout)["summary"]

@@ -11,11 +11,14 @@ import shapely
 from shapely import affinity
 from toy_clouds import LAMBERT
 
-from p2wss import reconstruct
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.reconstruct import registration
+from p2wss.reconstruct.attributes import input_footprints
+from p2wss.reconstruct.attributes import table as reconstruct_table
+from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.registration import COLUMN, NEIGHBOURS, NOTHING, block_shifts, decide, register
+from p2wss.reconstruct.registration import summary as registration_summary
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.reconstruct.shifts import Estimate
 
@@ -257,8 +260,8 @@ def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
 def test_the_outputs_say_what_was_moved() -> None:
     frame = frame_of(BLOCK, (1.2, -0.7))
     cloud = cloud_of(roofs())
-    results = reconstruct.run(register(frame, cloud), cloud, None, "tile", Reconstruct())
-    table = reconstruct.table(results, LAMBERT)
+    results = run(register(frame, cloud), cloud, None, "tile", Reconstruct())
+    table = reconstruct_table(results, LAMBERT)
     assert table["shift_x_m"].to_numpy() == pytest.approx(-1.2, abs=0.1)
     assert table["shift_y_m"].to_numpy() == pytest.approx(0.7, abs=0.1)
     assert (table["shift_source"] == "edges").all() and (table["shift_sd_m"] < 0.2).all()
@@ -266,14 +269,14 @@ def test_the_outputs_say_what_was_moved() -> None:
         table["overhang_m"].to_numpy() == pytest.approx(0.0, abs=0.1)
         and table["footprint_flags"].isna().all()
     )
-    before = reconstruct.input_footprints(results, LAMBERT)
+    before = input_footprints(results, LAMBERT)
     assert before is not None
     assert before.geometry.geom_equals_exact(frame.geometry, 0.002).all()
     assert not table.geometry.geom_equals_exact(frame.geometry, 0.5).any()
     # without a registration nothing is said about one
-    plain = reconstruct.run(frame, cloud, None, "tile", Reconstruct())
-    assert reconstruct.input_footprints(plain, LAMBERT) is None
-    assert reconstruct.table(plain, LAMBERT)["shift_x_m"].isna().all()
+    plain = run(frame, cloud, None, "tile", Reconstruct())
+    assert input_footprints(plain, LAMBERT) is None
+    assert reconstruct_table(plain, LAMBERT)["shift_x_m"].isna().all()
 
 
 def flags_of(shapes: list[shapely.Polygon], roof: shapely.Geometry) -> list[registration.Registration]:
@@ -310,7 +313,7 @@ def test_the_log_counts_what_was_moved_and_flagged() -> None:
     gone = shapely.box(22, -10, 28, -2)
     far = affinity.translate(shapely.box(0, 0, 5, 5), 500, 0)
     frame = frame_of([*[affinity.translate(shape, 1.0, 0.0) for shape in BLOCK], gone, far])
-    line = reconstruct.registration_summary(register(frame, cloud_of(roofs()))[COLUMN])
+    line = registration_summary(register(frame, cloud_of(roofs()))[COLUMN])
     assert line.startswith("registration: 3 of 5 footprints moved, ")
     assert line.endswith(" m; 0 not moved with evidence, 2 without evidence; no-building: 1")
 

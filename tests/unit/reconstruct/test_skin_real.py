@@ -9,12 +9,13 @@ from places import SHARED
 from skin_solids import assert_closed, smallest_angles_deg, united, volume
 from test_skin_terrain import together
 
-from p2wss import reconstruct
 from p2wss.clouds import reading as clouds
 from p2wss.config import Config, Reconstruct
 from p2wss.data.terrain import Terrain
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct import block_skins, exports, terrain_mesh
+from p2wss.reconstruct.inputs import footprint_settings, window
+from p2wss.reconstruct.pipeline import Result, run, vertices_m
 from p2wss.reconstruct.skin import Solid, skins
 from p2wss.skeleton.types import FaceKind
 
@@ -23,16 +24,16 @@ pytestmark = pytest.mark.skipif(not DELFT.exists(), reason="no real data beside 
 
 
 @pytest.fixture(scope="module")
-def results() -> list[reconstruct.Result]:
+def results() -> list[Result]:
     features = footprints.read_footprints(DELFT / "footprints.gpkg", needs_crs=False)
-    frame = footprints.clean_footprints(features, reconstruct.footprint_settings(Config()))
-    cloud = clouds.read_clouds([DELFT / "ahn3.laz"], reconstruct.window(frame))
-    return reconstruct.run(frame, cloud, None, "delft", Reconstruct(dormers=False))
+    frame = footprints.clean_footprints(features, footprint_settings(Config()))
+    cloud = clouds.read_clouds([DELFT / "ahn3.laz"], window(frame))
+    return run(frame, cloud, None, "delft", Reconstruct(dormers=False))
 
 
-def test_rows_of_delft(results: list[reconstruct.Result]) -> None:
+def test_rows_of_delft(results: list[Result]) -> None:
     rows = [result.reconstruction for result in results]
-    solids = [Solid(r.building_id, reconstruct.vertices_m(r), r.triangle, r.kind, r.edge) for r in rows]
+    solids = [Solid(r.building_id, vertices_m(r), r.triangle, r.kind, r.edge) for r in rows]
     exact, joined = skins(solids, step_m=0.0, max_lowering_m=0.0), skins(solids)
     for skin in (*exact, *joined):
         assert skin.failure is None
@@ -44,7 +45,7 @@ def test_rows_of_delft(results: list[reconstruct.Result]) -> None:
     assert thin <= sum((smallest_angles_deg(s.vertex_m, s.triangle) < 1).sum() for s in solids)
 
 
-def test_rows_of_delft_on_their_terrain(results: list[reconstruct.Result]) -> None:
+def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:
     with rasterio.open(DELFT / "dtm.asc") as raster:
         height = raster.read(1, masked=True).astype(np.float32).filled(np.nan)
         land = Terrain(height, raster.bounds.left, raster.bounds.top, raster.res[0])

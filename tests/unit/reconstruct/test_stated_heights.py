@@ -8,23 +8,24 @@ import pytest
 import shapely
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
-from p2wss import reconstruct
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
 from p2wss.data.terrain import Terrain
+from p2wss.reconstruct.attributes import attributes
 from p2wss.reconstruct.exports import with_columns
+from p2wss.reconstruct.pipeline import Result, run, vertices_m
 
 SQUARE, NEAR, FAR, UNKNOWN = (shapely.box(x, 0, x + 10, 10) for x in (0, 30, 500, 800))
 
 
-def results(terrain: Terrain | None = None, cloud: Cloud | None = None) -> list[reconstruct.Result]:
+def results(terrain: Terrain | None = None, cloud: Cloud | None = None) -> list[Result]:
     frame = gpd.GeoDataFrame(
         {"building_id": ["seen", "near", "far", "unknown"], "stated_height_m": [30.0, 5.0, 7.0, np.nan]},
         geometry=[SQUARE, NEAR, FAR, UNKNOWN],
         crs=LAMBERT,
     )
     config = Reconstruct(registration=False)
-    return reconstruct.run(cleaned(frame), cloud or cloud_over(SQUARE), None, "t", config, terrain=terrain)
+    return run(cleaned(frame), cloud or cloud_over(SQUARE), None, "t", config, terrain=terrain)
 
 
 def test_no_points_a_flat_roof_at_the_stated_height() -> None:
@@ -35,7 +36,7 @@ def test_no_points_a_flat_roof_at_the_stated_height() -> None:
         assert result.reconstruction.eave_height_m == pytest.approx(height_m) and result.num_points == 0
         # the ground of the cloud nearby, else of the nearest building
         assert result.reconstruction.ground_z_m == pytest.approx(2.0)
-        z = reconstruct.vertices_m(result.reconstruction)[:, 2]
+        z = vertices_m(result.reconstruction)[:, 2]
         assert (z.min(), z.max()) == pytest.approx((2.0, 2.0 + height_m))
         assert not result.is_reliable
     assert (unknown.status, unknown.reason) == ("none", "no-points")
@@ -67,11 +68,9 @@ def test_chosen_columns_are_passed_through() -> None:
     frame = gpd.GeoDataFrame(
         {"building_id": ["a"], "usage": ["x"], "floors": [2]}, geometry=[SQUARE], crs=LAMBERT
     )
-    (result,) = reconstruct.run(
-        cleaned(frame), cloud_over(SQUARE), None, "t", Reconstruct(registration=False)
-    )
+    (result,) = run(cleaned(frame), cloud_over(SQUARE), None, "t", Reconstruct(registration=False))
     assert with_columns(result, ["all"]).columns == {"usage": "x", "floors": 2}
     assert with_columns(result, ["floors", "none"]).columns == {"floors": 2}
     assert with_columns(result, []).columns == {}
-    assert reconstruct.attributes(with_columns(result, ["usage"]))["usage"] == "x"
-    assert "stated_height_m" not in reconstruct.attributes(result)
+    assert attributes(with_columns(result, ["usage"]))["usage"] == "x"
+    assert "stated_height_m" not in attributes(result)

@@ -10,10 +10,10 @@ import numpy as np
 from numba.core.registry import CPUDispatcher
 
 import p2wss.fit
-from p2wss import reconstruct
 from p2wss.clouds import cropping
 from p2wss.config import Reconstruct
 from p2wss.reconstruct import warm_up
+from p2wss.reconstruct.pipeline import run
 
 # called from Python by tests only
 NOT_CALLED = {"inherited_angles", "clearance_m"}
@@ -40,10 +40,7 @@ def test_everything_that_is_called_from_python_gets_compiled() -> None:
 def test_the_sample_has_parts_a_dormer_and_a_courtyard() -> None:
     frame, cloud = warm_up.sample()
     with_boxes, without = (
-        [
-            result.reconstruction
-            for result in reconstruct.run(frame, cloud, None, "sample", Reconstruct(dormers=dormers))
-        ]
+        [result.reconstruction for result in run(frame, cloud, None, "sample", Reconstruct(dormers=dormers))]
         for dormers in (True, False)
     )
     assert [reconstruction.num_parts for reconstruction in without] == [2, 1, 1]

@@ -15,7 +15,7 @@ from p2wss.storage import files, temporary
 
 WRITER = """
 import sys, time
-from p2wss.data import files
+from p2wss.storage import files
 with files.atomic(sys.argv[1]) as path:
     path.write_bytes(b"half")
     print("writing", flush=True)
