@@ -30,7 +30,8 @@ from p2wss.config import Optimiser
 from p2wss.data.terrain import read_terrain, write_terrain
 from p2wss.errors import InputError
 from p2wss.eval.report import _scan_picture, read_training
-from p2wss.fetch import bdtopo, write_cloud
+from p2wss.fetch import bdtopo
+from p2wss.fetch.cloud import write_cloud
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.dataset import TrainingLimits
 from p2wss.nets.metrics_log import MetricsLog, read_metrics

@@ -85,7 +85,7 @@ def fetch_region(arguments: argparse.Namespace) -> None:
 def fetch_footprints(arguments: argparse.Namespace) -> None:
     """Write the footprints of the region as a GeoPackage."""
     from p2wss.data.tiling import grown
-    from p2wss.fetch import normalise, write_footprints
+    from p2wss.fetch.bdtopo import normalise, write_footprints
 
     config = read_config(arguments)
     source = _open_source(config, arguments)
@@ -102,7 +102,7 @@ def fetch_footprints(arguments: argparse.Namespace) -> None:
 def fetch_dtm(arguments: argparse.Namespace) -> None:
     """Write the terrain of a tile and its margin as a GeoTIFF."""
     from p2wss.data.terrain import write_terrain
-    from p2wss.fetch import known_height_share
+    from p2wss.fetch.source import known_height_share
 
     config = read_config(arguments)
     source = _open_source(config, arguments)
@@ -119,7 +119,8 @@ def fetch_dtm(arguments: argparse.Namespace) -> None:
 
 def fetch_lidar(arguments: argparse.Namespace) -> None:
     """Write the LiDAR of a tile and its margin as one LAZ file, as delivered."""
-    from p2wss.fetch import delivery_window, write_cloud
+    from p2wss.fetch.cloud import write_cloud
+    from p2wss.fetch.source import delivery_window
 
     config = read_config(arguments)
     source = _open_source(config, arguments)
@@ -134,8 +135,8 @@ def fetch_lidar(arguments: argparse.Namespace) -> None:
 def fetch_prepare(arguments: argparse.Namespace) -> None:
     """Write the LiDAR of a tile, cropped and with ground points."""
     from p2wss.clouds.las_classes import class_set
-    from p2wss.fetch import delivery_window
     from p2wss.fetch.prepare import prepare
+    from p2wss.fetch.source import delivery_window
 
     config = read_config(arguments)
     holes = [bounds_of_tile(path.stem, config) for path in arguments.clouds[1:]]
@@ -157,7 +158,7 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
 
 
 def _open_source(config: Config, arguments: argparse.Namespace) -> Any:
-    from p2wss.fetch import open_source
+    from p2wss.fetch.source import open_source
 
     offline = config.fetch.offline if arguments.offline is None else bool(arguments.offline)
     fetch = config.fetch.model_copy(update={"offline": offline})

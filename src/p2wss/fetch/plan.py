@@ -13,8 +13,8 @@ import yaml
 
 from p2wss.config import ALL, Config, load
 from p2wss.data.tiling import grown, tile_bounds, tiles_of_bounds
-from p2wss.fetch import open_source
 from p2wss.fetch.geoplateforme import GeoplateformeSource
+from p2wss.fetch.source import open_source
 
 # rough values, used only for the estimate: buildings of a dense town, bytes of a building's GeoJSON feature,
 # and a tile of LiDAR HD (86 to 340 MB)

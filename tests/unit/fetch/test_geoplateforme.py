@@ -15,7 +15,7 @@ from werkzeug import Request, Response
 
 from p2wss.config import Geoplateforme
 from p2wss.errors import InputError
-from p2wss.fetch import normalise
+from p2wss.fetch.bdtopo import normalise
 from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.storage import integrity
 

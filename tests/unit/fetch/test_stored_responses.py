@@ -13,7 +13,7 @@ from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
 from p2wss.errors import InputError
-from p2wss.fetch import normalise
+from p2wss.fetch.bdtopo import normalise
 from p2wss.storage import integrity
 
 from .service import BOUNDS, building, laz, serve_features, serve_terrain, tile_feature

@@ -1,0 +1,80 @@
+"""The sources of data. Both kinds offer the same three methods (:class:`Source`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import geopandas as gpd
+import numpy as np
+import pyproj
+
+from p2wss.config import Fetch, Region
+from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+
+
+class Source(Protocol):
+    """A source of data. All bounds are (x_min, y_min, x_max, y_max) in metres in the CRS of the region."""
+
+    name: str  # used in messages
+
+    def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
+        """Buildings that intersect ``bounds``, with the columns of BD TOPO in either spelling."""
+        ...
+
+    def dtm(self, bounds: Bounds) -> Terrain:
+        """Terrain heights over ``bounds``, NaN where there are no data."""
+        ...
+
+    def lidar(self, bounds: Bounds) -> list[Path]:
+        """Paths of LAS, LAZ or COPC files that hold the points in ``bounds``."""
+        ...
+
+
+def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
+    """Open the source that the config names.
+
+    downloads: folder for downloaded and unpacked files, which later runs reuse. Raises :class:`InputError` if a CRS of
+    the config does not exist.
+    """
+    for key, crs in (
+        ("region.crs", region.crs),
+        ("fetch.folder.lidar_crs", config.folder.lidar_crs or region.crs),
+    ):
+        try:
+            pyproj.CRS.from_user_input(crs)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"config: {key}: {crs}: no such CRS; state one such as EPSG:2154") from error
+    if config.source == "folder":
+        from p2wss.fetch.folder import FolderSource
+
+        return FolderSource(config.folder, region.crs, downloads / "unpacked")
+    from p2wss.fetch.geoplateforme import GeoplateformeSource
+
+    return GeoplateformeSource(config.geoplateforme, region.crs, downloads, config.offline)
+
+
+def delivery_window(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:
+    """The CRS in which the clouds are delivered, and the window in that CRS that contains ``bounds``."""
+    crs = (config.folder.lidar_crs if config.source == "folder" else "") or region.crs
+    if crs == region.crs:
+        return crs, bounds
+    from p2wss.fetch.folder import reproject_bounds
+
+    return crs, reproject_bounds(bounds, region.crs, crs)
+
+
+def known_height_share(terrain: Terrain, bounds: Bounds, name: str) -> float:
+    """Share (0 to 1) of the cells in ``bounds`` that have a height. name: used in messages.
+
+    Raises :class:`InputError` if all cells are no data.
+    """
+    x_min, y_min, x_max, y_max = bounds
+    share = float(np.isfinite(terrain.cut(bounds).height_m).mean())
+    if share == 0:
+        raise InputError(
+            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}: no cell has data"
+        )
+    return share
