@@ -37,7 +37,7 @@ from p2wss.data import polygon_arrays
 from p2wss.data.seeds import generator
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct.pipeline import run as run_reconstruct
-from p2wss.reconstruct.registration import COLUMN, NOTHING, register
+from p2wss.reconstruct.registration import NOTHING, register
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.skeleton.types import Polygons
 
@@ -119,8 +119,8 @@ def of_moved_blocks(
         for seed in arguments.seeds if length_m else arguments.seeds[:1]:
             result, vector, block = moved(frame, length_m, seed, noise_m)
             if not arguments.off:
-                result = register(result, cloud)
-                left = np.linalg.norm(vector + [row.shift_m for row in result[COLUMN]], axis=1)
+                result, registered = register(result, cloud)
+                left = np.linalg.norm(vector + [row.shift_m for row in registered], axis=1)
                 remaining += [float(left[block == b].mean()) for b in range(block.max() + 1)]
             runs.append(measures(judged(result, cloud, place, predictor, arguments.judge)))
             print(f"{title}, moved by {length_m} m, seed {seed}:", json.dumps(runs[-1]), flush=True)
@@ -153,7 +153,7 @@ def of_overhangs(figures: Figures, place: Place, predictor: Any, judge: Path) ->
             for number, axis_m in enumerate((cloud.x_m, cloud.y_m, cloud.z_m))
         )
         jittered = replace(cloud, x_m=x_m, y_m=y_m, z_m=z_m)
-        registered = register(frame, jittered)
+        registered, _ = register(frame, jittered)
         for title, settings in OVERHANGS.items():
             rows = judged(registered, jittered, place, predictor, judge, **settings)
             runs.setdefault(title, []).append(measures(rows))
@@ -193,10 +193,10 @@ def of_sheds(figures: Figures, arguments: argparse.Namespace) -> None:
             sheds = shed_footprints(frame, cloud, generator(seed, "sheds", name))
             shapes = np.array([*frame.geometry, *sheds], dtype=object)
             both = gpd.GeoDataFrame({"building_id": range(len(shapes)), "status": "ok"}, geometry=shapes)
-            rows = register(both, cloud)[COLUMN][len(frame) :]
+            rows = register(both, cloud)[1][len(frame) :]
             num_sheds += len(rows)
             num_moved += sum(row.shift_m != (0.0, 0.0) for row in rows)
-        rows = register(frame, cloud)[COLUMN]
+        rows = register(frame, cloud)[1]
         moved_m = [np.hypot(*row.shift_m) for row in rows if row.shift_m != (0.0, 0.0)]
         num_known = sum(row.source != NOTHING for row in rows)
         print(

@@ -67,7 +67,7 @@ def read(data: Path, model: Path | None) -> Scene:
 
         predictor = load_predictor(weights)
     if config.reconstruct.registration:
-        frame = register(frame, cloud)
+        frame, _ = register(frame, cloud)
     results = run(frame, cloud, predictor, "delft", config.reconstruct)
     rows = [result.reconstruction for result in results]
     source = footprints.split_parts(features, config.scenes.min_area_m2).geometry.to_numpy()

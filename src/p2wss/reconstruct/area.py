@@ -21,7 +21,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.pipeline import Rows, Store
-from p2wss.reconstruct.registration import COLUMN, Surroundings, register
+from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
 
 # a building depends on points up to so far from its footprint, which may move and turn
@@ -79,8 +79,8 @@ class Area:
 
     def read(
         self, rows: np.ndarray, points: CloudIndex, registers: np.ndarray
-    ) -> tuple[gpd.GeoDataFrame, Cloud]:
-        """The footprints ``rows``, where the cloud shows them, and the points around them.
+    ) -> tuple[gpd.GeoDataFrame, list[Registration | None], Cloud]:
+        """The footprints ``rows``, where the cloud shows them, what moved each, and the points around them.
 
         registers: of all footprints, those that may be moved, bool (footprints,).
         """
@@ -90,16 +90,15 @@ class Area:
         cloud = points.near(self._boxes(is_row, is_around))
         around = self.frame[is_around]
         may_move = registers[is_around]
+        done: dict[int, Registration] = {}
         if may_move.any() and self._surroundings is not None:
-            around = around.copy()
-            registered = register(around[may_move], cloud)
+            registered, registrations = register(around[may_move], cloud)
+            done = dict(zip(np.flatnonzero(may_move).tolist(), registrations, strict=True))
             geometry = around.geometry.to_numpy().copy()
             geometry[may_move] = registered.geometry.to_numpy()
-            registrations = np.full(len(around), None, dtype=object)
-            registrations[may_move] = registered[COLUMN].to_numpy()
             around = around.set_geometry(gpd.GeoSeries(geometry, index=around.index, crs=around.crs))
-            around[COLUMN] = registrations
-        return around[is_row[is_around]].reset_index(drop=True), cloud
+        chosen = np.flatnonzero(is_row[is_around])
+        return around.iloc[chosen].reset_index(drop=True), [done.get(k) for k in chosen.tolist()], cloud
 
     def may_move(self, points: CloudIndex) -> np.ndarray:
         """The footprints of blocks around which the producer has points of class building, bool (footprints,): what
@@ -165,8 +164,9 @@ def run_area(
     rows = Rows(len(area.numbers), results, predictor, tile, config, terrain)
     num_done = 0
     for batch in area.batches(points):
-        frame, cloud = area.read(batch, points, registers)
-        rows.reconstruct(position[batch], frame, cloud, partial(_report, progress, num_done))
+        frame, registrations, cloud = area.read(batch, points, registers)
+        report = partial(_report, progress, num_done)
+        rows.reconstruct(position[batch], frame, cloud, report, registrations)
         num_done += len(batch)
     rows.finish()
 

@@ -29,7 +29,7 @@ from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.measures import MeshMeasures, measure, party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
-from p2wss.reconstruct.registration import COLUMN, Registration
+from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.spool import Lazy
 from p2wss.reconstruct.valid import labelled_mesh
 from p2wss.skeleton.types import Polygons
@@ -39,7 +39,7 @@ _MAX_RESIDUAL_POINTS = 2048
 # of the share of points near the mesh
 _NEAR_M = 0.2
 # columns that reading and cleaning add to the input's own
-_ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m", COLUMN)
+_ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress
 _BATCH = 256
 # whose ground is that of a building without points
@@ -91,6 +91,7 @@ def run(
     config: Reconstruct,
     progress: Callable[[int], object] = lambda num_done: None,
     terrain: Terrain | None = None,
+    registrations: Sequence[Registration | None] | None = None,
 ) -> list[Result]:
     """One result per row of ``frame``, in its order.
 
@@ -98,11 +99,11 @@ def run(
     returns. With a network its values are fitted to the
     points, unless ``config.fit`` is off; without a network buildings are only fitted. progress: called from time to
     time with the number of rows that are done. terrain: ground of buildings without points that stand at the height
-    that their footprint states; else it is that of the neighbourhood.
+    that their footprint states; else it is that of the neighbourhood. registrations: of each row, what moved it.
     """
     results: dict[int, Result] = {}
     rows = Rows(len(frame), results, predictor, tile, config, terrain)
-    rows.reconstruct(np.arange(len(frame)), frame, cloud, progress)
+    rows.reconstruct(np.arange(len(frame)), frame, cloud, progress, registrations)
     rows.finish()
     return [results[number] for number in range(len(frame))]
 
@@ -145,9 +146,11 @@ class Rows:
         frame: gpd.GeoDataFrame,
         cloud: Cloud,
         progress: Callable[[int], object] = lambda num_done: None,
+        registrations: Sequence[Registration | None] | None = None,
     ) -> None:
         """Reconstruct the rows of a frame. numbers: of each in the results. cloud: all points within
-        64 m of them. progress: called with the number of rows of the frame that are done."""
+        64 m of them. progress: called with the number of rows of the frame that are done. registrations: of each row,
+        what moved it."""
         polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
         origin_xy_m = polygon_arrays.origins(polygons)
@@ -158,8 +161,8 @@ class Rows:
         self._origin_xy_m[numbers] = origin_xy_m
         self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
         names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
-        registrations = frame[COLUMN] if COLUMN in frame else [None] * len(frame)
-        facts = [
+        registrations = [None] * len(frame) if registrations is None else registrations
+        facts: list[dict[str, Any]] = [
             {"columns": columns, "registration": registration}
             for columns, registration in zip(input_columns(frame), registrations, strict=True)
         ]

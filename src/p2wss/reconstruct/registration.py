@@ -105,12 +105,8 @@ class Registration:
     block: str = ""
 
 
-# the column with a Registration per row
-COLUMN = "p2wss_registration"
-
-
-def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
-    """``frame`` with its footprints where the cloud shows the buildings, and with the column :data:`COLUMN`.
+def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, list[Registration]]:
+    """(``frame`` with its footprints where the cloud shows the buildings, what was done to each row).
 
     frame: what :func:`p2wss.footprints.cleaning.clean_footprints` returns, with all footprints of
     :meth:`Surroundings.around`.
@@ -148,8 +144,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> gpd.GeoDataFrame:
                 least_id[block],
             )
         )
-    result[COLUMN] = np.array([*rows, None], dtype=object)[:-1]
-    return result
+    return result, rows
 
 
 def summary(registrations: Iterable[Registration | None]) -> str:

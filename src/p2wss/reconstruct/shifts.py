@@ -50,11 +50,10 @@ _STEP_SD_M, _LENGTH_OF_DOUBLE_VARIANCE_M, _LEAST_LENGTH_M = 0.1, 3.0, 0.4
 _ROUNDING = 1e-9
 
 # The solution: what is expected of shift, overhang and rotation before the steps are used. Roofs overhang walls by some
-# decimetres, and footprints are rarely turned by more than a degree. Without rotation, its prior is as good as exact.
+# decimetres, and footprints are rarely turned by more than a degree.
 _SHIFT_SD_M = 1.0
 _OVERHANG_M, _OVERHANG_SD_M = 0.1, 0.3
 _ROTATION_SD_DEG = 1.0
-_EXACT_INFORMATION = 1e12
 # Robust least squares: a step with this residual has half its weight (Cauchy). The weights settle in this many rounds.
 _HALF_WEIGHT_M, _ROUNDS = 0.25, 8
 # What remains of the prior of the shift, 1/m2, in the information of the edges alone: a direction that
@@ -257,12 +256,17 @@ def solve_shift(
         [normal, np.ones(len(rows)), normal[:, 1] * middle[:, 0] - normal[:, 0] * middle[:, 1]]
     )
     of_shift = 1 / _SHIFT_SD_M**2
-    of_rotation = 1 / np.deg2rad(_ROTATION_SD_DEG) ** 2 if with_rotation else _EXACT_INFORMATION
-    prior = np.diag([of_shift, of_shift, 1 / _OVERHANG_SD_M**2, of_rotation])
+    prior = np.diag([of_shift, of_shift, 1 / _OVERHANG_SD_M**2, 1 / np.deg2rad(_ROTATION_SD_DEG) ** 2])
     expected = np.array([0.0, 0.0, _OVERHANG_M, 0.0])
+    num_unknown = 4 if with_rotation else 3
+    design, prior, expected = (
+        design[:, :num_unknown],
+        prior[:num_unknown, :num_unknown],
+        expected[:num_unknown],
+    )
     target, weight = steps.offset_m[rows], 1 / steps.sd_m[rows] ** 2
     robust = np.ones(len(rows))
-    value = np.zeros(4)
+    value = np.zeros(num_unknown)
     for _ in range(_ROUNDS):
         normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
         value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ expected)
@@ -271,13 +275,13 @@ def solve_shift(
     num_redundant = max(robust.sum() - _NUM_COMPONENTS, 1.0)
     scale = max(1.0, float((weight * robust * residual**2).sum() / num_redundant))
     without_prior = of_shift - _REST_OF_PRIOR
-    from_edges = normal_matrix - np.diag([without_prior, without_prior, 0.0, 0.0])
+    from_edges = normal_matrix - np.diag([without_prior, without_prior, 0.0, 0.0][:num_unknown])
     covariance = np.linalg.inv(from_edges / scale)
     return Estimate(
         start_m + value[:2],
         np.linalg.inv(covariance[:2, :2]),
-        start_rad + float(value[3]),
-        float(np.sqrt(covariance[3, 3])),
+        start_rad + float(value[3]) if with_rotation else start_rad,
+        float(np.sqrt(covariance[3, 3])) if with_rotation else np.inf,
         float(value[2]),
         len(rows),
         float(step_share),
