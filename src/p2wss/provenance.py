@@ -1,10 +1,8 @@
 """The code that made a result: a fingerprint of a stage's module and of everything it imports from this package.
 
 Snakemake reruns a rule when its ``params`` change. A fingerprint among them makes an edit of the code such a
-change. It excludes what cannot change a result: layout and comments, and words that only people read, which
-are docstrings, descriptions (of columns, options and settings), messages of errors and assertions, and what is
-logged. Names, numbers and values such as a status or a reason count: a text without a space is a value even in
-an error. Values of columns and titles of tables are results, and count.
+change. It excludes layout, comments and docstrings, which cannot change a result. Words in the code, such as the
+message of an error, count.
 
 Each module is parsed once per process, and its digest does not depend on the version of Python.
 """
@@ -21,12 +19,8 @@ from typing import NamedTuple
 PACKAGE = "p2wss"
 # their values reach a stage through the parameters, or they only pass paths on
 NOT_TRACKED = ("config", "provenance", "cli")
-# arguments that hold a description; that of a column, ``field(name, type, description)``, has no keyword
-DESCRIPTIONS = ("description", "about", "help")
-COLUMN, DESCRIPTION_OF_COLUMN = "field", 2
-ERRORS = ("Error", "Exception", "Warning", "warn")  # how the name of what takes a message ends
-LOGGERS = ("log", "logger", "logging")
-LEVELS = ("debug", "info", "warning", "error", "exception", "critical", "log")
+# of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
+_NOT_CODE = ("ctx", "kind", "type_comment")
 
 _ROOT = os.path.dirname(os.path.abspath(__file__))
 
@@ -75,11 +69,9 @@ def _read(name: str) -> Module:
     with open(path, "rb") as file:
         tree = ast.parse(file.read())
     code: list[str] = []
-    imports: list[ast.Import | ast.ImportFrom] = []
-    _write(tree, code, imports)
-    is_package = os.path.basename(path) == "__init__.py"
+    _write(tree, code)
     digest = blake2b("".join(code).encode(), digest_size=16).hexdigest()
-    return Module(digest, tuple(_inside(imports, name, is_package)))
+    return Module(digest, tuple(_inside(tree)))
 
 
 def _parts(name: str) -> list[str]:
@@ -123,120 +115,48 @@ def _source(name: str) -> str | None:
     return None
 
 
-def _inside(statements: list[ast.Import | ast.ImportFrom], name: str, is_package: bool) -> Iterator[str]:
-    """Modules of this package among those that are imported anywhere, inside functions included."""
-    package = name if is_package else name.rpartition(".")[0]
+def _inside(tree: ast.Module) -> Iterator[str]:
+    """Modules of this package among those that are imported anywhere, inside functions included.
+
+    All imports are absolute.
+    """
     names: dict[str, None] = {}
-    for statement in statements:
-        if isinstance(statement, ast.Import):
-            names |= dict.fromkeys(alias.name for alias in statement.names)
-            continue
-        base = statement.module or ""
-        if statement.level:
-            parent = package.split(".")[: len(package.split(".")) - statement.level + 1]
-            base = ".".join([*parent, *([statement.module] if statement.module else [])])
-        names |= dict.fromkeys([base, *(f"{base}.{alias.name}" for alias in statement.names)])
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= dict.fromkeys(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= dict.fromkeys([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
     for imported in names:
         if imported.split(".")[0] == PACKAGE and _source(imported) is not None:
             yield imported
 
 
-def _write(node: ast.AST, code: list[str], imports: list[ast.Import | ast.ImportFrom]) -> None:
-    """Append ``node`` to ``code`` as Type(field=value,..), without what is empty and without words.
+def _write(node: object, code: list[str]) -> None:
+    """Append ``node`` to ``code`` as Type(field=value,..), without what is empty and without docstrings.
 
     Not ``ast.dump``: what it writes of empty and optional fields differs between versions of Python.
     """
-    fields = ast.iter_fields(node)
-    match node:
-        case ast.Import() | ast.ImportFrom():
-            imports.append(node)
-        case ast.Constant():
-            # the letter of u"" is a matter of taste; ascii, for what repr prints follows the Unicode tables
-            fields = iter([("value", node.value)])
-        case ast.Name() | ast.Attribute() | ast.Subscript() | ast.Starred() | ast.List() | ast.Tuple():
-            # whether it is read or written follows from where it stands
-            fields = ((field, value) for field, value in fields if field != "ctx")
-        case ast.Call():
-            fields = iter(_call(node))
-        case ast.Assert():
-            fields = iter([("test", node.test)])
-    code.append(f"{type(node).__name__}(")
-    for field, value in fields:
-        if (value is None and not isinstance(node, ast.Constant)) or value == [] or field == "type_comment":
-            continue
-        code.append(f"{field}=")
-        if isinstance(value, list):
-            code.append("[")
-            for item in value:
-                if not isinstance(item, ast.AST):  # an absent default or key, a name
-                    code.append(ascii(item))
-                elif _is_only_words(item):
-                    continue
-                else:
-                    _write(item, code, imports)
+    if isinstance(node, list):
+        for item in node:
+            if not _is_docstring(item):
+                _write(item, code)
                 code.append(",")
-            code.append("]")
-        elif isinstance(value, ast.AST):
-            _write(value, code, imports)
-        else:
-            code.append(ascii(value))
-        code.append(",")
-    code.append(")")
+    elif isinstance(node, ast.AST):
+        code.append(f"{type(node).__name__}(")
+        for field, value in ast.iter_fields(node):
+            is_empty = value == [] or (value is None and not isinstance(node, ast.Constant))
+            if field not in _NOT_CODE and not is_empty:
+                code.append(f"{field}=[")
+                _write(value, code)
+                code.append("]")
+        code.append(")")
+    else:
+        code.append(ascii(node))  # what repr prints follows the Unicode tables
 
 
-def _is_only_words(item: ast.AST) -> bool:
-    """Whether it is a statement that only people read: a docstring, a line of the log, or ``pass``."""
-    if not isinstance(item, ast.Expr):
-        return isinstance(item, ast.Pass)
-    value = item.value
-    return _is_log(value) or (isinstance(value, ast.Constant) and isinstance(value.value, str))
-
-
-def _call(call: ast.Call) -> list[tuple[str, object]]:
-    """The fields of a call without descriptions, messages and what is logged."""
-    if _is_log(call):
-        return []
-    function = _name(call.func)
-    arguments = list(call.args)
-    if function.endswith(ERRORS):
-        arguments = [argument for argument in arguments if not _is_message(argument)]
-    elif function == COLUMN:
-        description = arguments[DESCRIPTION_OF_COLUMN : DESCRIPTION_OF_COLUMN + 1]
-        arguments = [a for a in arguments if not (a in description and _is_text(a))]
-    keywords = [
-        keyword for keyword in call.keywords if not (keyword.arg in DESCRIPTIONS and _is_text(keyword.value))
-    ]
-    return [("func", call.func), ("args", arguments), ("keywords", keywords)]
-
-
-def _is_log(node: ast.AST) -> bool:
-    """Whether it is a call like ``log.info(..)``, with nothing inside that the code after it needs."""
+def _is_docstring(item: object) -> bool:
     return (
-        isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Attribute)
-        and node.func.attr in LEVELS
-        and _name(node.func.value) in LOGGERS
-        and not any(
-            isinstance(n, ast.NamedExpr | ast.Await | ast.Yield | ast.YieldFrom) for n in ast.walk(node)
-        )
-    )
-
-
-def _name(node: ast.AST) -> str:
-    """The last part of a dotted name."""
-    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
-
-
-def _is_text(node: ast.AST) -> bool:
-    """A string, with or without values in it, or several joined with + or %."""
-    if isinstance(node, ast.BinOp):
-        return _is_text(node.left)
-    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Constant) and isinstance(node.value, str))
-
-
-def _is_message(node: ast.AST) -> bool:
-    """A text with a space in it. One without is a name or a value, such as a reason in kebab-case."""
-    return _is_text(node) and any(
-        isinstance(part, ast.Constant) and isinstance(part.value, str) and " " in part.value.strip()
-        for part in ast.walk(node)
+        isinstance(item, ast.Expr)
+        and isinstance(item.value, ast.Constant)
+        and isinstance(item.value.value, str)
     )

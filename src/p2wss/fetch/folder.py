@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 class FolderSource:
-    """Files on disk, see :class:`p2wss.fetch.Source`. unpacked: folder for grids unpacked from archives."""
+    """Files on disk, see :class:`p2wss.fetch.source.Source`. unpacked: folder for grids unpacked from archives."""
 
     def __init__(self, config: Folder, crs: str, unpacked: Path) -> None:
         self.config = config
@@ -41,7 +41,7 @@ class FolderSource:
         self.unpacked = unpacked
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
-        """See :class:`p2wss.fetch.Source`. Raises :class:`InputError` if a file is missing or not usable."""
+        """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if a file is missing or not usable."""
         files = list_files(self.config.footprints, VECTOR, "fetch.folder.footprints")
         frames = [
             read_footprint_window(path, self.config.footprints_layer, bounds, self.crs) for path in files
@@ -60,7 +60,7 @@ class FolderSource:
         return pd.concat(frames)
 
     def dtm(self, bounds: Bounds) -> Terrain:
-        """See :class:`p2wss.fetch.Source`. Raises :class:`InputError` if a file is missing or not usable."""
+        """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if a file is missing or not usable."""
         files = []
         for path in list_files(self.config.dtm, RASTER, "fetch.folder.dtm"):
             if is_archive(path):
@@ -70,7 +70,7 @@ class FolderSource:
         return mosaic(files, bounds, self.crs, self.config.dtm)
 
     def lidar(self, bounds: Bounds) -> list[Path]:
-        """See :class:`p2wss.fetch.Source`. Raises :class:`InputError` if no file overlaps ``bounds``."""
+        """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if no file overlaps ``bounds``."""
         files = list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
         window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
         paths = [path for path in files if _overlaps(path, window)]

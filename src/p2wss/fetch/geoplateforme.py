@@ -55,7 +55,7 @@ class _MapRequest:
 
 
 class GeoplateformeSource:
-    """IGN's services, see :class:`p2wss.fetch.Source`.
+    """IGN's services, see :class:`p2wss.fetch.source.Source`.
 
     Responses are stored in ``downloads``. offline: use only stored responses; a missing one is an error.
     """
@@ -76,7 +76,7 @@ class GeoplateformeSource:
         self.client = client or Client(config)
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
-        """See :class:`p2wss.fetch.Source`. Raises :class:`InputError` if the service fails or data are missing."""
+        """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if the service fails."""
         config = self.config
         windows = self.footprint_windows(bounds)
         self._check_offline(
