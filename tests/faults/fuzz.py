@@ -227,7 +227,7 @@ def read_measures(path: Path) -> None:
 
 
 def read_city(path: Path) -> None:
-    cityjson_read.read(path, "2.2")
+    cityjson_read.read(path)
     list(cityjson_read.shells(path))
 
 

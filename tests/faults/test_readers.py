@@ -148,7 +148,7 @@ def test_cityjson_of_another_structure_is_one_line(change: dict, tmp_path: Path)
     whole = {"type": "CityJSON", "version": "2.0", "CityObjects": {}, "vertices": [[0, 0, 0]] * 3}
     path.write_text(json.dumps(whole | change), encoding="utf-8")
     with pytest.raises(InputError, match=r"a\.city\.json: not CityJSON"):
-        cityjson_read.read(path, "2.2")
+        cityjson_read.read(path)
         list(cityjson_read.shells(path))
 
 

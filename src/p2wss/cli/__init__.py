@@ -18,6 +18,7 @@ from p2wss.cli import (
     check,
     crops,
     dvae,
+    evaluate,
     fetch,
     inspect,
     model,
@@ -48,6 +49,7 @@ COMMANDS = (
     plan,
     inspect,
     check,
+    evaluate,
     warm_up,
 )
 

@@ -15,7 +15,6 @@ from p2wss.storage.schemas.crops import CROPS, REAL
 from p2wss.storage.schemas.manifest import Manifest
 from p2wss.storage.schemas.recording import RECORDING
 
-LOD = "2.2"
 ID_FIELD = "building_id"
 
 
@@ -54,7 +53,7 @@ def write_recording(paths: Sequence[Path], manifest: Manifest, out: Path) -> Rec
     """
     solids: dict[str, ReadSolid] = {}
     for path in paths:
-        for solid in cityjson_read.read(path, LOD):
+        for solid in cityjson_read.read(path):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
     ordered = sorted(solids.items())
     columns = {

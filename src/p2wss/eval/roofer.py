@@ -22,7 +22,7 @@ from p2wss.data import reasons
 from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.eval.cases import Case
 from p2wss.eval.clock import CpuClock
-from p2wss.eval.recording import ID_FIELD, LOD, Recording
+from p2wss.eval.recording import ID_FIELD, Recording
 from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
@@ -140,7 +140,7 @@ def _run_tile(
         return {}, reasons.ROOFER_FAILED
     solids = {}
     for path in _outputs(folder):
-        for solid in cityjson_read.read(path, LOD):
+        for solid in cityjson_read.read(path):
             solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
     return solids, None
 

@@ -21,6 +21,9 @@ _KIND = {
     "RoofSurface": FaceKind.ROOF,
     "OuterFloorSurface": FaceKind.FLOOR,
 }
+# buildings with roof planes, as files name their level of detail, the best first
+_LODS = ("2.2", "2.0", "2", "2.1")
+_READABLE = ("Solid", "MultiSurface", "CompositeSurface")
 
 
 @dataclass(frozen=True)
@@ -40,8 +43,8 @@ class ReadSolid:
     attributes: dict[str, Any]
 
 
-def read(path: str | Path, lod: str) -> list[ReadSolid]:
-    """Every Building of a CityJSON file or CityJSONSeq with its solids of one level of detail, parts joined.
+def read(path: str | Path) -> list[ReadSolid]:
+    """Every Building of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2, parts joined.
 
     Raises :class:`InputError` if the file is missing or not CityJSON.
     """
@@ -49,7 +52,7 @@ def read(path: str | Path, lod: str) -> list[ReadSolid]:
     solids: list[ReadSolid] = []
     with reading(path, "CityJSON"):
         for document in documents:
-            solids += _buildings(document.get("CityObjects", {}), _vertices(document, scale, translate), lod)
+            solids += _buildings(document.get("CityObjects", {}), _vertices(document, scale, translate))
     return solids
 
 
@@ -125,18 +128,19 @@ def _vertices(document: dict[str, Any], scale: np.ndarray, translate: np.ndarray
     return vertex_m
 
 
-def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[ReadSolid]:
+def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]:
     solids = []
     for name, building in objects.items():
         if building["type"] != "Building":
             continue
         members = [building] + [objects[child] for child in building.get("children", []) if child in objects]
         triangles, kinds = [np.zeros((0, 3), int)], [np.zeros(0, np.uint8)]
-        for geometry in (g for member in members for g in member.get("geometry", [])):
-            if str(geometry.get("lod")) == lod and geometry["type"] == "Solid":
-                for triangle, kind in _triangulated(geometry, vertex_m):
-                    triangles.append(triangle)
-                    kinds.append(np.full(len(triangle), kind, np.uint8))
+        for member in members:
+            by_lod = {str(g.get("lod")): g for g in member.get("geometry", []) if g["type"] in _READABLE}
+            geometry = next((by_lod[lod] for lod in _LODS if lod in by_lod), None)
+            for triangle, kind in _triangulated(geometry, vertex_m) if geometry else ():
+                triangles.append(triangle)
+                kinds.append(np.full(len(triangle), kind, np.uint8))
         triangle = np.concatenate(triangles)
         surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
         used, local = np.unique(triangle, return_inverse=True)
@@ -155,9 +159,12 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray, lod: str) -> list[
 
 def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
     semantics = geometry.get("semantics", {"surfaces": [], "values": None})
-    for s, shell in enumerate(geometry["boundaries"]):
+    shells, values_of_shells = geometry["boundaries"], semantics["values"]
+    if geometry["type"] != "Solid":
+        shells, values_of_shells = [shells], values_of_shells and [values_of_shells]
+    for s, shell in enumerate(shells):
         for p, rings in enumerate(shell):
-            values = semantics["values"][s] if semantics["values"] else None
+            values = values_of_shells[s] if values_of_shells else None
             surface = values[p] if values else None
             kind = FaceKind.WALL if surface is None else _KIND.get(semantics["surfaces"][surface]["type"])
             yield (
@@ -168,17 +175,19 @@ def _triangulated(geometry: dict[str, Any], vertex_m: np.ndarray) -> Iterator[tu
 
 def triangulate(vertex_m: np.ndarray, rings: Sequence[np.ndarray]) -> np.ndarray:
     """Triangles, int (t, 3), of one planar polygon of vertex indices, in the orientation of the polygon."""
+    if len(rings) == 1 and len(rings[0]) == 3:
+        return rings[0].reshape(1, 3).astype(int)
     exterior = vertex_m[rings[0]]
     # Newell's normal: exact for a planar ring, an average for a slightly bent one
     normal = np.cross(exterior - exterior[0], np.roll(exterior, -1, axis=0) - exterior[0]).sum(axis=0)
-    drop = int(np.abs(normal).argmax())
-    axes = [axis for axis in range(3) if axis != drop]
+    length = np.linalg.norm(normal)
+    if not length > 0:
+        return np.zeros((0, 3), int)
+    # axes of the plane, as seen from outside: triangles get the orientation of the polygon
+    u = np.cross(normal, [0, 0, 1] if abs(normal[2]) < 0.9 * length else [1, 0, 0])
+    u /= np.linalg.norm(u)
+    v = np.cross(normal / length, u)
     index = np.concatenate(rings)
-    plane = np.ascontiguousarray(vertex_m[index][:, axes])
+    plane = (vertex_m[index] - exterior[0]) @ np.column_stack([u, v])
     ends = np.cumsum([len(ring) for ring in rings]).astype(np.uint32)
-    triangle = index[mapbox_earcut.triangulate_float64(plane, ends).reshape(-1, 3)]
-    if not len(triangle):
-        return triangle.reshape(-1, 3).astype(int)
-    corner = vertex_m[triangle]
-    sense = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]).sum(axis=0) @ normal
-    return triangle if sense >= 0 else triangle[:, ::-1]
+    return index[mapbox_earcut.triangulate_float64(plane, ends).reshape(-1, 3)].astype(int)

@@ -55,7 +55,7 @@ def test_written_files_are_read_back(name: str, tmp_path: Path) -> None:
     solid, vertex, triangle = solid_of(name)
     path = tmp_path / "a.city.jsonl"
     path.write_text("\n".join(cityjson.lines([solid], 2154)))
-    (back,) = cityjson_read.read(path, "2.0")
+    (back,) = cityjson_read.read(path)
     ours, theirs = trimesh.Trimesh(vertex, triangle), trimesh.Trimesh(back.vertex_m, back.triangle)
     assert theirs.is_watertight and theirs.is_winding_consistent
     assert theirs.volume == pytest.approx(ours.volume, rel=1e-4)
@@ -85,7 +85,7 @@ def test_open_ground_is_an_outer_floor(tmp_path: Path) -> None:
         "WallSurface",
     ]
     (tmp_path / "a.city.jsonl").write_text(text)
-    (back,) = cityjson_read.read(tmp_path / "a.city.jsonl", "2.0")
+    (back,) = cityjson_read.read(tmp_path / "a.city.jsonl")
     corner = back.vertex_m[back.triangle[back.kind == FaceKind.FLOOR]]
     area_m2 = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2].sum() / 2
     assert area_m2 == pytest.approx(YARD_M2) and np.ptp(corner[:, :, 2]) == pytest.approx(0, abs=1e-6)
@@ -181,9 +181,7 @@ def test_both_forms_follow_the_rules(tmp_path: Path) -> None:
     path = tmp_path / "a.city.json"
     path.write_text(json.dumps(document))
     (tmp_path / "a.city.jsonl").write_text("\n".join(map(json.dumps, sequence)))
-    for a, b in zip(
-        cityjson_read.read(path, "2.0"), cityjson_read.read(tmp_path / "a.city.jsonl", "2.0"), strict=True
-    ):
+    for a, b in zip(cityjson_read.read(path), cityjson_read.read(tmp_path / "a.city.jsonl"), strict=True):
         assert a.building_id == b.building_id and a.attributes == b.attributes
         assert a.vertex_m[a.triangle] == pytest.approx(b.vertex_m[b.triangle])
 
@@ -259,14 +257,14 @@ def test_a_file_that_is_not_cityjson_is_refused(text: str, tmp_path: Path) -> No
     path = tmp_path / "a.json"
     path.write_text(text)
     with pytest.raises(InputError, match="not CityJSON"):
-        cityjson_read.read(path, "2.2")
+        cityjson_read.read(path)
     with pytest.raises(InputError, match="no such file"):
-        cityjson_read.read(tmp_path / "missing", "2.2")
+        cityjson_read.read(tmp_path / "missing")
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="no shared data")
 def test_the_output_of_roofer_is_read_completely() -> None:
-    solids = cityjson_read.read(DATA / "delft_ahn3" / "roofer_lod22.city.jsonl", "2.2")
+    solids = cityjson_read.read(DATA / "delft_ahn3" / "roofer_lod22.city.jsonl")
     assert len(solids) == 74
     # counted by the independent judge: 62.5 triangles on average
     assert np.mean([len(solid.triangle) for solid in solids]) == pytest.approx(62.5, abs=0.1)

@@ -1,0 +1,183 @@
+"""Measures of the buildings of any CityJSON file against point clouds: ``p2wss evaluate``.
+
+The footprints decide which points are of which building, so that files of several programs can be compared.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyproj
+import shapely
+from scipy.spatial import cKDTree
+
+from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.las_classes import BUILDING_CLASS
+from p2wss.clouds.reading import list_clouds, read_clouds
+from p2wss.data import polygon_arrays
+from p2wss.eval.metrics.chamfer import chamfer_distance_m
+from p2wss.footprints.schemas import GENERIC, building_ids, schema_of
+from p2wss.footprints.vector_files import read_vector
+from p2wss.formats import cityjson_read
+from p2wss.formats.cityjson_read import ReadSolid
+from p2wss.mesh.mesh_facts import mesh_facts
+from p2wss.mesh.surface import triangle_areas
+from p2wss.skeleton.types import FaceKind
+
+# points up to this distance from the footprint are of the building
+BUFFER_M = 1.0
+# with fewer points near it a building is not measured, with fewer on it neither its roof
+MIN_POINTS, MIN_ROOF_POINTS = 50, 10
+# a larger cloud of a building is reduced to this many; as many samples are drawn on meshes and on roofs
+NUM_SAMPLES = 2048
+# samples of the mesh to which distances of points are measured
+NUM_DENSE_SAMPLES = 40_000
+MEASURES = ("cd_m", "roof_cd_m", "points_to_mesh_m", "num_triangles")
+
+
+def evaluate(
+    buildings: str | Path | Iterable[ReadSolid],
+    footprints: str | Path | gpd.GeoDataFrame,
+    clouds: Sequence[str | Path],
+    *,
+    id_field: str | None = None,
+    crs: str | None = None,
+    seed: int = 0,
+) -> pd.DataFrame:
+    """One row per footprint, by building id, with the measures of its mesh.
+
+    buildings: a CityJSON file or text sequence, or solids, in the CRS of the clouds. A building is that of the
+    footprint whose id is its name or its attribute ``id_field``, or else of the one that it overlaps most. id_field:
+    column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none.
+
+    Columns: ``status`` (``ok``, ``no mesh`` or ``too few points``, then without measures); ``num_points`` up to 1 m
+    from the footprint; ``cd_m``, the Chamfer distance between at most 2048 of these and as many samples of the mesh;
+    ``roof_cd_m``, the same between the points of class 6 inside the footprint and the faces of the roof;
+    ``points_to_mesh_m``, the mean distance of the latter points to 40,000 samples of the mesh; ``num_triangles``;
+    ``is_watertight``. Raises :class:`InputError` for a file that is missing or broken.
+    """
+    cloud = read_clouds(list_clouds([Path(path) for path in clouds]))
+    frame = _footprints(footprints, id_field, cloud.crs or (crs and pyproj.CRS.from_user_input(crs)))
+    solids = cityjson_read.read(buildings) if isinstance(buildings, str | Path) else list(buildings)
+    by_id = _matched(solids, frame.geometry, id_field)
+    parts = frame.geometry.explode()
+    point, inside, offset = crop_points(
+        cloud.x_m, cloud.y_m, polygon_arrays.to_polygons(parts.values), BUFFER_M
+    )
+    xyz_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
+    crops = defaultdict(list)
+    for name, pairs in zip(parts.index, map(slice, offset[:-1], offset[1:]), strict=True):
+        crops[name].append((point[pairs], point[pairs][inside[pairs]]))
+    rows = []
+    for name in frame.index:
+        near, within = (np.unique(np.concatenate(members)) for members in zip(*crops[name], strict=True))
+        on_building = within[cloud.classification[within] == BUILDING_CLASS]
+        rows.append(
+            {"num_points": len(near)} | _measures(xyz_m[near], xyz_m[on_building], by_id.get(name), seed)
+        )
+    return pd.DataFrame(rows, frame.index, ["status", "num_points", *MEASURES, "is_watertight"])
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """Mean, quartiles and standard deviation (of the population) of each measure, over the buildings with a mesh."""
+    values = table.loc[table["status"] == "ok", list(MEASURES)].astype(float)
+    statistics = values.quantile([0.25, 0.5, 0.75]).set_axis(["q1", "median", "q3"])
+    return pd.concat([values.mean().to_frame("mean").T, statistics, values.std(ddof=0).to_frame("std").T])
+
+
+def _footprints(
+    footprints: str | Path | gpd.GeoDataFrame, id_field: str | None, crs: pyproj.CRS | None
+) -> gpd.GeoDataFrame:
+    """The polygons by id, in the CRS of the clouds if both are known."""
+    name = footprints if isinstance(footprints, str | Path) else "footprints"
+    frame = read_vector(footprints) if isinstance(footprints, str | Path) else footprints
+    names = building_ids(frame, schema_of(list(frame.columns)), id_field, name)
+    if crs is not None and frame.crs is not None:
+        frame = frame.to_crs(crs)
+    frame = frame.set_index(names.rename("building_id"))
+    return frame[~frame.geometry.is_empty & frame.geom_type.isin(("Polygon", "MultiPolygon"))]
+
+
+def _matched(
+    solids: Sequence[ReadSolid], footprints: gpd.GeoSeries, id_field: str | None
+) -> dict[str, ReadSolid]:
+    """The solid of each footprint that has one; solids without a known id that are of the same one are joined."""
+    matched: dict[str, ReadSolid] = {}
+    unknown: defaultdict[str, list[ReadSolid]] = defaultdict(list)
+    for solid in solids:
+        if not len(solid.triangle):
+            continue
+        values = [solid.building_id, *(solid.attributes.get(name) for name in (id_field or "", *GENERIC.ids))]
+        known = [str(value) for value in values if str(value) in footprints.index]
+        if known:
+            matched[known[0]] = solid
+        elif (nearest := _most_overlapped(solid, footprints)) is not None:
+            unknown[nearest].append(solid)
+    for name, members in unknown.items():
+        matched.setdefault(name, _joined(members))
+    return matched
+
+
+def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:
+    """The id of the footprint with the largest overlap with the plan of a solid."""
+    on_ground = solid.kind == FaceKind.GROUND
+    triangle = solid.triangle[on_ground] if on_ground.any() else solid.triangle
+    plan = shapely.union_all(shapely.make_valid(shapely.polygons(solid.vertex_m[triangle][:, :, :2])))
+    touched = footprints.iloc[footprints.sindex.query(plan, predicate="intersects")]
+    areas_m2 = touched.intersection(plan).area
+    return None if not (areas_m2 > 0).any() else str(areas_m2.idxmax())
+
+
+def _joined(solids: Sequence[ReadSolid]) -> ReadSolid:
+    first = np.cumsum([0, *(len(solid.vertex_m) for solid in solids)])
+    return ReadSolid(
+        solids[0].building_id,
+        np.concatenate([solid.vertex_m for solid in solids]),
+        np.concatenate([solid.triangle + start for solid, start in zip(solids, first, strict=False)]),
+        np.concatenate([solid.kind for solid in solids]),
+        np.concatenate([solid.surface for solid in solids]),
+        solids[0].attributes,
+    )
+
+
+def _measures(
+    near_m: np.ndarray, on_building_m: np.ndarray, solid: ReadSolid | None, seed: int
+) -> dict[str, Any]:
+    """The columns of a building but for its number of points. Random draws depend on the seed alone."""
+    if len(near_m) < MIN_POINTS:
+        return {"status": "too few points"}
+    if solid is None:
+        return {"status": "no mesh"}
+    draw = np.random.default_rng(seed)
+    if len(near_m) > NUM_SAMPLES:
+        near_m = near_m[np.sort(draw.choice(len(near_m), NUM_SAMPLES, replace=False))]
+    row = {
+        "status": "ok",
+        "cd_m": chamfer_distance_m(near_m, _samples(solid, solid.triangle, NUM_SAMPLES, draw)),
+        "num_triangles": len(solid.triangle),
+        "is_watertight": mesh_facts(solid.vertex_m, solid.triangle).watertight,
+    }
+    roof_m = _samples(solid, solid.triangle[solid.kind == FaceKind.ROOF], NUM_SAMPLES, draw)
+    if len(on_building_m) >= MIN_ROOF_POINTS:
+        dense_m = _samples(solid, solid.triangle, NUM_DENSE_SAMPLES, draw)
+        row["points_to_mesh_m"] = cKDTree(dense_m).query(on_building_m)[0].mean()
+        row["roof_cd_m"] = chamfer_distance_m(on_building_m, roof_m)
+    return row
+
+
+def _samples(solid: ReadSolid, triangle: np.ndarray, count: int, draw: np.random.Generator) -> np.ndarray:
+    """Points drawn uniformly by area over triangles of a solid: (count, 3), or (0, 3) without area."""
+    area_m2 = triangle_areas(solid.vertex_m, triangle)
+    if not area_m2.sum() > 0:
+        return np.zeros((0, 3))
+    a, b, c = solid.vertex_m[triangle[draw.choice(len(triangle), count, p=area_m2 / area_m2.sum())]].swapaxes(
+        0, 1
+    )
+    from_a, from_b = np.sqrt(draw.random((count, 1))), draw.random((count, 1))
+    return a + from_a * (b - a + from_b * (c - b))
