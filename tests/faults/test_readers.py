@@ -21,7 +21,6 @@ from p2wss.eval import parts, report
 from p2wss.eval.parameters import StoredErrors
 from p2wss.formats import cityjson_read
 from p2wss.storage import files
-from p2wss.storage.schemas.measures import MEASURES
 
 ROOT = Path(__file__).parents[2]
 
@@ -76,19 +75,6 @@ def test_errors_that_no_building_has_reach_no_table(value: float, tmp_path: Path
     files.write_json(path, {"settings": {"all_masked": {"height_m": error}}})
     with pytest.raises(InputError, match="is not a plausible error of a building"):
         files.read_json(path, StoredErrors)
-
-
-@pytest.mark.parametrize("value", [-6e34, 1e9, -0.1])
-def test_measures_that_no_building_has_reach_no_table(value: float, tmp_path: Path) -> None:
-    row = {
-        field.name: None if field.nullable else {"string": "ok"}.get(str(field.type), 1) for field in MEASURES
-    }
-    path = tmp_path / "measures.parquet"
-    files.write_table(
-        path, {name: [each] for name, each in (row | {"chamfer_m": value}).items()}, MEASURES, {}
-    )
-    with pytest.raises(InputError, match="column chamfer_m has the value"):
-        files.read_table(path, MEASURES)
 
 
 def test_metrics_that_a_kill_cut_off_are_one_line_and_a_resumed_training_drops_them(tmp_path: Path) -> None:

@@ -19,27 +19,26 @@ def pinned_tiles(member):
     return list(tiles_of_bounds(region.bounds_m, region.tile_size_m)) if every else region.tiles
 
 
-def rows_of_index(content, name):
+def rows_of_index(path):
     """The rows (place, tile, number of buildings) of the index of the scenes."""
     try:
-        return [line.split("\t") for line in integrity.lines_of(content, name)[1:]]
-    except InputError:
-        raise WorkflowError(f"{name}: damaged; delete it, and the next run makes it again") from None
+        return [line.split("\t") for line in integrity.read_lines(path)[1:]]
+    except InputError as error:
+        raise WorkflowError(str(error)) from None
 
 
 # here, because Snakemake adds a traceback to what is wrong in an input function
 index_file = f"results/{configs.dataset_name(settings)}/scenes/index.tsv"
 if os.path.isfile(index_file) and not all(map(pinned_tiles, MEMBERS)):
-    with open(index_file, "rb") as index:
-        rows_of_index(index.read(), index_file)
+    rows_of_index(index_file)
 
 
 def tiles_of(member):
     """The pinned tiles of a member, or those in which index_scenes found buildings."""
     if pinned := pinned_tiles(member):
         return pinned
-    with checkpoints.index_scenes.get().output.index.open("rb") as index:
-        rows = rows_of_index(index.read(), index.name)
+    with checkpoints.index_scenes.get().output.index.open() as index:
+        rows = rows_of_index(index.name)
     return [tile for place, tile, _ in rows if place == member]
 
 

@@ -31,7 +31,7 @@ def check(path: Path) -> Facts:
     try:
         intact = integrity.is_intact(path)
         if intact is False:
-            result = f"damaged or changed; {integrity.remedy(path)}"
+            result = f"damaged or changed; {integrity.REMEDY}"
         elif intact is None:
             result = "none stated: not a file of p2wss, or one of a version before checksums"
         else:

@@ -94,7 +94,7 @@ def _counted_buildings(path: Path) -> dict[str, dict[str, int]]:
     """Buildings per place and tile, from the index of the stage scenes; empty if it has not run."""
     counts: dict[str, dict[str, int]] = {}
     try:
-        for row in csv.DictReader(integrity.lines_of(path.read_bytes(), path), delimiter="\t"):
+        for row in csv.DictReader(integrity.read_lines(path), delimiter="\t"):
             counts.setdefault(row["place"], {})[row["tile"]] = int(row["num_buildings"])
     except FileNotFoundError:
         return {}

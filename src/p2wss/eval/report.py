@@ -267,7 +267,7 @@ def read_training(path: Path) -> list[dict[str, Any]]:
     """
     records: list[dict[str, Any]] = []
     with reading(path, "readable metrics"):
-        lines = integrity.lines_of(path.read_bytes(), path)
+        lines = integrity.read_lines(path)
     for number, line in enumerate(lines, 1):
         if line.strip():
             with reading(path, f"JSON lines of numbers by name: line {number}"):

@@ -25,7 +25,6 @@ from pydantic import TypeAdapter, ValidationError
 from p2wss import __version__
 from p2wss.errors import InputError, reading
 from p2wss.storage import integrity
-from p2wss.storage.table_checks import checked
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
 # GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run
@@ -130,7 +129,7 @@ def read_table(path: str | Path, schema: pa.Schema, columns: list[str] | None = 
     with _readable(path) as file:
         _check_columns(path, file, names)
         table = file.read(columns=names)
-    return checked(table, schema, path)
+    return _typed(table, schema, path)
 
 
 def read_rows(
@@ -149,20 +148,16 @@ def read_rows(
             if mask.any():
                 pieces.append(file.read_row_group(i, columns=schema.names).filter(pa.array(mask)))
         table = pa.concat_tables(pieces, promote_options="permissive").combine_chunks()
-    return checked(table, schema, path)
+    return _typed(table, schema, path)
 
 
 def rows_with(columns: list[str], keys: Collection[tuple[str, ...]]) -> Callable[[pa.Table], np.ndarray]:
     """A function from a table to the mask of the rows whose values of ``columns`` are one of ``keys``, bool (n,)."""
-    selection, last = set(keys), pa.array(sorted({key[-1] for key in keys}), pa.string())
+    selection = set(keys)
 
     def select(table: pa.Table) -> np.ndarray:
-        mask = np.array(pc.is_in(table[columns[-1]], last), bool)
-        rows = table.select(columns).take(np.flatnonzero(mask))
-        mask[mask] = [
-            key in selection for key in zip(*(rows[name].to_pylist() for name in columns), strict=True)
-        ]
-        return mask
+        rows = zip(*(table[name].to_pylist() for name in columns), strict=True)
+        return np.array([row in selection for row in rows], bool)
 
     return select
 
@@ -173,6 +168,21 @@ def _check_columns(path: str | Path, file: pq.ParquetFile, names: list[str]) -> 
         raise InputError(
             f"{path}: has no columns {', '.join(missing)}; was it written by another version of p2wss?"
         )
+
+
+def _typed(table: pa.Table, schema: pa.Schema, path: str | Path) -> pa.Table:
+    """The table with the types of ``schema``, of which it may have some columns only."""
+    fields = [schema.field(name) for name in table.column_names]
+    with reading(path, "a table with the types that are expected"):
+        table = table.cast(pa.schema([field.with_nullable(True) for field in fields], table.schema.metadata))
+        for place, field in enumerate(fields):
+            column = table[field.name]
+            if pa.types.is_floating(field.type) and not field.nullable:
+                column = pc.fill_null(column, np.nan)  # pandas writes NaN as null
+            if column.null_count and not field.nullable:
+                raise ValueError(f"column {field.name} lacks {column.null_count} values")
+            table = table.set_column(place, field, column)
+    return table
 
 
 @contextmanager
@@ -211,33 +221,15 @@ def write_geoparquet(
 def read_metadata(path: str | Path) -> dict[str, Any]:
     """The metadata of a Parquet file that p2wss wrote.
 
-    Raises :class:`InputError` if it has none or one of another type, and when a key is asked for that it lacks.
+    Raises :class:`InputError` if it has none, and when a key is asked for that it lacks.
     """
     with _readable(path) as file:
         stored = (file.metadata.metadata or {}).get(METADATA_KEY)
         if stored is None:
             raise InputError(f"{path}: not written by p2wss: it has no metadata with the key p2wss")
         facts = _Facts(json.loads(stored))
-        for name, kinds in _FACT_TYPES.items():
-            if name in facts and (isinstance(facts[name], bool) or not isinstance(facts[name], kinds)):
-                raise InputError(f"{path}: its metadata has {facts[name]!r} as {name}")
     facts.path = path
     return facts
-
-
-# of the facts that stages read again
-_FACT_TYPES: Mapping[str, tuple[type, ...]] = {
-    "tile": (str,),
-    "place": (str,),
-    "crs": (str, type(None)),
-    "tile_size_m": (int, float),
-    "margin_m": (int, float),
-    "method": (str,),
-    "status": (str,),
-    "names": (str,),
-    "sha256": (str,),
-    "num_evaluated": (int,),
-}
 
 
 class _Facts(dict[str, Any]):
@@ -293,7 +285,7 @@ def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes"
     with reading(path, "JSON"):
         value = json.loads(text)
     if isinstance(value, dict) and _JSON_CHECKSUM in value:
-        integrity.require_checksum(str(value.pop(_JSON_CHECKSUM)), path)
+        del value[_JSON_CHECKSUM]
     return value if kind is Any else validated(value, path, kind, name)
 
 

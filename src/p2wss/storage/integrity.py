@@ -13,10 +13,9 @@ from __future__ import annotations
 import hashlib
 import mmap
 import os
-import re
 from pathlib import Path
 
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 
 PREFIX = "p2wss-sha256:"
 _MARKER = PREFIX.encode()
@@ -27,34 +26,12 @@ SLOT = (_MARKER + _ZEROS).decode()
 TRAILER = b"\n" + SLOT.encode() + b"\n"
 TABLE_TRAILER = f"# {SLOT}\n"
 JSON_LINES_TRAILER = f'{{"checksum": "{SLOT}"}}\n'
+REMEDY = "delete it and make it again, as the next run of the workflow does"
 # the checksum is this near to the beginning or the end: of a large file of others, no more is searched
 _REACH = 1 << 20
 
-# which rule makes a file again, by the end of its path below the folder of results
-RULES = (
-    (r"resources/ign/.*/dtm/.*\.tif", "fetch_dtm"),
-    (r"resources/ign/.*/lidar/.*\.laz", "fetch_lidar"),
-    (r"fetch/.*footprints\.gpkg", "fetch_footprints"),
-    (r"fetch/lidar/.*\.laz", "prepare_lidar"),
-    (r"scenes/index\.tsv", "index_scenes"),
-    (r"scenes/.*\.(parquet|tif)", "cut_scene"),
-    (r"buildings/.*\.parquet", "build_roofs"),
-    (r"scans/.*\.(laz|json|png)", "cast_scan"),
-    (r"crops/simulated/.*\.parquet", "crop_simulated"),
-    (r"crops/real/.*\.parquet", "crop_real"),
-    (r"crops/manifest\.json", "crops"),
-    (r"dvae/(model\.safetensors|metrics\.jsonl)", "dvae"),
-    (r"model/(model\.safetensors|metrics\.jsonl)", "model"),
-    (r"ablation/.*/(model\.safetensors|metrics\.jsonl)", "ablation_model"),
-    (r"eval/medians\.json", "medians"),
-    (r"eval/recording\.parquet", "recording"),
-    (r"eval/parts/\d+/(point2wss\.parquet|masked_errors\.json|cpu/point2wss\.json)", "predict"),
-    (r"eval/parts/\d+/(cpu/)?(point2wss\+)?fit\.(parquet|json)", "fit"),
-    (r"eval/parts/\d+/(measures\.parquet|variant_errors\.json)", "measure"),
-    (r"eval/parts/\d+/(cpu/)?\w+\.(parquet|json)", "baseline"),
-    (r"eval/(measures\.parquet|parameters\.json|methods\.json)", "merge"),
-    (r"reconstruct/.*", "reconstruct_tile"),
-)
+# how the last lines of text files begin, the content of which is no line of the file
+_CHECKSUM_LINES = ("# ", '{"checksum": ')
 
 # files that this process has verified, by path, inode, size and time: each is read once for it
 _verified: set[tuple[str, int, int, int]] = set()
@@ -105,30 +82,12 @@ def is_intact(path: str | Path) -> bool | None:
         return True
 
 
-def require_checksum(text: str, path: str | Path) -> None:
-    """Raise :class:`InputError` if the value in place of a checksum is not one: the file was then not verified."""
-    if not text.startswith(PREFIX):
-        raise InputError(_damaged(path))
-
-
-def lines_of(content: bytes, name: str | Path) -> list[str]:
-    """The lines of a text file of ours, without that with the checksum; name: of the file, for the message.
-
-    Raises :class:`InputError` if the file is damaged.
-    """
-    place = content.rfind(_MARKER)
-    if place >= 0:
-        start = place + len(_MARKER)
-        stated, rest = content[start : start + len(_ZEROS)], content[start + len(_ZEROS) :]
-        if stated != hashlib.sha256(content[:start] + _ZEROS + rest).hexdigest().encode():
-            raise InputError(_damaged(name))
-    try:
-        lines = content.decode().splitlines()
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name}: not text in UTF-8: {error}") from error
-    if place < 0 and lines and re.search("[0-9a-f]{64}", lines[-1]):
-        raise InputError(_damaged(name))  # of a checksum that cannot be recognised
-    return [line for line in lines if PREFIX not in line]
+def read_lines(path: str | Path) -> list[str]:
+    """The lines of a text file of ours, without that with the checksum. Raises :class:`InputError` if it is damaged."""
+    verify(path)
+    with reading(path, "UTF-8 text"):
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if not line.startswith(_CHECKSUM_LINES)]
 
 
 def is_usable(path: Path) -> bool:
@@ -140,7 +99,7 @@ def is_usable(path: Path) -> bool:
 
 
 def verify(path: str | Path) -> None:
-    """Raise :class:`InputError`, which says how to make it again, for a damaged file. A missing file is ignored."""
+    """Raise :class:`InputError` for a damaged file. A missing file is ignored."""
     try:
         intact = is_intact(path)
     except FileNotFoundError:
@@ -148,32 +107,9 @@ def verify(path: str | Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: not readable: {error.strerror or error}") from error
     if intact is False:
-        raise InputError(_damaged(path))
-
-
-def remedy(path: str | Path) -> str:
-    """The instruction that makes a file again."""
-    rule = rule_of(path)
-    return f"make it again (snakemake -R {rule} ..)" if rule else "make or copy it again"
-
-
-def _damaged(path: str | Path) -> str:
-    return (
-        f"{path}: damaged or changed: its content does not have the checksum that it states; {remedy(path)}"
-    )
-
-
-def rule_of(path: str | Path) -> str | None:
-    """The rule of the workflow that writes a file; None if no rule writes to its path."""
-    name = Path(os.path.abspath(path)).as_posix()
-    # folders above the results may have the name of a stage too: the shortest end of the path counts
-    matches = []
-    for number, (pattern, rule) in enumerate(RULES):
-        starts = [
-            match.start() for match in re.finditer("/", name) if re.fullmatch(pattern, name[match.end() :])
-        ]
-        matches += [(starts[-1], -number, rule)] if starts else []
-    return max(matches)[2] if matches else None
+        raise InputError(
+            f"{path}: damaged or changed: its content does not have the checksum that it states; {REMEDY}"
+        )
 
 
 def _find(descriptor: int, text: bytes) -> int | None:

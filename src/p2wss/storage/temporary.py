@@ -9,12 +9,10 @@ import shutil
 import socket
 import tempfile
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from p2wss.errors import InputError
@@ -87,19 +85,17 @@ def _host() -> str:
     return hashlib.blake2b("\n".join(parts).encode(), digest_size=4).hexdigest()
 
 
-class Closeable(ABC):
+class Closeable:
     """What is closed at the end of a ``with`` block, also by an error."""
 
-    @abstractmethod
     def close(self) -> None:
         """Release what it holds; it cannot be used afterwards."""
+        raise NotImplementedError
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 

@@ -65,7 +65,7 @@ def inputs(buildings: BuildingDataset) -> tuple[list[np.ndarray], list[list[np.n
 
 
 def test_metrics_show_the_constant_predictor_beside_the_model(folder: Path) -> None:
-    records = [json.loads(line) for line in integrity.lines_of((folder / "m.jsonl").read_bytes(), "m.jsonl")]
+    records = [json.loads(line) for line in integrity.read_lines(folder / "m.jsonl")]
     last = records[-1]
     assert last["step"] == 10 and last["val_height_mae_m"] > 0 and last["val_angle_mae_deg"] > 0
     train = load_dataset(
