@@ -20,8 +20,7 @@ from p2wss.data import polygon_arrays
 from p2wss.data.terrain import Terrain
 from p2wss.scans.caster import CHUNK_PULSES, Caster
 from p2wss.scans.hits import Hits, empty_hits
-from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, generate
-from p2wss.scans.randomness import NORMAL_QUANTILE
+from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, empty_rays, generate
 from p2wss.scans.scene import build_surface
 from p2wss.scans.surface import Surface
 from p2wss.scans.survey import Strip
@@ -98,20 +97,10 @@ def _rays(strips: list[Strip], box: Box) -> list[tuple[np.ndarray, np.ndarray]]:
         for first in range(0, len(blocks), step):
             if len(chunks) == _MAX_CHUNKS:
                 return chunks
-            origin, direction = (np.empty((CHUNK_PULSES, 3), np.float32) for _ in range(2))
-            advance_m, pulse = np.empty(CHUNK_PULSES), np.empty(CHUNK_PULSES, np.int64)
-            n = generate(
-                strip.path,
-                blocks[first : first + step],
-                box,
-                NORMAL_QUANTILE,
-                origin,
-                direction,
-                advance_m,
-                pulse,
-            )
+            rays = empty_rays(CHUNK_PULSES)
+            n = generate(strip.path, blocks[first : first + step], box, rays)
             if n:
-                chunks.append((origin[:n], direction[:n]))
+                chunks.append((rays.origin[:n], rays.direction[:n]))
     return chunks
 
 

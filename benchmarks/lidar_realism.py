@@ -60,7 +60,7 @@ def print_table(rows: dict[str, Realism]) -> None:
 
 
 def measure(cloud: Cloud, shapes: np.ndarray, num_returns: np.ndarray | None = None) -> Realism:
-    """The figures of a cloud and the footprints in it; ``num_returns`` of the pulse of each point."""
+    """The figures of a cloud and the footprints in it; ``num_returns`` of the pulse of each point, None: one."""
     xy = np.stack([cloud.x_m, cloud.y_m], 1)
     _, counts = np.unique((xy // 2).astype(np.int64), axis=0, return_counts=True)
     density = counts / 4
@@ -77,7 +77,7 @@ def measure(cloud: Cloud, shapes: np.ndarray, num_returns: np.ndarray | None = N
         walls_seen=walls_seen,
         roof_noise_m=roof_noise_m,
         vegetation_share=float((cloud.classification == VEGETATION_CLASS).mean()),
-        returns=float(num_returns.mean()) if num_returns is not None else np.nan,
+        returns=float(num_returns.mean()) if num_returns is not None else 1.0,
         strips=float(len(np.unique(cloud.strip))) if cloud.strip is not None else np.nan,
     )
 
@@ -148,7 +148,7 @@ def real_clouds(data: Path) -> dict[str, Realism]:
         twin = simulate_again(path, data / folder / "dtm.asc", cloud, shapes, Clutter())
         name = f"{name}, {twin.mean_angle_deg:.0f} deg"
         rows[name] = measure(cloud, shapes, _num_returns(path))
-        rows[f"{name}, simulated"] = measure(twin.cloud, shapes, twin.num_returns)
+        rows[f"{name}, simulated"] = measure(twin.cloud, shapes)
         depth = np.percentile(wall_depths_m(cloud, shapes), [10, 50, 90])
         print(
             f"  {name}: points below the eaves are {depth[0]:.2f} to {depth[2]:.2f} m inside the footprint, "
@@ -174,12 +174,11 @@ def simulated_clouds(size_m: float) -> dict[str, Realism]:
         "paper": Scans(preset="paper", density_per_m2=None),
         "hd, no clutter": Scans(density_per_m2=None, clutter=NO_CLUTTER),
         **{f"hd, survey {seed}": Scans(density_per_m2=None, seed=seed) for seed in range(4)},
-        "hd, 7 returns": Scans(density_per_m2=None, max_returns=7),
     }
     rows = {}
     for name, config in cases.items():
         scan = scans.simulate(buildings, terrain, TILE, size_m, config)
         cloud, _, _ = as_cloud(scan)
         pattern = scan.facts["survey"]["pattern"]
-        rows[f"{name} ({pattern})"] = measure(cloud, shapes, scan.points.num_returns)
+        rows[f"{name} ({pattern})"] = measure(cloud, shapes)
     return rows

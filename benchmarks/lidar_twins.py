@@ -38,11 +38,9 @@ _MIN_ROOF_POINTS = 50
 
 @dataclass(frozen=True)
 class Twin:
-    """The simulated cloud of a place, returns of the pulse of each of its points, and the mean angle off
-    nadir of the real points."""
+    """The simulated cloud of a place, and the mean angle off nadir of the real points."""
 
     cloud: Cloud
-    num_returns: np.ndarray
     mean_angle_deg: float
 
 
@@ -68,7 +66,7 @@ def simulate_again(laz: Path, dtm: Path, cloud: Cloud, shapes: np.ndarray, clutt
     points, _ = cast(surface, strips, box)
     x, y, z = (points.xyz_mm[:, i] / 1000 + origin[i] for i in range(3))
     simulated = Cloud(x, y, z, las_classes(points.face), None, points.strip)
-    return Twin(simulated, points.num_returns, float(np.abs(angle_deg).mean()))
+    return Twin(simulated, float(np.abs(angle_deg).mean()))
 
 
 def wall_depths_m(cloud: Cloud, shapes: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ def add_parser(stages: Parsers) -> None:
         "--out-survey", type=Path, required=True, help="JSON to write: parameters of the survey, and counts"
     )
     command.add_argument(
-        "--picture", type=Path, help="PNG to write: a part of the scan by building, strip and return"
+        "--picture", type=Path, help="PNG to write: a part of the scan by building and by strip"
     )
     add_threads(command)
 
@@ -58,7 +58,7 @@ def scans(arguments: argparse.Namespace) -> None:
     survey = scan.facts["survey"]
     log.info(
         f"{arguments.out.name}: {survey['pattern']} scan, {len(survey['strips'])} strips, "
-        f"{scan.facts['num_points']} points, {scan.facts['pulses_per_m2']:.1f} pulses per m2 "
+        f"{scan.facts['num_points']} points, {scan.facts['points_per_m2']:.1f} points per m2 "
         f"of {survey['density_per_m2']:.1f} pulses requested"
     )
     scans.write_scan(arguments.out, scan, crs, threads=arguments.threads)

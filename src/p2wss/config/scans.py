@@ -19,11 +19,10 @@ class PatternShares(Section):
     cross_fire: float = Field(
         0.2, ge=0, description="two crossed channels of parallel lines, as in the RIEGL VQ-1560"
     )
-    oscillating: float = Field(0, ge=0, description="zigzag lines from an oscillating mirror")
 
     @model_validator(mode="after")
     def _not_all_zero(self) -> Self:
-        if self.conical + self.parallel + self.cross_fire + self.oscillating <= 0:
+        if self.conical + self.parallel + self.cross_fire <= 0:
             raise ValueError("at least one share must be above 0")
         return self
 
@@ -146,10 +145,6 @@ class Scans(Section):
         0.3, ge=0, le=1, description="relative standard deviation of the intensity of a return"
     )
     clutter: Clutter = Clutter()
-    max_returns: int = Field(1, ge=1, le=7, description="hd: maximum number of returns per pulse")
-    return_separation_m: float = Field(
-        0.8, gt=0, le=10, description="minimum distance between two returns of a pulse, along the beam"
-    )
     keep_margin_m: float = Field(
         5, ge=0, le=100, description="margin around the tile and its buildings within which points are kept"
     )

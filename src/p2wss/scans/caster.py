@@ -11,11 +11,9 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from p2wss.scans.beams import empty_sub_beams, rays_to_split, split_rays
 from p2wss.scans.hits import Hits, empty_hits, locate
-from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, generate
-from p2wss.scans.randomness import NORMAL_QUANTILE
-from p2wss.scans.returns import OUTCOMES, Points, empty_points, grown, record
+from p2wss.scans.pulses import BLOCK_PULSES, Box, Rays, blocks_over, empty_rays, generate
+from p2wss.scans.returns import OUTCOMES, Points, empty_points, record
 from p2wss.scans.surface import Surface
 from p2wss.scans.survey import Strip
 
@@ -66,7 +64,7 @@ def cast(
     chunks = list(_chunks(strips, box, chunk_pulses))
     pending = iter(chunks)
     # fresh memory costs a fifth of the cast: each thread keeps its own, and the points are written into
-    # arrays that are long enough, whose unused ends are never touched
+    # arrays with room for all pulses, whose unused ends are never touched
     points, num_points = empty_points(sum(len(blocks) for _, blocks in chunks) * BLOCK_PULSES), 0
     workspaces = [_Workspace(max(BLOCK_PULSES, chunk_pulses)) for _ in range(threads)]
     with ThreadPoolExecutor(threads) as pool:
@@ -74,17 +72,15 @@ def cast(
 
         def start_next(workspace: _Workspace) -> None:
             """Cast the next chunk, if there is one."""
-            for index, blocks in islice(pending, 1):
-                arguments = (caster, strips[index], index, blocks, box, workspace)
-                running.append((workspace, pool.submit(_cast_chunk, *arguments)))
+            for strip, blocks in islice(pending, 1):
+                future = pool.submit(_cast_chunk, caster, strip, blocks, box, workspace)
+                running.append((workspace, future))
 
         for workspace in workspaces:
             start_next(workspace)
         while running:  # the oldest first, in the order of firing
             workspace, future = running.popleft()
             num_new, outcome = future.result()
-            if num_points + num_new > len(points.pulse):  # several returns
-                points = grown(points, num_points, 2 * (num_points + num_new))
             for column, new in zip(points, workspace.points, strict=True):
                 column[num_points : num_points + num_new] = new[:num_new]
             num_points += num_new
@@ -98,82 +94,27 @@ class _Workspace:
     """Arrays for the rays, hits and points of one chunk of at most ``room`` pulses."""
 
     def __init__(self, room: int):
-        self.origin, self.direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
-        self.advance_m, self.pulse = np.empty(room), np.empty(room, np.int64)
-        self.hits = empty_hits(room)
-        self.points = empty_points(room)
-
-    def ensure_points(self, num_points: int) -> None:
-        """Make ``points`` long enough for ``num_points``; its contents are lost."""
-        if num_points > len(self.points.pulse):
-            self.points = empty_points(num_points)
+        self.rays, self.hits, self.points = empty_rays(room), empty_hits(room), empty_points(room)
 
 
-def _chunks(strips: list[Strip], box: Box, chunk_pulses: int) -> Iterator[tuple[int, np.ndarray]]:
-    """Number of the strip and blocks of pulses of each chunk."""
+def _chunks(strips: list[Strip], box: Box, chunk_pulses: int) -> Iterator[tuple[Strip, np.ndarray]]:
+    """Strip and blocks of pulses of each chunk."""
     step = max(1, chunk_pulses // BLOCK_PULSES)
-    for index, strip in enumerate(strips):
+    for strip in strips:
         blocks = blocks_over(strip.path, strip.path.num_blocks, box)
         for start in range(0, len(blocks), step):
-            yield index, blocks[start : start + step]
+            yield strip, blocks[start : start + step]
 
 
 def _cast_chunk(
-    caster: Caster, strip: Strip, index: int, blocks: np.ndarray, box: Box, workspace: _Workspace
+    caster: Caster, strip: Strip, blocks: np.ndarray, box: Box, workspace: _Workspace
 ) -> tuple[int, np.ndarray]:
     """Write the points of some blocks into ``workspace``; returns their number and the pulses by outcome."""
-    n = generate(
-        strip.path,
-        blocks,
-        box,
-        NORMAL_QUANTILE,
-        workspace.origin,
-        workspace.direction,
-        workspace.advance_m,
-        workspace.pulse,
-    )
-    origin, direction = workspace.origin[:n], workspace.direction[:n]
-    advance_m, pulse = workspace.advance_m[:n], workspace.pulse[:n]
+    n = generate(strip.path, blocks, box, workspace.rays)
+    rays = Rays(*(column[:n] for column in workspace.rays))
     hits = Hits(*(column[:n] for column in workspace.hits))
-    caster.first_hits(origin, direction, hits)
-    split = np.zeros(0, np.int64)
-    if strip.errors.max_returns > 1 and strip.path.beam_sigma_rad > 0:
-        split = rays_to_split(origin, direction, pulse, hits, caster.surface, strip.errors.separation_m)
-    sub_origin, sub_direction, sub_advance_m = empty_sub_beams(len(split))
-    split_rays(
-        origin,
-        direction,
-        advance_m,
-        pulse,
-        split,
-        strip.path,
-        strip.errors.split_key,
-        NORMAL_QUANTILE,
-        sub_origin,
-        sub_direction,
-        sub_advance_m,
+    caster.first_hits(rays.origin, rays.direction, hits)
+    counts: tuple[int, np.ndarray] = record(
+        rays, hits, caster.surface, strip.path, strip.errors, box, workspace.points
     )
-    sub_hits = empty_hits(len(sub_advance_m))
-    caster.first_hits(sub_origin, sub_direction, sub_hits)
-    workspace.ensure_points(n + len(sub_advance_m))
-    outcome = np.zeros(len(OUTCOMES), np.int64)
-    num_points = record(
-        origin,
-        direction,
-        advance_m,
-        pulse,
-        hits,
-        split,
-        sub_direction,
-        sub_advance_m,
-        sub_hits,
-        caster.surface,
-        strip.path,
-        strip.errors,
-        index,
-        box,
-        NORMAL_QUANTILE,
-        workspace.points,
-        outcome,
-    )
-    return num_points, outcome
+    return counts

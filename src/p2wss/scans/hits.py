@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.scans.surface import Surface
-from p2wss.scans.terrain import crossing, frame_of
+from p2wss.scans.terrain import Ray, crossing, frame_of
 from p2wss.skeleton.compiled import entry, inlined
 
 _ON_TRIANGLE_M = 0.005
@@ -50,32 +50,34 @@ def locate(
     frame, height, blocks, regions = frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m
     hit_triangle, hit_m, hit_normal, hit_height = hits
     for k in range(len(embree_triangle)):
-        ox, oy, oz = np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2])
-        dx, dy, dz = np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2])
+        ray = ray_of(origin, direction, k)
         triangle = embree_triangle[k]
-        t, nx, ny, nz, offset = _on_triangle(vertex, triangles, triangle, ox, oy, oz, dx, dy, dz)
+        t, nx, ny, nz, offset = _on_triangle(vertex, triangles, triangle, ray)
+        ground_t, east, north = crossing(frame, height, blocks, regions, ray, t if t >= 0 else np.inf)
         if t < 0:
             triangle = -1
-        ground_t, east, north = crossing(
-            frame, height, blocks, regions, ox, oy, oz, dx, dy, dz, t if t >= 0 else np.inf
-        )
         if ground_t >= 0:
             triangle, t = -1, ground_t
             nz = 1 / sqrt(1 + east * east + north * north)
             nx, ny = -east * nz, -north * nz
-            offset = nx * (ox + t * dx) + ny * (oy + t * dy) + nz * (oz + t * dz)
+            offset = nx * (ray.x + t * ray.dx) + ny * (ray.y + t * ray.dy) + nz * (ray.z + t * ray.dz)
         hit_triangle[k], hit_m[k], hit_height[k] = triangle, t, offset
         hit_normal[k, 0], hit_normal[k, 1], hit_normal[k, 2] = nx, ny, nz
 
 
 @inlined
+def ray_of(origin: np.ndarray, direction: np.ndarray, k: int) -> Ray:
+    """Ray number ``k`` of float32 arrays (n, 3)."""
+    return Ray(
+        np.float64(origin[k, 0]), np.float64(origin[k, 1]), np.float64(origin[k, 2]),
+        np.float64(direction[k, 0]), np.float64(direction[k, 1]), np.float64(direction[k, 2]),
+    )  # fmt: skip
+
+
+@inlined
 def _on_triangle(
-    vertex: np.ndarray,
-    triangles: np.ndarray,
-    triangle: int,
-    ox: float, oy: float, oz: float,
-    dx: float, dy: float, dz: float,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
+    vertex: np.ndarray, triangles: np.ndarray, triangle: int, ray: Ray
+) -> tuple[float, float, float, float, float]:
     """Distance along the ray to a triangle, its unit normal, and the distance of its plane from the origin.
 
     The distance is -1 if there is no triangle, or if the ray misses it: then Embree was wrong.
@@ -90,29 +92,29 @@ def _on_triangle(
     vx, vy, vz = cx - ax, cy - ay, cz - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     per_length = 1 / sqrt(max(nx * nx + ny * ny + nz * nz, 1e-300))
-    slope = nx * dx + ny * dy + nz * dz
+    slope = nx * ray.dx + ny * ray.dy + nz * ray.dz
     if slope == 0.0:
         return -1.0, 0.0, 0.0, 0.0, 0.0
-    t = (nx * (ax - ox) + ny * (ay - oy) + nz * (az - oz)) / slope
-    px, py, pz = ox + t * dx, oy + t * dy, oz + t * dz
-    nx, ny, nz = nx * per_length, ny * per_length, nz * per_length
+    t = (nx * (ax - ray.x) + ny * (ay - ray.y) + nz * (az - ray.z)) / slope
+    point = ray.x + t * ray.dx, ray.y + t * ray.dy, ray.z + t * ray.dz
+    normal = nx * per_length, ny * per_length, nz * per_length
     if not (
-        _inside_edge(ax, ay, az, ux, uy, uz, nx, ny, nz, px, py, pz)
-        and _inside_edge(bx, by, bz, cx - bx, cy - by, cz - bz, nx, ny, nz, px, py, pz)
-        and _inside_edge(cx, cy, cz, -vx, -vy, -vz, nx, ny, nz, px, py, pz)
+        _inside_edge((ax, ay, az), (ux, uy, uz), normal, point)
+        and _inside_edge((bx, by, bz), (cx - bx, cy - by, cz - bz), normal, point)
+        and _inside_edge((cx, cy, cz), (-vx, -vy, -vz), normal, point)
     ):
         return -1.0, 0.0, 0.0, 0.0, 0.0
+    nx, ny, nz = normal
     return t, nx, ny, nz, nx * ax + ny * ay + nz * az
 
 
+_Vector = tuple[float, float, float]
+
+
 @inlined
-def _inside_edge(
-    ax: float, ay: float, az: float,
-    ex: float, ey: float, ez: float,
-    nx: float, ny: float, nz: float,
-    px: float, py: float, pz: float,
-) -> bool:  # fmt: skip
-    """Whether p is on the inner side of the edge from a along e, or within :data:`_ON_TRIANGLE_M` of it."""
-    qx, qy, qz = px - ax, py - ay, pz - az
-    side = nx * (ey * qz - ez * qy) + ny * (ez * qx - ex * qz) + nz * (ex * qy - ey * qx)
+def _inside_edge(start: _Vector, along: _Vector, normal: _Vector, point: _Vector) -> bool:
+    """Whether a point is on the inner side of an edge, or within :data:`_ON_TRIANGLE_M` of it."""
+    ex, ey, ez = along
+    qx, qy, qz = point[0] - start[0], point[1] - start[1], point[2] - start[2]
+    side = normal[0] * (ey * qz - ez * qy) + normal[1] * (ez * qx - ex * qz) + normal[2] * (ex * qy - ey * qx)
     return side >= 0 or side * side <= _ON_TRIANGLE_M**2 * (ex * ex + ey * ey + ez * ez)

@@ -1,4 +1,4 @@
-"""Pictures of a simulated scan: the same window by building, by strip and by return."""
+"""Pictures of a simulated scan: the same window by building and by strip."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ GROUND_COLOR, TREE_COLOR, CLUTTER_COLOR = "#b9b4a8", "#6f9a4c", "#c23b22"
 
 
 def scan_figure(points: Points, middle_m: np.ndarray) -> Figure:
-    """Three panels of the points within 35 m of ``middle_m`` (2,), in the local frame, seen from the south.
+    """Two panels of the points within 35 m of ``middle_m`` (2,), in the local frame, seen from the south.
 
-    By building: each has a colour; the ground is grey, trees are green, other clutter is red. By strip and by
-    number of the return: each has a colour.
+    By building: each has a colour; the ground is grey, trees are green, other clutter is red. By strip: each has a
+    colour.
     """
     near = np.abs(points.xyz_mm[:, :2] / 1000 - middle_m).max(axis=1) < _WINDOW_M / 2
     rows = np.flatnonzero(near)
@@ -38,14 +38,13 @@ def scan_figure(points: Points, middle_m: np.ndarray) -> Figure:
     )  # what is near the viewpoint is drawn last
     rows, u, v = rows[order], u[order], v[order]
 
-    figure = Figure(figsize=(15, 5.4), layout="constrained")
-    strip, number = points.strip[rows], points.return_number[rows]
+    figure = Figure(figsize=(10, 5.4), layout="constrained")
+    strip = points.strip[rows]
     panels: tuple[tuple[str, np.ndarray, dict[str, Any]], ...] = (
         ("by building", _by_building(points, rows), {"clutter": CLUTTER_COLOR, "trees": TREE_COLOR}),
         ("by strip", _by_number(strip), {f"strip {n}": _by_number(n) for n in np.unique(strip)}),
-        ("by return", _by_number(number - 1), {f"return {n}": _by_number(n - 1) for n in np.unique(number)}),
     )
-    for axes, (title, color, legend) in zip(figure.subplots(1, 3), panels, strict=True):
+    for axes, (title, color, legend) in zip(figure.subplots(1, 2), panels, strict=True):
         axes.scatter(u, v, c=color, s=1.2, linewidths=0)
         axes.set_aspect("equal")
         axes.set_axis_off()

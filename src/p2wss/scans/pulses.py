@@ -17,7 +17,7 @@ from p2wss.scans.randomness import normal, random_bits
 from p2wss.skeleton.compiled import entry, inlined
 
 BLOCK_PULSES = 32
-CONICAL, PARALLEL, CROSS_FIRE, OSCILLATING = range(4)
+CONICAL, PARALLEL, CROSS_FIRE = range(3)
 
 
 class StripPath(NamedTuple):
@@ -25,10 +25,12 @@ class StripPath(NamedTuple):
     ground).
 
     knots: float64 (k, 12), every ``knot_interval_s``: drift of the platform in x, y, z (m) and the matrix,
-    row by row, that turns the scanner's frame into the local one. beam_sigma_rad: standard deviation of a
-    sub-beam's direction within the beam, per axis.
+    row by row, that turns the scanner's frame into the local one. beam_sigma_rad: standard deviation of the
+    direction of the ray that stands for a beam within the beam, per axis. quantile: the table of normal deviates
+    (:data:`randomness.NORMAL_QUANTILE`).
     """
 
+    number: int  # of the strip, from 0
     pattern: int
     half_angle_rad: float
     sin_half_angle: float
@@ -47,6 +49,7 @@ class StripPath(NamedTuple):
     knots: np.ndarray
     beam_sigma_rad: float
     beam_key: np.uint64
+    quantile: np.ndarray
 
     @property
     def num_blocks(self) -> int:
@@ -65,6 +68,25 @@ class Box(NamedTuple):
     z_max_m: float
 
 
+class Rays(NamedTuple):
+    """Rays of n pulses, in the order of firing.
+
+    origin and direction: float32 (n, 3), from the plane of the box's top on. advance_m: float64 (n,), the distance
+    from the aircraft to that plane. pulse: int64 (n,).
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    advance_m: np.ndarray
+    pulse: np.ndarray
+
+
+def empty_rays(room: int) -> Rays:
+    """Arrays for the rays of ``room`` pulses, not initialised."""
+    vectors = np.empty((2, room, 3), np.float32)
+    return Rays(vectors[0], vectors[1], np.empty(room), np.empty(room, np.int64))
+
+
 @entry
 def _platform(path: StripPath, t: float, pose: np.ndarray) -> None:
     """Write drift (3) and rotation matrix (9) of the platform at time ``t`` into ``pose``."""
@@ -81,8 +103,6 @@ def _mirror_rad(path: StripPath, turns: float) -> float:
     turn."""
     if path.pattern == CONICAL:
         return 2 * pi * turns
-    if path.pattern == OSCILLATING:
-        return path.half_angle_rad * sin(2 * pi * turns)
     return path.half_angle_rad * (2 * turns - 1)
 
 
@@ -148,14 +168,12 @@ def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
     if path.pattern == CONICAL:
         spot_speed = 2 * pi * path.scan_rate_hz * drop_m * tan(steepest)
     else:
-        turns = 2 * pi if path.pattern == OSCILLATING else 2.0
-        spot_speed = turns * path.half_angle_rad * path.scan_rate_hz * drop_m / cos(steepest) ** 2
+        spot_speed = 2.0 * path.half_angle_rad * path.scan_rate_hz * drop_m / cos(steepest) ** 2
     reach = 1.2 * (spot_speed + path.speed_m_per_s) * half_s + 6 * path.beam_sigma_rad * drop_m * 2 + 1.0
-    wraps = path.pattern == PARALLEL or path.pattern == CROSS_FIRE
     vx, vy = cos(path.heading_rad) * path.speed_m_per_s, sin(path.heading_rad) * path.speed_m_per_s
     for block in range(num_blocks):
         t = (block + 0.5) * BLOCK_PULSES / path.pulse_rate_hz
-        if wraps:
+        if path.pattern != CONICAL:
             first = floor((t - half_s) * path.scan_rate_hz + path.scan_phase)
             if floor((t + half_s) * path.scan_rate_hz + path.scan_phase) != first:  # the mirror jumps back
                 result[n] = block
@@ -183,22 +201,14 @@ def blocks_over(path: StripPath, num_blocks: int, box: Box) -> np.ndarray:
 
 
 @entry
-def generate(
-    path: StripPath,
-    blocks: np.ndarray,
-    box: Box,
-    quantile: np.ndarray,
-    origin: np.ndarray,
-    direction: np.ndarray,
-    advance_m: np.ndarray,
-    pulse: np.ndarray,
-) -> int:
+def generate(path: StripPath, blocks: np.ndarray, box: Box, rays: Rays) -> int:
     """Fill in the pulses of ``blocks`` that pass over ``box``, in the order of firing; returns their number.
 
     Each is advanced in float64 to the plane of the box's top and only then rounded to float32, so that Embree
-    sees short rays (rounding below 0.04 mm at 1 km). Outputs, room for ``len(blocks) * BLOCK_PULSES``: origin
-    and direction float32 (n, 3), advance_m float64 (n,), the distance already travelled, pulse int64 (n,).
+    sees short rays (rounding below 0.04 mm at 1 km). ``rays`` has room for ``len(blocks) * BLOCK_PULSES``.
     """
+    origin, direction, advance_m, pulse = rays
+    quantile = path.quantile
     n = 0
     p = np.empty(12)
     vx, vy = cos(path.heading_rad) * path.speed_m_per_s, sin(path.heading_rad) * path.speed_m_per_s
@@ -214,7 +224,7 @@ def generate(
         for i in range(block * BLOCK_PULSES, (block + 1) * BLOCK_PULSES):
             t = i * period_s
             turns += turn
-            if turns >= 1 or path.pattern == OSCILLATING:
+            if turns >= 1:
                 turns = t * path.scan_rate_hz + path.scan_phase
                 turns -= floor(turns)
                 angle = _mirror_rad(path, turns)

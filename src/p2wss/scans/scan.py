@@ -21,10 +21,11 @@ from p2wss.errors import InputError
 from p2wss.scans.caster import CHUNK_PULSES, cast
 from p2wss.scans.clutter import add_clutter
 from p2wss.scans.pulses import Box
-from p2wss.scans.returns import Points, count_points
+from p2wss.scans.returns import Points
 from p2wss.scans.scene import build_surface, buildings_without_terrain, local_buildings, scan_bounds
-from p2wss.scans.surface import las_classes
+from p2wss.scans.surface import CLUTTER_KIND, is_tree, las_classes
 from p2wss.scans.survey import Survey, plan
+from p2wss.skeleton.types import FaceKind
 from p2wss.storage.schemas import scan as schema
 
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
@@ -108,19 +109,21 @@ def _box(bounds: Bounds, origin: np.ndarray, low: float, high: float) -> Box:
 
 
 def _point_facts(points: Points, origin: np.ndarray, bounds: Bounds) -> dict[str, float]:
-    """Counts of the points, and densities over the tile."""
+    """Counts of the points, and the density over the tile."""
+    num_ground, num_trees = int((points.face < 0).sum()), int(is_tree(points.face).sum())
+    by_kind = np.bincount(points.face & 3, minlength=4)
     low_mm, high_mm = (1000 * (np.array(corner) - origin[:2]) for corner in (bounds[:2], bounds[2:]))
-    counts = count_points(points, low_mm, high_mm)
-    area_m2 = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
+    xy_mm = points.xyz_mm[:, :2]
+    in_tile = ((xy_mm >= low_mm) & (xy_mm < high_mm)).all(axis=1)
     return {
         "num_points": len(points.pulse),
-        "num_ground_points": counts.ground,
-        "num_wall_points": counts.walls,
-        "num_roof_points": counts.roofs,
-        "num_tree_points": counts.trees,
-        "num_other_points": counts.other_clutter,
-        "points_per_m2": counts.in_rectangle / area_m2,
-        "pulses_per_m2": counts.first_in_rectangle / area_m2,
+        "num_ground_points": num_ground,
+        "num_wall_points": int(by_kind[FaceKind.WALL]),
+        # the face of the ground is -1, and -1 & 3 is the kind of a flat roof
+        "num_roof_points": int(by_kind[FaceKind.ROOF] + by_kind[FaceKind.FLAT]) - num_ground,
+        "num_tree_points": num_trees,
+        "num_other_points": int(by_kind[CLUTTER_KIND]) - num_trees,
+        "points_per_m2": int(in_tile.sum()) / ((bounds[2] - bounds[0]) * (bounds[3] - bounds[1])),
     }
 
 
@@ -142,8 +145,8 @@ def _las_chunks(scan: Scan) -> Iterator[dict[str, np.ndarray]]:
             "intensity": points.intensity,
             "scan_angle": points.scan_angle,
             "classification": las_classes(points.face),
-            "return_number": points.return_number,
-            "number_of_returns": points.num_returns,
+            "return_number": np.ones(len(x_mm), np.uint8),
+            "number_of_returns": np.ones(len(x_mm), np.uint8),
             "point_source_id": points.strip,
             "gps_time": start_s[points.strip] + points.pulse / scan.survey.parameters["pulse_rate_hz"],
             "building_id": points.building,

@@ -52,7 +52,6 @@ def build_surface(buildings: pa.Table, terrain: Terrain, origin_m: np.ndarray, s
         face=encode_face(kind, edge)[reachable],
         reflectance=reflectance[reachable].astype(np.float32),
         loss=np.where(is_roof, roof_loss[building], 0)[reachable].astype(np.float32),
-        porous=np.zeros(int(reachable.sum()), bool),
     )
 
 

@@ -33,8 +33,7 @@ class Surface(NamedTuple):
 
     vertex_m: float64 (v, 3). triangle: int32 (t, 3). building: int32 (t,), -1 for trees. face: int32 (t,),
     see :func:`encode_face` and :func:`encode_clutter`. reflectance: float32 (t,), 0 to 1. loss: float32 (t,),
-    share of the returns that the sensor does not detect. porous: bool (t,), true where part of the beam
-    passes beside the triangle, as between leaves.
+    share of the returns that the sensor does not detect.
     """
 
     terrain: TerrainGrid
@@ -44,7 +43,6 @@ class Surface(NamedTuple):
     face: np.ndarray
     reflectance: np.ndarray
     loss: np.ndarray
-    porous: np.ndarray
 
     def z_range_m(self) -> tuple[float, float]:
         """The lowest and the highest z of the terrain and the triangles."""

@@ -17,10 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from p2wss.config import Scans
 from p2wss.data.seeds import derive_seed, generator
-from p2wss.scans.pulses import CONICAL, CROSS_FIRE, OSCILLATING, PARALLEL, Box, StripPath, time_over
+from p2wss.scans.pulses import CONICAL, CROSS_FIRE, PARALLEL, Box, StripPath, time_over
+from p2wss.scans.randomness import NORMAL_QUANTILE
 from p2wss.scans.returns import Errors
 
-PATTERNS = {"conical": CONICAL, "parallel": PARALLEL, "cross_fire": CROSS_FIRE, "oscillating": OSCILLATING}
+PATTERNS = {"conical": CONICAL, "parallel": PARALLEL, "cross_fire": CROSS_FIRE}
 CROSSING_DEG = 14.0  # of each channel of the cross-fire pattern, as in RIEGL's VQ-1560 series
 _KNOT_INTERVAL_S = 0.05
 _SAMPLE_INTERVAL_S = 1e-4
@@ -98,7 +99,7 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
 
     strips, start_s = [], 0.0
     for index, line in enumerate(lines):
-        strip = _strip(parameters, settings, seed, index, line, start_s)
+        strip = _strip(parameters, seed, index, line, start_s)
         strips.append(strip)
         start_s += strip.path.duration_s + _TURN_S
 
@@ -121,15 +122,14 @@ def plan(settings: Scans, seed: int, box: Box, area: Box) -> Survey:
     return Survey(strips, parameters)
 
 
-def _strip(
-    parameters: dict[str, Any], settings: Scans, seed: int, index: int, line: _Line, start_s: float
-) -> Strip:
+def _strip(parameters: dict[str, Any], seed: int, index: int, line: _Line, start_s: float) -> Strip:
     """The strip along a line of :func:`_lines`, with its errors; its pulse rate is 1 Hz and yet to be set."""
     x, y, direction, length_m = line
     half_angle = radians(parameters["half_angle_deg"])
     rng = generator(seed, "strip", index)
     duration_s = length_m / parameters["speed_m_per_s"]
     path = StripPath(
+        number=index,
         pattern=PATTERNS[parameters["pattern"]],
         half_angle_rad=half_angle,
         sin_half_angle=sin(half_angle),
@@ -149,6 +149,7 @@ def _strip(
         # the 1/e^2 diameter of a Gaussian beam is four standard deviations
         beam_sigma_rad=parameters["divergence_mrad"] * 1e-3 / 4,
         beam_key=np.uint64(derive_seed(seed, "beam", index)),
+        quantile=NORMAL_QUANTILE,
     )
     errors = Errors(
         noise_xy_m=parameters["noise_xy_m"],
@@ -161,11 +162,8 @@ def _strip(
         min_intensity=parameters["min_intensity"],
         speckle=parameters["speckle"],
         reference_range_m=parameters["altitude_m"],
-        max_returns=parameters["max_returns"],
-        separation_m=settings.return_separation_m,
         key=np.uint64(derive_seed(seed, "noise", index)),
         loss_key=np.uint64(derive_seed(seed, "loss", index)),
-        split_key=np.uint64(derive_seed(seed, "split", index)),
     )
     return Strip(path, errors, start_s)
 
@@ -204,12 +202,11 @@ def _parameters(settings: Scans, rng: np.random.Generator) -> dict[str, Any]:
         "base_loss": rng.uniform(*settings.base_loss),
         "min_intensity": settings.min_intensity,
         "speckle": settings.speckle,
-        "max_returns": settings.max_returns,
     }
     if settings.preset == "hd":
         return parameters
     # `none` is the same flight without errors, `paper` the simulator of the paper with its own errors
-    parameters |= dict.fromkeys(_ERRORS, 0.0) | {"density_per_m2": target, "max_returns": 1}
+    parameters |= dict.fromkeys(_ERRORS, 0.0) | {"density_per_m2": target}
     return parameters | (_PAPER if settings.preset == "paper" else {})
 
 

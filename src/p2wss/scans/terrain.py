@@ -43,6 +43,17 @@ class GridFrame(NamedTuple):
     per_cell: float
 
 
+class Ray(NamedTuple):
+    """A ray from (x, y, z) along (dx, dy, dz). Lengths along it are in lengths of that direction."""
+
+    x: float
+    y: float
+    z: float
+    dx: float
+    dy: float
+    dz: float
+
+
 BLOCK_SQUARES, REGION_SQUARES = 8, 64
 
 
@@ -88,26 +99,12 @@ def _ranges(height: np.ndarray, size: int) -> np.ndarray:
 
 
 @entry
-def first_crossing(
-    grid: TerrainGrid, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, limit: float
-) -> tuple[float, float, float]:
+def first_crossing(grid: TerrainGrid, ray: Ray, limit: float) -> tuple[float, float, float]:
     """Where a falling ray (dz < 0) first meets the terrain, if nearer than ``limit``.
 
     Returns (distance in lengths of the direction, or -1; slope of the triangle towards east; towards north).
     """
-    return crossing(
-        frame_of(grid),
-        grid.height_m,
-        grid.block_range_m,
-        grid.region_range_m,
-        ox,
-        oy,
-        oz,
-        dx,
-        dy,
-        dz,
-        limit,
-    )
+    return crossing(frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m, ray, limit)
 
 
 @inlined
@@ -130,23 +127,23 @@ def crossing(
     height: np.ndarray,
     blocks: np.ndarray,
     regions: np.ndarray,
-    ox: float, oy: float, oz: float,
-    dx: float, dy: float, dz: float,
+    ray: Ray,
     limit: float,
-) -> tuple[float, float, float]:  # fmt: skip
+) -> tuple[float, float, float]:
     """:func:`first_crossing` for loops over many rays, which take the arrays out of the grid once: numba
     counts the references to an array each time that it is taken out of a tuple.
 
     In float64, and without a tree. The height range of the region and then that of the block through which
     the ray passes narrow the search to some decimetres of the ray, mostly within one square.
     """
-    per_dz = 1 / dz
-    start = max((frame.max_m - oz) * per_dz, 0.0)
-    end = min((frame.min_m - oz) * per_dz + 1e-6, limit)
+    z, per_dz = ray.z, 1 / ray.dz
+    start = max((frame.max_m - z) * per_dz, 0.0)
+    end = min((frame.min_m - z) * per_dz + 1e-6, limit)
     hit, east, south = -1.0, 0.0, 0.0
     # in units of cells: u to the east, v to the south, squares between whole numbers
-    u, v = (ox - frame.x_min_m) * frame.per_cell, (frame.y_max_m - oy) * frame.per_cell
-    du, dv = dx * frame.per_cell, -dy * frame.per_cell
+    u, v = (ray.x - frame.x_min_m) * frame.per_cell, (frame.y_max_m - ray.y) * frame.per_cell
+    du, dv = ray.dx * frame.per_cell, -ray.dy * frame.per_cell
+    on_grid = Ray(u, v, z, du, dv, ray.dz)
     u0, v0, u1, v1 = u + du * start, v + dv * start, u + du * end, v + dv * end
     if not (
         min(u0, u1) >= 0
@@ -155,27 +152,25 @@ def crossing(
         and max(v0, v1) < frame.rows - 1
     ):
         if start < end:
-            hit, east, south = _walk(height, blocks, u, v, oz, du, dv, dz, start, end)
+            hit, east, south = _walk(height, blocks, on_grid, start, end)
         return hit, east * frame.per_cell, -south * frame.per_cell
     if start < end and _adjoin(u0, v0, u1, v1, REGION_SQUARES):
         low, high = _range(regions, u0, v0, u1, v1, REGION_SQUARES)
-        start, end = max(start, (high - oz) * per_dz), min(end, (low - oz) * per_dz + 1e-6)
+        start, end = max(start, (high - z) * per_dz), min(end, (low - z) * per_dz + 1e-6)
         u0, v0, u1, v1 = u + du * start, v + dv * start, u + du * end, v + dv * end
     if start < end:
         if _adjoin(u0, v0, u1, v1, BLOCK_SQUARES):
             low, high = _range(blocks, u0, v0, u1, v1, BLOCK_SQUARES)
-            start, end = max(start, (high - oz) * per_dz), min(end, (low - oz) * per_dz + 1e-6)
+            start, end = max(start, (high - z) * per_dz), min(end, (low - z) * per_dz + 1e-6)
             u0, v0, u1, v1 = u + du * start, v + dv * start, u + du * end, v + dv * end
             if start < end:
                 row, column = int(v0), int(u0)
                 if row == int(v1) and column == int(u1):
-                    hit, east, south = _cross_square(
-                        height, row, column, u - column, v - row, oz, du, dv, dz, start, end
-                    )
+                    hit, east, south = _cross_square(height, row, column, on_grid, start, end)
                 else:
-                    hit, east, south = _walk_squares(height, u, v, oz, du, dv, dz, start, end)
+                    hit, east, south = _walk_squares(height, on_grid, start, end)
         else:
-            hit, east, south = _walk(height, blocks, u, v, oz, du, dv, dz, start, end)
+            hit, east, south = _walk(height, blocks, on_grid, start, end)
     return hit, east * frame.per_cell, -south * frame.per_cell
 
 
@@ -198,16 +193,12 @@ def _range(blocks: np.ndarray, u0: float, v0: float, u1: float, v1: float, size:
 
 @entry
 def _walk(
-    height: np.ndarray,
-    blocks: np.ndarray,
-    u: float, v: float, z: float,
-    du: float, dv: float, dz: float,
-    start: float,
-    end: float,
-) -> tuple[float, float, float]:  # fmt: skip
+    height: np.ndarray, blocks: np.ndarray, ray: Ray, start: float, end: float
+) -> tuple[float, float, float]:
     """First crossing between ``start`` and ``end``: block by block, and square by square in the blocks whose
-    terrain the ray may meet."""
+    terrain the ray may meet. ray: in cells."""
     rows, columns = height.shape
+    u, v, z, du, dv, dz = ray
     # lengths of ray per cell; a ray that stays in its column or row never leaves it
     per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300
     t, end = _clip(u, per_u, columns - 1.0, start, end)
@@ -219,7 +210,7 @@ def _walk(
         leave = min(_exit(u, per_u, block_column, size, t), _exit(v, per_v, block_row, size, t), end)
         highest = blocks[block_row, block_column, 1]
         if z + dz * leave <= highest:
-            hit, east, south = _walk_squares(height, u, v, z, du, dv, dz, max(t, (highest - z) / dz), leave)
+            hit, east, south = _walk_squares(height, ray, max(t, (highest - z) / dz), leave)
             if hit >= 0:
                 return hit, east, south
         t = leave
@@ -227,22 +218,17 @@ def _walk(
 
 
 @entry
-def _walk_squares(
-    height: np.ndarray,
-    u: float, v: float, z: float,
-    du: float, dv: float, dz: float,
-    start: float,
-    end: float,
-) -> tuple[float, float, float]:  # fmt: skip
-    """First crossing between ``start`` and ``end``, square by square."""
+def _walk_squares(height: np.ndarray, ray: Ray, start: float, end: float) -> tuple[float, float, float]:
+    """First crossing between ``start`` and ``end``, square by square. ray: in cells."""
     rows, columns = height.shape
+    u, v, _, du, dv, _ = ray
     per_u, per_v = 1 / du if du != 0 else 1e300, 1 / dv if dv != 0 else 1e300
     t = start
     while t < end:
         column = _place(u + du * t, du, 1, columns - 1)
         row = _place(v + dv * t, dv, 1, rows - 1)
         leave = min(_exit(u, per_u, column, 1, t), _exit(v, per_v, row, 1, t), end)
-        hit, east, south = _cross_square(height, row, column, u - column, v - row, z, du, dv, dz, t, leave)
+        hit, east, south = _cross_square(height, row, column, ray, t, leave)
         if hit >= 0:
             return hit, east, south
         t = leave
@@ -273,20 +259,10 @@ def _exit(u: float, per_u: float, place: int, size: int, t: float) -> float:
 
 @inlined
 def _cross_square(
-    height: np.ndarray,
-    row: int,
-    column: int,
-    u: float,
-    v: float,
-    z: float,
-    du: float,
-    dv: float,
-    dz: float,
-    start: float,
-    end: float,
+    height: np.ndarray, row: int, column: int, ray: Ray, start: float, end: float
 ) -> tuple[float, float, float]:
-    """First crossing of a square's triangles between ``start`` and ``end``; u, v are relative to the
-    square."""
+    """First crossing of a square's triangles between ``start`` and ``end``. ray: in cells."""
+    u, v, z, du, dv, dz = ray.x - column, ray.y - row, ray.z, ray.dx, ray.dy, ray.dz
     nw, ne = np.float64(height[row, column]), np.float64(height[row, column + 1])
     sw, se = np.float64(height[row + 1, column]), np.float64(height[row + 1, column + 1])
     along = u - v  # above 0 in the triangle of ne

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from p2wss.config import Scans
-from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, generate
-from p2wss.scans.randomness import NORMAL_QUANTILE
+from p2wss.scans.pulses import BLOCK_PULSES, Box, blocks_over, empty_rays, generate
 from p2wss.scans.survey import PATTERNS, plan
 
 BOX = Box(-60.0, -60.0, 60.0, 60.0, -20.0, 30.0)
@@ -19,10 +18,9 @@ def survey(pattern, **changes):
 
 def rays(path, blocks, box):
     room = len(blocks) * BLOCK_PULSES
-    origin, direction = np.empty((room, 3), np.float32), np.empty((room, 3), np.float32)
-    advance_m, pulse = np.empty(room), np.empty(room, np.int64)
-    n = generate(path, blocks, box, NORMAL_QUANTILE, origin, direction, advance_m, pulse)
-    return origin[:n], direction[:n], advance_m[:n], pulse[:n]
+    result = empty_rays(room)
+    n = generate(path, blocks, box, result)
+    return [column[:n] for column in result]
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)

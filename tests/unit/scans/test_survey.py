@@ -26,7 +26,6 @@ def flat_surface(half_m=130, height_m=0.0):
         none,
         none.astype(np.float32),
         none.astype(np.float32),
-        none.astype(bool),
     )
 
 

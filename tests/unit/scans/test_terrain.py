@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from p2wss.scans.terrain import first_crossing, local_grid
+from p2wss.scans.terrain import Ray, first_crossing, local_grid
 
 
 def triangles_of(grid):
@@ -47,7 +47,7 @@ def test_first_crossing_is_that_of_all_triangles(rough_m):
             [np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), -np.cos(angle)], np.float64
         )
         expected = nearest_hit(triangles, origin, direction)
-        distance, east, north = first_crossing(grid, *origin, *direction, np.inf)
+        distance, east, north = first_crossing(grid, Ray(*origin, *direction), np.inf)
         if expected < 0:
             assert distance < 0
             continue
@@ -58,7 +58,7 @@ def test_first_crossing_is_that_of_all_triangles(rough_m):
         point = origin + distance * direction
         on_plane = np.abs((triangles[:, 0] - point) @ normal).min()
         assert on_plane < 1e-6
-        assert first_crossing(grid, *origin, *direction, distance - 0.01)[0] < 0
+        assert first_crossing(grid, Ray(*origin, *direction), distance - 0.01)[0] < 0
     assert hits > 200
 
 
@@ -78,7 +78,9 @@ def test_rays_over_many_blocks_have_the_same_crossing():
             turn, angle = rng.uniform(0, 7), np.radians(angle_deg)
             direction = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), -np.cos(angle)])
             expected = nearest_hit(triangles, origin, direction)
-            assert first_crossing(grid, *origin, *direction, np.inf)[0] == pytest.approx(expected, abs=1e-6)
+            assert first_crossing(grid, Ray(*origin, *direction), np.inf)[0] == pytest.approx(
+                expected, abs=1e-6
+            )
             hits += expected > 0
     assert hits > 25
 
@@ -89,7 +91,7 @@ def test_no_terrain_where_there_is_no_data():
     grid = local_grid(height, 0.0, 10.0, 1.0, np.zeros(3))
 
     def has_terrain(x, y):
-        return first_crossing(grid, x, y, 20.0, 0.0, 0.0, -1.0, np.inf)[0] > 0
+        return first_crossing(grid, Ray(x, y, 20.0, 0.0, 0.0, -1.0), np.inf)[0] > 0
 
     assert has_terrain(3.2, 4.1)
     assert not has_terrain(

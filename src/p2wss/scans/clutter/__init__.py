@@ -73,5 +73,4 @@ def _with_triangles(surface: Surface, kind: ClutterKind, triangles: ClutterTrian
         face=np.concatenate([surface.face, encode_clutter(np.full(count, kind, np.int32))]),
         reflectance=np.concatenate([surface.reflectance, reflectance]),
         loss=np.concatenate([surface.loss, triangles.loss]),
-        porous=np.concatenate([surface.porous, np.full(count, is_tree)]),
     )

@@ -124,7 +124,6 @@ def _cut(surface: Surface, prisms: _Prisms) -> Surface:
         face=column(surface.face, encode_clutter(np.full(len(new), ClutterKind.LOWER_PART, np.int32))),
         reflectance=column(surface.reflectance, np.full(len(new), CLUTTER_REFLECTANCE, np.float32)),
         loss=column(surface.loss, np.zeros(len(new), np.float32)),
-        porous=column(surface.porous, np.zeros(len(new), bool)),
     )
 
 
