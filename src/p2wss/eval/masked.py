@@ -1,8 +1,8 @@
 """Table 1 with the footprint masked too: what the network reads, and the same after the outline is fitted.
 
-The network reads the outline and the height (:meth:`MaskedPredictor.reconstruct_all_masked`), the outline is fitted to
-the points (:mod:`p2wss.reconstruct.outline_fit`), the network reads height and angles again with the fitted outline
-given, and these are fitted to the points as ``p2wss reconstruct`` does.
+The network reads the outline and the height (:meth:`MaskedPredictor.reconstruct_all_masked`). In its place comes the
+outline of ``p2wss outlines`` that has as many vertices, its edges moved as the registration moves footprints. The
+network reads height and angles again with this outline given, and these are fitted as ``p2wss reconstruct`` does.
 """
 
 from __future__ import annotations
@@ -12,14 +12,32 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import shapely
 
-from p2wss.config import Reconstruct
+from p2wss.clouds.reading import Cloud
+from p2wss.config import Outlines, Reconstruct
 from p2wss.data.building import Building
+from p2wss.errors import InputError
 from p2wss.eval.predict import for_dataset
 from p2wss.reconstruct.network import Predictor
-from p2wss.reconstruct.outline_fit import fit_outline
+from p2wss.reconstruct.outlines import outlines
 from p2wss.reconstruct.product import reconstruct_buildings
+from p2wss.reconstruct.shifts import edge_steps, point_weights
 from p2wss.storage.schemas.crops import SIMULATED
+
+# one outline without seams around all points; from outlines of more and more short edges to ever coarser ones
+_OUTLINES = [
+    Outlines(overhang_m=0, jump_m=1000, max_area_m2=1e9, min_edge_m=min_edge_m)
+    for min_edge_m in (0.8, 1.5, 2.5, 4.0)
+]
+# points of class building this far below the eaves are on a wall or on a lower annex
+_BELOW_EAVES_M = 0.6
+# where the roof of the building ends before them: half a sign
+_LOW_WEIGHT = -0.5
+# an edge that the network read farther from where the points end is misread
+_MAX_MISREADING_M = 2.0
+# edges whose directions differ by less (the sine) have no corner
+_MIN_SINE = 0.3
 
 
 class MaskedPredictor(Predictor, Protocol):
@@ -65,17 +83,11 @@ def fit_all_masked(
     """
     if not buildings:
         return reading
-    outlines = []
-    for i, building in enumerate(buildings):
-        # the order of the tokens, which begin at the uppermost vertex, is no secret: see the tokenizer
-        first = uppermost_vertex(building.rings[0])
-        read_m = np.roll(reading.xy_m[i], -first, axis=0)
-        height_m = float(reading.eave_height_m[i])
-        outline = fit_outline(read_m, height_m, _above_ground(building), building.classification)
-        outlines.append(np.roll(outline, first, axis=0))
-    fitted = [
-        replace(building, rings=[outline]) for building, outline in zip(buildings, outlines, strict=True)
+    xy_m = [
+        fitted_outline(reading_m, float(height_m), _above_ground(building), building.classification)
+        for building, reading_m, height_m in zip(buildings, reading.xy_m, reading.eave_height_m, strict=True)
     ]
+    fitted = [replace(building, rings=[outline]) for building, outline in zip(buildings, xy_m, strict=True)]
     rows = reconstruct_buildings(fitted, predictor, for_dataset(config, SIMULATED))
     height, angle = reading.eave_height_m.copy(), list(reading.angle_deg)
     for i, row in enumerate(rows):
@@ -85,13 +97,59 @@ def fit_all_masked(
             and len(row.angle_deg) == len(angle[i])
         ):
             height[i], angle[i] = row.eave_height_m, row.angle_deg
-    return MaskedParameters(height, outlines, angle)
+    return MaskedParameters(height, xy_m, angle)
 
 
-def uppermost_vertex(ring: np.ndarray) -> int:
-    """The vertex (v, 2) with the largest y, of several the leftmost, in whole centimetres."""
-    x, y = np.rint(100 * ring).T
-    return int(np.lexsort([x, -y])[0])
+def fitted_outline(
+    reading_m: np.ndarray, eave_height_m: float, point_m: np.ndarray, classification: np.ndarray
+) -> np.ndarray:
+    """The outline of the points (v, 2), its vertices in the order of the reading; the reading where there is none of
+    as many vertices.
+
+    reading_m: (v, 2), counter-clockwise, as the network read it, not necessarily simple. eave_height_m: as the network
+    read it, above the ground. point_m: (n, 3), z above the ground. classification: LAS classes (n,).
+
+    An edge is where its step from building to ground is. Where a building continues beyond it, as at a party wall,
+    there is none, and the edge is where the network read it.
+    """
+    outline = _traced(reading_m, point_m, classification)
+    if outline is None:
+        return reading_m
+    ends = np.column_stack([outline, np.roll(outline, -1, axis=0)])
+    x_m, y_m = point_m[:, :2].T.copy()
+    weight = point_weights(classification)
+    weight[(weight > 0) & (point_m[:, 2] < eave_height_m - _BELOW_EAVES_M)] = _LOW_WEIGHT
+    inside = np.where(shapely.contains_xy(shapely.Polygon(outline), x_m, y_m), 0, -1)
+    of_outline = np.zeros(len(outline), np.int64)
+    step_m = edge_steps(ends, of_outline, x_m, y_m, weight, inside).offset_m
+    along = ends[:, 2:] - ends[:, :2]
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    middle = (ends[:, :2] + ends[:, 2:]) / 2
+    read_m = (((reading_m + np.roll(reading_m, -1, axis=0)) / 2 - middle) * normal).sum(axis=1)
+    read_m[np.abs(read_m) > _MAX_MISREADING_M] = 0
+    offset = (middle * normal).sum(axis=1) + np.where(np.isfinite(step_m), step_m, read_m)
+    matrix = np.stack([np.roll(normal, 1, axis=0), normal], axis=1)
+    if (np.abs(np.linalg.det(matrix)) < _MIN_SINE).any():
+        return outline
+    corner: np.ndarray = np.linalg.solve(matrix, np.column_stack([np.roll(offset, 1), offset])[..., None])
+    return corner[..., 0] if shapely.Polygon(corner[..., 0]).is_valid else outline
+
+
+def _traced(reading_m: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray | None:
+    """The finest outline with as many vertices as the reading, which begins where that does."""
+    count, (x_m, y_m, z_m) = len(reading_m), point_m.T
+    cloud = Cloud(x_m, y_m, z_m, classification, None)
+    for settings in _OUTLINES:
+        try:
+            polygons = outlines(cloud, settings)
+        except InputError:
+            return None
+        largest = shapely.orient_polygons(polygons[np.argmax(shapely.area(polygons))])
+        corner = shapely.get_coordinates(largest.exterior)[:-1]
+        if len(corner) == count:
+            turned = [np.roll(corner, first, axis=0) for first in range(count)]
+            return min(turned, key=lambda xy_m: float(np.abs(xy_m - reading_m).sum()))
+    return None
 
 
 def _above_ground(building: Building) -> np.ndarray:

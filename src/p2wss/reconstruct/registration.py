@@ -19,7 +19,6 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
 from p2wss.reconstruct.footprint_flags import contradictions
@@ -29,6 +28,7 @@ from p2wss.reconstruct.shifts import (
     WINDOW_M,
     Estimate,
     edge_steps,
+    point_weights,
     search_shift,
     solve_shift,
 )
@@ -42,8 +42,6 @@ _BESIDE_M = 20.0
 REACH_M = MAX_SHIFT_M + WINDOW_M + 0.25
 # steps move a block no farther than to this distance from the reach, so that there are points in front of its edges
 _REACH_MARGIN_M = 0.5
-# a point that is neither on a building nor on the ground is half a sign that there is no building
-_OTHER_WEIGHT = -0.5
 # rounds of the search, in which the other blocks are where the last round put them: how often each solves for steps
 _STEP_ROUNDS = (1, 2)
 # each of these looks at the places of the next blocks once
@@ -240,10 +238,7 @@ class _Near:
         used[point] = True
         number = np.cumsum(used) - 1
         self.x_m, self.y_m = cloud.x_m[used], cloud.y_m[used]
-        classes = cloud.classification[used]
-        self.weight = np.full(len(classes), _OTHER_WEIGHT)
-        self.weight[np.isin(classes, (GROUND_CLASS, WATER_CLASS))] = -1.0
-        self.weight[classes == BUILDING_CLASS] = 1.0
+        self.weight = point_weights(cloud.classification[used])
         point = number[point]
         first = np.searchsorted(blocks.of_outline, np.arange(len(blocks) + 1))
         self.points = [point[offset[a] : offset[b]] for a, b in pairwise(first)]

@@ -14,8 +14,11 @@ import scipy.fft
 import scipy.ndimage
 
 from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.skeleton.types import Polygons
 
+# A point that is neither on a building nor on the ground is half a sign that there is no building.
+_OTHER_WEIGHT = -0.5
 # The search: the largest shift, the step between shifts, and the number of cells from which the step grows.
 MAX_SHIFT_M = 3.0
 _CELL_M = 0.25
@@ -97,6 +100,14 @@ class Estimate:
     overhang_m: float
     num_steps: int
     step_share: float
+
+
+def point_weights(classification: np.ndarray) -> np.ndarray:
+    """How much each point speaks for a building, (n,): 1 on a building, -1 on the ground, less anywhere else."""
+    weight = np.full(len(classification), _OTHER_WEIGHT)
+    weight[np.isin(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0
+    weight[classification == BUILDING_CLASS] = 1.0
+    return weight
 
 
 def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.ndarray:
