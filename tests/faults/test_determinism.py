@@ -74,7 +74,7 @@ def test_delft_is_the_same_to_the_byte(tmp_path: Path) -> None:
 def fetched(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Footprints, terrain and LiDAR of the miniature."""
     folder = tmp_path_factory.mktemp("fetched")
-    stored = ["--downloads", folder / "downloads", "--offline", "0"]
+    stored = ["--downloads", folder / "downloads"]
     p2wss(["fetch", "footprints", "--out", folder / "footprints.gpkg", *stored], {})
     p2wss(["fetch", "dtm", "--tile", TILE, "--out", folder / "dtm.tif", *stored], {})
     p2wss(["fetch", "lidar", "--tile", LIDAR_TILE, "--out", folder / "lidar.laz", *stored], {})

@@ -13,11 +13,10 @@ def configure(project, **fetch):
     return ["--configfile", "mine.yaml"]
 
 
-def test_settings_of_pdal_and_of_offline_download_nothing_again(project):
+def test_settings_of_pdal_download_nothing_again(project):
     project.snakemake("-c1", "fetch", *configure(project, prepare={"mode": "auto"}))
     prepared = project.folder / "results/mini/fetch/lidar/0653_6861.laz"
     assert prepared.samefile(project.folder / "resources/ign/mini/lidar/0653_6861.laz")
-    assert rules_to_run(project.dry_run("fetch", *configure(project, offline=True))) == {}
     changed = rules_to_run(project.dry_run("fetch", *configure(project, prepare={"mode": "never"})))
     assert set(changed) == {"prepare_lidar", "fetch"}
 

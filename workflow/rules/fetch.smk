@@ -4,7 +4,7 @@ In:  what the section fetch of the config names: your files, each of which is tr
 Out: <results>/fetch/{place}footprints.gpkg, resources/ign/{vintage}/dtm/{tile}.tif, .../lidar/{tile}.laz as delivered,
      and <results>/fetch/lidar/{place}{tile}.laz with a class for the ground.
 
-What a service sends is kept in resources/ign/{vintage}/downloads with a record of each request: these rules, run again, request
+What a service sends is kept in resources/ign/{vintage}/downloads: these rules, run again, request
 nothing that is there and whole.
 """
 
@@ -31,18 +31,16 @@ rule fetch_footprints:
     retries: 2
     conda:
         "../../envs/p2wss.yaml"
-    # a resource, because resources are not tracked: to go offline changes no result and reruns nothing
     resources:
         ign_requests=1,
-        offline=int(settings.fetch.offline),
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare", "sources", "offline")),
+        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare", "sources")),
         code=fingerprint("fetch"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
         sizes=source_sizes("footprints"),
     shell:
-        "p2wss fetch footprints --out {output.footprints:q} --downloads {params.downloads:q} --offline {resources.offline:q}"
+        "p2wss fetch footprints --out {output.footprints:q} --downloads {params.downloads:q}"
         " --config {params.config:q} 2> {log:q}"
 
 
@@ -60,7 +58,6 @@ rule fetch_dtm:
         "../../envs/p2wss.yaml"
     resources:
         ign_requests=1,
-        offline=int(settings.fetch.offline),
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=source_section,
@@ -68,7 +65,7 @@ rule fetch_dtm:
         downloads="resources/ign/{vintage}/downloads",
         sizes=source_sizes("dtm", source_of_tile),
     shell:
-        "p2wss fetch dtm --tile {wildcards.tile:q} --out {output.dtm:q} --downloads {params.downloads:q} --offline {resources.offline:q}"
+        "p2wss fetch dtm --tile {wildcards.tile:q} --out {output.dtm:q} --downloads {params.downloads:q}"
         " --config {params.config:q} 2> {log:q}"
 
 
@@ -86,7 +83,6 @@ rule fetch_lidar:
         "../../envs/p2wss.yaml"
     resources:
         ign_requests=1,
-        offline=int(settings.fetch.offline),
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=source_section,
@@ -94,7 +90,7 @@ rule fetch_lidar:
         downloads="resources/ign/{vintage}/downloads",
         sizes=source_sizes("lidar", source_of_tile),
     shell:
-        "p2wss fetch lidar --tile {wildcards.tile:q} --out {output.lidar:q} --downloads {params.downloads:q} --offline {resources.offline:q}"
+        "p2wss fetch lidar --tile {wildcards.tile:q} --out {output.lidar:q} --downloads {params.downloads:q}"
         " --config {params.config:q} 2> {log:q}"
 
 
@@ -113,7 +109,7 @@ rule prepare_lidar:
     resources:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme", "sources", "offline")),
+        config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme", "sources")),
         code=fingerprint("fetch"),
     shell:
         "p2wss fetch prepare --tile {wildcards.tile:q} --clouds {input.clouds:q} --out {output.lidar:q} --config {params.config:q} 2> {log:q}"

@@ -105,7 +105,7 @@ def source_of_tile(wildcards):
 
 def source_section(wildcards):
     """Sections of the config that say where the data of a tile come from."""
-    without = (*TILE_LISTS, *OF_CLOUDS, "prepare", "sources", "offline")
+    without = (*TILE_LISTS, *OF_CLOUDS, "prepare", "sources")
     return configs.section_json(at(source_of_tile(wildcards)), "region", "fetch", without=without)
 
 

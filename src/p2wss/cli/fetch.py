@@ -68,7 +68,7 @@ def fetch_region(arguments: argparse.Namespace) -> None:
     else:
         text, config = "", load(path)
     downloads = _downloads_folder(config, None)
-    print(plan.format_estimates(config, plan.estimate_downloads(config, downloads)))
+    print(plan.format_estimates(config, plan.estimate_downloads(config)))
     if arguments.dry_run:
         return
     if text:
@@ -135,6 +135,7 @@ def fetch_lidar(arguments: argparse.Namespace) -> None:
 def fetch_prepare(arguments: argparse.Namespace) -> None:
     """Write the LiDAR of a tile, cropped and with ground points."""
     from p2wss.clouds.las_classes import class_set
+    from p2wss.fetch.pdal import Window
     from p2wss.fetch.prepare import prepare
     from p2wss.fetch.source import delivery_window
 
@@ -142,16 +143,9 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
     holes = [bounds_of_tile(path.stem, config) for path in arguments.clouds[1:]]
     bounds = bounds_of_tile(arguments.tile, config, config.fetch.margin_m)
     crs, _ = delivery_window(config.region, config.fetch, bounds)
-    facts = prepare(
-        arguments.out,
-        arguments.clouds,
-        bounds,
-        holes,
-        config.region.crs,
-        crs,
-        config.fetch.prepare,
-        class_set(config.region.classes).ground,
-    )
+    window = Window(bounds, holes, config.region.crs, crs)
+    ground = class_set(config.region.classes).ground
+    facts = prepare(arguments.out, arguments.clouds, window, config.fetch.prepare, ground)
     log.info(
         f"{arguments.out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}"
     )
@@ -160,9 +154,7 @@ def fetch_prepare(arguments: argparse.Namespace) -> None:
 def _open_source(config: Config, arguments: argparse.Namespace) -> Any:
     from p2wss.fetch.source import open_source
 
-    offline = config.fetch.offline if arguments.offline is None else bool(arguments.offline)
-    fetch = config.fetch.model_copy(update={"offline": offline})
-    return open_source(config.region, fetch, _downloads_folder(config, arguments.downloads))
+    return open_source(config.region, config.fetch, _downloads_folder(config, arguments.downloads))
 
 
 def _downloads_folder(config: Config, folder: Path | None) -> Path:
@@ -221,10 +213,4 @@ def _add_downloads(command: argparse.ArgumentParser) -> None:
         "--downloads",
         type=Path,
         help="folder in which downloads are stored (default: resources/ign/VINTAGE/downloads)",
-    )
-    command.add_argument(
-        "--offline",
-        type=int,
-        choices=(0, 1),
-        help="1: send no request, use only stored downloads (default: fetch.offline of the config)",
     )

@@ -66,7 +66,7 @@ def plan(arguments: argparse.Namespace) -> None:
 
 
 def _regions_and_downloads(config: Config) -> tuple[list[Any], list[Any]]:
-    """The tiles of each member with the buildings that the stage scenes has counted, and what is not stored yet."""
+    """The tiles of each member with the buildings that the stage scenes has counted, and the downloads."""
     from p2wss.fetch import plan as fetch_plan
     from p2wss.plan.estimate import Download
     from p2wss.plan.work import Region
@@ -76,16 +76,15 @@ def _regions_and_downloads(config: Config) -> tuple[list[Any], list[Any]]:
     for place in member_places(config):
         member = place_config(config, place)
         regions.append(Region(fetch_plan.tiles(member), fetch_plan.lidar_tiles(member), counts.get(place)))
-        folder = Path("resources/ign", member.region.vintage, "downloads")
         downloads += [
             Download(
                 part.product,
                 part.size_mb,
-                part.size_mb / part.num_missing if part.product == "LiDAR" and part.num_missing else 0.0,
+                part.size_mb / part.num_files if part.product == "LiDAR" else 0.0,
                 part.basis,
             )
-            for part in fetch_plan.estimate_downloads(member, folder)
-            if part.num_missing
+            for part in fetch_plan.estimate_downloads(member)
+            if part.num_files
         ]
     return regions, downloads
 
@@ -93,11 +92,11 @@ def _regions_and_downloads(config: Config) -> tuple[list[Any], list[Any]]:
 def _counted_buildings(path: Path) -> dict[str, dict[str, int]]:
     """Buildings per place and tile, from the index of the stage scenes; empty if it has not run."""
     counts: dict[str, dict[str, int]] = {}
+    if not path.is_file():
+        return counts
     try:
         for row in csv.DictReader(integrity.read_lines(path), delimiter="\t"):
             counts.setdefault(row["place"], {})[row["tile"]] = int(row["num_buildings"])
-    except FileNotFoundError:
-        return {}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not an index of the stage scenes; delete it") from error
     return counts

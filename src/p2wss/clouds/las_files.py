@@ -51,10 +51,14 @@ def check_header(path: str | Path) -> None:
             )
         if head[25] >= 4 and len(head) == _HEADER_1_4:
             evlrs_at, num_evlrs, num_points = struct.unpack_from("<QIQ", head, 235)
-            if num_evlrs and evlrs_at + _EVLR_HEADER * num_evlrs > size:
-                raise ValueError(
-                    f"its header states {num_evlrs} extended records, which do not fit into the file"
-                )
+            for _ in range(num_evlrs):  # behind the points: a file that is truncated lacks some
+                file.seek(evlrs_at + 20)
+                (length,) = struct.unpack("<Q", _exactly(file, 8))
+                evlrs_at += _EVLR_HEADER + length
+                if evlrs_at > size:
+                    raise ValueError(
+                        f"its {num_evlrs} extended records do not fit into the file: it is truncated"
+                    )
         if not point_format & 0x80:
             if points_at + num_points * record_size > size:
                 raise ValueError(f"its header states {num_points} points, which do not fit into the file")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
-from itertools import pairwise
 from pathlib import Path
 
 import laspy
@@ -25,8 +23,8 @@ _SIGNATURE = b"LASF"
 # headers may state bounds that are rounded
 _HEADER_MARGIN_M = 1.0
 _CHUNK_POINTS = 500_000
-# a window that covers more of a COPC file is not worth a query: all points are decoded
-_MAX_WINDOW_SHARE = 0.5
+# of a window of a COPC file with more, all points of the file are decoded instead, piece by piece
+_MAX_WINDOW_POINTS = 5_000_000
 _WEEK_S, _DAY_S = 604_800, 86_400
 _GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
 
@@ -50,6 +48,17 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.x_m)
+
+
+_NOTHING = Cloud(
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0),
+    np.zeros(0, np.uint8),
+    None,
+    np.zeros(0, np.uint16),
+    np.zeros(0, np.uint16),
+)
 
 
 @dataclass(frozen=True)
@@ -141,130 +150,72 @@ def read_clouds(
 
     Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
-    parts = list(_parts(paths, bounds, classes, None))
-    return Cloud(
-        np.concatenate([np.zeros(0), *(part.x_m for part in parts)]),
-        np.concatenate([np.zeros(0), *(part.y_m for part in parts)]),
-        np.concatenate([np.zeros(0), *(part.z_m for part in parts)]),
-        np.concatenate([np.zeros(0, np.uint8), *(part.classification for part in parts)]),
-        parts[-1].crs if parts else None,
-        np.concatenate([np.zeros(0, np.uint16), *(part.strip for part in parts if part.strip is not None)]),
-        np.concatenate([np.zeros(0, np.uint16), *(part.day for part in parts if part.day is not None)]),
-    )
+    parts = [_NOTHING, *read_in_chunks(paths, bounds, classes)]
+    names = ("x_m", "y_m", "z_m", "classification", "strip", "day")
+    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    return Cloud(**columns, crs=parts[-1].crs)
 
 
 def read_in_chunks(
     paths: Sequence[str | Path], bounds: Bounds | None = None, classes: ClassSet = LAS
 ) -> Iterator[Cloud]:
-    """The points of :func:`read_clouds`, about half a million at a time; those of COPC files in another order.
-
-    The CRS of a chunk is the first that is known.
-    """
-    return _parts(paths, bounds, classes, _CHUNK_POINTS)
-
-
-def _parts(
-    paths: Sequence[str | Path], bounds: Bounds | None, classes: ClassSet, max_points: int | None
-) -> Iterator[Cloud]:
-    crs: pyproj.CRS | None = None
-    crs_path: str | Path = ""
+    """The points of :func:`read_clouds`, about half a million at a time, or a window of a COPC file."""
+    common = common_header(read_headers([Path(path) for path in paths]))
+    crs = None if common is None else common.crs
     for path in paths:
-        if not Path(path).is_file():
-            raise InputError(f"{path}: no such file")
         with reading(path, KIND):
-            for header, points in _chunks(path, bounds, max_points):
-                file_crs = header.parse_crs()
-                if file_crs is not None:
-                    if crs is not None and not same_crs(crs, file_crs):
-                        raise InputError(
-                            f"{path}: is in {file_crs.name}, but {crs_path} is in {crs.name}; "
-                            "reproject one of them"
-                        )
-                    crs, crs_path = crs or file_crs, crs_path or path
-                x_m, y_m, z_m, classification, strip, day = _filter(points, bounds, header, classes)
-                yield Cloud(x_m, y_m, z_m, classification, crs, strip, day)
+            for header, points in _chunks(path, bounds):
+                yield _cloud(points, header, bounds, classes, crs)
 
 
 def _chunks(
-    path: str | Path, bounds: Bounds | None, max_points: int | None
+    path: str | Path, bounds: Bounds | None
 ) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:
-    """The points of a file, piece by piece. max_points: about as many at a time from a window of a COPC file; None for
-    all of them at once, in the order of its nodes."""
+    """The points of a file, piece by piece; those of a COPC file of which a window is needed, at once."""
     with open_cloud(path) as reader:
         header = reader.header
         is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
-        share = 1.0 if bounds is None else _share_of_file(header, bounds)
-        if bounds is None or not is_copc or (max_points is not None and share > _MAX_WINDOW_SHARE):
+        if bounds is None or not is_copc or _num_expected(header, bounds) > _MAX_WINDOW_POINTS:
             num_read = 0
             for points in reader.chunk_iterator(_CHUNK_POINTS):
                 num_read += len(points)
                 yield header, points
             if num_read != header.point_count:
                 raise EOFError(f"{num_read} of {header.point_count} points")
-            if num_read == 0:
+            if num_read == 0:  # for the CRS
                 yield header, laspy.ScaleAwarePointRecord.zeros(0, header=header)
             return
-    count = 1 if max_points is None else math.ceil(math.sqrt(share * header.point_count / max_points))
     with laspy.CopcReader.open(path) as reader:
-        for window in _windows(bounds, max(count, 1)):
-            # queries round their bounds to whole units of coordinates
-            unit = np.asarray(reader.header.scales[:2])
-            mins, maxs = np.array(window[:2]) - unit, np.array(window[2:]) + unit
-            points = reader.query(bounds=laspy.copc.Bounds(mins=mins, maxs=maxs))
-            # laspy silently returns no points for chunks beyond the end of a truncated file
-            info, size = reader.copc_info, Path(path).stat().st_size
-            ends = [entry.offset + entry.byte_size for entry in reader.root_page.entries.values()]
-            end = max([*ends, info.hierarchy_root_offset + info.hierarchy_root_size])
-            if end > size:
-                raise EOFError(f"{size} of {end} bytes")
-            # a point on the border of two windows is one of the lower window
-            x, y = np.asarray(points.x), np.asarray(points.y)
-            mask = ((x > window[0]) | (window[0] == bounds[0])) & (x <= window[2])
-            mask &= ((y > window[1]) | (window[1] == bounds[1])) & (y <= window[3])
-            yield reader.header, points if mask.all() else points[mask]
+        # queries round their bounds to whole units of coordinates
+        unit = np.asarray(reader.header.scales[:2])
+        mins, maxs = np.array(bounds[:2]) - unit, np.array(bounds[2:]) + unit
+        yield reader.header, reader.query(bounds=laspy.copc.Bounds(mins=mins, maxs=maxs))
 
 
-def _share_of_file(header: laspy.LasHeader, bounds: Bounds) -> float:
-    """The share of a file's area that is in a window; 1 where the header does not state the area."""
-    (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
-    area = float((x_max - x_min) * (y_max - y_min))
-    width, height = (
-        min(bounds[2], x_max) - max(bounds[0], x_min),
-        min(bounds[3], y_max) - max(bounds[1], y_min),
-    )
-    return float(max(width, 0) * max(height, 0)) / area if area > 0 else 1.0
+def _num_expected(header: laspy.LasHeader, bounds: Bounds) -> float:
+    """About how many points of a file are in a window, by its area; all where the header does not state the area."""
+    low, high = header.mins[:2], header.maxs[:2]
+    size = np.minimum(high, bounds[2:]) - np.maximum(low, bounds[:2])
+    area = float(np.prod(high - low))
+    return header.point_count * (float(np.prod(np.maximum(size, 0))) / area if area > 0 else 1.0)
 
 
-def _windows(bounds: Bounds, count: int) -> Iterator[Bounds]:
-    """A window in ``count`` times ``count`` pieces."""
-    x = [*(bounds[0] + (bounds[2] - bounds[0]) * np.arange(count) / count).tolist(), bounds[2]]
-    y = [*(bounds[1] + (bounds[3] - bounds[1]) * np.arange(count) / count).tolist(), bounds[3]]
-    for low_y, high_y in pairwise(y):
-        for low_x, high_x in pairwise(x):
-            yield low_x, low_y, high_x, high_y
-
-
-def _filter(
+def _cloud(
     points: laspy.ScaleAwarePointRecord,
-    bounds: Bounds | None,
     header: laspy.LasHeader,
+    bounds: Bounds | None,
     classes: ClassSet,
-) -> tuple[np.ndarray, ...]:
+    crs: pyproj.CRS | None,
+) -> Cloud:
+    """The points to keep."""
     x, y = np.asarray(points.x), np.asarray(points.y)
     classification, keep = classes.to_las(np.asarray(points.classification).astype(np.uint8))
     keep &= ~np.asarray(points.withheld).astype(bool)
     if bounds is not None:
         x_min, y_min, x_max, y_max = bounds
         keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
-    strip = np.asarray(points.point_source_id)[keep]
-    return (
-        x[keep],
-        y[keep],
-        np.asarray(points.z)[keep],
-        classification[keep],
-        strip,
-        _days(points, header)[keep],
-    )
+    z, strip = np.asarray(points.z)[keep], np.asarray(points.point_source_id)[keep]
+    return Cloud(x[keep], y[keep], z, classification[keep], crs, strip, _days(points, header)[keep])
 
 
 def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.ndarray:

@@ -57,9 +57,6 @@ class Geoplateforme(Section):
         "ELEVATION.ELEVATIONGRIDCOVERAGE.HIGHRES",
         description="WMS layer; for LiDAR HD: IGNF_LIDAR-HD_MNT_ELEVATION.ELEVATIONGRIDCOVERAGE.LAMB93",
     )
-    dtm_format: Literal["image/geotiff", "image/x-bil;bits=32"] = Field(
-        "image/geotiff", description="image format of the heights; both formats hold float32"
-    )
     dtm_resolution_m: float = Field(
         1.0, gt=0, description="cell size of the terrain; cell centres are multiples of it; 0.5 for LiDAR HD"
     )
@@ -137,10 +134,6 @@ class Fetch(Section):
     source: Literal["folder", "geoplateforme"] = Field(
         "folder",
         description="where the data come from: folder = files on disk, geoplateforme = IGN's services",
-    )
-    offline: bool = Field(
-        False,
-        description="send no requests: use only resources/ign/<vintage>/downloads, and report missing files",
     )
     sources: str = Field(
         "config/sources.csv",

@@ -266,9 +266,7 @@ def read_training(path: Path) -> list[dict[str, Any]]:
     Raises :class:`InputError` if it cannot be read or a line is no JSON object with a ``step``.
     """
     records: list[dict[str, Any]] = []
-    with reading(path, "readable metrics"):
-        lines = integrity.read_lines(path)
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(integrity.read_lines(path), 1):
         if line.strip():
             with reading(path, f"JSON lines of numbers by name: line {number}"):
                 records.append(_RECORD.validate_json(line))

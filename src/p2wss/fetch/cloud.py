@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
-import struct
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 import laspy
-import lazrs
 import numpy as np
 import pyproj
 
@@ -22,7 +20,6 @@ from p2wss.storage import files, integrity
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
-BROKEN = (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, EOFError, RuntimeError, OSError)
 
 
 def read_header(path: Path) -> laspy.LasHeader:
@@ -41,40 +38,6 @@ def check_cloud(path: Path, crs: str) -> None:
             f"{path}: is in {cloud_crs.name}, but the region is in {region_crs.name}; "
             "reproject the file or change region.crs"
         )
-    if header.point_count == 0:
-        return
-    if any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs):
-        _check_copc(path)
-        return
-    try:
-        with laspy.open(path) as reader:
-            # reading the last point of a LAZ file also needs the chunk table at the very end of the file
-            reader.seek(header.point_count - 1)
-            is_complete = len(reader.read_points(1)) == 1
-    except BROKEN as error:
-        raise InputError(f"{path}: is truncated: its last point cannot be read ({error})") from error
-    if not is_complete:
-        raise InputError(
-            f"{path}: is truncated: its header states {header.point_count} points, but the last is missing"
-        )
-
-
-def _check_copc(path: Path) -> None:
-    # lazrs cannot seek in COPC, whose chunks differ in size. The extended records that follow the chunks give
-    # the end of the file: each has a header of 60 bytes, 8 of which state its length (LAS 1.4, section 2.7)
-    header, size = read_header(path), path.stat().st_size
-    end = header.start_of_first_evlr
-    with path.open("rb") as file:
-        for _ in range(header.number_of_evlrs):
-            file.seek(end + 20)
-            length = file.read(8)
-            if len(length) < 8:
-                break
-            end += 60 + struct.unpack("<Q", length)[0]
-        else:
-            if end <= size:
-                return
-    raise InputError(f"{path}: is truncated: it has {size} of at least {end} bytes")
 
 
 def write_cloud(
@@ -98,7 +61,11 @@ def write_cloud(
         check_cloud(path, crs)
     if len(paths) == 1 and paths[0].suffix.lower() == ".laz" and _is_inside(paths[0], bounds, holes):
         with files.atomic(out) as temporary:
-            _copy(paths[0], temporary, link)
+            if link and integrity.has_checksum(paths[0]):  # one without gets one, which the source must not
+                link_or_copy(paths[0], temporary)
+            else:
+                shutil.copyfile(paths[0], temporary)
+                append_checksum(temporary)
         return int(read_header(paths[0]).point_count)
     first = read_header(paths[0])
     header = laspy.LasHeader(version=first.version, point_format=first.point_format)
@@ -157,17 +124,13 @@ def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     return avoids_holes and inside and x_max <= bounds[2] + _EDGE_M and y_max <= bounds[3] + _EDGE_M
 
 
-def _copy(source: Path, target: Path, link: bool) -> None:
-    # a file without a checksum gets one, which the source must not
-    if link and integrity.has_checksum(source):
-        try:
-            target.unlink()
-            os.link(source, target)
-            return
-        except OSError:
-            pass  # on another disk, or on one without hard links
-    shutil.copyfile(source, target)
-    append_checksum(target)
+def link_or_copy(source: Path, target: Path) -> None:
+    """Make ``target`` a hard link to ``source``, or a copy on another disk and on one without hard links."""
+    target.unlink(missing_ok=True)
+    try:
+        os.link(source.resolve(), target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def append_checksum(path: Path) -> None:

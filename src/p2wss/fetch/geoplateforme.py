@@ -6,6 +6,7 @@ settings, because IGN changes them.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import re
@@ -30,11 +31,10 @@ from p2wss.errors import InputError
 from p2wss.fetch.cloud import append_checksum, check_cloud
 from p2wss.fetch.http import Client, NotFoundError, RangesUnsupportedError, quote
 from p2wss.fetch.remote_copc import write_window
-from p2wss.fetch.store import Request, Store
+from p2wss.storage import files, integrity
 
 log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3
-_OFFLINE = "; fetch.offline is set"
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 Result = TypeVar("Result")
 
@@ -44,51 +44,38 @@ class _NotListedError(InputError):
 
 
 @dataclass(frozen=True)
-class _MapRequest:
+class MapRequest:
     """One WMS GetMap request, and the block of cells of the whole raster that its response fills."""
 
     row: int
     column: int
     rows: int
     columns: int
-    params: Request
+    params: dict[str, str]
 
 
 class GeoplateformeSource:
     """IGN's services, see :class:`p2wss.fetch.source.Source`.
 
-    Responses are stored in ``downloads``. offline: use only stored responses; a missing one is an error.
+    Responses are stored in ``downloads``, each with its checksum under a name that its request decides: what is there
+    and intact is not requested again.
     """
 
     def __init__(
-        self,
-        config: Geoplateforme,
-        crs: str,
-        downloads: Path,
-        offline: bool = False,
-        client: Client | None = None,
+        self, config: Geoplateforme, crs: str, downloads: Path, client: Client | None = None
     ) -> None:
         self.config = config
         self.crs = crs
         self.name = f"{config.wfs_url} {config.footprints_type}"
-        self.store = Store(downloads)
-        self.offline = offline
+        self.downloads = downloads
         self.client = client or Client(config)
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
         """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if the service fails."""
-        config = self.config
         windows = self.footprint_windows(bounds)
-        self._check_offline(
-            [
-                f"footprints in {_format_bounds(window)}"
-                for window in windows
-                if not self.has_features(config.footprints_type, window, config.footprints_id)
-            ]
-        )
         features: list[dict[str, Any]] = []
         for number, window in enumerate(windows):
-            features += self._features(config.footprints_type, window, config.footprints_id)
+            features += self._features(self.config.footprints_type, window, self.config.footprints_id)
             if len(windows) > 1:
                 log.info(f"footprints: window {number + 1} of {len(windows)}, {len(features)} features")
         if not features:
@@ -113,17 +100,10 @@ class GeoplateformeSource:
         Cells are centred on multiples of the resolution as in IGN's files, so that the service does not
         resample them.
         """
-        cell, requests = self.config.dtm_resolution_m, self.map_requests(bounds)
-        self._check_offline(
-            [
-                f"terrain in {request.params['BBOX']}"
-                for request in requests
-                if not self.store.holds(self._map_path(request), request.params)
-            ]
-        )
+        cell = self.config.dtm_resolution_m
         left, top, rows, columns = _grid(bounds, cell)
         heights = np.empty((rows, columns), np.float32)
-        for request in requests:
+        for request in self.map_requests(bounds):
             window = heights[request.row : request.row + request.rows]
             window[:, request.column : request.column + request.columns] = self._heights(request)
         heights[heights <= self.config.dtm_nodata_below_m] = np.nan
@@ -137,108 +117,60 @@ class GeoplateformeSource:
         """
         reasons = []
         for type_name in self.config.lidar_types:
-            is_stored = self.has_features(type_name, bounds, None)
-            if self.offline and not is_stored:
-                reasons.append(f"the index {type_name} is not in {self.store.folder}")
-                continue
             try:
-                return self._tiles(type_name, bounds)
-            except NotFoundError as error:
-                if not is_stored:
-                    reasons.append(f"{type_name} lists an address that does not exist: {error}")
-                    continue
-            except _NotListedError as error:
-                reasons.append(str(error))
-                continue
-            # the index stored by an earlier run is out of date
-            self.store.forget(self._features_path(type_name, bounds, None)[0])
-            try:
-                return self._tiles(type_name, bounds)
-            except (NotFoundError, _NotListedError) as error:
-                reasons.append(str(error))
-        raise InputError(
-            f"no LiDAR HD in {_format_bounds(bounds)}: {'; '.join(reasons)}{_OFFLINE if self.offline else ''}"
-        )
+                return [
+                    self._tile(url, outline, bounds) for url, outline in self._lidar_urls(type_name, bounds)
+                ]
+            except (_NotListedError, NotFoundError) as error:
+                # a stored index may be out of date: the next attempt asks for it again
+                self._features_path(type_name, bounds, None).unlink(missing_ok=True)
+                reasons.append(f"{type_name}: {error}")
+        raise InputError(f"no LiDAR HD in {_format_bounds(bounds)}: {'; '.join(reasons)}")
 
-    def has_lidar(self, bounds: Bounds) -> bool:
-        """Whether :meth:`lidar` needs no request."""
-        for type_name in self.config.lidar_types:
-            if self.has_features(type_name, bounds, None):
-                try:
-                    urls = self._lidar_urls(type_name, bounds)
-                except _NotListedError:
-                    continue
-                tiles = (self.tile_request(url, outline, bounds) for url, outline in urls)
-                return all(self.store.holds(path, request) for path, request in tiles)
-        return False
-
-    def _tiles(self, type_name: str, bounds: Bounds) -> list[Path]:
-        urls = self._lidar_urls(type_name, bounds)
-        tiles = [self.tile_request(url, outline, bounds) for url, outline in urls]
-        self._check_offline(
-            [request["url"] for path, request in tiles if not self.store.holds(path, request)]
-        )
-        return [self._tile(path, request, bounds) for path, request in tiles]
-
-    def tile_request(self, url: str, outline: Any, bounds: Bounds) -> tuple[Path, Request]:
-        """The path at which a tile, or a window of it, is stored, and the request for it."""
+    def _tile(self, url: str, outline: Any, bounds: Bounds) -> Path:
+        """A tile, or its points in ``bounds`` if they are a small part of it."""
         share = outline.intersection(shapely.box(*bounds)).area / outline.area if outline is not None else 1.0
         if url.endswith(".copc.laz") and share < self.config.lidar_window_share:
-            request = {"url": url, "bounds_m": ",".join(f"{value:.3f}" for value in bounds)}
-            return self.store.path("lidar", request, ".laz"), request
-        return self.store.folder / "lidar" / Path(urlsplit(url).path).name, {"url": url}
-
-    def _tile(self, path: Path, request: Request, bounds: Bounds) -> Path:
-        if self.store.holds(path, request):
-            return path
-        url = request["url"]
-        if "bounds_m" in request:
+            path = self._path("lidar", {"url": url, "bounds_m": bounds}, ".laz")
+            if integrity.is_usable(path):
+                return path
+            log.info(f"reading a window of {url}")
             try:
-                log.info(f"reading a window of {url}")
-                num_points = self._with_corrected_name(
+                self._with_corrected_name(
                     url, lambda address: write_window(self.client, address, bounds, path, self.crs)
                 )
-                log.info(f"{path.name}: {num_points} points")
+                return path
             except RangesUnsupportedError as error:
                 log.warning(f"{error}; downloading the whole tile")
-                return self._tile(
-                    self.store.folder / "lidar" / Path(urlsplit(url).path).name, {"url": url}, bounds
-                )
-        else:
+        path = self.downloads / "lidar" / Path(urlsplit(url).path).name
+        if not integrity.is_usable(path):
             log.info(f"downloading {url}")
-            path.unlink(missing_ok=True)
-            self._with_corrected_name(url, lambda address: self.client.download(address, path, magic=b"LASF"))
-            try:
-                check_cloud(path, self.crs)
-            except InputError:
-                path.unlink()
-                raise
-            append_checksum(path)
-        self.store.record(path, request)
+            with files.atomic(path) as temporary:
+                self._with_corrected_name(
+                    url, lambda address: self.client.download(address, temporary, magic=b"LASF")
+                )
+                try:
+                    check_cloud(temporary, self.crs)
+                except InputError as error:
+                    raise InputError(str(error).replace(str(temporary), url)) from error
+                append_checksum(temporary)
         return path
 
-    def _check_offline(self, missing: list[str]) -> None:
-        if self.offline and missing:
-            raise InputError(f"{self.store.folder}: {'; '.join(missing)} missing{_OFFLINE}")
+    def _path(self, kind: str, request: dict[str, Any], suffix: str) -> Path:
+        """Where the response to a request is stored. kind: name of the folder."""
+        digest = hashlib.blake2b(json.dumps(request, sort_keys=True).encode(), digest_size=8).hexdigest()
+        return self.downloads / kind / f"{digest}{suffix}"
 
-    def has_features(self, type_name: str, bounds: Bounds, sort_by: str | None) -> bool:
-        """Whether the features of a WFS type in ``bounds`` are stored."""
-        return self.store.holds(*self._features_path(type_name, bounds, sort_by))
-
-    def _features_path(self, type_name: str, bounds: Bounds, sort_by: str | None) -> tuple[Path, Request]:
-        request = self._feature_params(type_name, bounds, sort_by)
-        return self.store.path("features", request, ".geojson"), request
+    def _features_path(self, type_name: str, bounds: Bounds, sort_by: str | None) -> Path:
+        return self._path("features", self._feature_params(type_name, bounds, sort_by), ".geojson")
 
     def _features(self, type_name: str, bounds: Bounds, id_field: str | None) -> list[dict[str, Any]]:
         """All features of a WFS type in ``bounds``, from the store or the service; stored once complete."""
-        path, request = self._features_path(type_name, bounds, id_field)
-        stored = self.store.read(path, request)
-        if stored is not None:
-            return json.loads(stored)["features"]
-        features = self._all_pages(type_name, bounds, id_field)
-        collection = {"type": "FeatureCollection", "features": features}
-        self.store.write(path, request, json.dumps(collection, ensure_ascii=False).encode())
-        return features
+        path = self._features_path(type_name, bounds, id_field)
+        if not integrity.is_usable(path):
+            features = self._all_pages(type_name, bounds, id_field)
+            files.write_json(path, {"type": "FeatureCollection", "features": features})
+        return files.read_json(path)["features"]
 
     def _all_pages(self, type_name: str, bounds: Bounds, id_field: str | None) -> list[dict[str, Any]]:
         """All features, requested page by page until their number is the one that the service states.
@@ -271,7 +203,7 @@ class GeoplateformeSource:
             )
         return list(features.values())
 
-    def _feature_params(self, type_name: str, bounds: Bounds, sort_by: str | None) -> Request:
+    def _feature_params(self, type_name: str, bounds: Bounds, sort_by: str | None) -> dict[str, str]:
         params = {
             "SERVICE": "WFS",
             "VERSION": "2.0.0",
@@ -297,7 +229,7 @@ class GeoplateformeSource:
             pass
         raise InputError(f"{self.config.wfs_url} {type_name}: expected GeoJSON features, got {quote(body)}")
 
-    def map_requests(self, bounds: Bounds) -> list[_MapRequest]:
+    def map_requests(self, bounds: Bounds) -> list[MapRequest]:
         """The WMS GetMap requests that cover ``bounds``, each of at most ``dtm_max_pixels`` per side."""
         config, block = self.config, self.config.dtm_max_pixels
         left, top, num_rows, num_columns = _grid(bounds, config.dtm_resolution_m)
@@ -313,50 +245,35 @@ class GeoplateformeSource:
                     "REQUEST": "GetMap",
                     "LAYERS": config.dtm_layer,
                     "STYLES": "",
-                    "FORMAT": config.dtm_format,
+                    "FORMAT": "image/geotiff",
                     "CRS": self.crs,
                     "BBOX": ",".join(f"{value:.3f}" for value in box),
                     "WIDTH": str(columns),
                     "HEIGHT": str(rows),
                 }
-                requests.append(_MapRequest(row, column, rows, columns, params))
+                requests.append(MapRequest(row, column, rows, columns, params))
         return requests
 
-    def has_map(self, request: _MapRequest) -> bool:
-        """Whether the response to a GetMap request is stored."""
-        return self.store.holds(self._map_path(request), request.params)
-
-    def _map_path(self, request: _MapRequest) -> Path:
-        suffix = ".tif" if self.config.dtm_format == "image/geotiff" else ".bil"
-        return self.store.path("terrain", request.params, suffix)
-
-    def _heights(self, request: _MapRequest) -> np.ndarray:
+    def _heights(self, request: MapRequest) -> np.ndarray:
         """The heights of one GetMap request; the response is stored once it decodes to heights."""
-        path = self._map_path(request)
-        stored = self.store.read(path, request.params)
-        body = stored if stored is not None else self.client.get(self.config.wms_url, request.params)
-        heights = self._decode_heights(body, (request.rows, request.columns))
-        if stored is None:
-            self.store.write(path, request.params, body)
+        path = self._path("terrain", request.params, ".tif")
+        if integrity.is_usable(path):
+            return self._decode_heights(path.read_bytes(), request)
+        body = self.client.get(self.config.wms_url, request.params)
+        heights = self._decode_heights(body, request)
+        with files.atomic(path) as temporary:
+            temporary.write_bytes(body)
+            integrity.append(temporary)
         return heights
 
-    def _decode_heights(self, body: bytes, shape: tuple[int, int]) -> np.ndarray:
-        config, (rows, columns) = self.config, shape
-        name = f"{config.wms_url} {config.dtm_layer}"
-        expected = f"{config.dtm_format} of {columns} x {rows} heights"
-        if config.dtm_format == "image/geotiff":
-            if not body.startswith(_TIFF_MAGIC):
-                raise InputError(f"{name}: expected {expected}, got {quote(body)}")
-            heights = _from_geotiff(body, name)
-        else:
-            # little-endian float32, north row first; only the length distinguishes it from an error message
-            if len(body) != 4 * rows * columns:
-                raise InputError(f"{name}: expected {expected}, got {len(body)} bytes: {quote(body)}")
-            heights = np.frombuffer(body, "<f4").reshape(shape)
-        if heights.shape != shape:
-            raise InputError(
-                f"{name}: requested {columns} x {rows} heights, got {heights.shape[1]} x {heights.shape[0]}"
-            )
+    def _decode_heights(self, body: bytes, request: MapRequest) -> np.ndarray:
+        name = f"{self.config.wms_url} {self.config.dtm_layer}"
+        size = f"{request.columns} x {request.rows} heights"
+        if not body.startswith(_TIFF_MAGIC):
+            raise InputError(f"{name}: expected a GeoTIFF of {size}, got {quote(body)}")
+        heights = _from_geotiff(body, name)
+        if heights.shape != (request.rows, request.columns):
+            raise InputError(f"{name}: requested {size}, got {heights.shape[1]} x {heights.shape[0]}")
         return heights
 
     def _lidar_urls(self, type_name: str, bounds: Bounds) -> list[tuple[str, Any]]:
@@ -376,7 +293,7 @@ class GeoplateformeSource:
             if url and (outline is None or outline.intersects(window)):
                 outlines[self._with_service_scheme(str(url))] = outline
         if not outlines:
-            raise _NotListedError(f"{type_name} has no tile there")
+            raise _NotListedError("has no tile there")
         return sorted(outlines.items(), key=lambda item: item[0])
 
     def _with_service_scheme(self, url: str) -> str:

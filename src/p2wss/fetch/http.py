@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import random
+import re
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
-from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import TypeVar
 from urllib.parse import urljoin, urlsplit
@@ -27,8 +25,7 @@ _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
 _PROGRESS_BYTES = 50_000_000
 _QUOTE_CHARACTERS = 200
-# parts of a file are parts of what it holds, not of a compressed form
-_AS_IT_IS = {"Accept-Encoding": "identity"}
+_CONTENT_RANGE = re.compile(r"bytes (?P<start>\d+)-\d+/(?P<size>\d+)")
 Result = TypeVar("Result")
 
 
@@ -67,94 +64,49 @@ class Client:
 
         return self._with_retries(url, attempt)
 
-    def range(self, url: str, start: int, end: int) -> tuple[bytes, int, str]:
-        """Bytes ``start`` to ``end`` (exclusive, clipped to the end of the file), the size of the file, its edition.
+    def range(self, url: str, start: int, end: int) -> tuple[bytes, int]:
+        """Bytes ``start`` to ``end`` (exclusive, clipped to the end of the file), and the size of the file.
 
-        The edition, "" if the service states none, is another one once the file has changed.
         Raises :class:`RangesUnsupportedError` if the service sends only whole files.
         """
 
-        def attempt(deadline: float) -> tuple[bytes, int, str]:
-            headers = {"Range": f"bytes={start}-{end - 1}", **_AS_IT_IS}
+        def attempt(deadline: float) -> tuple[bytes, int]:
+            # parts of a file are parts of what it holds, not of a compressed form
+            headers = {"Range": f"bytes={start}-{end - 1}", "Accept-Encoding": "identity"}
             with self._response(url, {}, headers) as response:
-                if response.status_code != 206 or _range_start(response) != start:
+                stated = _CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", ""))
+                if response.status_code != 206 or stated is None or int(stated["start"]) != start:
                     raise RangesUnsupportedError(
                         f"{url}: the service does not support Range requests (HTTP {response.status_code})"
                     )
                 body = b"".join(_body(response, deadline, self.config.max_response_mb))
-                size, edition = _size_of_file(response), _edition(response)
+            size = int(stated["size"])
             if len(body) != min(end, size) - start:
                 raise TransientError(f"{len(body)} bytes instead of {min(end, size) - start}")
-            return body, size, edition
+            return body, size
 
         return self._with_retries(url, attempt)
 
     def download(self, url: str, path: Path, magic: bytes) -> None:
-        """Download a large file to ``path``, which appears once it is complete; it must begin with ``magic``.
+        """Download a large file, which must begin with ``magic``, to ``path``.
 
-        An incomplete file is kept beside it as ``<name>.part``, and as ``<name>.part.edition`` what the service calls
-        this edition of it. The next attempt, or the next run, asks for the rest with a Range request, and starts
-        again if the service sends the whole file or has another edition by now.
-        Raises :class:`InputError` if all attempts fail, the file begins otherwise, or it cannot be written.
+        Raises :class:`InputError` if all attempts fail or the file begins otherwise.
         """
-        part = path.with_name(f"{path.name}.part")
-        edition_of_part = path.with_name(f"{path.name}.part.edition")
-        path.parent.mkdir(parents=True, exist_ok=True)
-
-        def discard() -> None:
-            part.unlink(missing_ok=True)
-            edition_of_part.unlink(missing_ok=True)
 
         def attempt(deadline: float) -> None:
-            start = part.stat().st_size if part.exists() else 0
-            edition = _stored_edition(edition_of_part) if start else ""
-            headers = {"Range": f"bytes={start}-"} if start else {}
-            with self._response(
-                url, {}, headers | ({"If-Range": edition} if edition else {}) | _AS_IT_IS
-            ) as response:
-                is_resumed = response.status_code == 206 and _range_start(response) == start
-                if response.status_code == 416 or (response.status_code == 206 and not is_resumed):
-                    discard()
-                    raise TransientError("the service has no such range")
-                if is_resumed and _edition(response) not in ("", edition):
-                    discard()
-                    raise TransientError("the file has changed since its beginning was downloaded")
-                if not is_resumed:
-                    edition_of_part.unlink(missing_ok=True)
-                    if _edition(response):
-                        edition_of_part.write_text(_edition(response), encoding="utf-8")
-                total = _length(response)
-                if is_resumed and total is not None:
-                    total += start
-                num_bytes = start if is_resumed else 0
-                with part.open("ab" if is_resumed else "wb") as file:
-                    limit_mb = self.config.max_download_mb - num_bytes / 1e6
-                    for chunk in _body(response, deadline, limit_mb):
-                        file.write(chunk)
-                        previous, num_bytes = num_bytes, num_bytes + len(chunk)
-                        if num_bytes // _PROGRESS_BYTES > previous // _PROGRESS_BYTES:
-                            of_total = f" of {total / 1e6:.0f}" if total else ""
-                            log.info(f"{path.name}: {num_bytes / 1e6:.0f}{of_total} MB")
-            size = part.stat().st_size
-            with part.open("rb") as file:
-                head = file.read(_QUOTE_CHARACTERS)
-            if not head.startswith(magic):
-                discard()
-                raise InputError(f"{url}: expected a file that begins with {magic!r}, got {quote(head)}")
-            if total is not None and size < total:
-                raise TransientError(f"{size} of {total} bytes")
-            if total is not None and size > total:
-                discard()
-                raise TransientError(f"{size} bytes instead of {total}")
-            part.replace(path)
-            edition_of_part.unlink(missing_ok=True)
+            with self._response(url, {}, {}) as response, path.open("wb") as file:
+                num_bytes = 0
+                for chunk in _body(response, deadline, self.config.max_download_mb):
+                    if num_bytes == 0 and not chunk.startswith(magic):
+                        raise InputError(
+                            f"{url}: expected a file that begins with {magic!r}, got {quote(chunk)}"
+                        )
+                    file.write(chunk)
+                    previous, num_bytes = num_bytes, num_bytes + len(chunk)
+                    if num_bytes // _PROGRESS_BYTES > previous // _PROGRESS_BYTES:
+                        log.info(f"{url}: {num_bytes / 1e6:.0f} MB")
 
-        try:
-            self._with_retries(url, attempt)
-        except OSError as error:
-            if error.errno == errno.ENOSPC:
-                discard()
-            raise InputError(f"{path}: not written: {error.strerror or error}") from error
+        self._with_retries(url, attempt)
 
     def _with_retries(self, url: str, attempt: Callable[[float], Result]) -> Result:
         deadline = time.monotonic() + self.config.max_wait_s
@@ -191,8 +143,12 @@ class Client:
                 url, params=params, headers=headers, timeout=self.config.timeout_s, stream=True
             ) as response:
                 if response.status_code in _BUSY:
-                    raise TransientError(f"HTTP {response.status_code}", _retry_after_s(response))
-                if response.status_code >= 400 and response.status_code != 416:
+                    retry_after_s = response.headers.get("Retry-After", "")
+                    raise TransientError(
+                        f"HTTP {response.status_code}",
+                        float(retry_after_s) if retry_after_s.isdecimal() else None,
+                    )
+                if response.status_code >= 400:
                     error_type = NotFoundError if response.status_code in _NOT_FOUND else InputError
                     raise error_type(
                         f"{response.url}: HTTP {response.status_code} {response.reason}: "
@@ -252,68 +208,6 @@ def _body(response: requests.Response, deadline: float, limit_mb: float) -> Iter
                 f"{response.url}: the response is too large (fetch.geoplateforme.max_response_mb, max_download_mb)"
             )
         yield chunk
-
-
-def _retry_after_s(response: requests.Response) -> float | None:
-    """The wait that the service asks for, if it does.
-
-    A date is compared with the service's own clock where the response states it, because ours may differ. One that
-    has passed asks for nothing: else all attempts would follow at once.
-    """
-    value = response.headers.get("Retry-After", "")
-    try:
-        seconds = float(value)
-    except ValueError:  # absent, or a date
-        date = _date(value)
-        if date is None:
-            return None
-        seconds = (date - (_date(response.headers.get("Date", "")) or datetime.now(UTC))).total_seconds()
-        return seconds if seconds > 0 else None
-    return seconds if seconds >= 0 else None
-
-
-def _date(value: str) -> datetime | None:
-    try:
-        date = parsedate_to_datetime(value)
-    except (ValueError, TypeError):
-        return None
-    return date.replace(tzinfo=UTC) if date.tzinfo is None else date
-
-
-def _edition(response: requests.Response) -> str:
-    """What identifies an edition of a file, as ``If-Range`` expects it; "" if the service states nothing."""
-    tag = response.headers.get("ETag", "")
-    return tag if tag and not tag.startswith("W/") else response.headers.get("Last-Modified", "")
-
-
-def _stored_edition(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (FileNotFoundError, UnicodeDecodeError):
-        return ""
-
-
-def _range_start(response: requests.Response) -> int | None:
-    try:
-        return int(response.headers["Content-Range"].removeprefix("bytes ").split("-")[0])
-    except (KeyError, ValueError):
-        return None
-
-
-def _size_of_file(response: requests.Response) -> int:
-    """The size of the whole file, from the header of a response to a Range request."""
-    value = response.headers["Content-Range"]
-    size = value.rpartition("/")[2]
-    if not size.isdigit():
-        raise RangesUnsupportedError(
-            f"{response.url}: the service does not state the size of the file: {value[:80]}"
-        )
-    return int(size)
-
-
-def _length(response: requests.Response) -> int | None:
-    length = response.headers.get("Content-Length", "")
-    return int(length) if length.isdigit() else None
 
 
 def _exception(state: tenacity.RetryCallState) -> BaseException | None:

@@ -19,7 +19,7 @@ from p2wss.clouds.las_classes import GROUND_CLASS
 from p2wss.config import Prepare
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
-from p2wss.fetch.cloud import append_checksum, count_classes
+from p2wss.fetch.cloud import append_checksum, count_classes, link_or_copy
 from p2wss.storage import files
 from p2wss.storage.temporary import temporary_folder
 
@@ -143,7 +143,7 @@ def run(
         folder.chmod(0o755)  # a container may run as another user
         local_names = [f"{number}.laz" for number in range(len(paths))]
         for path, local_name in zip(paths, local_names, strict=True):
-            _link_or_copy(path, folder / local_name)
+            link_or_copy(path, folder / local_name)
         words = [word.replace("{folder}", str(folder)) for word in command]
         try:
             schema = _call([*words, "info", "--schema", "0.laz"], folder, timeout_s)
@@ -179,13 +179,6 @@ def _call(command: list[str], folder: Path, timeout_s: float) -> str:
         command, cwd=folder, capture_output=True, text=True, timeout=timeout_s, check=True
     )
     return process.stdout
-
-
-def _link_or_copy(path: Path, target: Path) -> None:
-    try:
-        os.link(path.resolve(), target)
-    except OSError:  # on another disk, or on one without hard links
-        shutil.copyfile(path, target)
 
 
 def _crop(bounds: Bounds) -> Stage:

@@ -25,65 +25,43 @@ _LIDAR_TILE_MB = 205.0
 
 @dataclass(frozen=True)
 class Estimate:
-    """Downloads of one product: parts already stored, parts still missing, and what the missing parts cost.
-
-    basis: how ``size_mb`` was estimated.
-    """
+    """Downloads of one product. num_files: what is stored. basis: how ``size_mb`` was estimated."""
 
     product: str
-    num_stored: int
-    num_missing: int
+    num_files: int
     num_requests: int
     size_mb: float
     basis: str
 
 
-def estimate_downloads(config: Config, downloads: Path) -> list[Estimate]:
-    """One estimate per product; an empty list for files on disk. Sends no request."""
+def estimate_downloads(config: Config) -> list[Estimate]:
+    """One estimate per product, of what an empty folder of downloads needs; an empty list for files on disk."""
     region, fetch = config.region, config.fetch
     if fetch.source == "folder":
         return []
     settings = fetch.geoplateforme
-    source = GeoplateformeSource(settings, region.crs, downloads, offline=True)
+    source = GeoplateformeSource(settings, region.crs, Path())
     windows = source.footprint_windows(grown(region.bounds_m, fetch.margin_m))
-    missing_windows = [
-        w for w in windows if not source.has_features(settings.footprints_type, w, settings.footprints_id)
-    ]
-    counts = [_BUILDINGS_PER_KM2 * (w[2] - w[0]) * (w[3] - w[1]) / 1e6 for w in missing_windows]
+    counts = [_BUILDINGS_PER_KM2 * (w[2] - w[0]) * (w[3] - w[1]) / 1e6 for w in windows]
     pages = sum(max(1, math.ceil(count / settings.page_size)) for count in counts)
-    footprints = Estimate(
-        "footprints",
-        len(windows) - len(missing_windows),
-        len(missing_windows),
-        pages,
-        sum(counts) * _FEATURE_BYTES / 1e6,
-        f"assuming {_BUILDINGS_PER_KM2} buildings per km2",
-    )
-
-    maps = [source.map_requests(_bounds(config, tile, fetch.margin_m)) for tile in tiles(config)]
-    missing_maps = [[request for request in tile if not source.has_map(request)] for tile in maps]
-    num_cells = sum(request.rows * request.columns for tile in missing_maps for request in tile)
-    num_missing = sum(map(bool, missing_maps))
-    terrain = Estimate(
-        "terrain",
-        len(maps) - num_missing,
-        num_missing,
-        sum(map(len, missing_maps)),
-        4 * num_cells / 1e6,
-        f"4 bytes per cell of {settings.dtm_resolution_m} m",
-    )
-
-    is_stored = [source.has_lidar(_bounds(config, tile)) for tile in lidar_tiles(config)]
-    num_missing = is_stored.count(False)
-    lidar = Estimate(
-        "LiDAR",
-        is_stored.count(True),
-        num_missing,
-        2 * num_missing,
-        _LIDAR_TILE_MB * num_missing,
-        "assuming 86 to 340 MB per tile",
-    )
-    return [footprints, terrain, lidar]
+    maps = [m for tile in tiles(config) for m in source.map_requests(_bounds(config, tile, fetch.margin_m))]
+    terrain_mb = sum(4 * m.rows * m.columns for m in maps) / 1e6
+    num_clouds = len(lidar_tiles(config))
+    return [
+        Estimate(
+            "footprints",
+            len(windows),
+            pages,
+            sum(counts) * _FEATURE_BYTES / 1e6,
+            f"assuming {_BUILDINGS_PER_KM2} buildings per km2",
+        ),
+        Estimate(
+            "terrain", len(maps), len(maps), terrain_mb, f"4 bytes per cell of {settings.dtm_resolution_m} m"
+        ),
+        Estimate(
+            "LiDAR", num_clouds, 2 * num_clouds, _LIDAR_TILE_MB * num_clouds, "assuming 86 to 340 MB per tile"
+        ),
+    ]
 
 
 def tiles(config: Config) -> list[str]:
@@ -108,15 +86,15 @@ def format_estimates(config: Config, estimates: Sequence[Estimate]) -> str:
     ]
     if not estimates:
         return "\n".join([*lines, "nothing to download: fetch.source is folder"])
-    lines.append(f"{'':12}{'stored':>7}{'missing':>9}{'requests':>10}{'MB':>9}{'seconds':>9}")
+    lines.append(f"{'':12}{'files':>7}{'requests':>10}{'MB':>9}{'seconds':>9}")
     lines += [
-        f"{e.product:12}{e.num_stored:7}{e.num_missing:9}{e.num_requests:10}{e.size_mb:9.0f}"
+        f"{e.product:12}{e.num_files:7}{e.num_requests:10}{e.size_mb:9.0f}"
         f"{e.num_requests / rate:9.0f}  {e.basis}"
         for e in estimates
     ]
     num_requests = sum(e.num_requests for e in estimates)
     lines.append(
-        f"{'total':12}{'':16}{num_requests:10}{sum(e.size_mb for e in estimates):9.0f}{num_requests / rate:9.0f}"
+        f"{'total':12}{'':7}{num_requests:10}{sum(e.size_mb for e in estimates):9.0f}{num_requests / rate:9.0f}"
         f"  at {rate:g} requests per second, transfer time not included"
     )
     return "\n".join(lines)

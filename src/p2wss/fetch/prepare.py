@@ -13,7 +13,6 @@ from typing import Any
 
 from p2wss.clouds.las_classes import GROUND_CLASS
 from p2wss.config import Prepare
-from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch import pdal
 from p2wss.fetch.cloud import check_cloud, count_classes, read_header, write_cloud
@@ -28,19 +27,15 @@ HOW_TO_INSTALL_PDAL = (
 def prepare(
     out: Path,
     paths: Sequence[Path],
-    bounds: Bounds,
-    holes: Sequence[Bounds],
-    crs: str,
-    clouds_crs: str,
+    window: pdal.Window,
     config: Prepare,
     ground: Sequence[int] = (GROUND_CLASS,),
 ) -> dict[str, Any]:
-    """Write the points of a tile's cloud in ``bounds``, without those in ``holes``, to ``out``.
+    """Write the points of a tile's cloud in ``window`` to ``out``.
 
-    paths: the tile's cloud, then those of its neighbours. holes: the bounds of the neighbours, in the same
-    order; their points belong to their own files, but help to find the ground near the edges of this tile.
-    clouds_crs: CRS of ``paths``. ground: the classes that are ground. Returns the program used, the reason for using
-    PDAL, and counts of points.
+    paths: the tile's cloud, then those of its neighbours. The holes of the window are the bounds of the neighbours, in
+    the same order; their points belong to their own files, but help to find the ground near the edges of this tile.
+    ground: the classes that are ground. Returns the program used, the reason for using PDAL, and counts of points.
 
     Raises :class:`InputError` if PDAL is required but is not installed or fails, or if the class 2 with which it marks
     the ground is not among ``ground``.
@@ -48,8 +43,9 @@ def prepare(
     classes = count_classes(paths[0])
     num_ground = sum(classes[each] for each in set(ground))
     reason = ""
-    if clouds_crs != crs:
-        reason = f"clouds in {clouds_crs}"
+    is_reprojected = window.clouds_crs != window.crs
+    if is_reprojected:
+        reason = f"clouds in {window.clouds_crs}"
     elif config.mode == "pdal":
         reason = "fetch.prepare.mode: pdal"
     elif config.mode == "auto" and not num_ground:
@@ -59,11 +55,11 @@ def prepare(
         problem = (
             f"{paths[0]}: {reason}, but program {config.pdal_command!r} not found; {HOW_TO_INSTALL_PDAL}"
         )
-        if not num_ground or clouds_crs != crs:
+        if not num_ground or is_reprojected:
             raise InputError(f"{problem}; fetch.prepare.mode: never uses clouds unchanged")
         log.warning(f"{problem}; the cloud has ground points and is used unchanged")
     if not reason or command is None:
-        num_points = write_cloud(out, paths[:1], bounds, crs, holes, link=True)
+        num_points = write_cloud(out, paths[:1], window.bounds, window.crs, window.holes, link=True)
         return {"by": "laspy", "num_points": num_points, "num_ground_points": num_ground, "reason": reason}
     if not num_ground and GROUND_CLASS not in ground:
         raise InputError(
@@ -73,9 +69,8 @@ def prepare(
     if num_ground:
         stages = [stage for stage in stages if not str(stage.get("tag", "")).startswith(pdal.CONDITIONAL)]
     for path in paths:
-        check_cloud(path, clouds_crs)
+        check_cloud(path, window.clouds_crs)
     has_colours = {"red", "nir"} & set(read_header(paths[0]).point_format.dimension_names)
-    window = pdal.Window(bounds, holes, crs, clouds_crs)
     try:
         facts = pdal.run(command, out, paths, window, 7 if has_colours else 6, stages, config.pdal_timeout_s)
     except OSError as error:

@@ -23,16 +23,13 @@ _BLOCK_BYTES = 1 << 17  # the octree nodes of a LiDAR HD tile have 10 to 500 kB
 
 
 class RemoteFile(io.RawIOBase):
-    """A file at a URL, read in blocks with HTTP Range requests; each block is requested once."""
+    """A file at a URL, whose parts are requested as they are read; to be read through ``io.BufferedReader``."""
 
     def __init__(self, client: Client, url: str) -> None:
         self.client = client
         self.url = url
         self.position = 0
-        self.blocks: dict[int, bytes] = {}
-        self.edition = (0, "")  # size, and what the service calls the edition
-        self.size = _BLOCK_BYTES  # known after the first request
-        self._load(0, 0)
+        _, self.size = client.range(url, 0, 1)
 
     def readable(self) -> bool:
         return True
@@ -40,36 +37,18 @@ class RemoteFile(io.RawIOBase):
     def seekable(self) -> bool:
         return True
 
-    def tell(self) -> int:
-        return self.position
-
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        base = {io.SEEK_SET: 0, io.SEEK_CUR: self.position, io.SEEK_END: self.size}[whence]
-        self.position = base + offset
+        self.position = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self.position, io.SEEK_END: self.size}[whence]
         return self.position
 
     def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
-        start, end = self.position, min(self.position + len(buffer), self.size)
-        if end <= start:
+        end = min(self.position + len(buffer), self.size)
+        if end <= self.position:
             return 0
-        first, last = start // _BLOCK_BYTES, (end - 1) // _BLOCK_BYTES
-        missing = [number for number in range(first, last + 1) if number not in self.blocks]
-        if missing:
-            self._load(missing[0], missing[-1])
-        content = b"".join(self.blocks[number] for number in range(first, last + 1))
-        offset = start - first * _BLOCK_BYTES
-        memoryview(buffer).cast("B")[: end - start] = content[offset : offset + end - start]
+        body, _ = self.client.range(self.url, self.position, end)
+        buffer[: len(body)] = body
         self.position = end
-        return end - start
-
-    def _load(self, first: int, last: int) -> None:
-        start, end = first * _BLOCK_BYTES, (last + 1) * _BLOCK_BYTES
-        body, self.size, edition = self.client.range(self.url, start, end)
-        if self.blocks and (self.size, edition) != self.edition:
-            raise InputError(f"{self.url}: the file changed while it was read; run this again")
-        self.edition = self.size, edition
-        for index, number in enumerate(range(first, last + 1)):
-            self.blocks[number] = body[index * _BLOCK_BYTES : (index + 1) * _BLOCK_BYTES]
+        return len(body)
 
 
 def write_window(client: Client, url: str, bounds: Bounds, out: Path, crs: str) -> int:
@@ -81,7 +60,7 @@ def write_window(client: Client, url: str, bounds: Bounds, out: Path, crs: str) 
     x_min, y_min, x_max, y_max = bounds
     window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))
     try:
-        with laspy.CopcReader(RemoteFile(client, url)) as reader:
+        with laspy.CopcReader(io.BufferedReader(RemoteFile(client, url), _BLOCK_BYTES)) as reader:
             points = reader.query(bounds=window)
             header = laspy.LasHeader(version=reader.header.version, point_format=reader.header.point_format)
             header.scales, header.offsets = reader.header.scales, reader.header.offsets

@@ -53,7 +53,7 @@ def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
         return FolderSource(config.folder, region.crs, downloads / "unpacked")
     from p2wss.fetch.geoplateforme import GeoplateformeSource
 
-    return GeoplateformeSource(config.geoplateforme, region.crs, downloads, config.offline)
+    return GeoplateformeSource(config.geoplateforme, region.crs, downloads)
 
 
 def delivery_window(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:

@@ -352,6 +352,7 @@ def test_chunks_of_a_copc_window_hold_each_point_once(monkeypatch, half_size_m):
     bounds = (x - half_size_m, y - half_size_m, x + half_size_m, y + half_size_m)
     window = read_clouds([copc], bounds)
     monkeypatch.setattr(clouds, "_CHUNK_POINTS", 1000)
+    monkeypatch.setattr(clouds, "_MAX_WINDOW_POINTS", 1000)
     chunks = list(clouds.read_in_chunks([copc], bounds))
     assert len(chunks) >= 4 and len(window) > 4000 and {chunk.crs.to_epsg() for chunk in chunks} == {2154}
     names = ("x_m", "y_m", "z_m", "classification", "strip", "day")

@@ -61,7 +61,7 @@ def write_points(tmp_path: Path) -> WriteCloud:
 def source(httpserver: HTTPServer, tmp_path: Path) -> Any:
     """Creates sources that use the local server and share one folder of downloads."""
 
-    def make(offline: bool = False, crs: str = "EPSG:2154", **settings: Any) -> GeoplateformeSource:
+    def make(crs: str = "EPSG:2154", **settings: Any) -> GeoplateformeSource:
         config = Geoplateforme(
             wfs_url=httpserver.url_for("/wfs/ows"),
             wms_url=httpserver.url_for("/wms-r"),
@@ -69,6 +69,6 @@ def source(httpserver: HTTPServer, tmp_path: Path) -> Any:
             **settings,
         )
         client = Client(config, sleep=lambda seconds: None)
-        return GeoplateformeSource(config, crs, tmp_path / "downloads", offline, client)
+        return GeoplateformeSource(config, crs, tmp_path / "downloads", client)
 
     return make

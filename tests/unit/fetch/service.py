@@ -72,9 +72,7 @@ def serve_terrain(request: Request) -> Response:
     x, y = np.meshgrid(west + cell * (np.arange(columns) + 0.5), north - cell * (np.arange(rows) + 0.5))
     values = heights(x, y)
     values[(x > 652990) & (y > 6861990)] = -99999
-    if request.args["FORMAT"] == "image/geotiff":
-        return Response(geotiff(values, west, north, cell), content_type="image/geotiff")
-    return Response(values.astype("<f4").tobytes(), content_type="image/x-bil;bits=32")
+    return Response(geotiff(values, west, north, cell), content_type="image/geotiff")
 
 
 def tile_feature(x: int, y: int, **properties: Any) -> dict[str, Any]:

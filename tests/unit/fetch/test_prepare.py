@@ -44,7 +44,7 @@ def test_a_classified_tile_is_linked_unchanged(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", scatter(1000, TILE), 2)
     integrity.seal(cloud)  # as the stage fetch does
     out = tmp_path / "out" / "0652_6862.laz"
-    facts = prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program"))
+    facts = prepare(out, [cloud], Window(AROUND, [], L93, L93), config(pdal_command="no-such-program"))
     assert (facts["by"], facts["num_points"], facts["num_ground_points"]) == ("laspy", 1000, 1000)
     assert out.samefile(cloud), "no second copy of some hundred megabytes"
 
@@ -55,7 +55,7 @@ def test_points_of_a_neighbouring_tile_are_not_written(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", points, 2)
     neighbour = write_points("0653_6862.laz", scatter(100, EAST), 2)
     out = tmp_path / "out.laz"
-    prepare(out, [cloud, neighbour], AROUND, [EAST], L93, L93, config(mode="never"))
+    prepare(out, [cloud, neighbour], Window(AROUND, [EAST], L93, L93), config(mode="never"))
     x = points[:, 0]
     assert rows(laspy.read(out).xyz) == rows(points[(x >= 651900) & (x < 653000)])
 
@@ -65,16 +65,16 @@ def test_an_unclassified_cloud_without_pdal_is_an_error_with_instructions(write_
     out = tmp_path / "out.laz"
     message = r"no ground points \(class 2\) among the classes \[0, 5\].*no-such-program.*envs/pdal\.yaml"
     with pytest.raises(InputError, match=message):
-        prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program"))
+        prepare(out, [cloud], Window(AROUND, [], L93, L93), config(pdal_command="no-such-program"))
     assert not out.exists()
-    prepare(out, [cloud], AROUND, [], L93, L93, config(pdal_command="no-such-program", mode="never"))
+    prepare(out, [cloud], Window(AROUND, [], L93, L93), config(pdal_command="no-such-program", mode="never"))
     assert out.exists()
 
 
 def test_missing_pdal_is_only_a_warning_for_a_classified_cloud(write_points, tmp_path, caplog):
     cloud = write_points("0652_6862.laz", scatter(100, TILE), 2)
     settings = config(pdal_command="no-such-program", mode="pdal")
-    assert prepare(tmp_path / "out.laz", [cloud], AROUND, [], L93, L93, settings)["by"] == "laspy"
+    assert prepare(tmp_path / "out.laz", [cloud], Window(AROUND, [], L93, L93), settings)["by"] == "laspy"
     assert "install it with conda (envs/pdal.yaml" in caplog.text
 
 
@@ -94,7 +94,7 @@ def test_a_failure_of_pdal_leaves_no_files(write_points, tmp_path, script, messa
     (tmp_path / "out").mkdir()
     settings = config(pdal_command=str(program), pdal_timeout_s=0.5)
     with pytest.raises(InputError, match=message):
-        prepare(tmp_path / "out" / "out.laz", [cloud], AROUND, [], L93, L93, settings)
+        prepare(tmp_path / "out" / "out.laz", [cloud], Window(AROUND, [], L93, L93), settings)
     assert list((tmp_path / "out").iterdir()) == []
 
 
@@ -156,7 +156,7 @@ def test_real_pdal_finds_the_ground_of_real_lidar(pdal_command, tmp_path):
     out = tmp_path / "out" / "0870_6618.laz"
     around = (869900.0, 6616900.0, 871100.0, 6618100.0)
     facts = prepare(
-        out, [tmp_path / "0870_6618.laz"], around, [], L93, L93, config(pdal_command=pdal_command)
+        out, [tmp_path / "0870_6618.laz"], Window(around, [], L93, L93), config(pdal_command=pdal_command)
     )
     assert facts["by"] == "pdal" and "no ground points" in facts["reason"]
 
@@ -193,7 +193,9 @@ def test_real_pdal_finds_the_ground_of_the_miniature(pdal_command, tmp_path):
     cloud.write(tmp_path / "0653_6861.laz")
     out = tmp_path / "out.laz"
     around = (652900.0, 6859900.0, 654100.0, 6861100.0)
-    prepare(out, [tmp_path / "0653_6861.laz"], around, [], L93, L93, config(pdal_command=pdal_command))
+    prepare(
+        out, [tmp_path / "0653_6861.laz"], Window(around, [], L93, L93), config(pdal_command=pdal_command)
+    )
     result = laspy.read(out)
     before = dict(zip(map(tuple, rows_in_order(cloud)), true_classes.tolist(), strict=True))
     expected_classes = np.array([before[tuple(row)] for row in rows_in_order(result)])
@@ -211,7 +213,7 @@ def test_real_pdal_merges_drops_noise_and_keeps_classified_ground(pdal_command, 
     neighbour = write_points("0653_6862.laz", neighbour_points, 2)
     out = tmp_path / "out.laz"
     settings = config(pdal_command=pdal_command, mode="pdal")
-    facts = prepare(out, [cloud, neighbour], AROUND, [EAST], L93, L93, settings)
+    facts = prepare(out, [cloud, neighbour], Window(AROUND, [EAST], L93, L93), settings)
     expected = (points[:, 0] < 653000) & ~withheld & ~np.isin(classes, [7, 18])
     result = laspy.read(out)
     assert rows(result.xyz) == rows(points[expected])
@@ -234,7 +236,9 @@ def test_real_pdal_on_a_cloud_of_an_old_format(pdal_command, tmp_path):
     cloud.withheld = rng.random(len(points)) < 0.1
     cloud.write(tmp_path / "0652_6862.laz")
     out = tmp_path / "out.laz"
-    prepare(out, [tmp_path / "0652_6862.laz"], AROUND, [], L93, L93, config(pdal_command=pdal_command))
+    prepare(
+        out, [tmp_path / "0652_6862.laz"], Window(AROUND, [], L93, L93), config(pdal_command=pdal_command)
+    )
     result = laspy.read(out)
     assert len(result) >= 0.98 * (np.asarray(cloud.withheld) == 0).sum()
     assert len(result) <= (np.asarray(cloud.withheld) == 0).sum()
@@ -254,7 +258,7 @@ def test_real_pdal_reprojects(pdal_command, write_points, tmp_path):
     moved = np.c_[x, y, points[:, 2]]
     cloud = write_points("0652_6862.laz", moved, 2, crs="EPSG:32631")
     out = tmp_path / "out.laz"
-    prepare(out, [cloud], AROUND, [], L93, "EPSG:32631", config(pdal_command=pdal_command))
+    prepare(out, [cloud], Window(AROUND, [], L93, "EPSG:32631"), config(pdal_command=pdal_command))
     result = laspy.read(out)
     distance, _ = cKDTree(points).query(result.xyz)
     assert len(result) == len(points) and distance.max() < 0.003
@@ -268,11 +272,17 @@ def rows_in_order(cloud: laspy.LasData) -> list[list[int]]:
 def test_other_classes_can_be_ground(write_points, tmp_path):
     cloud = write_points("0652_6862.laz", scatter(100, TILE), np.arange(100) % 2 * 8)
     settings = config(pdal_command="no-such-program")
-    facts = prepare(tmp_path / "out.laz", [cloud], AROUND, [], L93, L93, settings, ground=(8, 11))
+    facts = prepare(tmp_path / "out.laz", [cloud], Window(AROUND, [], L93, L93), settings, ground=(8, 11))
     assert facts["by"] == "laspy" and facts["num_ground_points"] == 50
     with pytest.raises(InputError, match=r"no ground points \(class 11\)"):
-        prepare(tmp_path / "2.laz", [cloud], AROUND, [], L93, L93, settings, ground=(11,))
+        prepare(tmp_path / "2.laz", [cloud], Window(AROUND, [], L93, L93), settings, ground=(11,))
     with pytest.raises(
         InputError, match=r"PDAL marks the ground by class 2: add it to region\.classes\.ground"
     ):
-        prepare(tmp_path / "2.laz", [cloud], AROUND, [], L93, L93, config(pdal_command="true"), ground=(11,))
+        prepare(
+            tmp_path / "2.laz",
+            [cloud],
+            Window(AROUND, [], L93, L93),
+            config(pdal_command="true"),
+            ground=(11,),
+        )
