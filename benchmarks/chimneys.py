@@ -4,7 +4,7 @@
 
 What is measured is the difference between two meshes of a building, with and without chimneys, on a raster of 10 cm:
 each of its connected regions is a chimney that was built. It is right if its centre lies over a chimney that the town
-has, and that chimney then counts as detected. The price in `p2wss.fit.boxes.chimneys` was chosen on the towns of
+has, and that chimney then counts as detected. The price in `p2wss.fit.settings` was chosen on the towns of
 the seeds 1 and 2, and the figures of the miniature were seen when its rules were written; the other seeds are the test.
 """
 
@@ -14,7 +14,6 @@ import argparse
 import copy
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,10 +26,9 @@ from scipy import ndimage
 from p2wss.config import Config
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.boxes.chimneys import Chimneys
-from p2wss.fit.fitting import Thresholds
 from p2wss.fit.mesh.mesh_planes import topmost
 from p2wss.fit.mesh.union import is_closed
+from p2wss.fit.settings import Chimneys, Thresholds
 from p2wss.towns import FOOTPRINTS, LIDAR, MINIATURE_SEED, draw_town, write_footprints, write_lidar
 from p2wss.towns.site import in_lidar_tile
 from p2wss.towns.surface import draw_details
@@ -105,7 +103,7 @@ def measured(seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         buildings, chimneys = town(seed, Path(folder))
     config = Config().reconstruct.model_copy(update={"detail": "high"})
-    none = Thresholds(chimneys=replace(Chimneys(), min_gain_m=np.inf))
+    none = Thresholds(chimneys=Chimneys(price_m=np.inf))
     before, after = fitting.fit(buildings, config, thresholds=none), fitting.fit(buildings, config)
     regions = [region for pair in zip(before, after, strict=True) for region in higher_regions(*pair)]
     detected, offset_m, area_ratio, num_false = set(), [], [], 0

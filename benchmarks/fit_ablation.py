@@ -22,11 +22,7 @@ from figures import Figures
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.boxes.chimneys import Chimneys
-from p2wss.fit.boxes.dormers import Boxes
-from p2wss.fit.fitting import Thresholds
-from p2wss.fit.parts.parts import Cutting
-from p2wss.fit.roof.fitter import Limits
+from p2wss.fit.settings import Boxes, Chimneys, Cutting, Limits, Thresholds
 from p2wss.reconstruct.flat import with_fallback
 
 _NUM_COPIES, _JITTER_M = 4, 0.0025
@@ -37,15 +33,12 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "short edges stay": (_DEFAULT, Thresholds(short_edge_m=0.0)),
     "neither of these two": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False), short_edge_m=0.0)),
     "planes are not adjusted": (_DEFAULT, Thresholds(adjust=False)),
-    "no flat tops": (_DEFAULT, Thresholds(limits=Limits(flat_top=False))),
     "no penalty for slopes": (_DEFAULT, Thresholds(cutting=Cutting(slope_share=1e-9))),
     "no cut below the penalty of a part": (
         _DEFAULT,
         Thresholds(cutting=Cutting(over_share=1.0, loss_share=0.0)),
     ),
     "no second cut is sought": (_DEFAULT, Thresholds(cutting=Cutting(loss_share=0.0))),
-    "parts are not divided anew": (_DEFAULT, Thresholds(cutting=Cutting(division_share=0.0))),
-    "dormers with flat tops only": (_DEFAULT, Thresholds(boxes=Boxes(slope_share=1e9))),
     "no recesses": (_DEFAULT, Thresholds(boxes=Boxes(recesses=False))),
     "neither dormers nor recesses": (_DEFAULT.model_copy(update={"dormers": False}), Thresholds()),
     "no wall moves": (_DEFAULT.model_copy(update={"max_wall_shift_m": 0.0}), Thresholds()),
@@ -53,7 +46,7 @@ VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "`detail: high`": (_DEFAULT.model_copy(update={"detail": "high"}), Thresholds()),
     "`detail: high`, no chimneys": (
         _DEFAULT.model_copy(update={"detail": "high"}),
-        Thresholds(chimneys=Chimneys(min_gain_m=np.inf)),
+        Thresholds(chimneys=Chimneys(price_m=np.inf)),
     ),
 }
 

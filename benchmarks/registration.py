@@ -3,15 +3,11 @@
     python benchmarks/registration.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model src/p2wss/weights/point2wss.safetensors     # with the network, else the fit alone
     p2wss towns --seed 7 --out town --lidar && .. --town town                 # simulated LiDAR instead
-    .. --overhang                                          # reconstruct.overhang: keep and move, in both halves
 
 Delft: each block of clean footprints is moved by a seeded vector of 0, 0.5, 1 and 1.5 m, registered, reconstructed and
 judged against the footprints and points in place, in two halves (every second building by id). Thresholds were chosen
 on Delft with the seeds 0 to 2, so the seeds from 3 are the test, of both halves. Sheds: squares of 2 to 6 m at random
 places of three clouds where there is no building must stay. ``--data`` and the judge are those of ``real.py``.
-
-The default of ``reconstruct.overhang`` must be the better one in both halves, by roof CD and points to mesh: means over
-the cloud as it is and two copies jittered by 2.5 mm. The judge counts roof points within the footprints of the map.
 """
 
 from __future__ import annotations
@@ -19,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +42,6 @@ BARS = {"p2m": (0.02, 0.003), "roof": (0.03, 0.003), "cd": (None, 0.003)}
 NAMES = {"cd": "CD", "roof": "roof CD", "p2m": "points to mesh"}
 REMAINING_M, CPU_MS, SHEDS = 0.15, 3.0, 40
 TOWN_NOISE_M = (0.0, 0.2)
-OVERHANGS: dict[str, dict[str, Any]] = {
-    "keep": {"overhang": "keep"},
-    "move": {"overhang": "move"},
-    "no wall moves": {"overhang": "keep", "max_wall_shift_m": 0.0},
-}
-COPIES, JITTER_M = 3, 0.0025
 
 
 def read(place: Place) -> tuple[gpd.GeoDataFrame, Cloud]:
@@ -143,34 +132,6 @@ def of_moved_blocks(
         figures.at_most(f"{title}, CPU ms per building", 1e3 * seconds / len(frame), CPU_MS)
 
 
-def of_overhangs(figures: Figures, place: Place, predictor: Any, judge: Path) -> None:
-    """Both values of ``reconstruct.overhang`` with footprints in place, and without any wall that moves."""
-    frame, cloud = read(place)
-    runs: dict[str, list[dict[str, dict[str, float]]]] = {}
-    for copy in range(COPIES):
-        x_m, y_m, z_m = (
-            axis_m + generator(copy, "jitter", number).normal(0, JITTER_M if copy else 0.0, len(cloud))
-            for number, axis_m in enumerate((cloud.x_m, cloud.y_m, cloud.z_m))
-        )
-        jittered = replace(cloud, x_m=x_m, y_m=y_m, z_m=z_m)
-        registered, _ = register(frame, jittered)
-        for title, settings in OVERHANGS.items():
-            rows = judged(registered, jittered, place, predictor, judge, **settings)
-            runs.setdefault(title, []).append(measures(rows))
-            print(f"{title}, copy {copy}:", json.dumps(runs[title][-1]), flush=True)
-    for title, of_copies in runs.items():
-        means = {
-            half: {key: float(np.mean([run[half][key] for run in of_copies])) for key in NAMES}
-            for half in of_copies[0]
-        }
-        figures.row(f"overhang: {title}", means)
-        print(f"overhang: {title}:", json.dumps(means), flush=True)
-    for half in runs["keep"][0]:
-        for key in ("roof", "p2m"):
-            keep_m, move_m = (np.mean([run[half][key] for run in runs[title]]) for title in ("keep", "move"))
-            figures.at_most(f"overhang, {half}, {NAMES[key]}, keep less move", keep_m - move_m, 0.0)
-
-
 def town(folder: Path, num_buildings: int) -> Place:
     """The first footprints of a town that lie within its cloud, with their neighbours, in a file beside it."""
     cloud = next(folder.glob("lidar/*.laz"))
@@ -239,9 +200,6 @@ def main() -> int:
     )
     parser.add_argument("--town-buildings", type=int, default=100)
     parser.add_argument("--off", action="store_true", help="without the registration, for comparison")
-    parser.add_argument(
-        "--overhang", action="store_true", help="compare the values of reconstruct.overhang instead"
-    )
     arguments = parser.parse_args()
     predictor = None
     if arguments.model is not None:
@@ -249,9 +207,7 @@ def main() -> int:
 
         predictor = load_predictor(arguments.model)
     figures = Figures()
-    if arguments.overhang:
-        of_overhangs(figures, places(arguments.data)["delft"], predictor, arguments.judge)
-    elif arguments.town is not None:
+    if arguments.town is not None:
         place = town(arguments.town, arguments.town_buildings)
         for noise_m in TOWN_NOISE_M:
             title = f"town, vertices {noise_m:g} m"

@@ -15,23 +15,21 @@ import numpy as np
 from p2wss.config import Config
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.fitting import Thresholds
 from p2wss.fit.points import roof_points
+from p2wss.fit.settings import Thresholds
 from p2wss.mesh.surface import distance_to_mesh
 
 VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
     "cutting": {
-        "gain_m": (0.005, 0.007, 0.01, 0.014, 0.02),
+        "mean_price_m": (0.005, 0.007, 0.01, 0.014, 0.02),
         "slope_share": (0.0, 0.2, 0.3, 0.5),
         "over_share": (0.2, 0.4, 0.7, 1.0),
         "loss_share": (0.0, 0.5, 0.7, 1.0),
-        "division_share": (0.0, 0.15, 0.3, 0.6),
-        "cost_m": (0.5, 1.0, 2.0),
+        "min_price_m": (0.5, 1.0, 2.0),
     },
     "limits": {
         "class_gain_m": (0.001, 0.002, 0.004),
         "separate_slope_gain_m": (0.003, 0.006, 0.012),
-        "top_gain_m": (0.005, 0.01, 0.02),
     },
     "effort": {"num_followed": (3, 5, 9), "num_search_points": (48, 64, 96)},
 }
@@ -76,7 +74,11 @@ def table(manifest: Path, buildings: list[Building]) -> dict[str, Any]:
                 defaults = getattr(default, group)
                 if value != getattr(defaults, field):
                     title = f"{field} = {value:g}"
-                    changed = replace(default, **{group: replace(defaults, **{field: value})})
+                    new = {field: value}
+                    settings = (
+                        defaults._replace(**new) if isinstance(defaults, tuple) else replace(defaults, **new)
+                    )
+                    changed = replace(default, **{group: settings})
                     rows[title] = _measures(cases, buildings, changed)
                     _print(title, rows[title])
     return rows

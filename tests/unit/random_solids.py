@@ -19,6 +19,7 @@ from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.parts.cutting import side_of_cut
 from p2wss.fit.parts.parts import main_frame
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.roof.work import Polygon
 from p2wss.formats import cityjson
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruct.valid import labelled_mesh, with_valid_solids
@@ -118,7 +119,7 @@ def _cut(rings: Rings, rng: np.random.Generator, is_hard: bool) -> list[Rings]:
         position = float(rng.choice(xy_m[:, axis])) + _nearly(rng)
     sides = []
     for is_high in (False, True):
-        vertex_m, ring_offset = side_of_cut(xy_m, offset, axis, position, is_high)
+        vertex_m, ring_offset = side_of_cut(Polygon(xy_m, offset), axis, position, is_high)
         if len(vertex_m) < 3:
             return [rings]
         side = [vertex_m[a:b] for a, b in pairwise(ring_offset)]
@@ -133,7 +134,7 @@ def _cut(rings: Rings, rng: np.random.Generator, is_hard: bool) -> list[Rings]:
 def _roof(rings: Rings, rng: np.random.Generator) -> FittedRoof:
     num = sum(map(len, rings))
     angle_deg = rng.choice([0.0, 90.0, *rng.uniform(5, 75, 4)], num)
-    return FittedRoof(rings, angle_deg, float(rng.uniform(2.5, 9)), np.inf, 0.0, 10)
+    return FittedRoof(rings, angle_deg, float(rng.uniform(2.5, 9)), 0.0, 10)
 
 
 def _box(pieces: list[Rings], rng: np.random.Generator, is_hard: bool) -> FittedRoof | None:
@@ -149,7 +150,7 @@ def _box(pieces: list[Rings], rng: np.random.Generator, is_hard: bool) -> Fitted
     if not isinstance(shape, shapely.Polygon) or shape.interiors or shape.area < 0.5:
         return None
     ring = shapely.get_coordinates(shapely.orient_polygons(shape.simplify(0.01)))[:-1]
-    return FittedRoof([ring], np.zeros(len(ring)), float(rng.uniform(4, 14)), np.inf, 0.0, 10)
+    return FittedRoof([ring], np.zeros(len(ring)), float(rng.uniform(4, 14)), 0.0, 10)
 
 
 def courtyard(rings: Rings, rng: np.random.Generator) -> Rings | None:

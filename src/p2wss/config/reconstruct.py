@@ -199,11 +199,6 @@ class Reconstruct(Section):
         description="maximum distance by which a wall moves inwards if the roof does not reach the edge of "
         "the footprint; 0 = no moving",
     )
-    overhang: Literal["keep", "move"] = Field(
-        "keep",
-        description="roofs that extend beyond the footprint: keep = walls stay on its edges; move = free edges move "
-        "outwards to the ends of the roofs, by at most 1 m",
-    )
     not_representable_m: float = Field(
         0.25,
         gt=0,

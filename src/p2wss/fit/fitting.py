@@ -13,50 +13,29 @@ from p2wss.clouds.points import MIN_CLASSIFIED_POINTS
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.fit.boxes.chimneys import Chimneys, with_chimneys
-from p2wss.fit.boxes.dormers import Box, Boxes, find_boxes, is_over_boxes
+from p2wss.fit.boxes.chimneys import with_chimneys
+from p2wss.fit.boxes.dormers import Box, find_boxes, is_over_boxes
 from p2wss.fit.boxes.open_ground import OpenGround
 from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.parametric import build_meshes, transfer_angles
 from p2wss.fit.mesh.short_edges import short_edges, without_short_edges
 from p2wss.fit.mesh.union import Mesh, is_sound, union
-from p2wss.fit.parts.frame import enclosing_rectangle, roof_frame
+from p2wss.fit.parts.frame import roof_frame
 from p2wss.fit.parts.partition import fit_parts
-from p2wss.fit.parts.parts import Cutting, cost_m, main_frame
+from p2wss.fit.parts.parts import main_frame, total_cost_m
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.roof.confidence import expected_share
-from p2wss.fit.roof.fitter import MIN_NUM_POINTS, Effort, FittedRoof, Fitter, Limits
+from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
 from p2wss.fit.roof.prior import make_prior
-from p2wss.fit.roof_edges import MAX_OVERHANG_M, move_walls
+from p2wss.fit.roof_edges import move_walls
+from p2wss.fit.settings import THRESHOLDS, Thresholds
 
 METHOD = "fit"
-# Before the roof is fitted again without the points of its boxes, boxes are accepted that gain this share of the
-# usual minimum.
-_LOOSE_GAIN_SHARE = 0.5
 # points of class ground this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
-# What a part costs: multiples of the normal price. Above this area the price does not grow any more: a part has to
-# explain as much volume between roof and points in a block as in a house.
-_DETAIL = {"low": 2.0, "normal": 1.0, "high": 0.5}
-_FULL_PRICE_M2 = 60.0
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """What decides between roofs; `docs/methods/fit.md` says how the defaults were chosen. short_edge_m: shorter edges
-    of the mesh are removed if the points do not need them. adjust: whether the planes of the mesh are adjusted to the
-    points."""
-
-    effort: Effort = field(default_factory=Effort)
-    limits: Limits = field(default_factory=Limits)
-    cutting: Cutting = field(default_factory=Cutting)
-    boxes: Boxes = field(default_factory=Boxes)
-    chimneys: Chimneys = field(default_factory=Chimneys)
-    short_edge_m: float = 0.2
-    adjust: bool = True
 
 
 def fit(
@@ -64,7 +43,7 @@ def fit(
     config: Reconstruct,
     initial: Sequence[Reconstruction | None] | None = None,
     method: str = METHOD,
-    thresholds: Thresholds = Thresholds(),
+    thresholds: Thresholds = THRESHOLDS,
 ) -> list[Reconstruction]:
     """One reconstruction per building, in order: the parametric building nearest to the points on its roof, or
     up to ``config.max_parts`` of them side by side as one solid.
@@ -75,10 +54,17 @@ def fit(
     not closed, the building is fitted with fewer parts. With ``config.dormers``, boxes that the points show above
     the roof are added to the solid. Deterministic.
     """
-    fitter = Fitter(replace(thresholds.limits, max_roof_height_m=config.max_roof_height_m))
+    fitter = Fitter(thresholds.limits._replace(max_roof_height_m=float(config.max_roof_height_m)))
     initials = [None] * len(buildings) if initial is None else list(initial)
     tasks = [
-        _FitTask(building, start, config, method, _thresholds_for(building, thresholds, config), fitter)
+        _FitTask(
+            building,
+            start,
+            config,
+            method,
+            thresholds.of_building(building.polygon.area, config.detail),
+            fitter,
+        )
         for building, start in zip(buildings, initials, strict=True)
     ]
     parts_fits = [task.fit_parts(config.max_parts) for task in tasks]
@@ -94,27 +80,14 @@ def fit(
     return result
 
 
-def _thresholds_for(building: Building, thresholds: Thresholds, config: Reconstruct) -> Thresholds:
-    """The thresholds of a building: a part of a large one may be smaller in proportion."""
-    large = max(1.0, float(building.polygon.area) / _FULL_PRICE_M2)
-    factor = _DETAIL[config.detail] / large
-    cutting, boxes = thresholds.cutting, thresholds.boxes
-    return replace(
-        thresholds,
-        cutting=replace(cutting, gain_m=factor * cutting.gain_m),
-        boxes=replace(boxes, gain_m=factor * boxes.gain_m),
-    )
-
-
 @dataclass(frozen=True)
 class _PartsFit:
     """The roofs that are fitted to the parts of a building.
 
     rings: the footprint that the mesh gets, in the building's own frame. rotation: (2, 2); parts and points are in
     the frame ``xy @ rotation``. parts: empty without a fit. reason: why there are no parts, a value of
-    :mod:`p2wss.data.reasons`. point_m: (m, 3), all points on the roof. outline: the footprint in that frame, if the
-    parts reach beyond it; their solids are cut off there. num_ground: how many of the points, the last ones, are of
-    open ground; stated without parts only.
+    :mod:`p2wss.data.reasons`. point_m: (m, 3), all points on the roof. num_ground: how many of the points, the last
+    ones, are of open ground; stated without parts only.
     """
 
     rings: Sequence[np.ndarray]
@@ -122,7 +95,6 @@ class _PartsFit:
     parts: Sequence[FittedRoof]
     reason: str
     point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    outline: Sequence[np.ndarray] = ()
     num_ground: int = 0
 
     def in_building_frame(self, vertex_m: np.ndarray) -> np.ndarray:
@@ -154,12 +126,9 @@ class _FitTask:
         polygon = shapely.Polygon(rings[0], rings[1:])
         roof_point_m = self._roof_points(polygon)
         rotation = roof_frame(rings, roof_point_m)
-        max_overhang_m = MAX_OVERHANG_M if config.overhang == "move" else 0.0
         points = (roof_point_m, building.point_m, building.classification)
-        rings = move_walls(rings, *points, config.max_wall_shift_m, max_overhang_m)
+        rings = move_walls(rings, *points, config.max_wall_shift_m)
         polygon = shapely.Polygon(rings[0], rings[1:])
-        if max_overhang_m:
-            roof_point_m = self._roof_points(polygon)
         roof_point_m = roof_point_m[shapely.contains_xy(polygon, roof_point_m[:, 0], roof_point_m[:, 1])]
         if len(roof_point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
@@ -195,12 +164,6 @@ class _FitTask:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
         rotated = [ring @ rotation for ring in rings]
         usual_prior = make_prior(rotated, len(point_m))
-        across: Sequence[FittedRoof] = []
-        if max_parts > 1 and not np.array_equal(rotation, main_frame(list(self.building.rings))):
-            # a roof that the footprint cuts off at an angle goes on beyond it
-            around = enclosing_rectangle(rotated)
-            usual = make_prior(around, len(point_m))
-            across = fit_parts(self.fitter, around, point_m, effort, cutting, [], usual)
         if (
             initial is None
             or initial.angle_deg is None
@@ -208,22 +171,18 @@ class _FitTask:
             or not initial.has_mesh
         ):
             parts = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
-            if across and (not parts or cost_m(across, cutting) < cost_m(parts, cutting)):
-                return _PartsFit(rings, rotation, across, "", roof_point_m, rotated)
             return _PartsFit(rings, rotation, parts, "" if parts else reasons.NO_ROOF, roof_point_m)
         guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + self.building.ground_z_m
         prior = make_prior(rotated, len(point_m), guess_deg, initial.class_probability, eave_z_m)
-        guess = FittedRoof(rotated, guess_deg, eave_z_m, np.inf, np.inf, len(point_m))
+        guess = FittedRoof(rotated, guess_deg, eave_z_m, np.inf, len(point_m))
         candidates = [[replace(guess, loss_m=self.fitter.loss(guess, point_m, prior))]]
         candidates += [fit_parts(self.fitter, rotated, point_m, effort, cutting, [guess_deg], prior)]
-        parts = min(filter(None, candidates), key=lambda parts: cost_m(parts, cutting))
-        is_far_off = cost_m(parts, cutting) > _FAR_OFF_M * len(point_m)
+        parts = min(filter(None, candidates), key=lambda parts: total_cost_m(parts, cutting))
+        is_far_off = total_cost_m(parts, cutting) > _FAR_OFF_M * len(point_m)
         if len(parts) == 1 and cutting.max_parts > 1 and is_far_off:
             without_network = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
             if len(without_network) > 1:
-                parts = min(parts, without_network, key=lambda parts: cost_m(parts, cutting))
-        if across and cost_m(across, cutting) < cost_m(parts, cutting):
-            return _PartsFit(rings, rotation, across, "", roof_point_m, rotated)
+                parts = min(parts, without_network, key=lambda parts: total_cost_m(parts, cutting))
         return _PartsFit(rings, rotation, parts, "", roof_point_m)
 
     def reconstruct(
@@ -250,7 +209,7 @@ class _FitTask:
         while True:
             reconstruction = self._mesh_of_parts(parts_fit)
             num_parts = len(parts_fit.parts)
-            if reconstruction.has_mesh or (num_parts < 2 and not len(parts_fit.outline)):
+            if reconstruction.has_mesh or num_parts < 2:
                 return reconstruction, parts_fit
             parts_fit = self.fit_parts(max(num_parts - 1, 1), boxes)
 
@@ -261,7 +220,7 @@ class _FitTask:
         A roof that was fitted to the points of the boxes too lies too high, so it is also fitted without them, and that
         may be better even without any box.
         """
-        cost, boxes, loose_boxes = self._find_boxes(parts_fit, _LOOSE_GAIN_SHARE)
+        cost, boxes, loose_boxes = self._find_boxes(parts_fit, self.thresholds.boxes.loose_share)
         candidates = [(parts_fit, boxes)]
         if loose_boxes:
             refit = self.fit_parts(self.config.max_parts, loose_boxes)
@@ -305,7 +264,7 @@ class _FitTask:
         heights = (self.building.ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
         raised = [box.as_part() for box in boxes if not box.is_recess]
         recesses = [box for box in boxes if box.is_recess]
-        return union([*parts_fit.parts, *raised], *heights, recesses, parts_fit.outline)
+        return union([*parts_fit.parts, *raised], *heights, recesses)
 
     def with_chimneys(self, reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
         """A reconstruction with the chimneys on the roof that a fit describes, at the highest level of detail."""
@@ -336,7 +295,7 @@ class _FitTask:
     def _of_mesh(self, parts_fit: _PartsFit, mesh: Mesh) -> Reconstruction:
         """The reconstruction with the parts of a fit and a mesh in their frame."""
         building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
-        price_m = self.thresholds.cutting.min_gain_m(len(parts_fit.point_m))
+        price_m = self.thresholds.cutting.price_m(len(parts_fit.point_m))
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
         point_m = parts_fit.point_m - (0.0, 0.0, ground)
         short_edge_m = self.thresholds.short_edge_m
@@ -349,7 +308,7 @@ class _FitTask:
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
-        if len(parts) > 1 or len(parts_fit.outline):
+        if len(parts) > 1:
             part_rings = [ring @ parts_fit.rotation.T for part in parts for ring in part.rings]
             part_angles = np.concatenate([part.angle_deg for part in parts])
             angle_deg = transfer_angles(part_rings, part_angles, parts_fit.rings)
@@ -374,26 +333,15 @@ class _FitTask:
     def _find_boxes(
         self, parts_fit: _PartsFit, loose_share: float = 1.0
     ) -> tuple[float, list[Box], list[Box]]:
-        """(cost of the parts and the boxes, the boxes, the same and others that gain ``loose_share`` of the usual
-        minimum)."""
+        """(cost of the parts and the boxes, the boxes, the same and others that gain ``loose_share`` of the price)."""
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
-        min_gain_m = thresholds.boxes.min_gain_m(num_points)
+        price_m = thresholds.boxes.price_m(num_points)
         lowest_z_m = self.building.ground_z_m + self.config.min_eave_height_m
-        parts = list(parts_fit.parts)
-        if not len(parts_fit.outline):
-            parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts]
-        loss, boxes, loose_boxes = find_boxes(
-            self.fitter,
-            parts,
-            parts_fit.point_m,
-            min_gain_m,
-            thresholds.boxes,
-            loose_share,
-            parts_fit.outline,
-        )
-        cost_of_part = thresholds.cutting.min_gain_m(num_points)
-        cost = loss + len(boxes) * min_gain_m + (len(parts_fit.parts) - 1) * cost_of_part
-        return cost, boxes, loose_boxes
+        parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts_fit.parts]
+        point_m, boxes = parts_fit.point_m, thresholds.boxes
+        loss, found, loose = find_boxes(self.fitter, parts, point_m, price_m, boxes, loose_share)
+        cost = loss + len(found) * price_m + (len(parts) - 1) * thresholds.cutting.price_m(num_points)
+        return cost, found, loose
 
 
 def _mesh_single_parts(
@@ -404,7 +352,7 @@ def _mesh_single_parts(
     indices = [
         i
         for i, parts_fit in enumerate(parts_fits)
-        if len(parts_fit.parts) == 1 and not len(parts_fit.outline) and parts_fit.parts[0].outward_m is None
+        if len(parts_fit.parts) == 1 and parts_fit.parts[0].outward_m is None
     ]
     if not indices:
         return result
@@ -421,7 +369,6 @@ def _mesh_single_parts(
         tasks[0].method,
         config,
         [""] * len(indices),
-        np.array([part.top_m for part in parts]),
     )
     for i, reconstruction in zip(indices, reconstructions, strict=True):
         # one part alone is the parametric building of the paper, with one angle for each edge

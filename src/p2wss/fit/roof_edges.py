@@ -1,5 +1,4 @@
-"""Where roofs end beside the edges of a footprint, and walls that move there: inwards where open ground lies within the
-footprint, and, on request, outwards by the overhang of the eaves."""
+"""Where roofs end beside the edges of a footprint, and walls that move inwards where open ground lies within it."""
 
 from __future__ import annotations
 
@@ -29,9 +28,8 @@ _MIN_REMAINING_M = 0.5
 # this distance beyond the edge at most so many points are of buildings for each of the ground. In a row of houses, a
 # neighbour's wall or lower roof is there instead.
 _GROUND_SHARE, _BEYOND_M, _MOST_BUILDING = 0.2, 1.0, 0.25
-# a wall moves outwards by at least this much, and with at least so many points of the ground beyond it; points further
-# out than this are not at hand
-_MIN_OVERHANG_M, _MIN_GROUND_POINTS, MAX_OVERHANG_M = 0.1, 3, 1.0
+# an overhang has at least so many points of the ground beyond it; points further out than this are not at hand
+_MIN_GROUND_POINTS, _MAX_OVERHANG_M = 3, 1.0
 # the points of the building this near to the end of the roof are of the same edge
 _NEAR_EDGE_M = 0.1
 # nearly straight corners cannot be found from the lines of their edges
@@ -44,28 +42,22 @@ def move_walls(
     point_m: np.ndarray,
     classification: np.ndarray,
     max_shift_m: float,
-    max_overhang_m: float = 0.0,
 ) -> list[np.ndarray]:
-    """The rings with edges of the exterior moved to where the roof ends: inwards to where the points of the building
-    (k, 3) begin, by at most ``max_shift_m``, or outwards by its overhang, by at most ``max_overhang_m``. The number of
-    vertices stays, and those between edges that stay.
+    """The rings with edges of the exterior moved inwards to where the points of the building (k, 3) begin, by at most
+    ``max_shift_m``. The number of vertices stays, and those between edges that stay.
 
-    Only an edge moves along which there is open ground instead of a roof, within the footprint or beyond the eaves
-    (:func:`overhangs_m`), so never a party wall. point_m (m, 3), classification (m,): all points in and around the
-    footprint.
+    Only an edge moves along which there is open ground instead of a roof, so never a party wall. point_m (m, 3),
+    classification (m,): all points in and around the footprint.
     """
     ring = rings[0]
-    if max(max_shift_m, max_overhang_m) < _MIN_OVERHANG_M or len(roof_point_m) < _MIN_POINTS:
+    if max_shift_m < _MIN_SHIFT_M or len(roof_point_m) < _MIN_POINTS:
         return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
     after = np.roll(ring, -1, axis=0)
     # of the start and the end of each edge
     shift_m = np.zeros((len(ring), 2))
-    if max_overhang_m >= _MIN_OVERHANG_M:
-        overhang_m = np.minimum(overhangs_m(ring, point_m, classification), max_overhang_m)
-        shift_m[:] = np.where(overhang_m >= _MIN_OVERHANG_M, -overhang_m, 0.0)[:, None]
     for i, ends in enumerate(zip(ring, after, strict=True)):
-        if max_shift_m < _MIN_SHIFT_M or not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
+        if not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
             continue
         shifts = _shifts_m(*ends, roof_point_m, max_shift_m)
         if shifts.any() and _is_open(*ends, float(shifts.mean()), ground_m, building_m, _GROUND_SHARE):
@@ -76,7 +68,7 @@ def move_walls(
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < _MIN_EDGE_M).tolist():
         beside = shift_m[i - 1, 1], shift_m[(i + 1) % len(ring), 0]
         shift_m[i] = min(beside, key=abs) if beside[0] * beside[1] > 0 else 0.0
-    moved = _moved_ring(ring, shift_m, 2 * max(max_shift_m, max_overhang_m))
+    moved = _moved_ring(ring, shift_m, 2 * max_shift_m)
     polygon, original = shapely.Polygon(moved, rings[1:]), shapely.Polygon(ring, rings[1:])
     if not polygon.is_valid or polygon.area < 0.5 * original.area:
         return list(rings)
@@ -84,9 +76,9 @@ def move_walls(
 
 
 def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndarray:
-    """The ring (n, 2) after the start and the end of each edge have moved inwards by ``shift_m`` (n, 2), outwards where
-    that is negative. An edge stays where it would move a corner by more than ``most_m``, or turn an edge round or leave
-    hardly anything of it."""
+    """The ring (n, 2) after the start and the end of each edge have moved inwards by ``shift_m`` (n, 2). An edge
+    stays where it would move a corner by more than ``most_m``, or turn an edge round or leave hardly anything of
+    it."""
     after = np.roll(ring, -1, axis=0)
     length = np.linalg.norm(after - ring, axis=1, keepdims=True)
     along = (after - ring) / length
@@ -127,7 +119,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     if len(building_m) < _MIN_POINTS or len(ground_m) < _MIN_GROUND_POINTS:
         return result
     for i, (start, end) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True)):
-        _, begins_m = _begins_m(start, end, building_m, -MAX_OVERHANG_M)
+        _, begins_m = _begins_m(start, end, building_m, -_MAX_OVERHANG_M)
         if not len(begins_m):
             continue
         length = float(np.hypot(*(end - start)))
@@ -139,9 +131,9 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
         num_behind = int(((depths_m[0] > _NEAR_M) & (depths_m[0] < _FAR_M)).sum())
         gap_m = np.log(2) * (_FAR_M - _NEAR_M) * (length - 2 * _AT_CORNER_M) / max(num_behind, 1)
-        reach_m = min(float(gap_m - np.median(begins_m)), MAX_OVERHANG_M)
+        reach_m = min(float(gap_m - np.median(begins_m)), _MAX_OVERHANG_M)
         outer_m = -reach_m - _NEAR_EDGE_M
-        beyond = [int(((depth < outer_m) & (depth >= -MAX_OVERHANG_M)).sum()) for depth in depths_m[::-1]]
+        beyond = [int(((depth < outer_m) & (depth >= -_MAX_OVERHANG_M)).sum()) for depth in depths_m[::-1]]
         if beyond[0] >= _MIN_GROUND_POINTS and beyond[1] <= _MOST_BUILDING * beyond[0]:
             result[i] = reach_m
     return result

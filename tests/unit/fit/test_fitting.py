@@ -57,8 +57,8 @@ def network(case: Building, angle_deg: np.ndarray, eave_height_m: float) -> Reco
 
 def two_parts(loss_m: float) -> list[FittedRoof]:
     return [
-        FittedRoof([HOUSE], GABLE, 106.0, np.inf, loss_m, 200),
-        FittedRoof([ANNEX], np.zeros(4), 103.0, np.inf, loss_m, 100),
+        FittedRoof([HOUSE], GABLE, 106.0, loss_m, 200),
+        FittedRoof([ANNEX], np.zeros(4), 103.0, loss_m, 100),
     ]
 
 
@@ -94,7 +94,7 @@ def test_a_building_far_from_the_network_is_also_searched_without_it(
 
     def fit_parts(fitter, rings, point_m, effort, cutting, guesses, prior):
         num_guesses.append(len(guesses))
-        return two_parts(0.01) if not guesses else [FittedRoof(rings, GABLE, 106.0, np.inf, residual_m, 300)]
+        return two_parts(0.01) if not guesses else [FittedRoof(rings, GABLE, 106.0, residual_m, 300)]
 
     monkeypatch.setattr(fitting, "fit_parts", fit_parts)
     case = one_gable()

@@ -1,4 +1,4 @@
-"""Walls move inwards where open ground lies within the footprint, outwards by overhangs on request, only there."""
+"""Walls move inwards where open ground lies within the footprint, only there."""
 
 import numpy as np
 import pytest
@@ -60,12 +60,6 @@ def with_eaves(eaves_m: float, neighbour: bool = False) -> tuple[np.ndarray, np.
     return np.column_stack([xy_m, z]), classes
 
 
-def moved_out(point_m: np.ndarray, classes: np.ndarray, max_overhang_m: float) -> np.ndarray:
-    inside = (point_m[:, :2] > 0).all(axis=1) & (point_m[:, :2] < RING[2]).all(axis=1)
-    (ring,) = move_walls([RING], point_m[inside & (classes == 6)], point_m, classes, 1.0, max_overhang_m)
-    return ring
-
-
 def test_the_overhang_of_each_edge_is_measured():
     overhang_m = overhangs_m(RING, *with_eaves(0.5))
     assert overhang_m[0] == pytest.approx(0.5, abs=0.06)
@@ -82,31 +76,6 @@ def test_the_overhang_of_each_edge_is_measured():
     point_m, classes = with_eaves(0.5)
     assert np.isnan(overhangs_m(RING, point_m, np.where(classes == 2, 5, classes))).all()
     assert np.isnan(mean_overhang_m(RING, point_m[:0], classes[:0]))
-
-
-def test_edges_move_out_only_if_asked():
-    eaves = with_eaves(0.5)
-    assert np.array_equal(moved_out(*eaves, 0.0), RING)
-    ring = moved_out(*eaves, 1.0)
-    assert ring[:2, 1] == pytest.approx(-0.5, abs=0.06) and ring[2:, 1] == pytest.approx(RING[2:, 1])
-    assert ring[:, 0] == pytest.approx(RING[:, 0])
-    assert moved_out(*eaves, 0.3)[:2, 1] == pytest.approx(-0.3)
-
-
-def test_no_edge_moves_out_onto_a_neighbour():
-    ring = moved_out(*with_eaves(0.5, neighbour=True), 1.0)
-    assert ring[0, 1] == pytest.approx(-0.5, abs=0.06)
-    assert ring[1:3, 0] == pytest.approx(RING[1:3, 0])
-
-
-def test_inwards_and_outwards_at_once():
-    """One mechanism: the edge y = 8 is drawn 0.6 m too far out, the roof reaches 0.4 m beyond y = 0."""
-    point_m, classes = with_eaves(0.4)
-    is_free = point_m[:, 1] > 7.4
-    point_m[is_free, 2], classes[is_free] = 0.0, 2
-    ring = moved_out(point_m, classes, 1.0)
-    assert ring[:2, 1] == pytest.approx(-0.4, abs=0.06)
-    assert ring[2:, 1] == pytest.approx(7.37, abs=0.12)
 
 
 def drawn_askew(near_m: float, far_m: float) -> tuple[np.ndarray, np.ndarray]:

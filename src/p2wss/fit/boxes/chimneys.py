@@ -21,6 +21,7 @@ from p2wss.fit.boxes.dormers import moved_to_walls
 from p2wss.fit.boxes.open_ground import OpenGround
 from p2wss.fit.mesh.mesh_planes import CAP_M, topmost
 from p2wss.fit.mesh.union import Mesh, is_closed, is_sound, simplified
+from p2wss.fit.settings import Chimneys
 from p2wss.skeleton.types import FaceKind
 
 # returns from one top are at most this far apart in plan, and in height
@@ -40,29 +41,6 @@ _AROUND_M, _ON_ROOF_M = 0.5, 0.3
 
 
 @dataclass(frozen=True)
-class Chimneys:
-    """What counts as a chimney; `docs/methods/fit.md` says how the defaults were chosen.
-
-    min_rise_m, max_rise_m: of the returns from its top above the roof. min_points: on the top. min_width_m: a narrower
-    one is widened. max_ratio: of its sides. max_share: of the footprint's area. min_gain_m: how much it lowers the sum
-    of the residuals, its price. solid_share: of the returns over it that are from its top or its sides. around_share:
-    of the returns around it that are from the roof.
-    """
-
-    min_rise_m: float = 0.5
-    max_rise_m: float = 2.5
-    min_points: int = 3
-    min_width_m: float = 0.4
-    max_width_m: float = 1.6
-    max_ratio: float = 2.5
-    max_area_m2: float = 1.5
-    max_share: float = 0.04
-    min_gain_m: float = 1.5
-    solid_share: float = 0.6
-    around_share: float = 0.75
-
-
-@dataclass(frozen=True)
 class Chimney:
     """A rectangle along the axes from ``low`` to ``high``, each (2,), and the height of its top."""
 
@@ -71,7 +49,7 @@ class Chimney:
     top_z_m: float
 
 
-def find_chimneys(mesh: Mesh, point_m: np.ndarray, chimneys: Chimneys = Chimneys()) -> list[Chimney]:
+def find_chimneys(mesh: Mesh, point_m: np.ndarray, chimneys: Chimneys) -> list[Chimney]:
     """The chimneys that points (m, 3) show above the roof of a mesh, both in a frame whose axes they follow."""
     point_m = np.ascontiguousarray(point_m, np.float64)
     triangle, roof_z = topmost(np.ascontiguousarray(mesh.vertex_m[mesh.triangle]), point_m)
@@ -144,7 +122,7 @@ def _chimney(
     if not around.any() or (around & on_roof).sum() < chimneys.around_share * around.sum():
         return None
     gain = np.minimum(np.abs(above_m[within]), CAP_M) - np.minimum(np.abs(point_m[within, 2] - top), CAP_M)
-    return Chimney(low, high, top) if gain.sum() >= chimneys.min_gain_m else None
+    return Chimney(low, high, top) if gain.sum() >= chimneys.price_m else None
 
 
 def _grown(
@@ -168,7 +146,7 @@ def with_chimneys(
     rotation: np.ndarray,
     point_m: np.ndarray,
     open_ground: OpenGround,
-    chimneys: Chimneys = Chimneys(),
+    chimneys: Chimneys,
 ) -> Reconstruction:
     """A reconstruction with those chimneys that its points show and with which its mesh is sound. They end at the walls
     of the building.

@@ -2,24 +2,22 @@
 building leaves out), as the points above and below the roof show them.
 
 Everything is in the frame of :func:`p2wss.fit.parts.parts.main_frame`: a box is a rectangle along its axes, clipped
-to the footprint, with a flat top or, if that is worth its slopes, a roof of its own. Where the roof is higher than
-the box, the roof stays; where it is lower than the floor of a recess, too.
+to the footprint, with a flat top. Where the roof is higher than the box, the roof stays; where it is lower than the
+floor of a recess, too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from scipy import ndimage
 
-from p2wss.fit.boxes.intervals import grow_box
-from p2wss.fit.parts.parts import with_slope_cost
-from p2wss.fit.points import even_order
-from p2wss.fit.roof.fitter import Effort, FittedRoof, Fitter, Gain
-from p2wss.fit.roof.work import NO_PRIOR
+from p2wss.fit.boxes.intervals import Survey, grow_box
+from p2wss.fit.roof.fitter import FittedRoof, Fitter
+from p2wss.fit.settings import Boxes
 
 _CELL_M = 0.8
 # a side within this distance of the footprint's edge is moved onto it
@@ -30,65 +28,35 @@ _INSIDE_SHARE = 0.9
 _TO_CUT_M = 0.15
 # a box gains at most this multiple of the residuals of the points from which its search begins
 _MOST_GAIN = 2.0
-# the roof of a box is fitted to the points in it that are not further than this below the roof around it
-_BELOW_ROOF_M = 0.1
-_EFFORT = Effort(max_rounds=1)
-
-
-@dataclass(frozen=True)
-class Boxes(Gain):
-    """Which boxes and recesses a building may have.
-
-    max_boxes: of one building. above_m: how far above or below the roof a point has to lie for the search of a box to
-    begin there. cap_m: larger residuals count as this. min_points: that far from the roof in a box. max_share: of the
-    footprint's area that one box may cover. slope_share: what each slope of a box costs, as a share of what a box
-    costs.
-    """
-
-    gain_m: float = 0.016
-    max_boxes: int = 8
-    above_m: float = 0.4
-    cap_m: float = 1.0
-    min_points: int = 5
-    min_width_m: float = 0.8
-    min_area_m2: float = 1.0
-    max_area_m2: float = 400.0
-    max_share: float = 0.8
-    recesses: bool = True
-    slope_share: float = 0.3
 
 
 @dataclass(frozen=True)
 class Box:
     """A box that rises out of a roof up to ``top_z_m`` or, if ``is_recess``, space above ``top_z_m`` that the roof
-    leaves out. ring: (n, 2), counter-clockwise; of a recess, the rectangle. sloped_roof: instead of the flat top."""
+    leaves out. ring: (n, 2), counter-clockwise; of a recess, the rectangle."""
 
     ring: np.ndarray
     top_z_m: float
     is_recess: bool
-    sloped_roof: FittedRoof | None = None
 
     def as_part(self) -> FittedRoof:
         """The box as a part; a flat roof has 0 degrees all around."""
-        if self.sloped_roof is not None:
-            return self.sloped_roof
-        return FittedRoof([self.ring], np.zeros(len(self.ring)), self.top_z_m, np.inf, np.inf, 0)
+        return FittedRoof([self.ring], np.zeros(len(self.ring)), self.top_z_m, np.inf, 0)
 
 
 def find_boxes(
     fitter: Fitter,
     parts: Sequence[FittedRoof],
     point_m: np.ndarray,
-    min_gain_m: float,
+    price_m: float,
     boxes: Boxes,
     loose_share: float = 1.0,
-    outline: Sequence[np.ndarray] = (),
 ) -> tuple[float, list[Box], list[Box]]:
     """(sum of the residuals of all points with the boxes, the boxes that the points show on the roofs of ``parts``,
     and the same followed by others).
 
-    Each box lowers the sum by at least ``min_gain_m``, the others by ``loose_share`` of it; the one that gains most
-    comes first. point_m: (m, 3). outline: of the footprint, if the parts reach beyond it.
+    Each box lowers the sum by at least ``price_m``, the others by ``loose_share`` of it; the one that gains most
+    comes first. point_m: (m, 3).
     """
     roof_z, slant = _roof_over(fitter, parts, point_m)
     x, y, z = np.ascontiguousarray(point_m.T)
@@ -102,7 +70,8 @@ def find_boxes(
     while True:
         above_m = (z - roof_z) * slant
         before = np.minimum(np.abs(above_m), boxes.cap_m)
-        best_gain, best = (min_gain_m if strict_loss is None else loose_share * min_gain_m), None
+        survey = Survey(x, y, z, roof_z, slant, before, *orders)
+        best_gain, best = (price_m if strict_loss is None else loose_share * price_m), None
         for sign in signs if len(result) < boxes.max_boxes else ():
             off = sign * above_m > boxes.above_m
             # together, the clusters have no more to gain than all their points
@@ -113,21 +82,17 @@ def find_boxes(
                     continue
                 key = sign, seed.tobytes()
                 if key not in grown:
-                    values = x, y, z, roof_z, slant, before
+                    near, near_seed = survey, seed
                     around = _around(x, y, seed, reach_m) if extent_m > reach_m else None
-                    limits = sign, boxes.above_m, boxes.cap_m, boxes.min_points
-                    if around is None:
-                        grown[key] = grow_box(*values, *orders, seed, *limits)
-                    else:
-                        number = np.cumsum(around) - 1
-                        near_orders = (number[order[around[order]]] for order in orders)
-                        near_values = (each[around] for each in values)
-                        grown[key] = grow_box(*near_values, *near_orders, number[seed], *limits)
+                    if around is not None:
+                        near, near_seed = survey.of(around), (np.cumsum(around) - 1)[seed]
+                    grown[key] = grow_box(near, near_seed, sign, boxes.above_m, boxes.cap_m, boxes.min_points)
                 gain, low, high, top = grown[key]
                 if gain > best_gain:
                     if footprint is None:
-                        shapes = [outline] if len(outline) else [part.rings for part in parts]
-                        footprint = shapely.union_all([shapely.Polygon(r[0], r[1:]) for r in shapes])
+                        footprint = shapely.union_all(
+                            [shapely.Polygon(p.rings[0], p.rings[1:]) for p in parts]
+                        )
                         lines = [
                             np.unique(np.concatenate([ring[:, axis] for p in parts for ring in p.rings]))
                             for axis in (0, 1)
@@ -142,56 +107,12 @@ def find_boxes(
                     continue
             return strict_loss, result[:num_strict], result
         ring, top, sign = best
-        box = _with_slopes(fitter, Box(ring, top, sign < 0), point_m, roof_z, slant, boxes, min_gain_m)
-        box_z, box_slant = _box_over(fitter, box, point_m)
-        changed = np.isfinite(box_z)
-        changed[changed] = sign * (box_z[changed] - roof_z[changed]) > 0
+        box = Box(ring, top, sign < 0)
+        changed = is_over_boxes([box], point_m)
+        changed[changed] = sign * (top - roof_z[changed]) > 0
         result.append(box)
-        roof_z, slant = np.where(changed, box_z, roof_z), np.where(changed, box_slant, slant)
+        roof_z, slant = np.where(changed, top, roof_z), np.where(changed, 1.0, slant)
         grown = {key: value for key, value in grown.items() if not _covers_any(*value[1:3], point_m[changed])}
-
-
-def _with_slopes(
-    fitter: Fitter,
-    box: Box,
-    point_m: np.ndarray,
-    roof_z: np.ndarray,
-    slant: np.ndarray,
-    boxes: Boxes,
-    min_gain_m: float,
-) -> Box:
-    """The box with a gable, hip or shed roof that is fitted to its points, if that gains more than the price of its
-    slopes; the box itself if it does not, and a recess. roof_z, slant: of the roof below, over each point (m, 3)."""
-    over = np.flatnonzero(is_over_boxes([box], point_m))
-    above_m = point_m[over][point_m[over, 2] > roof_z[over] - _BELOW_ROOF_M]
-    if box.is_recess or len(above_m) < 2 * boxes.min_points:
-        return box
-    price_m = boxes.slope_share * min_gain_m
-    prior = with_slope_cost(NO_PRIOR, price_m, len(above_m), len(box.ring))
-    roof = fitter.fit([box.ring], above_m[even_order(above_m)], _EFFORT, (), prior)
-    is_slope = np.zeros(0, bool) if roof is None else (roof.angle_deg > 0) & (roof.angle_deg < 90)
-    if roof is None or not is_slope.any() or (roof.angle_deg == 0).any():
-        return box
-    sloped = replace(box, sloped_roof=roof)
-    losses_m = []
-    for each in (box, sloped):
-        z, z_slant = _box_over(fitter, each, point_m[over])
-        is_box = z > roof_z[over]
-        residual_m = np.where(is_box, z, roof_z[over]) - point_m[over, 2]
-        residual_m *= np.where(is_box, z_slant, slant[over])
-        losses_m.append(float(np.minimum(np.abs(residual_m), boxes.cap_m).sum()))
-    return sloped if losses_m[0] - losses_m[1] > price_m * is_slope.sum() else box
-
-
-def _box_over(fitter: Fitter, box: Box, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(height of the top of a box, z of its unit normal) over each point (m, 3); minus infinity and 1 beside it."""
-    height, slant = np.full(len(point_m), -np.inf), np.ones(len(point_m))
-    over = np.flatnonzero(is_over_boxes([box], point_m))
-    if box.sloped_roof is None:
-        height[over] = box.top_z_m
-    else:
-        height[over], slant[over] = fitter.roof_over(box.sloped_roof, point_m[over])
-    return height, slant
 
 
 def is_over_boxes(boxes: Sequence[Box], point_m: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from p2wss.fit.parts.jumps import quantile
@@ -15,15 +17,35 @@ _MAX_GAP_M = 0.3
 _INTO_ROOF_M = 1.0
 
 
+class Survey(NamedTuple):
+    """Points and the roof over them, each (m,). roof_z: height of the roof over each point; slant: z of its unit
+    normal. before: its residual, at most the cap. order_x, order_y: indices that sort the points along the axes."""
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    roof_z: np.ndarray
+    slant: np.ndarray
+    before: np.ndarray
+    order_x: np.ndarray
+    order_y: np.ndarray
+
+    def of(self, around: np.ndarray) -> Survey:
+        """The survey of the points that ``around``, bool (m,), chooses."""
+        number = np.cumsum(around) - 1
+        orders = (number[order[around[order]]] for order in (self.order_x, self.order_y))
+        return Survey(*(values[around] for values in self[:6]), *orders)
+
+
 @entry
-def grow_box(x, y, z, roof_z, slant, before, order_x, order_y, seed, sign, above_m, cap_m, min_points):
+def grow_box(survey: Survey, seed: np.ndarray, sign: int, above_m: float, cap_m: float, min_points: int):
     """(gain in metres of loss, low corner, high corner, top) of the box that gains most, from that around the points
     ``seed``: alternately the best interval along each axis, exactly, and the top.
 
-    x, y, z: float64 (m,). roof_z, slant: height of the roof over each point and z of its unit normal. before: its
-    residual, at most ``cap_m``. order_x, order_y: indices that sort the points along the axes. sign: 1 for a box above
-    the roof, -1 for a recess. above_m, min_points: at least so many points in the box are half so far off the roof.
+    sign: 1 for a box above the roof, -1 for a recess. above_m, min_points: at least so many points in the box are half
+    so far off the roof. cap_m: larger residuals count as this.
     """
+    x, y, z, roof_z = survey.x, survey.y, survey.z, survey.roof_z
     m = len(x)
     gain, buffer = np.empty(m), np.empty(m)
     low, high = np.empty(2), np.empty(2)
@@ -40,10 +62,10 @@ def grow_box(x, y, z, roof_z, slant, before, order_x, order_y, seed, sign, above
     best_total, best_low, best_high, best_top = 0.0, low.copy(), high.copy(), top
     for _ in range(_NUM_ROUNDS):
         for k in range(m):
-            gain[k] = before[k] - min(abs(z[k] - top), cap_m) if sign * (top - roof_z[k]) > 0 else 0.0
+            gain[k] = survey.before[k] - min(abs(z[k] - top), cap_m) if sign * (top - roof_z[k]) > 0 else 0.0
         for axis in range(2):
             position, across = (x, y) if axis == 0 else (y, x)
-            order = order_x if axis == 0 else order_y
+            order = survey.order_x if axis == 0 else survey.order_y
             is_any, new_low, new_high = _interval(
                 position, across, gain, order, low[1 - axis], high[1 - axis], buffer
             )
@@ -54,7 +76,7 @@ def grow_box(x, y, z, roof_z, slant, before, order_x, order_y, seed, sign, above
         for k in range(m):
             if low[0] <= x[k] <= high[0] and low[1] <= y[k] <= high[1]:
                 total += gain[k]
-                if sign * (z[k] - roof_z[k]) * slant[k] > 0.5 * above_m:
+                if sign * (z[k] - roof_z[k]) * survey.slant[k] > 0.5 * above_m:
                     buffer[count] = z[k]
                     count += 1
         if total <= best_total + 1e-9 or count < min_points:
@@ -67,13 +89,21 @@ def grow_box(x, y, z, roof_z, slant, before, order_x, order_y, seed, sign, above
 
 
 @inner
-def _median(values, count):
+def _median(values: np.ndarray, count: int):
     sort_first(values, count)
     return quantile(values, count, 0.5)
 
 
 @allocating
-def _interval(position, across, gain, order, low_across, high_across, along):
+def _interval(
+    position: np.ndarray,
+    across: np.ndarray,
+    gain: np.ndarray,
+    order: np.ndarray,
+    low_across: float,
+    high_across: float,
+    along: np.ndarray,
+):
     """(whether there is any, its ends): the interval with the greatest sum of gains of the points of a strip. An end
     lies midway to the next point that a longer interval would change, and further on below a rising roof (see
     :func:`_end`)."""
@@ -97,7 +127,7 @@ def _interval(position, across, gain, order, low_across, high_across, along):
 
 
 @inner
-def _end(along, gain, number, place, step, count):
+def _end(along: np.ndarray, gain: np.ndarray, number: np.ndarray, place: int, step: int, count: int):
     """The end of an interval at the point ``place``, outwards in the direction ``step``, as a distance in that
     direction. Points whose residual the box does not change, as the roof is higher there, count as below a rising
     roof."""

@@ -84,23 +84,21 @@ def build_meshes(
     method: str,
     config: Reconstruct,
     status: Sequence[str],
-    top_height_m: np.ndarray | float = np.inf,
 ) -> list[Reconstruction]:
     """Meshes through the kernel, which checks each. A building without a finite height has none.
 
     rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. status: why a
-    building without a height has no mesh. top_height_m: height of a flat cut above the eave, one for all or (b,).
+    building without a height has no mesh.
     """
     result = [no_mesh(b, method, reason) for b, reason in zip(buildings, status, strict=True)]
     usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground)).tolist()
     if not usable:
         return result
-    top_height = np.broadcast_to(np.asarray(top_height_m, float), len(buildings))
     meshes: Meshes = skeleton.build(
         Polygons.from_rings([list(rings[i]) for i in usable]),
         np.concatenate([angle_deg[i] for i in usable]),
         eave_height_m[usable],
-        max_roof_height_m=np.minimum(top_height, config.max_roof_height_m)[usable],
+        max_roof_height_m=config.max_roof_height_m,
     )
     for k, i in enumerate(usable):
         code = skeleton.Status(int(meshes.status[k]))

@@ -21,7 +21,6 @@ _WELD_M = 1e-4
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
 _NO_AREA_M2 = 1e-6
-_BELOW_GROUND_M = 30.0
 # how much higher each further part is raised, and how far a surface may move when slivers are removed
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
 
@@ -51,10 +50,9 @@ def union(
     min_eave_height_m: float,
     max_roof_height_m: float,
     recesses: Sequence[Box] = (),
-    outline: Sequence[np.ndarray] = (),
 ) -> Mesh | None:
     """The union of the parts' solids on one ground, z above it, less the ``recesses``. None if a part has no solid, or
-    if the result is not one closed manifold. outline: rings of a footprint at which parts that reach beyond it end.
+    if the result is not one closed manifold.
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
     The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
@@ -67,7 +65,7 @@ def union(
         raised = parts
         if step_m:
             raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
+        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses)
         if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
             continue
         if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
@@ -119,15 +117,12 @@ def _union(
     max_roof_height_m: float,
     simplify_m: float,
     recesses: Sequence[Box],
-    outline: Sequence[np.ndarray],
 ) -> Mesh | None:
-    # beyond its outline, a roof may reach below the ground
-    floor_z_m = ground_z_m - (_BELOW_GROUND_M if len(outline) else 0.0)
     meshes = skeleton.build(
         Polygons.from_rings([list(part.slope_rings) for part in parts]),
         np.concatenate([part.angle_deg for part in parts]),
-        np.array([max(part.eave_z_m - floor_z_m, min_eave_height_m) for part in parts]),
-        max_roof_height_m=np.array([min(part.top_m, max_roof_height_m) for part in parts]),
+        np.array([max(part.eave_z_m - ground_z_m, min_eave_height_m) for part in parts]),
+        max_roof_height_m=max_roof_height_m,
     )
     if (meshes.status != Status.OK).any():
         return None
@@ -141,12 +136,8 @@ def _union(
         solids.append(solid)
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     for recess in recesses:
-        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m) + ground_z_m - floor_z_m
+        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m)
         whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
-    if len(outline):
-        whole = whole.translate((0.0, 0.0, floor_z_m - ground_z_m))
-        low, high = (_prism(outline, z) for z in (min_eave_height_m, float(whole.bounding_box()[5]) + 1.0))
-        whole = (whole ^ high) + low
     return _mesh_of(whole, simplify_m)
 
 

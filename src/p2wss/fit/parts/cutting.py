@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.fit.roof.work import fit_work_at
+from p2wss.fit.roof.work import Polygon, fit_work_at
+from p2wss.fit.settings import SEARCHING
 from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
 from p2wss.skeleton.footprint import check_rings, load_footprint, set_angles
 from p2wss.skeleton.kinetic import simulate_at
@@ -17,13 +18,12 @@ _OK = int(Status.OK)
 _ON_CUT_M = 1e-6
 _MIN_AREA_M2, _HALF_WIDTH_M, _CLEARANCE_M = 2.0, 0.45, 0.05
 _ON_EDGE_M = 1e-4
-# with more edges, the width is estimated without a skeleton if it is large
-_MANY_EDGES = 40
 
 
 @allocating
-def _crossings(xy_m, ring_offset, axis, position):
+def _crossings(polygon: Polygon, axis: int, position: float):
     """(positions along the line, numbers of the edges) where the rings cross the line, in order along it."""
+    xy_m, ring_offset = polygon
     n = len(xy_m)
     place, edge = np.empty(n), np.empty(n, np.int64)
     count = 0
@@ -45,18 +45,19 @@ def _crossings(xy_m, ring_offset, axis, position):
 
 
 @entry
-def side_of_cut(xy_m, ring_offset, axis, position, is_high):
-    """(vertices (k, 2), offsets of the rings) of the part of a polygon with coordinate ``axis`` above (or
-    below) ``position``, exterior first and counter-clockwise; vertices on the cut have exactly its coordinate.
+def side_of_cut(polygon: Polygon, axis: int, position: float, is_high: bool):
+    """The part of a polygon with coordinate ``axis`` above (or below) ``position``, exterior first and
+    counter-clockwise; vertices on the cut have exactly its coordinate.
 
     Empty if that side is not a single polygon. The polygon may touch itself: see :func:`is_sound`.
     """
+    xy_m, ring_offset = polygon
     n, num_rings = len(xy_m), len(ring_offset) - 1
-    no_vertices, no_offset = np.zeros((0, 2)), np.zeros(1, np.int64)
-    place, edge = _crossings(xy_m, ring_offset, axis, position)
+    nothing = Polygon(np.zeros((0, 2)), np.zeros(1, np.int64))
+    place, edge = _crossings(polygon, axis, position)
     count = len(place)
     if count == 0 or count % 2 == 1:
-        return no_vertices, no_offset
+        return nothing
     next_vertex, crossing_of, cut_ring = np.empty(n, np.int64), np.full(n, -1), np.zeros(num_rings, np.int64)
     for ring in range(num_rings):
         for i in range(ring_offset[ring], ring_offset[ring + 1]):
@@ -77,7 +78,7 @@ def side_of_cut(xy_m, ring_offset, axis, position, is_high):
     c = start
     while True:
         if (xy_m[next_vertex[edge[c]], axis] >= position - _ON_CUT_M) != is_high:
-            return no_vertices, no_offset
+            return nothing
         out[size, axis], out[size, 1 - axis] = position, place[c]
         size, num_used = size + 1, num_used + 2
         i = next_vertex[edge[c]]
@@ -93,9 +94,9 @@ def side_of_cut(xy_m, ring_offset, axis, position, is_high):
         if c == start:
             break
         if num_used >= count:
-            return no_vertices, no_offset
+            return nothing
     if num_used != count:
-        return no_vertices, no_offset
+        return nothing
     rings_xy, offset = np.empty((size + n, 2)), np.zeros(num_rings + 1, np.int64)
     total = _clean_ring(out, size, axis, position, rings_xy)
     offset[1] = total
@@ -108,14 +109,14 @@ def side_of_cut(xy_m, ring_offset, axis, position, is_high):
                 total += 1
             num_out += 1
             offset[num_out] = total
-    return rings_xy[:total].copy(), offset[: num_out + 1].copy()
+    return Polygon(rings_xy[:total].copy(), offset[: num_out + 1].copy())
 
 
 side_of_cut_at = by_address(side_of_cut)
 
 
 @inner
-def _clean_ring(ring, size, axis, position, out):
+def _clean_ring(ring: np.ndarray, size: int, axis: int, position: float, out: np.ndarray):
     """Copies a ring to ``out`` without repeated vertices and without vertices within the cut. Returns the number of
     vertices."""
     count = 0
@@ -157,18 +158,19 @@ def _squared_clearance_m2(edge, n):
 
 
 @entry
-def clearance_m(xy_m, ring_offset, work_at):
+def clearance_m(polygon: Polygon, work_at: int):
     """The smallest distance between a vertex of a polygon and another vertex or an edge that does not end there."""
-    work = fit_work_at(work_at)
-    status, n = load_footprint(xy_m, ring_offset, ZERO, len(ring_offset) - 1, work.skeleton.edge)
+    work, num_rings = fit_work_at(work_at), len(polygon.ring_offset) - 1
+    status, n = load_footprint(polygon.xy_m, polygon.ring_offset, ZERO, num_rings, work.skeleton.edge)
     return np.sqrt(_squared_clearance_m2(work.skeleton.edge, n)) if status == _OK else 0.0
 
 
 @entry
-def is_sound(xy_m, ring_offset, min_clearance_m, work_at):
+def is_sound(polygon: Polygon, min_clearance_m: float, work_at: int):
     """Whether the side of a cut is a simple polygon, neither small nor thin, whose clearance is at least
     ``min_clearance_m``."""
     work = fit_work_at(work_at)
+    xy_m, ring_offset = polygon
     num_rings = len(ring_offset) - 1
     skeleton = work.skeleton
     if len(xy_m) < 3 or len(xy_m) > len(skeleton.edge):
@@ -184,7 +186,8 @@ def is_sound(xy_m, ring_offset, min_clearance_m, work_at):
     if area < _MIN_AREA_M2 or _squared_clearance_m2(edge, n) < min(_CLEARANCE_M, min_clearance_m) ** 2:
         return False
     # the radius of the largest circle within a polygon is at least its area by its perimeter
-    if n > _MANY_EDGES and area > _HALF_WIDTH_M * perimeter:
+    if n > SEARCHING.many_edges and area > _HALF_WIDTH_M * perimeter:
+        # with many edges, a skeleton takes long
         return True
     # the highest point of a 45 degree roof is as high as it is far from the edges
     for e in range(n):
@@ -206,9 +209,13 @@ is_sound_at = by_address(is_sound)
 
 
 @entry
-def inherited_angles(parent_xy_m, parent_offset, parent_deg, xy_m, ring_offset, axis, position, on_cut_deg):
+def inherited_angles(
+    parent: Polygon, parent_deg: np.ndarray, polygon: Polygon, axis: int, position: float, on_cut_deg: float
+):
     """Angles for the edges of one side of a cut: those of the parent where an edge lies on one of the parent's,
     ``on_cut_deg`` along the cut at ``position``, and 90 degrees elsewhere."""
+    parent_xy_m, parent_offset = parent
+    xy_m, ring_offset = polygon
     result = np.full(len(xy_m), 90.0)
     for ring in range(len(ring_offset) - 1):
         for i in range(ring_offset[ring], ring_offset[ring + 1]):

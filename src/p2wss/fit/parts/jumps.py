@@ -23,7 +23,7 @@ _CORNER_M, _MARGIN_AT_CORNERS_M = 0.3, 0.9
 
 
 @inner
-def quantile(ordered, count, share):
+def quantile(ordered: np.ndarray, count: int, share: float):
     """The quantile ``share`` of the first ``count`` values, which are in order."""
     place = share * (count - 1)
     low = int(place)
@@ -40,7 +40,7 @@ def _extent(values):
 
 
 @allocating
-def _by_cell(cell, num_cells):
+def _by_cell(cell: np.ndarray, num_cells: int):
     """(indices of the points (m,) by the number of their cell, where each cell begins there)."""
     order, first = np.empty(len(cell), np.int64), np.zeros(num_cells + 2, np.int64)
     for number in cell:
@@ -54,7 +54,9 @@ def _by_cell(cell, num_cells):
 
 
 @inner
-def _merge_by_height(along, z, count, new_along, new_z, num_new):
+def _merge_by_height(
+    along: np.ndarray, z: np.ndarray, count: int, new_along: np.ndarray, new_z: np.ndarray, num_new: int
+):
     """Adds ``num_new`` points to the first ``count``; both are in order of height."""
     k = count
     for new in range(num_new - 1, -1, -1):
@@ -65,7 +67,9 @@ def _merge_by_height(along, z, count, new_along, new_z, num_new):
 
 
 @allocating
-def jump_scores(along, across, z, lines, low_m, high_m):
+def jump_scores(
+    along: np.ndarray, across: np.ndarray, z: np.ndarray, lines: np.ndarray, low_m: float, high_m: float
+):
     """How much of a jump there is across each of the ``lines`` (ascending positions in ``along``), in square metres:
     the difference of the medians on either side beyond what slopes explain, at most 2 m, summed over strips.
 
@@ -120,9 +124,9 @@ def jump_scores(along, across, z, lines, low_m, high_m):
 
 
 @allocating
-def candidates(xy_m, x, y, z):
-    """(axes, positions) of cuts to try: per axis the clearest jumps, at least 0.7 m apart, and corners; four of each
-    at most, and one more for every 5 m."""
+def candidates(xy_m: np.ndarray, points: np.ndarray):
+    """(axes, positions) of cuts to try through a polygon with points (3, m): per axis the clearest jumps, at least
+    0.7 m apart, and corners; four of each at most, and one more for every 5 m."""
     max_lines = np.empty(2, np.int64)
     for axis in range(2):
         low, high = _extent(xy_m[:, axis].copy())
@@ -141,9 +145,7 @@ def candidates(xy_m, x, y, z):
             for i in range(num_lines):
                 lines[i] = low + _MARGIN_M + _STEP_M * i
             low_across, high_across = _extent(xy_m[:, 1 - axis].copy())
-            score = jump_scores(
-                x if axis == 0 else y, y if axis == 0 else x, z, lines, low_across, high_across
-            )
+            score = jump_scores(points[axis], points[1 - axis], points[2], lines, low_across, high_across)
             for i in stable_order(-score):
                 if score[i] <= _MIN_SCORE_M2 or count == first + max_lines[axis]:
                     break
@@ -164,7 +166,7 @@ def candidates(xy_m, x, y, z):
 
 
 @inner
-def _is_apart(positions, first, last, position, min_m):
+def _is_apart(positions: np.ndarray, first: int, last: int, position: float, min_m: float):
     for k in range(first, last):  # noqa: SIM110 - compiled
         if abs(positions[k] - position) < min_m:
             return False

@@ -1,23 +1,22 @@
 """The partition of a footprint into parts: the search for the one that costs least.
 
 What a partition costs is the sum of the residuals, and a price for each part and each slope (:class:`PartFitter`). The
-footprint is cut up; then two parts become one, or are divided anew along another line, as long as that costs less.
+footprint is cut up; then two parts become one, as long as that costs less.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from p2wss.fit.parts.parts import Cutting, Part, PartFitter, Union
+from p2wss.fit.parts.parts import Part, PartFitter
 from p2wss.fit.points import even_order
-from p2wss.fit.roof.fitter import Effort, FittedRoof, Fitter
+from p2wss.fit.roof.fitter import FittedRoof, Fitter
 from p2wss.fit.roof.work import NO_PRIOR, Prior
-
-# A second cut is sought only where better roofs might gain this multiple of the price of a part.
-_LOOK_AHEAD_SHARE = 4.0
+from p2wss.fit.settings import Cutting, Effort
 
 
 def fit_parts(
@@ -42,7 +41,7 @@ def fit_parts(
         return []
     search = _Search(part_fitter, whole)
     search.cut()
-    while search.merge() or search.divide_anew():
+    while search.merge():
         pass
     own_prior = prior if len(search.parts) == 1 else NO_PRIOR
     return [part_fitter.final_roof(part, own_prior) for part in search.parts]
@@ -60,15 +59,13 @@ _NO_CUT = _Cut(0.0, None)
 
 
 class _Search:
-    """The parts so far, and what is known of pairs of them: the two as one part, and the two divided anew."""
+    """The parts so far, and what is known of pairs of them: the two as one part."""
 
     def __init__(self, part_fitter: PartFitter, whole: Part) -> None:
         self.parts = [whole]
         self._fitter = part_fitter
         self._cuts: dict[Part, _Cut] = {}
-        self._unions: dict[frozenset[Part], Union | None] = {}
-        self._merged: dict[frozenset[Part], tuple[Part, ...] | None] = {}
-        self._divided: dict[frozenset[Part], tuple[Part, ...] | None] = {}
+        self._merged: dict[frozenset[Part], Part | None] = {}
 
     def cut(self) -> None:
         """Cuts parts, the cut that gains most first, as long as a cut gains a share of what a part costs, alone or with
@@ -81,9 +78,7 @@ class _Search:
             sides = self._cuts[part].sides
             if sides is None:
                 return
-            self._merged[frozenset(sides)] = (part,)
-            # the cut was the best one
-            self._divided[frozenset(sides)] = None
+            self._merged[frozenset(sides)] = part
             place = self.parts.index(part)
             self.parts[place : place + 1] = sides
 
@@ -91,7 +86,7 @@ class _Search:
         """The best cut of a part. An annex in a corner needs two cuts, and the first alone gains nothing; so where much
         remains to be gained, a cut may lose a little if a second one makes up for it."""
         cutting, price_m = self._fitter.cutting, self._fitter.price_m
-        min_gain_m, min_excess_m = cutting.over_share * price_m, _LOOK_AHEAD_SHARE * price_m
+        min_gain_m, min_excess_m = cutting.over_share * price_m, cutting.look_ahead_share * price_m
         looks_ahead = cutting.loss_share > 0 and part.excess_m >= min_excess_m
         sides = self._fitter.cut(part, -cutting.loss_share * price_m if looks_ahead else min_gain_m)
         if sides is None:
@@ -109,55 +104,21 @@ class _Search:
 
     def merge(self) -> bool:
         """Makes those two parts one for which that saves most. Returns whether there are any."""
-        best = self._best_change(self._merged, self._fitter.merged)
-        if best is None:
-            return False
-        self._replace(*best)
-        return True
-
-    def divide_anew(self) -> bool:
-        """Divides those two parts along another line for which that saves most. Returns whether there are any."""
-        best = self._best_change(self._divided, self._fitter.divided)
-        if best is None:
-            return False
-        pair, sides = best
-        # both have the same union
-        self._merged[frozenset(sides)] = self._merged[frozenset(pair)]
-        self._divided[frozenset(sides)] = None
-        self._replace(pair, sides)
-        return True
-
-    def _best_change(
-        self,
-        known: dict[frozenset[Part], tuple[Part, ...] | None],
-        change: Callable[[Union], tuple[Part, ...] | None],
-    ) -> tuple[tuple[Part, Part], tuple[Part, ...]] | None:
-        """The two parts that cost less after a change, and what becomes of them, for which that saves most; None if
-        there are none. known: what becomes of pairs, None for those without a change; new ones are added."""
         best_gain_m, best = 0.0, None
-        for pair in self._pairs():
+        for pair in combinations(reversed(self.parts), 2):
             key = frozenset(pair)
-            if key not in known:
-                union = self._union(pair)
-                known[key] = None if union is None else change(union)
-            parts = known[key]
-            if parts is not None:
-                gain_m = _gain_m(pair, parts) + (len(pair) - len(parts)) * self._fitter.price_m
+            if key not in self._merged:
+                self._merged[key] = self._fitter.merged(*pair)
+            merged = self._merged[key]
+            if merged is not None:
+                gain_m = _gain_m(pair, [merged]) + self._fitter.price_m
                 if gain_m > best_gain_m:
-                    best_gain_m, best = gain_m, (pair, parts)
-        return best
-
-    def _pairs(self) -> list[tuple[Part, Part]]:
-        return [(one, other) for i, one in enumerate(self.parts) for other in self.parts[:i]]
-
-    def _union(self, pair: tuple[Part, Part]) -> Union | None:
-        key = frozenset(pair)
-        if key not in self._unions:
-            self._unions[key] = self._fitter.union(*pair)
-        return self._unions[key]
-
-    def _replace(self, pair: tuple[Part, Part], parts: Sequence[Part]) -> None:
-        self.parts = [part for part in self.parts if part not in pair] + list(parts)
+                    best_gain_m, best = gain_m, (pair, merged)
+        if best is None:
+            return False
+        pair, merged = best
+        self.parts = [part for part in self.parts if part not in pair] + [merged]
+        return True
 
 
 def _gain_m(before: Sequence[Part], after: Sequence[Part]) -> float:

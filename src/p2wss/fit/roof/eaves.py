@@ -7,41 +7,35 @@ wall moved outwards: the kernel's roof over the moved walls, cut off at the real
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from p2wss.fit.roof.rounds import make_problem
-from p2wss.fit.roof.solve import (
-    IMPOSSIBLE,
-    MAX_ANGLE_DEG,
-    MIN_ANGLE_DEG,
-    NOISE_M,
-    evaluate_at,
-    improve_at,
-    load_polygon,
-)
-from p2wss.fit.roof.starts import HIP_DEG, edge_groups
-from p2wss.fit.roof.work import fit_work_at
+from p2wss.fit.roof.solve import IMPOSSIBLE, evaluate_at, improve_at, load_polygon
+from p2wss.fit.roof.starts import edge_groups
+from p2wss.fit.roof.work import Context, FitWork, Polygon, fit_work_at
+from p2wss.fit.settings import EAVES, SEARCHING, SOLVING
 from p2wss.skeleton.compiled import allocating, entry
-from p2wss.skeleton.status import Status
 
-_OK = int(Status.OK)
-_NUM_ROUNDS, _START_ROUNDS = 4, 3
-# a round that gains less is the last one
-_MIN_GAIN_M = 1e-4
-# slopes with fewer points, or with points over a narrower strip, keep their eave
-_MIN_POINTS, _MIN_EXTENT_M = 8, 1.0
-# no slope begins further outside its wall
-_MAX_OUTWARD_M = 3.0
-# weights of the present height and slope, which keep a step small where the points do not determine them
-_KEEP_HEIGHT, _KEEP_SLOPE = 1e-3, 0.5
 # sine of the turn below which two walls continue each other
 _STRAIGHT = 0.1
 _DEGREE = np.pi / 180.0
 
 
+class _Task(NamedTuple):
+    """A part to fit. points: (3, m). direction: int64 (n,), the same number where edges face the same way."""
+
+    polygon: Polygon
+    points: np.ndarray
+    direction: np.ndarray
+    context: Context
+
+
 @entry
-def moved_walls(xy_m, ring_offset, outward_m):
+def moved_walls(polygon: Polygon, outward_m: np.ndarray):
     """The vertices (n, 2) of rings whose edges have moved outwards by ``outward_m`` (n,), metres."""
+    xy_m, ring_offset = polygon
     n = len(xy_m)
     result = np.empty((n, 2))
     for ring in range(len(ring_offset) - 1):
@@ -66,85 +60,74 @@ def moved_walls(xy_m, ring_offset, outward_m):
 
 
 @entry
-def fit_eaves(xy_m, ring_offset, x, y, z, angle_deg, eave, top, work_at, settings, prior):
-    """(loss, eave, top, angles, outward) of the best roof each of whose slopes has the eave height and the angle that
+def fit_eaves(polygon: Polygon, points: np.ndarray, angle_deg: np.ndarray, eave: float, context: Context):
+    """(loss, eave, angles, outward) of the best roof each of whose slopes has the eave height and the angle that
     suit its points best; the loss is ``IMPOSSIBLE`` if there is none. It is sought from the given roof and from a gable
-    roof along either axis: where eaves are at different heights, a roof with level eaves may have hips, or a flat top,
-    that are not there.
+    roof along either axis: where eaves are at different heights, a roof with level eaves may have hips that are not
+    there.
 
     eave: of the lowest slope. outward (n,): metres by which slopes begin outside their walls, 0 at gables. Slopes that
     face the same way share both. Arguments as of :func:`p2wss.fit.roof.rounds.tidy_roof`.
     """
-    work = fit_work_at(work_at)
-    n = len(xy_m)
-    direction, axis, _, _ = edge_groups(xy_m, ring_offset)
-    best = (IMPOSSIBLE, eave, top, angle_deg.copy(), np.zeros(n))
+    work = fit_work_at(context.work_at)
+    n = len(polygon.xy_m)
+    direction, axis, _, _ = edge_groups(polygon)
+    task = _Task(polygon, points, direction, context)
+    best = (IMPOSSIBLE, eave, angle_deg.copy(), np.zeros(n))
     for start in range(3):
-        start_deg, start_eave, start_top = angle_deg.copy(), eave, top
+        start_deg, start_eave = angle_deg.copy(), eave
         if start > 0:
             for e in range(n):
-                start_deg[e] = HIP_DEG if axis[e] == start - 1 else 90.0
-            problem = make_problem(xy_m, ring_offset, x, y, z, len(z), direction, settings, prior)
-            status, _ = load_polygon(xy_m, ring_offset, work)
-            if status != _OK:
+                start_deg[e] = SEARCHING.hip_deg if axis[e] == start - 1 else 90.0
+            problem = make_problem(polygon, points, points.shape[1], direction, context)
+            if not load_polygon(polygon, work):
                 continue
-            _, start_eave, start_top = improve_at(
-                work.code, problem, work.at, start_deg, eave, np.inf, _START_ROUNDS, True, True, IMPOSSIBLE
+            _, start_eave = improve_at(
+                work.code, problem, work.at, start_deg, np.nan, EAVES.num_start_rounds, True, IMPOSSIBLE
             )
-        roof = _fit_from(
-            xy_m, ring_offset, x, y, z, start_deg, start_eave, start_top, direction, work, settings, prior
-        )
+        roof = _fit_from(task, work, start_deg, start_eave)
         if roof[0] < best[0]:
             best = roof
     return best
 
 
 @allocating
-def _fit_from(xy_m, ring_offset, x, y, z, angle_deg, eave, top, direction, work, settings, prior):
+def _fit_from(task: _Task, work: FitWork, angle_deg: np.ndarray, eave: float):
     """As :func:`fit_eaves`, from one roof; the loss is ``IMPOSSIBLE`` if level eaves are as good."""
-    n = len(xy_m)
-    best_deg, best_eave, best_top, best_outward = angle_deg.copy(), eave, top, np.zeros(n)
+    n = len(angle_deg)
+    best_deg, best_eave, best_outward = angle_deg.copy(), eave, np.zeros(n)
     # the direction in which each slope faces, -1 for gables
     way, num_ways, is_level = np.full(n, -1), 0, False
     for e in range(n):
         is_level = is_level or angle_deg[e] == 0.0
         if 0.0 < angle_deg[e] < 90.0:
-            way[e] = direction[e]
+            way[e] = task.direction[e]
             is_first = True
             for other in range(e):
                 is_first = is_first and way[other] != way[e]
             num_ways += 1 if is_first else 0
     best_loss = IMPOSSIBLE
     if num_ways >= 2 and not is_level:
-        best_loss = _loss(
-            xy_m, ring_offset, x, y, z, best_deg, eave, top, best_outward, direction, work, settings, prior
-        )
+        best_loss = _loss(task, work, best_deg, eave, best_outward)
     if best_loss >= IMPOSSIBLE:
-        return IMPOSSIBLE, best_eave, best_top, best_deg, best_outward
+        return IMPOSSIBLE, best_eave, best_deg, best_outward
     is_better = False
-    angle, outward = np.empty(n), np.empty(n)
-    for _ in range(_NUM_ROUNDS):
-        new_eave, furthest_m = _solve_planes(
-            xy_m, ring_offset, x, y, z, way, best_deg, best_eave, best_outward, work, settings, angle, outward
-        )
-        if furthest_m > _MAX_OUTWARD_M:
+    for _ in range(EAVES.num_rounds):
+        new_eave, angle, outward = _solve_planes(task, work, way, best_deg, best_eave, best_outward)
+        if outward.max() > EAVES.max_outward_m:
             break
-        new_top = best_eave + best_top - new_eave
-        loss = _loss(
-            xy_m, ring_offset, x, y, z, angle, new_eave, new_top, outward, direction, work, settings, prior
-        )
-        if loss >= best_loss - _MIN_GAIN_M:
+        loss = _loss(task, work, angle, new_eave, outward)
+        if loss >= best_loss - EAVES.min_gain_m:
             break
-        is_better, best_loss, best_eave, best_top = True, loss, new_eave, new_top
-        for e in range(n):
-            best_deg[e], best_outward[e] = angle[e], outward[e]
-    return (best_loss if is_better else IMPOSSIBLE), best_eave, best_top, best_deg, best_outward
+        is_better, best_loss, best_eave, best_deg, best_outward = True, loss, new_eave, angle, outward
+    return (best_loss if is_better else IMPOSSIBLE), best_eave, best_deg, best_outward
 
 
 @allocating
-def _loss(xy_m, ring_offset, x, y, z, angle_deg, eave, top, outward_m, direction, work, settings, prior):
+def _loss(task: _Task, work: FitWork, angle_deg: np.ndarray, eave: float, outward_m: np.ndarray):
     """The loss of a roof, ``IMPOSSIBLE`` if an edge would turn over; leaves faces and residuals in ``work``."""
-    moved = moved_walls(xy_m, ring_offset, outward_m)
+    xy_m, ring_offset = task.polygon
+    moved = moved_walls(task.polygon, outward_m)
     for ring in range(len(ring_offset) - 1):
         for i in range(ring_offset[ring], ring_offset[ring + 1]):
             j = i + 1 if i + 1 < ring_offset[ring + 1] else ring_offset[ring]
@@ -152,23 +135,21 @@ def _loss(xy_m, ring_offset, x, y, z, angle_deg, eave, top, outward_m, direction
             along += (moved[j, 1] - moved[i, 1]) * (xy_m[j, 1] - xy_m[i, 1])
             if along <= 0.0:
                 return IMPOSSIBLE
-    status, _ = load_polygon(moved, ring_offset, work)
-    if status != _OK:
+    moved_polygon = Polygon(moved, ring_offset)
+    if not load_polygon(moved_polygon, work):
         return IMPOSSIBLE
-    problem = make_problem(moved, ring_offset, x, y, z, len(z), direction, settings, prior)
-    return evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
+    problem = make_problem(moved_polygon, task.points, task.points.shape[1], task.direction, task.context)
+    return evaluate_at(work.code, problem, work.at, angle_deg, eave)
 
 
 @allocating
 def _solve_planes(
-    xy_m, ring_offset, x, y, z, way, angle_deg, eave, outward_m, work, settings, new_deg, new_outward_m
-):  # fmt: skip
-    """(lowest eave, furthest that a slope begins outside its wall) after one weighted step of the plane of each
-    direction, from the faces and residuals in ``work``. Writes angles and how far outside each slope begins."""
-    n = len(xy_m)
-    height = np.zeros(n)
-    for e in range(n):
-        new_deg[e] = angle_deg[e]
+    task: _Task, work: FitWork, way: np.ndarray, angle_deg: np.ndarray, eave: float, outward_m: np.ndarray
+):
+    """(lowest eave, angles, how far outside its wall each slope begins) after one weighted step of the plane of each
+    direction, from the faces and residuals in ``work``."""
+    n = len(way)
+    height, new_deg, new_outward_m = np.zeros(n), angle_deg.copy(), np.zeros(n)
     for first in range(n):
         is_first = way[first] >= 0
         for e in range(first):
@@ -179,34 +160,35 @@ def _solve_planes(
         for e in range(first, n):
             if way[e] == way[first]:
                 height[e] = eave + outward_m[e] * np.tan(angle_deg[e] * _DEGREE)
-        solved, new_height, new_slope = _plane(
-            xy_m, ring_offset, x, y, z, way, first, height[first], slope, work, settings
-        )
+        solved, new_height, new_slope = _plane(task, work, way, first, height[first], slope)
         if solved:
+            new_angle = min(max(np.arctan(new_slope) / _DEGREE, SOLVING.min_angle_deg), SOLVING.max_angle_deg)
             for e in range(first, n):
                 if way[e] == way[first]:
-                    height[e] = new_height
-                    new_deg[e] = min(max(np.arctan(new_slope) / _DEGREE, MIN_ANGLE_DEG), MAX_ANGLE_DEG)
-    lowest, furthest_m = np.inf, 0.0
+                    height[e], new_deg[e] = new_height, new_angle
+    lowest = np.inf
     for e in range(n):
         if way[e] >= 0:
             lowest = min(lowest, height[e])
     for e in range(n):
-        new_outward_m[e] = (height[e] - lowest) / np.tan(new_deg[e] * _DEGREE) if way[e] >= 0 else 0.0
-        furthest_m = max(furthest_m, new_outward_m[e])
-    return lowest, furthest_m
+        if way[e] >= 0:
+            new_outward_m[e] = (height[e] - lowest) / np.tan(new_deg[e] * _DEGREE)
+    return lowest, new_deg, new_outward_m
 
 
 @allocating
-def _plane(xy_m, ring_offset, x, y, z, way, first, height, slope, work, settings):
+def _plane(task: _Task, work: FitWork, way: np.ndarray, first: int, height: float, slope: float):
     """(whether its points determine it, height at the wall, slope) of the roof over the edges that face as ``first``
     does."""
-    a00, a01, a11, b0, b1 = _KEEP_HEIGHT, 0.0, _KEEP_SLOPE, _KEEP_HEIGHT * height, _KEEP_SLOPE * slope
+    xy_m, ring_offset = task.polygon
+    x, y, z = task.points[0], task.points[1], task.points[2]
+    keep_eave, keep_slope, cap_m = SOLVING.keep_eave, SOLVING.keep_slope, task.context.settings.limits.cap_m
+    a00, a01, a11, b0, b1 = keep_eave, 0.0, keep_slope, keep_eave * height, keep_slope * slope
     count, nearest, furthest = 0, np.inf, -np.inf
     for k in range(len(z)):
         f = work.face[k]
         residual = abs(work.residual[k])
-        if f < 0 or way[f] != way[first] or not residual <= settings.cap_m:
+        if f < 0 or way[f] != way[first] or not residual <= cap_m:
             continue
         j = f + 1
         for ring in range(len(ring_offset) - 1):
@@ -215,7 +197,7 @@ def _plane(xy_m, ring_offset, x, y, z, way, first, height, slope, work, settings
                 break
         dx, dy = xy_m[j, 0] - xy_m[f, 0], xy_m[j, 1] - xy_m[f, 1]
         d = ((y[k] - xy_m[f, 1]) * dx - (x[k] - xy_m[f, 0]) * dy) / np.hypot(dx, dy)
-        w = work.cosine[f] * work.cosine[f] / max(residual, NOISE_M)
+        w = work.cosine[f] * work.cosine[f] / max(residual, SOLVING.noise_m)
         a00 += w
         a01 += w * d
         a11 += w * d * d
@@ -223,7 +205,7 @@ def _plane(xy_m, ring_offset, x, y, z, way, first, height, slope, work, settings
         b1 += w * d * z[k]
         count += 1
         nearest, furthest = min(nearest, d), max(furthest, d)
-    if count < _MIN_POINTS or furthest - nearest < _MIN_EXTENT_M:
+    if count < EAVES.min_points or furthest - nearest < EAVES.min_extent_m:
         return False, height, slope
     determinant = a00 * a11 - a01 * a01
     return True, (a11 * b0 - a01 * b1) / determinant, (a00 * b1 - a01 * b0) / determinant

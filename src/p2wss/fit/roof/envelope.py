@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.fit.roof.work import FitWork, Polygon, Problem
 from p2wss.skeleton.compiled import allocating, embedded
 from p2wss.skeleton.footprint import MAX_SLOPE_DEG, MIN_SLOPE_DEG
 from p2wss.skeleton.queries import CUT, FLAT, OUTSIDE
@@ -20,11 +21,12 @@ _OUTSIDE_M = -1e-9
 
 
 @allocating
-def inward_distances(xy_m, ring_offset, x, y):
+def inward_distances(polygon: Polygon, x: np.ndarray, y: np.ndarray):
     """Metres from the line of each edge to points, positive inwards, and in one more row the smallest of
     them: float64 (n + 1, m), or (0, 0) unless the polygon is convex. x, y: relative to its first vertex."""
+    xy_m = polygon.xy_m
     n, m = len(xy_m), len(x)
-    if len(ring_offset) != 2:
+    if len(polygon.ring_offset) != 2:
         return np.zeros((0, 0))
     dir_x, dir_y = np.empty(n), np.empty(n)
     for i in range(n):
@@ -48,11 +50,13 @@ def inward_distances(xy_m, ring_offset, x, y):
 
 
 @embedded
-def lower_envelope(inward_m, angle_deg, tangent, cosine, max_roof_height_m, face, distance, rise, slant):
-    """As :func:`p2wss.skeleton.queries.assign`, but from :func:`inward_distances`. tangent, cosine: of the angles, 0
-    and 1 for 0 and 90 degrees. Writes the height of the roof above the eave to ``rise`` and the z of its unit normal to
-    ``slant``, NaN outside. Returns False if there is an angle that the kernel refuses."""
+def lower_envelope(problem: Problem, work: FitWork, angle_deg: np.ndarray):
+    """As :func:`p2wss.skeleton.queries.assign`, but from :func:`inward_distances`, with the tangents and cosines of the
+    angles in ``work``. Also writes the height of the roof above the eave to ``work.rise`` and the z of its unit normal
+    to ``work.slant``, NaN outside. Returns False if there is an angle that the kernel refuses."""
+    inward_m, max_roof_height_m = problem.inward_m, problem.max_roof_height_m
     n, m = len(inward_m) - 1, inward_m.shape[1]
+    face, distance, rise, slant = work.face[:m], work.distance[:m], work.rise[:m], work.slant[:m]
     is_flat, has_slope = False, False
     for e in range(n):
         angle = angle_deg[e]
@@ -70,7 +74,7 @@ def lower_envelope(inward_m, angle_deg, tangent, cosine, max_roof_height_m, face
         for k in range(m):
             face[k], distance[k], rise[k], slant[k] = CUT, max_roof_height_m, max_roof_height_m, 1.0
         for e in range(n):
-            t, c = tangent[e], cosine[e]
+            t, c = work.tangent[e], work.cosine[e]
             if t > 0.0:
                 for k in range(m):
                     height = t * inward_m[e, k]

@@ -11,22 +11,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.fit.points import every_kth
-from p2wss.fit.roof.envelope import inward_distances
-from p2wss.fit.roof.fitter import FittedRoof, Fitter, flat_rings
+from p2wss.fit.roof.fitter import FittedRoof, Fitter, as_columns, flat_rings
+from p2wss.fit.roof.rounds import make_problem
 from p2wss.fit.roof.solve import IMPOSSIBLE, evaluate_at, load_polygon
 from p2wss.fit.roof.starts import edge_groups
-from p2wss.fit.roof.work import NO_PRIOR, Problem, fit_work_at
+from p2wss.fit.roof.work import Context, FitWork, Polygon, Problem, fit_work_at
+from p2wss.fit.settings import USUAL_SLOPE_DEG
 from p2wss.skeleton.compiled import entry, inner
-from p2wss.skeleton.status import Status
 
 # added to the sum of the residuals for a class that is e times less probable by the network
 _CLASS_COST_M = 0.1
 _MIN_PROBABILITY = 1e-3
 # at most this many points and edges are evaluated, evenly spaced
 _NUM_POINTS, _NUM_EDGES = 64, 24
-_STEP_DEG, _LOWEST_DEG, _STEEPEST_DEG, _USUAL_DEG = 10.0, 5.0, 85.0, 38.0
+_STEP_DEG, _LOWEST_DEG, _STEEPEST_DEG = 10.0, 5.0, 85.0
 _DEGREE = np.pi / 180.0
-_OK = int(Status.OK)
 
 
 @dataclass(frozen=True)
@@ -49,21 +48,25 @@ def roof_evidence(
 ) -> Evidence:
     """The evidence of points (m, 3) for a roof. class_probability: of a network, (n, 3), that an edge has 0 degrees,
     90 degrees or a slope."""
-    xy_m, ring_offset = flat_rings(roof.slope_rings)
-    x, y, z = np.ascontiguousarray(point_m[every_kth(len(point_m), _NUM_POINTS)].T, np.float64)
-    class_bonus_m = np.zeros((len(xy_m), 3))
+    polygon = flat_rings(roof.slope_rings)
+    sample = point_m[every_kth(len(point_m), _NUM_POINTS)]
+    class_bonus_m = np.zeros((len(polygon.xy_m), 3))
     if class_probability is not None:
         class_bonus_m = _CLASS_COST_M * np.log(np.maximum(class_probability, _MIN_PROBABILITY))
-    angle_deg, limits = np.array(roof.angle_deg, np.float64), fitter.limits
     residual_m, margin_m = _residual_and_margins(
-        xy_m, ring_offset, x, y, z, angle_deg, float(roof.eave_z_m), float(roof.top_m), len(point_m), class_bonus_m,
-        fitter.work(len(xy_m), len(x)), float(limits.cap_m), float(limits.max_roof_height_m),
-    )  # fmt: skip
-    return Evidence(len(point_m), residual_m, margin_m, not angle_deg.any())
+        polygon,
+        as_columns(sample),
+        np.array(roof.angle_deg, np.float64),
+        float(roof.eave_z_m),
+        len(point_m),
+        class_bonus_m,
+        fitter.context(polygon, len(sample)),
+    )
+    return Evidence(len(point_m), residual_m, margin_m, not roof.angle_deg.any())
 
 
 @inner
-def _slope_margin(problem, work, angle_deg, eave, e):
+def _slope_margin(problem: Problem, work: FitWork, angle_deg: np.ndarray, eave: float, e: int):
     """The smallest growth of the sum of the residuals if the slope of edge e changes by ten degrees and every point
     keeps its face, that of the last evaluation; infinite for an edge that is not a slope."""
     best = np.inf
@@ -86,28 +89,26 @@ def _slope_margin(problem, work, angle_deg, eave, e):
 
 @entry
 def _residual_and_margins(
-    xy_m, ring_offset, x, y, z, angle_deg, eave, top, num_points, class_bonus_m, work_at, cap_m, max_roof_height_m
-):  # fmt: skip
-    """(mean residual, margins of the edges) of a roof on a sample x, y, z of its ``num_points``.
+    polygon: Polygon,
+    points: np.ndarray,
+    angle_deg: np.ndarray,
+    eave: float,
+    num_points: int,
+    class_bonus_m: np.ndarray,
+    context: Context,
+):
+    """(mean residual, margins of the edges) of a roof on a sample (3, m) of its ``num_points``.
 
     class_bonus_m: (n, 3), what the network's probability of each class takes off the sum of the residuals."""
-    work = fit_work_at(work_at)
-    n, m = len(xy_m), len(z)
-    direction, _, _, _ = edge_groups(xy_m, ring_offset)
-    local_x, local_y = x - xy_m[0, 0], y - xy_m[0, 1]
-    num_directions = 0
-    for e in range(n):
-        num_directions = max(num_directions, direction[e] + 1)
-    problem = Problem(
-        n, len(ring_offset) - 1, local_x, local_y, z - 0.0, direction, num_directions, cap_m,
-        max_roof_height_m, NO_PRIOR, inward_distances(xy_m, ring_offset, local_x, local_y),
-    )  # fmt: skip
+    work, cap_m = fit_work_at(context.work_at), context.settings.limits.cap_m
+    n, m = len(polygon.xy_m), points.shape[1]
+    direction, _, _, _ = edge_groups(polygon)
+    problem = make_problem(polygon, points, m, direction, context)
     step = (n + _NUM_EDGES - 1) // _NUM_EDGES
     margin = np.zeros((n + step - 1) // step)
-    status, _ = load_polygon(xy_m, ring_offset, work)
-    if status != _OK or m == 0:
+    if m == 0 or not load_polygon(polygon, work):
         return cap_m, margin
-    loss = evaluate_at(work.code, problem, work.at, angle_deg, eave, top)
+    loss = evaluate_at(work.code, problem, work.at, angle_deg, eave)
     if loss >= IMPOSSIBLE:
         return cap_m, margin
     is_level = True
@@ -123,12 +124,12 @@ def _residual_and_margins(
         for other in (1, 2):
             if other == kind or (is_level and other == 1):
                 continue
-            trial[e] = 90.0 if other == 1 else _USUAL_DEG
+            trial[e] = 90.0 if other == 1 else USUAL_SLOPE_DEG
             if other == 2:
                 for j in range(n):
                     if direction[j] == direction[e] and 0.0 < angle_deg[j] < 90.0:
                         trial[e] = angle_deg[j]
-            new_loss = evaluate_at(work.code, problem, work.at, trial, eave, top)
+            new_loss = evaluate_at(work.code, problem, work.at, trial, eave)
             if new_loss < IMPOSSIBLE:
                 growth = (new_loss - loss) * num_points + class_bonus_m[e, kind] - class_bonus_m[e, other]
                 margin[k] = min(margin[k], growth)

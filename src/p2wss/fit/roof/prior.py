@@ -12,9 +12,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.fit.roof.work import Prior
+from p2wss.fit.settings import USUAL_SLOPE_DEG
+from p2wss.skeleton.compiled import entry
 
-# a usual slope, and what each degree of difference from it costs
-_USUAL_DEG, _USUAL_DEGREE_COST_M = 38.0, 0.003
+# what each degree of difference from the usual slope costs
+_USUAL_DEGREE_COST_M = 0.003
 # What it costs to differ from a network: by a class of an edge that is e times less probable than the likeliest, by a
 # degree, by a metre of the eave height; metres of distance in the sum over the points, and in their mean.
 _CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST = (0.0125, 0.002), (0.005, 0.0005), (0.075, 0.01)
@@ -37,11 +39,31 @@ def make_prior(
     n = sum(map(len, rings))
     if angle_deg is None or class_probability is None or eave_z_m is None:
         cost = _USUAL_DEGREE_COST_M / num_points
-        return Prior(np.zeros((n, 3)), np.full(n, _USUAL_DEG), cost, np.zeros(0), 0.0)
+        return Prior(np.zeros((n, 3)), np.full(n, USUAL_SLOPE_DEG), cost, np.zeros(0), 0.0)
     surprise = -np.log(np.maximum(class_probability, _MIN_PROBABILITY))
     surprise -= surprise.min(axis=1, keepdims=True)
-    slope_deg = np.where((angle_deg > 0) & (angle_deg < 90), angle_deg, _USUAL_DEG)
+    slope_deg = np.where((angle_deg > 0) & (angle_deg < 90), angle_deg, USUAL_SLOPE_DEG)
     class_cost, degree_cost, eave_cost = (
         in_sum / num_points + in_mean for in_sum, in_mean in (_CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST)
     )
     return Prior(class_cost * surprise, slope_deg, degree_cost, np.array([float(eave_z_m)]), eave_cost)
+
+
+@entry
+def slope_prior(num_edges: int, slope_cost_m: float):
+    """A prior for which each slope costs ``slope_cost_m`` in the mean, and nothing else costs anything."""
+    class_cost_m = np.zeros((num_edges, 3))
+    for e in range(num_edges):
+        class_cost_m[e, 2] = slope_cost_m
+    return Prior(class_cost_m, np.full(num_edges, USUAL_SLOPE_DEG), 0.0, np.zeros(0), 0.0)
+
+
+def with_slope_cost(prior: Prior, slope_cost_m: float, num_points: int, num_edges: int) -> Prior:
+    """The prior of a roof over ``num_points`` points for which each slope costs ``slope_cost_m`` more in the sum.
+    num_edges: of the roof."""
+    if not slope_cost_m:
+        return prior
+    extra = slope_prior(num_edges, slope_cost_m / num_points)
+    if not len(prior.slope_deg):
+        return extra
+    return prior._replace(class_cost_m=prior.class_cost_m + extra.class_cost_m)

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.fit.roof.work import Polygon
+from p2wss.fit.settings import SEARCHING
 from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.ordering import stable_order
 
 # edges whose directions differ by less face the same way
 _SAME_DIRECTION_DEG = 12.0
-HIP_DEG, _LOW_DEG = 42.0, 18.0
 
 
 @entry
-def edge_groups(xy_m, ring_offset):
+def edge_groups(polygon: Polygon):
     """(direction, axis, bearing, length) of the edges of rings. direction: int64, the same number where edges
     face the same way; axis: int64, the same number where they are parallel; number 0 has the greatest total
     length. bearing: radians. length: metres."""
+    xy_m, ring_offset = polygon
     n = len(xy_m)
     bearing, length = np.empty(n), np.empty(n)
     shorter = np.empty(n)
@@ -38,7 +40,7 @@ def edge_groups(xy_m, ring_offset):
 
 
 @allocating
-def _groups(bearing_deg, length, order, period_deg):
+def _groups(bearing_deg: np.ndarray, length: np.ndarray, order: np.ndarray, period_deg: float):
     """Clusters of bearings around the longest edges, numbered in the order of their total length."""
     n = len(length)
     group, total = np.full(n, -1), np.zeros(n)
@@ -64,7 +66,7 @@ def _groups(bearing_deg, length, order, period_deg):
 
 
 @allocating
-def start_angles(direction, axis, guesses):
+def start_angles(direction: np.ndarray, axis: np.ndarray, guesses: np.ndarray):
     """Angles of the starts, (num_starts, num_edges): the ``guesses`` (num_guesses, num_edges), a hip roof, a
     gable roof along either main axis, and flat.
 
@@ -86,12 +88,12 @@ def start_angles(direction, axis, guesses):
         count += 1
         if has_flat:
             for e in range(n):
-                rows[count, e] = _LOW_DEG if guesses[g, e] == 0.0 else guesses[g, e]
+                rows[count, e] = SEARCHING.low_deg if guesses[g, e] == 0.0 else guesses[g, e]
             count += 1
     for e in range(n):
-        rows[count, e] = HIP_DEG
+        rows[count, e] = SEARCHING.hip_deg
     for a in range(num_axes):
         for e in range(n):
-            rows[count + 1 + a, e] = HIP_DEG if axis[e] == a else 90.0
+            rows[count + 1 + a, e] = SEARCHING.hip_deg if axis[e] == a else 90.0
     # the last row keeps its zeros: a flat roof
     return rows[: count + 2 + num_axes]

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from p2wss.fit.settings import Settings
 from p2wss.skeleton.compiled import described, stored_tuple
 from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.queries import QueryWork, query_work
@@ -14,22 +15,12 @@ from p2wss.skeleton.records import SkeletonWork
 _NUM_TRIALS = 4
 
 
-class Settings(NamedTuple):
-    """Settings of the search for a roof, as compiled code takes them; :class:`p2wss.fit.roof.fitter.Limits` and
-    ``Effort`` explain each of them."""
+class Polygon(NamedTuple):
+    """A polygon. xy_m: float64 (n, 2), its vertices, exterior first. ring_offset: int64, where each ring begins, and
+    n."""
 
-    num_search_points: int
-    num_points: int
-    num_followed: int
-    num_descents: int
-    max_rounds: int
-    flat_top: bool
-    cap_m: float
-    max_roof_height_m: float
-    top_gain_m: float
-    class_gain_m: float
-    separate_slope_gain_m: float
-    rounding_m: float
+    xy_m: np.ndarray
+    ring_offset: np.ndarray
 
 
 class Prior(NamedTuple):
@@ -49,6 +40,14 @@ class Prior(NamedTuple):
 
 
 NO_PRIOR = Prior(np.zeros((0, 3)), np.zeros(0), 0.0, np.zeros(0), 0.0)
+
+
+class Context(NamedTuple):
+    """What every fit of a roof takes besides its polygon and its points. work_at: address of :class:`FitWork`."""
+
+    work_at: int
+    settings: Settings
+    prior: Prior
 
 
 class Problem(NamedTuple):
@@ -92,8 +91,8 @@ class FitWork(NamedTuple):
 
     rise: height of the roof above the eave over each point. slant: z of the unit normal of its face, NaN outside.
     sort_buffer: room for sorting, and for the cost of each point. last_deg: the angles of the last evaluation; tangent,
-    cosine: of these. last_roof: its number of points and the height of its top, if it succeeded. group_row: of each
-    direction, its row of the equations. group_deg, solution_deg: angles that the least squares give, per direction and
+    cosine: of these. last_count: its number of points, -1 if it failed. group_row: of each direction, its row of the
+    equations. group_deg, solution_deg: angles that the least squares give, per direction and
     per edge. excess: what a better roof might gain, per edge. trial: rows of angles, one for each level of nested
     searches. num_evaluations: int64 (1,), roofs evaluated so far. at: the address of ``description``, from which
     compiled code takes everything by ``fit_work_at``.
@@ -110,7 +109,7 @@ class FitWork(NamedTuple):
     tangent: np.ndarray
     cosine: np.ndarray
     last_deg: np.ndarray
-    last_roof: np.ndarray
+    last_count: np.ndarray
     group_tangent: np.ndarray
     group_count: np.ndarray
     group_row: np.ndarray
@@ -144,7 +143,7 @@ def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
         tangent=np.zeros(max_edges),
         cosine=np.ones(max_edges),
         last_deg=np.zeros(max_edges),
-        last_roof=np.full(2, -1.0),
+        last_count=np.full(1, -1),
         group_tangent=np.zeros(max_edges),
         group_count=np.zeros(max_edges),
         group_row=np.zeros(max_edges, np.int64),

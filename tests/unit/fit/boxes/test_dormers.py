@@ -110,24 +110,6 @@ def test_a_terrace_within_the_slope_is_a_recess() -> None:
     assert volume(reconstruction) == pytest.approx(box, rel=0.02)
 
 
-@pytest.mark.parametrize("is_shed", [False, True])
-def test_a_dormer_with_a_sloped_roof_has_it(is_shed: bool) -> None:
-    """A gabled dormer across the slope, and a shed dormer that is less steep than the roof."""
-    point_m = sample([HOUSE], [40, 90, 40, 90], EAVE_M, 1500, 0.0)
-    x, y, z = point_m.T
-    over = (x > 5) & (x < 9) & (y < 3.5)
-    dormer_z = 6.4 + 0.35 * y if is_shed else 6.2 + np.tan(np.radians(35)) * np.minimum(x - 5, 9 - x)
-    point_m[over, 2] = np.maximum(z, dormer_z)[over]
-    true_m = point_m[:, 2].copy()
-    point_m[:, 2] += np.random.default_rng(3).normal(0, 0.02, len(point_m))
-    result = fit_one(Building("a", "t", (0.0, 0.0), [HOUSE], point_m, np.full(len(point_m), 6), 0.0), True)
-    assert is_closed(result.vertex_m, result.triangle)
-    height, slant = roof_over(result.vertex_m, result.triangle, point_m[over, :2])
-    assert np.abs(height - true_m[over]).mean() < 0.06
-    # hardly any of it is level
-    assert (slant > 0.999).mean() < 0.1
-
-
 def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
     chimney = (6.0, 6.5, 2.0, 2.6, 10.0)
     for building in (house(), house(chimney)):

@@ -84,7 +84,7 @@ def test_high_ground_is_a_roof() -> None:
 
 
 def part(ring: np.ndarray, angle_deg: float, eave_z_m: float) -> FittedRoof:
-    return FittedRoof([ring], np.full(len(ring), angle_deg), eave_z_m, np.inf, 0.0, 0)
+    return FittedRoof([ring], np.full(len(ring), angle_deg), eave_z_m, 0.0, 0)
 
 
 def test_only_level_and_low_parts_with_mostly_ground_are_open() -> None:

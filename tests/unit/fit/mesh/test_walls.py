@@ -55,10 +55,7 @@ def test_the_wall_of_a_step_near_an_edge_stays() -> None:
     """Two parts of different heights, the higher one set back by 2.5 cm from the long wall of the lower one."""
     low = np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)
     high = np.array([[2, 0.025], [6, 0.025], [6, 6], [2, 6]])
-    parts = [
-        FittedRoof([ring], np.zeros(4), height, np.inf, 0.0, 100)
-        for ring, height in ((low, 4.0), (high, 7.0))
-    ]
+    parts = [FittedRoof([ring], np.zeros(4), height, 0.0, 100) for ring, height in ((low, 4.0), (high, 7.0))]
     mesh = union(parts, 0.0, 1.0, 12.0)
     assert mesh is not None
     exact = vertices_on_footprint(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane, [low])
@@ -76,7 +73,7 @@ def test_a_building_of_parts_keeps_its_corners() -> None:
         np.array([[middle, turned[0, 1]], turned[1], turned[2], [middle, turned[3, 1]]]),
     )
     parts = [
-        FittedRoof([side], np.array([40.0, 90, 40, 90]), height, np.inf, 0.0, 100)
+        FittedRoof([side], np.array([40.0, 90, 40, 90]), height, 0.0, 100)
         for side, height in zip(sides, (5.0, 7.0), strict=True)
     ]
     mesh = union(parts, 0.0, 1.0, 12.0)

@@ -1,4 +1,4 @@
-"""The search for the partition: cuts that need a second one, and parts that are divided anew."""
+"""The search for the partition: cuts that need a second one."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import shapely
 
-from p2wss.fit.parts.partition import _Search, fit_parts
-from p2wss.fit.parts.parts import Cutting, PartFitter
-from p2wss.fit.points import even_order
-from p2wss.fit.roof.fitter import Effort, Fitter, Limits
+from p2wss.fit.parts.partition import fit_parts
+from p2wss.fit.parts.parts import PartFitter
+from p2wss.fit.roof.fitter import Fitter
 from p2wss.fit.roof.work import NO_PRIOR
+from p2wss.fit.settings import Cutting, Effort, Limits
 
 RING = np.array([[0, 0], [14, 0], [14, 10], [0, 10.0]])
 
@@ -37,38 +37,6 @@ def test_an_annex_in_a_corner_is_found(seed: int, width_m: float) -> None:
     assert shapely.Polygon(low.rings[0]).area == pytest.approx(width_m * (width_m - 1), rel=0.25)
     without = fit_parts(fitter, [RING], point_m, Effort(), Cutting(loss_share=0.0))
     assert len(without) == 1
-
-
-@pytest.mark.parametrize(("division_share", "is_divided"), [(0.3, True), (0.0, False), (20.0, False)])
-def test_two_parts_are_divided_along_a_better_line(division_share: float, is_divided: bool) -> None:
-    """The step runs along x = 9, and the parts have been cut along x = 6."""
-    point_m = flat_roof(0)
-    point_m[point_m[:, 0] > 9, 2] = 3.0
-    point_m = point_m[even_order(point_m)]
-    cutting = Cutting(division_share=division_share)
-    fitter = PartFitter(Fitter(Limits()), Effort(), cutting, len(point_m))
-    sides = []
-    for low_m, high_m in ((0.0, 6.0), (6.0, 14.0)):
-        ring = np.clip(RING, (low_m, 0), (high_m, 10))
-        is_inside = (point_m[:, 0] >= low_m) & (point_m[:, 0] < high_m)
-        part = fitter.whole([ring], point_m[is_inside], (), NO_PRIOR)
-        assert part is not None
-        sides.append(part)
-    search = _Search(fitter, sides[0])
-    search.parts = sides
-    assert not search.merge()
-    assert search.divide_anew() == is_divided
-    cost_m = sum(part.cost_m for part in search.parts)
-    if is_divided:
-        assert cost_m < 0.2 * sum(part.cost_m for part in sides)
-        east = max(search.parts, key=lambda part: part.roof.rings[0][:, 0].min())
-        np.testing.assert_allclose(east.roof.rings[0].min(axis=0), (9, 0), atol=0.2)
-        np.testing.assert_allclose(east.roof.rings[0].max(axis=0), (14, 10))
-        assert sum(part.point_m.shape[1] for part in search.parts) == len(point_m)
-        # there is nothing left to gain
-        assert not search.divide_anew()
-    else:
-        assert search.parts == sides
 
 
 def test_parts_stay_apart_in_memory() -> None:

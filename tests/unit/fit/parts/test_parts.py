@@ -9,8 +9,9 @@ from toy_roofs import sample
 from p2wss.fit.mesh.union import is_closed, is_sound, union
 from p2wss.fit.parts.merging import merged_rings
 from p2wss.fit.parts.partition import fit_parts
-from p2wss.fit.parts.parts import Cutting, cost_m, main_frame
-from p2wss.fit.roof.fitter import Effort, FittedRoof, Fitter, Limits
+from p2wss.fit.parts.parts import main_frame, total_cost_m
+from p2wss.fit.roof.fitter import FittedRoof, Fitter
+from p2wss.fit.settings import Cutting, Effort, Limits
 from p2wss.mesh.faces import planar_surfaces
 from p2wss.skeleton import FaceKind
 
@@ -24,8 +25,8 @@ def house_with_annex(noise_m: float = 0.03) -> np.ndarray:
     return np.vstack([house, sample([ANNEX], [0] * 4, 3.0, 250, noise_m, seed=1)])
 
 
-def roof(ring: np.ndarray, angle_deg: list[float], eave_z_m: float, top_m: float = np.inf) -> FittedRoof:
-    return FittedRoof([ring], np.array(angle_deg, float), eave_z_m, top_m, 0.0, 1)
+def roof(ring: np.ndarray, angle_deg: list[float], eave_z_m: float) -> FittedRoof:
+    return FittedRoof([ring], np.array(angle_deg, float), eave_z_m, 0.0, 1)
 
 
 def test_house_and_annex_are_cut_where_they_meet() -> None:
@@ -53,8 +54,10 @@ def test_parts_are_not_worse_than_one_height() -> None:
     parts = fit_parts(fitter, [BOTH], point_m, Effort(), Cutting())
     assert len(parts) == 2
     # including the cost of a part
-    assert cost_m(parts, Cutting()) < cost_m(single, Cutting())
-    assert cost_m(parts, Cutting(gain_m=0.5)) == pytest.approx(sum(p.total_loss_m for p in parts) + 0.5 * 750)
+    assert total_cost_m(parts, Cutting()) < total_cost_m(single, Cutting())
+    assert total_cost_m(parts, Cutting(mean_price_m=0.5)) == pytest.approx(
+        sum(p.total_loss_m for p in parts) + 0.5 * 750
+    )
 
 
 def test_an_annex_in_a_corner_leaves_one_part_around_it() -> None:
@@ -95,7 +98,7 @@ def test_merged_rings() -> None:
 
 def test_a_handful_of_points_is_no_reason_to_cut() -> None:
     point_m = house_with_annex(0.3)[::50]
-    few = fit_parts(Fitter(Limits()), [BOTH], point_m, Effort(), Cutting(cost_m=100.0))
+    few = fit_parts(Fitter(Limits()), [BOTH], point_m, Effort(), Cutting(min_price_m=100.0))
     assert len(few) == 1
 
 
@@ -105,7 +108,7 @@ def test_a_handful_of_points_is_no_reason_to_cut() -> None:
         [roof(HOUSE, [90, 40, 90, 40], 6.0), roof(ANNEX, [0] * 4, 3.0)],
         # crossing roofs: each is higher somewhere along the cut
         [roof(HOUSE, [30, 90, 90, 90], 5.0), roof(ANNEX, [90, 90, 30, 90], 5.0)],
-        [roof(HOUSE, [45] * 4, 4.0, 2.0), roof(ANNEX, [90, 20, 90, 90], 3.0)],
+        [roof(HOUSE, [45] * 4, 4.0), roof(ANNEX, [90, 20, 90, 90], 3.0)],
         # the same height: one flat roof
         [roof(HOUSE, [0] * 4, 4.0), roof(ANNEX, [0] * 4, 4.0)],
     ],

@@ -12,7 +12,8 @@ from p2wss.eval.metrics.calibration import calibration
 from p2wss.fit import fitting
 from p2wss.fit.roof import confidence
 from p2wss.fit.roof.evidence import roof_evidence
-from p2wss.fit.roof.fitter import FittedRoof, Fitter, Limits
+from p2wss.fit.roof.fitter import FittedRoof, Fitter
+from p2wss.fit.settings import Limits
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
 
@@ -34,7 +35,7 @@ def on_roof(ring, angle_deg, num_points, seed, noise_m=0.03):
 
 
 def share(point_m, angle_deg=GABLE, eave_m=EAVE_M, ring=HOUSE, probability=None):
-    roof_fit = FittedRoof([ring], np.asarray(angle_deg, float), eave_m, np.inf, 0.0, len(point_m))
+    roof_fit = FittedRoof([ring], np.asarray(angle_deg, float), eave_m, 0.0, len(point_m))
     return confidence.expected_share(Fitter(Limits()), [roof_fit], point_m, probability)
 
 
@@ -60,10 +61,8 @@ def test_larger_residuals_make_it_lower():
 def test_a_face_without_points_makes_it_lower():
     point_m = on_roof(HOUSE, GABLE, 200, 0)
     half = point_m[point_m[:, 1] < 4]
-    whole = roof_evidence(
-        Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, np.inf, 0.0, 0), point_m[: len(half)]
-    )
-    one_sided = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, np.inf, 0.0, 0), half)
+    whole = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0, 0), point_m[: len(half)])
+    one_sided = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0, 0), half)
     assert one_sided.margin_m[2] == 0.0 and one_sided.margin_m[0] > 10
     assert confidence.share(one_sided) < confidence.share(whole)
 
@@ -71,7 +70,7 @@ def test_a_face_without_points_makes_it_lower():
 def test_the_margin_of_a_gable_is_what_a_hip_would_cost():
     """By the heights of the kernel instead of the residuals of the fit."""
     point_m = on_roof(HOUSE, GABLE, 50, 2)
-    evidence = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, np.inf, 0.0, 0), point_m)
+    evidence = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0, 0), point_m)
 
     def total(angle_deg):
         over = roof(
@@ -100,7 +99,7 @@ def test_several_parts_are_weighted_by_their_points():
     left, right = HOUSE, HOUSE + np.array([12.0, 0.0])
     many, few = on_roof(left, GABLE, 300, 0), on_roof(right, GABLE, 5, 1)
     fitter = Fitter(Limits())
-    parts = [FittedRoof([ring], GABLE, EAVE_M, np.inf, 0.0, 0) for ring in (left, right)]
+    parts = [FittedRoof([ring], GABLE, EAVE_M, 0.0, 0) for ring in (left, right)]
     expected = (301 * share(many) + 6 * share(few, ring=right)) / 307
     assert confidence.expected_share(fitter, parts, np.vstack([many, few])) == pytest.approx(expected)
 
@@ -108,7 +107,7 @@ def test_several_parts_are_weighted_by_their_points():
 def test_only_some_of_very_many_edges_are_evaluated():
     turn = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     ring = 10 * np.column_stack([np.cos(turn), np.sin(turn)])
-    hip_roof = FittedRoof([ring], np.full(90, 30.0), EAVE_M, np.inf, 0.0, 0)
+    hip_roof = FittedRoof([ring], np.full(90, 30.0), EAVE_M, 0.0, 0)
     evidence = roof_evidence(Fitter(Limits()), hip_roof, on_roof(ring, hip_roof.angle_deg, 400, 0))
     assert 12 <= len(evidence.margin_m) <= 24
     assert 0.5 < confidence.share(evidence) < 1

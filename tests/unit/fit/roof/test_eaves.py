@@ -11,9 +11,9 @@ from p2wss.data.building import Building
 from p2wss.fit import fitting
 from p2wss.fit.mesh.union import is_closed, is_sound, union
 from p2wss.fit.parts.partition import fit_parts
-from p2wss.fit.parts.parts import Cutting
 from p2wss.fit.roof.eaves import moved_walls
-from p2wss.fit.roof.fitter import Effort, FittedRoof, Fitter, Limits, flat_rings
+from p2wss.fit.roof.fitter import FittedRoof, Fitter, flat_rings
+from p2wss.fit.settings import Cutting, Effort, Limits
 
 HOUSE = np.array([[0, 0], [12, 0], [12, 9], [0, 9.0]])
 L_SHAPE = np.array([[0, 0], [12, 0], [12, 5], [6, 5], [6, 10], [0, 10.0]])
@@ -81,9 +81,10 @@ def test_the_height_over_a_point_is_that_of_the_solid() -> None:
 
 
 def test_walls_move_outwards_by_what_is_asked() -> None:
-    xy_m, offset = flat_rings([L_SHAPE, COURTYARD])
+    polygon = flat_rings([L_SHAPE, COURTYARD])
+    xy_m = polygon.xy_m
     outward_m = np.array([0.5, 0, 0.25, 1, 0, 2, 0.1, 0, 0, 0.2])
-    moved = moved_walls(xy_m, offset, outward_m)
+    moved = moved_walls(polygon, outward_m)
     for first, last in ((0, 6), (6, 10)):
         ring, new = xy_m[first:last], moved[first:last]
         along = np.roll(ring, -1, axis=0) - ring
@@ -96,5 +97,5 @@ def test_walls_move_outwards_by_what_is_asked() -> None:
 
 
 def test_slope_rings_are_the_rings_of_a_roof_with_level_eaves() -> None:
-    roof = FittedRoof([HOUSE], np.array([40, 90, 40, 90.0]), 5.0, np.inf, 0.0, 1)
+    roof = FittedRoof([HOUSE], np.array([40, 90, 40, 90.0]), 5.0, 0.0, 1)
     assert roof.slope_rings is roof.rings
