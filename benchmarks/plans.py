@@ -68,11 +68,11 @@ def plan(config: str | dict[str, Any] | None, folder: Path) -> dict[str, Any]:
     """The JSON of ``p2wss plan`` for a config of the project, for settings, or for the miniature."""
     command = [sys.executable, "-m", "p2wss.cli", "plan", "--json", "--costs", str(ROOT / "config/costs.csv")]
     if isinstance(config, str):
-        command += ["--configfile", str(ROOT / config)]
+        command += ["--config", str(ROOT / config)]
     elif config is not None:
         path = folder / "config.yaml"
         path.write_text(yaml.safe_dump(config))
-        command += ["--configfile", str(path)]
+        command += ["--config", str(path)]
     run = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(run.stdout)
 

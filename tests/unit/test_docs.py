@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
 import yaml
 from pydantic import BaseModel
@@ -88,40 +88,43 @@ def commands(word: str) -> list[tuple[Path, str, bool]]:
     return result
 
 
-def subcommand(words: list[str]) -> tuple[argparse.ArgumentParser, list[str]]:
-    """The parser of the sub-command that the words begin with, and the words after it."""
-    parser = cli._parser()
-    while groups := [a for a in parser._actions if isinstance(a, argparse._SubParsersAction)]:
-        if not words or words[0] not in groups[0].choices:
+def subcommand(words: list[str]) -> tuple[click.Command, list[str]]:
+    """The command that the words begin with, and the words after it."""
+    command: click.Command = cli.program
+    while isinstance(command, click.Group):
+        if not words or words[0] not in command.commands:
             assert words[:1] == [] or words[0].startswith("-") or PLACEHOLDER.search(words[0]), words
             break
-        parser, words = groups[0].choices[words[0]], words[1:]
-    return parser, words
+        command, words = command.get_command(click.Context(command), words[0]), words[1:]
+    return command, words
 
 
-def options(parser: argparse.ArgumentParser) -> set[str]:
-    names = {option for action in parser._actions for option in action.option_strings}
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            names |= {option for inner in action.choices.values() for option in options(inner)}
+def options(command: click.Command) -> set[str]:
+    names = set(cli.program.context_settings["help_option_names"])
+    names.update(*(parameter.opts + parameter.secondary_opts for parameter in command.params))
+    if isinstance(command, click.Group):
+        parts = [command.get_command(click.Context(command), name) for name in command.commands]
+        names.update(*map(options, parts))
     return names
 
 
 def test_every_command_of_p2wss_parses():
     for page, command, is_whole in commands("p2wss"):
-        parser, words = subcommand(shlex.split(command)[1:])
+        inner, words = subcommand(shlex.split(command)[1:])
         for word in words:
             if word.startswith("--") and len(word) > 2:
-                assert word.partition("=")[0] in options(parser), f"{page.name}: {command}"
+                assert word.partition("=")[0] in options(inner), f"{page.name}: {command}"
         if is_whole and not RECIPES.search(command) and not any(word in (".", "..", "...") for word in words):
             try:
-                parser.parse_args(words)
-            except SystemExit:
-                pytest.fail(f"{page.name}: {command}")
+                inner.make_context("p2wss", words)
+            except (click.exceptions.Exit, click.exceptions.NoArgsIsHelpError):  # --help
+                pass
+            except click.UsageError as error:
+                pytest.fail(f"{page.name}: {command}: {error.format_message()}")
 
 
 def test_every_option_named_alone_exists():
-    existing = options(cli._parser()) | SNAKEMAKE_VALUES | SNAKEMAKE_FLAGS
+    existing = options(cli.program) | SNAKEMAKE_VALUES | SNAKEMAKE_FLAGS
     for path in ROOT.glob("benchmarks/*.py"):
         existing |= set(re.findall(r'"(--[\w-]+)"', path.read_text()))
     for page in PAGES:

@@ -4,6 +4,7 @@ import json
 import re
 import shlex
 
+import click
 import pytest
 from checkout import ROOT, rules_to_run
 
@@ -44,6 +45,14 @@ def commands_of(dry_run):
     return [shlex.split(command)[1:] for command in commands]
 
 
+def parsed(words):
+    """The values of the options of a command."""
+    command, words = cli.program, list(words)
+    while isinstance(command, click.Group):
+        command = command.get_command(click.Context(command), words.pop(0))
+    return command.make_context("p2wss", words).params
+
+
 def test_every_printed_command_can_be_run_by_hand(fresh):
     """Weights whose path the shell would cut into words are quoted; the command line knows all options."""
     weights = fresh.folder / "my weights" / "$HOME; 'x'.safetensors"
@@ -54,8 +63,7 @@ def test_every_printed_command_can_be_run_by_hand(fresh):
         [["all", "--config", f"model={override}"], ["ablation", "resources/towns/1/rgealti"]]
     )
     commands = [command for run in runs for command in commands_of(run)]
-    parsed = [cli._parser().parse_args(command) for command in commands]
-    assert {str(options.model) for options in parsed if getattr(options, "model", None)} == {str(weights)}
+    assert {str(model) for command in commands if (model := parsed(command).get("model"))} == {str(weights)}
     names = {" ".join(command[:2]) for command in commands}
     assert {"eval fit", "eval predict", "crops simulated", "crops real", "towns --seed"} <= names
 
@@ -77,10 +85,8 @@ def test_shards_are_evaluated_in_groups(project):
     dry_run = project.snakemake("-n", "eval_report", "--config", "eval={shards_per_job: 3}")
     jobs = rules_to_run(dry_run)
     assert [jobs[rule] for rule in ("predict", "fit", "baseline", "measure", "merge")] == [2, 4, 6, 2, 1]
-    options = [
-        cli._parser().parse_args(words) for words in commands_of(dry_run) if words[:2] == ["eval", "predict"]
-    ]
-    shards = sorted((group.out.parent.name, [shard.stem for shard in group.shards]) for group in options)
+    groups = [parsed(words) for words in commands_of(dry_run) if words[:2] == ["eval", "predict"]]
+    shards = sorted((group["out"].parent.name, [shard.stem for shard in group["shards"]]) for group in groups)
     simulated = ["0652_6862", "0653_6862", "0652_6861"]
     assert shards == [("0000", simulated), ("0001", ["0653_6861"])]
 
@@ -183,7 +189,7 @@ def test_a_wrong_config_is_one_clear_line(fresh, override, message):
 @pytest.mark.parametrize("config", ["config/default.yaml", "config/shipped.yaml", "tests/mini/dataset.yaml"])
 def test_plan_counts_the_jobs_that_snakemake_plans(fresh, config):
     jobs = rules_to_run(fresh.dry_run("--configfile", config))
-    plan = json.loads(fresh.p2wss("plan", "--configfile", config, "--json").stdout)
+    plan = json.loads(fresh.p2wss("plan", "--config", config, "--json").stdout)
     assert plan["jobs"] == sum(jobs.values())
 
 

@@ -60,4 +60,4 @@ rule ablation:
         code=fingerprint("eval.ablation"),
     shell:
         "p2wss eval ablation --manifest {input.manifest:q} --models {input.models:q} --out-csv {output.csv:q} --out-markdown {output.markdown:q}"
-        " --threads {threads} --config {params.config:q} 2> {log:q}"
+        " --threads {threads} 2> {log:q}"

@@ -1,107 +1,142 @@
 """The command line, one module per command. A command reads files, calls its stage and writes files.
 
-Commands import heavy modules when they run, so that ``p2wss --help`` responds at once. Whatever decides a
-result belongs in the package of the stage.
+Commands are imported when they run, and import heavy modules when they run, so that ``p2wss --help`` responds at
+once. Whatever decides a result belongs in the package of the stage.
 """
 
 from __future__ import annotations
 
-import argparse
+import importlib
 import logging
 import os
 import signal
 import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import click
+from click.shell_completion import shell_complete
 
 from p2wss import __version__
-from p2wss.cli import (
-    buildings,
-    check,
-    crops,
-    dvae,
-    evaluate,
-    fetch,
-    inspect,
-    model,
-    outlines,
-    plan,
-    reconstruct,
-    scans,
-    scenes,
-    towns,
-    warm_up,
-)
-from p2wss.cli import eval as evaluation
 from p2wss.errors import InputError
 
-# in the order of the pipeline
-COMMANDS = (
-    towns,
-    fetch,
-    scenes,
-    buildings,
-    scans,
-    crops,
-    dvae,
-    model,
-    evaluation,
-    outlines,
-    reconstruct,
-    plan,
-    inspect,
-    check,
-    evaluate,
-    warm_up,
+# module and command have the same name
+COMMANDS = {
+    "Commands": {
+        "reconstruct": "reconstruct buildings from your own LiDAR and footprints",
+        "outlines": "derive building outlines from LiDAR, without footprints",
+        "evaluate": "measure the buildings of a CityJSON file of any program against LiDAR",
+        "check": "validate the solids of CityJSON files",
+        "inspect": "describe the contents of files",
+        "warm-up": "compile the code before the first use",
+    },
+    "Stages of the workflow, in its order": {
+        "towns": "generate a synthetic town in IGN's file formats",
+        "fetch": "get footprints, terrain and LiDAR of a region",
+        "scenes": "cut tiles, clean footprints, draw roof angles",
+        "buildings": "build the closed meshes of one scene",
+        "scans": "simulate the LiDAR survey of one scene",
+        "crops": "crop the points of each building",
+        "dvae": "train the discrete VAE that tokenises point patches",
+        "model": "train Point2WSS",
+        "eval": "evaluate the methods and write the report",
+        "plan": "estimate jobs, hours, disk and memory of a config",
+    },
+}
+RENAMED = {
+    "--register": "--registration or --no-registration",
+    "--schema": "--footprint-schema",
+    "--attributes": "--attribute-names",
+    "--lod": "--lods",
+    "--configfile": "--config",
+}
+_COMPLETE = "_P2WSS_COMPLETE"
+
+
+class Program(click.Group):
+    """The commands, which are imported when they are called."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of the commands in the order of the help."""
+        return list(self.commands)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of its module."""
+        if cmd_name not in self.commands:
+            return None
+        name = cmd_name.replace("-", "_")
+        return getattr(importlib.import_module(f"p2wss.cli.{name}"), name)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the sections of :data:`COMMANDS`."""
+        for title, commands in COMMANDS.items():
+            with formatter.section(title):
+                formatter.write_dl(list(commands.items()))
+
+
+@click.group(
+    cls=Program,
+    commands=[click.Command(name, help=text) for part in COMMANDS.values() for name, text in part.items()],
+    epilog="p2wss COMMAND --help describes a command; the Snakemake workflow runs the stages. "
+    "@FILE stands for arguments that are listed in a file, one per line.",
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
+@click.version_option(__version__, message="p2wss %(version)s")
+def program() -> None:
+    """Watertight LoD2 buildings from building footprints and aerial LiDAR."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command. Returns the exit status: that of the command, 0 unless it says otherwise, or 2 for an error that
     the user can fix."""
-    parser = _parser()
-    parsed, rest = parser.parse_known_args(arguments)
-    if rest:
-        # argparse takes paths for several arguments from one place only
-        hint = (
-            ""
-            if rest[0].startswith("-")
-            else "; give all paths together, with the options before or after them"
-        )
-        parser.error(f"unrecognized arguments: {' '.join(rest)}{hint}")
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
     logging.getLogger("pyogrio").setLevel(logging.WARNING)  # pyogrio reports every file that it writes
+    if instruction := os.environ.get(_COMPLETE):
+        return shell_complete(program, {}, "p2wss", _COMPLETE, instruction)
     try:
-        status = parsed.run(parsed) or 0
+        with program.make_context(
+            "p2wss", with_files(sys.argv[1:] if arguments is None else arguments)
+        ) as ctx:
+            status = program.invoke(ctx) or 0
         sys.stdout.flush()
         return status
+    except click.exceptions.Exit as end:  # of --help and --version
+        return end.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        print(error.format_message())
+        return 0
     except BrokenPipeError:  # whoever reads what this prints has stopped, as head does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
-    except InputError as error:
-        print(f"p2wss: error: {error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        print("p2wss: interrupted", file=sys.stderr)
+        return 128 + signal.SIGINT
+    except (InputError, click.UsageError) as error:
+        print(f"p2wss: error: {_message(error)}", file=sys.stderr)
         return 2
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that reads arguments from files too: Linux starts no program with more than 2 MB of arguments."""
+def with_files(words: Iterable[str]) -> list[str]:
+    """The words, with the lines of FILE for @FILE: Linux starts no program with more than 2 MB of arguments."""
+    result: list[str] = []
+    for word in words:
+        if not word.startswith("@"):
+            result.append(word)
+            continue
+        try:
+            result += filter(None, Path(word[1:]).read_text(encoding="utf-8").splitlines())
+        except (OSError, ValueError) as error:
+            raise InputError(f"{word}: not a readable list of arguments: {error}") from error
+    return result
 
-    def convert_arg_line_to_args(self, arg_line: str) -> list[str]:
-        return [arg_line] if arg_line else []
 
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="p2wss",
-        description="Watertight LoD2 buildings from building footprints and aerial LiDAR.",
-        epilog="p2wss COMMAND --help describes a command; the Snakemake workflow runs them in order. "
-        "@FILE stands for arguments that are listed in a file, one per line.",
-        fromfile_prefix_chars="@",
-    )
-    parser.add_argument("--version", action="version", version=f"p2wss {__version__}")
-    commands = parser.add_subparsers(
-        title="commands, in the order of the pipeline", required=True, metavar="COMMAND"
-    )
-    for command in COMMANDS:
-        command.add_parser(commands)
-    return parser
+def _message(error: InputError | click.UsageError) -> str:
+    """One line, with the command whose help explains the arguments."""
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, click.NoSuchOption) and error.option_name in RENAMED:
+        return f"{error.option_name} is now {RENAMED[error.option_name]}"
+    text = " ".join(error.format_message().split())
+    return f"{text} (see {error.ctx.command_path} --help)" if error.ctx else text

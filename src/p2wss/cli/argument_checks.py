@@ -3,7 +3,6 @@ from names, signatures and headers of the files."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import tempfile
@@ -12,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from p2wss.cli.common import bounds_of_tile, log
 from p2wss.config import TABLES_AND_MODELS, Config
@@ -25,6 +24,20 @@ if TYPE_CHECKING:
     from p2wss.clouds.reading import CloudHeader
     from p2wss.data.metric_crs import MetricCrs
     from p2wss.data.terrain import Terrain
+    from p2wss.nets.compute import DeviceName
+
+
+class Request(NamedTuple):
+    """The files and choices of the command line. footprints: None for outlines derived from the points."""
+
+    clouds: list[Path]
+    footprints: Path | None
+    out: Path
+    crs: str | None
+    terrain: Path | None
+    model: Path | None
+    device: DeviceName
+    tile: str | None
 
 
 @dataclass(frozen=True)
@@ -43,98 +56,85 @@ class Inputs:
         return self.metric.crs
 
 
-def check(arguments: argparse.Namespace, config: Config) -> Inputs:
+def check(request: Request, config: Config) -> Inputs:
     """The inputs of ``p2wss reconstruct``, cheap checks first.
 
     Raises :class:`InputError`, in one line, for an argument that cannot work; logs a warning for one without effect.
     """
-    _check_outputs(arguments, config)
-    if arguments.no_footprints:
-        _check_no_footprints(arguments)
-    if arguments.tile is not None:
-        bounds_of_tile(arguments.tile, config)
-    weights = weights_file.weights_to_use(arguments.model, config.reconstruct)
+    _check_outputs(request, config)
+    if request.tile is not None:
+        bounds_of_tile(request.tile, config)
+    weights = weights_file.weights_to_use(request.model, config.reconstruct)
     if weights is not None:
         weights_file.read_metadata(weights, "model")
-        _check_device(arguments.device)
-    for path in filter(None, (arguments.footprints, arguments.terrain)):
+        _check_device(request.device)
+    for path in filter(None, (request.footprints, request.terrain)):
         if not path.exists():
             raise InputError(f"{path}: no such file")
 
     from p2wss.clouds import reading as clouds
     from p2wss.data import metric_crs
 
-    if arguments.no_footprints:
-        headers, metric = check_clouds(arguments)
-        return Inputs(headers, weights, metric, _terrain(arguments, metric))
-    headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
+    if request.footprints is None:
+        headers, metric = check_clouds(request.clouds, request.crs)
+        return Inputs(headers, weights, metric, _terrain(request, metric))
+    headers = clouds.read_headers(clouds.list_clouds(request.clouds))
     # a tile may be empty
-    may_be_empty = arguments.tile is not None
+    may_be_empty = request.tile is not None
     columns = [config.reconstruct.id_field, config.reconstruct.height_field]
     columns += [name for name in config.reconstruct.keep_columns if name != "all"]
-    footprints_crs = _check_footprints(arguments.footprints, columns, may_be_empty)
+    footprints_crs = _check_footprints(request.footprints, columns, may_be_empty)
     stated = clouds.common_header(headers)
     cloud = headers[0] if stated is None else stated
-    names = (str(cloud.path), str(arguments.footprints))
-    crs, note = metric_crs.common_crs(cloud.crs, footprints_crs, arguments.crs, names)
+    names = (str(cloud.path), str(request.footprints))
+    crs, note = metric_crs.common_crs(cloud.crs, footprints_crs, request.crs, names)
     metric, note_of_units = metric_crs.metric_crs(crs, cloud.bounds, names[0])
     for text in filter(None, (note, note_of_units)):
         log.info("note: %s", text)
     if not may_be_empty and not any(header.num_points for header in headers):
-        raise InputError(f"{arguments.clouds[0]}: has no points")
-    return Inputs(headers, weights, metric, _terrain(arguments, metric))
+        raise InputError(f"{request.clouds[0]}: has no points")
+    return Inputs(headers, weights, metric, _terrain(request, metric))
 
 
-def check_clouds(arguments: argparse.Namespace) -> tuple[list[CloudHeader], MetricCrs]:
+def check_clouds(paths: Sequence[Path], stated_crs: str | None) -> tuple[list[CloudHeader], MetricCrs]:
     """The clouds without footprints and the CRS of the run. Raises :class:`InputError` if nobody states their CRS."""
     from p2wss.clouds import reading as clouds
     from p2wss.data import metric_crs
 
-    headers = clouds.read_headers(clouds.list_clouds(arguments.clouds))
+    headers = clouds.read_headers(clouds.list_clouds(paths))
     cloud = clouds.common_header(headers) or headers[0]
-    if cloud.crs is None and arguments.crs is None:
+    if cloud.crs is None and stated_crs is None:
         raise InputError(f"{cloud.path} does not state its CRS; state it with --crs, such as EPSG:28992")
     if not any(header.num_points for header in headers):
-        raise InputError(f"{arguments.clouds[0]}: has no points")
-    crs, _ = metric_crs.common_crs(cloud.crs, None, arguments.crs, (str(cloud.path), ""))
+        raise InputError(f"{paths[0]}: has no points")
+    crs, _ = metric_crs.common_crs(cloud.crs, None, stated_crs, (str(cloud.path), ""))
     metric, note = metric_crs.metric_crs(crs, cloud.bounds, str(cloud.path))
     if note:
         log.info("note: %s", note)
     return headers, metric
 
 
-def _terrain(arguments: argparse.Namespace, metric: MetricCrs) -> Terrain | None:
-    if arguments.terrain is None:
+def _terrain(request: Request, metric: MetricCrs) -> Terrain | None:
+    if request.terrain is None:
         return None
     from p2wss.data.terrain import read_terrain
 
-    terrain, terrain_crs = read_terrain(arguments.terrain, metric.source.to_wkt())
-    return metric.terrain(terrain, terrain_crs, arguments.terrain)
+    terrain, terrain_crs = read_terrain(request.terrain, metric.source.to_wkt())
+    return metric.terrain(terrain, terrain_crs, request.terrain)
 
 
-def _check_no_footprints(arguments: argparse.Namespace) -> None:
-    """Raise :class:`InputError` for an option that needs footprints."""
-    names = ("tile", "id_field", "schema", "height_field", "keep_columns")
-    options = [name for name in names if getattr(arguments, name) is not None]
-    if arguments.register == "on":
-        options.append("register")
-    if options:
-        option = options[0].replace("_", "-")
-        raise InputError(f"--{option}: has no effect with --no-footprints; omit one of the two")
-
-
-def _check_outputs(arguments: argparse.Namespace, config: Config) -> None:
-    _check_folder(arguments.out)
+def _check_outputs(request: Request, config: Config) -> None:
+    _check_folder(request.out)
     outputs = config.reconstruct.outputs
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
     names = ", ".join(outputs)
-    if arguments.terrain is not None:
+    if request.terrain is not None:
         raise InputError(
-            f"--terrain {arguments.terrain}: {names} cannot hold a terrain; add a mesh format to --format, such as"
+            f"--terrain {request.terrain}: {names} cannot hold a terrain; add a mesh format to --outputs, such as"
             " glb, or omit --terrain"
         )
-    if arguments.per_building:
+    if config.reconstruct.per_building:
         log.warning("warning: --per-building has no effect: none of %s is a mesh format", names)
 
 

@@ -2,42 +2,38 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
-from p2wss.cli.common import Parsers, add_command, log_status_counts, read_config
-from p2wss.config import section_json
+import click
+
+from p2wss.cli.common import config_option, log_status_counts
+from p2wss.cli.parser import Command, file_option
+from p2wss.config import Config, section_json
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
 from p2wss.storage import files
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss buildings`` to the parser."""
-    command = add_command(stages, "buildings", buildings, "build the closed meshes of one scene")
-    command.add_argument("--scene", type=Path, required=True, help="GeoParquet written by p2wss scenes cut")
-    command.add_argument(
-        "--out", type=Path, required=True, help="Parquet to write: parameters and meshes of the buildings"
-    )
-
-
-def buildings(arguments: argparse.Namespace) -> None:
-    """Write the parameters and meshes of the buildings of a scene."""
+@click.command(cls=Command)
+@file_option("--scene", "GeoParquet written by p2wss scenes cut")
+@file_option("--out", "Parquet to write: parameters and meshes of the buildings")
+@config_option
+def buildings(scene: Path, out: Path, config: Config) -> None:
+    """Build the closed meshes of one scene."""
     import numpy as np
 
     from p2wss.buildings import build_scene, failed_fraction
     from p2wss.storage.schemas.buildings import BUILDINGS
     from p2wss.storage.schemas.scene import read_scene
 
-    config = read_config(arguments)
-    scene, facts = read_scene(arguments.scene)
-    columns = build_scene(scene, config.buildings)
+    table, facts = read_scene(scene)
+    columns = build_scene(table, config.buildings)
     status = columns["status"]
-    log_status_counts(arguments.out, status)
-    failed = failed_fraction(scene["status"].to_numpy(), status)
+    log_status_counts(out, status)
+    failed = failed_fraction(table["status"].to_numpy(), status)
     if failed > config.buildings.max_failed_fraction:
         raise InputError(
-            f"{arguments.scene}: {failed:.1%} of its buildings were rejected, more than "
+            f"{scene}: {failed:.1%} of its buildings were rejected, more than "
             f"buildings.max_failed_fraction {config.buildings.max_failed_fraction:.1%}; "
             "the reasons are listed above"
         )
@@ -50,4 +46,4 @@ def buildings(arguments: argparse.Namespace) -> None:
             zip(*(a.tolist() for a in np.unique(status.astype(str), return_counts=True)), strict=True)
         ),
     )
-    files.write_table(arguments.out, columns, BUILDINGS, metadata)
+    files.write_table(out, columns, BUILDINGS, metadata)

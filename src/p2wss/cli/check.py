@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from pathlib import Path
 
-from p2wss.cli.common import Parsers
+import click
+
+from p2wss.cli.parser import PATH, Command, option
 from p2wss.errors import InputError
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss check`` to the parser."""
-    command = stages.add_parser(
-        "check",
-        help="validate the solids of CityJSON files",
-        description="Validate the solids of CityJSON files against the rules of ISO 19107, with the default tolerances "
-        "of val3dity. Prints one line per invalid solid. The exit status is 1 if there is one.",
-    )
-    command.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="CityJSON files or CityJSON text sequences"
-    )
-    command.add_argument(
-        "--val3dity",
-        metavar="PROGRAM",
-        help="also run this installation of val3dity and print its report",
-    )
-    command.set_defaults(run=check)
+@click.command(cls=Command)
+@click.argument(
+    "files",
+    type=PATH,
+    nargs=-1,
+    required=True,
+    metavar="FILE ..",
+    help="CityJSON files or CityJSON text sequences",
+)
+@option("--val3dity", metavar="PROGRAM", help="also run this installation of val3dity and print its report")
+def check(files: tuple[Path, ...], val3dity: str | None) -> int:
+    """Validate the solids of CityJSON files.
 
-
-def check(arguments: argparse.Namespace) -> int:
-    """Print the invalid solids of all files. Returns the exit status: 1 if there is one."""
-    from p2wss.formats import cityjson_read, val3dity
+    The rules are those of ISO 19107, with the default tolerances of val3dity. Prints one line per invalid solid. The
+    exit status is 1 if there is one.
+    """
+    from p2wss.formats import cityjson_read
+    from p2wss.formats.val3dity import report
     from p2wss.mesh.rules import MEANINGS, breaches
 
     num_invalid = 0
-    for path in arguments.files:
+    for path in files:
         num_solids, codes = 0, defaultdict(set)
         for shell in cityjson_read.shells(path):
             num_solids += shell.number == 0
@@ -48,8 +45,8 @@ def check(arguments: argparse.Namespace) -> int:
             text = "; ".join(f"{code} {MEANINGS[code]}" for code in sorted(numbers))
             print(f"{path}: {place}: {text}")
         invalid = set(codes)
-        if arguments.val3dity:
-            for name, errors in val3dity.report(arguments.val3dity, path).items():
+        if val3dity:
+            for name, errors in report(val3dity, path).items():
                 invalid.add(f"{name} (val3dity)")
                 print(f"{path}: {name}: val3dity: {'; '.join(errors)}")
         print(f"{path}: {num_solids} solids, {len(codes)} invalid")

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
-import argparse
+from functools import partial
+from pathlib import Path
 
-from p2wss.cli.common import (
-    Parsers,
-    add_command,
-    add_training,
-    read_training_config,
-    set_num_threads,
-    write_trained,
-)
+import click
+
+from p2wss.cli import common
+from p2wss.cli.parser import Command, setting
+from p2wss.config import Config
 from p2wss.provenance import fingerprint
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss dvae`` to the parser."""
-    command = add_command(stages, "dvae", dvae, "train the discrete VAE that tokenises point patches")
-    add_training(command)
-
-
-def dvae(arguments: argparse.Namespace) -> None:
-    """Train, then write the weights and the metrics."""
-    set_num_threads(arguments.threads)
+@click.command(cls=Command)
+@common.manifest_option
+@common.weights_option
+@common.out_metrics_option
+@common.checkpoints_option
+@common.threads_option
+@setting("dvae.compute.device")
+@common.config_option
+def dvae(
+    manifest: Path, out: Path, out_metrics: Path, checkpoints: Path, threads: int, config: Config
+) -> None:
+    """Train the discrete VAE that tokenises point patches."""
+    common.set_num_threads(threads)
     from p2wss import dvae
     from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_dvae
 
-    config, code = read_training_config(arguments, "dvae").dvae, fingerprint("dvae")
-    with training_lock(arguments.checkpoints):
-        module = dvae.train(arguments.manifest, config, arguments.checkpoints, code)
-        write_trained(arguments, lambda metrics: save_dvae(module, arguments.out, config, code, metrics))
+    settings, code = config.dvae, fingerprint("dvae")
+    with training_lock(checkpoints):
+        module = dvae.train(manifest, settings, checkpoints, code)
+        save = partial(save_dvae, module, out, settings, code)
+        common.write_trained(checkpoints, out_metrics, save)

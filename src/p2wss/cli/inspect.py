@@ -2,40 +2,32 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 
-from p2wss.cli.common import Parsers
+import click
+
+from p2wss.cli.parser import PATH, Command, option
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss inspect`` to the parser."""
-    command = stages.add_parser(
-        "inspect",
-        help="describe the contents of files",
-        description="Describe the contents of files: results of p2wss, and data of IGN.",
-    )
-    command.add_argument("files", type=Path, nargs="+", metavar="FILE", help="files to describe")
-    command.add_argument(
-        "--verify",
-        action="store_true",
-        help="verify the checksums of files; the exit status is 2 if a file is damaged or has no checksum",
-    )
-    command.add_argument("--json", action="store_true", help="print one line of JSON per file")
-    command.set_defaults(run=inspect)
-
-
-def inspect(arguments: argparse.Namespace) -> int:
-    """Describe or verify the files. Returns the exit status."""
+@click.command(cls=Command)
+@click.argument("files", type=PATH, nargs=-1, required=True, metavar="FILE ..", help="files to describe")
+@option(
+    "--verify",
+    is_flag=True,
+    help="verify the checksums of files; the exit status is 2 if a file is damaged or has no checksum",
+)
+@option("--json", "as_json", is_flag=True, help="print one line of JSON per file")
+def inspect(files: tuple[Path, ...], verify: bool, as_json: bool) -> int:
+    """Describe the contents of files: results of p2wss, and data of IGN."""
     from p2wss.cli import inspection
 
-    if arguments.verify:
-        checks = [inspection.check(path) for path in arguments.files]
+    if verify:
+        checks = [inspection.check(path) for path in files]
         for facts in checks:
-            print(json.dumps(facts) if arguments.json else ": ".join(map(str, facts.values())))
+            print(json.dumps(facts) if as_json else ": ".join(map(str, facts.values())))
         return 0 if all(facts["checksum"] == inspection.INTACT for facts in checks) else 2
-    for path in arguments.files:
+    for path in files:
         facts = inspection.describe(path)
-        print(json.dumps(facts) if arguments.json else inspection.text(facts))
+        print(json.dumps(facts) if as_json else inspection.text(facts))
     return 0

@@ -2,39 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
+from functools import partial
 from pathlib import Path
 
-from p2wss.cli.common import (
-    Parsers,
-    add_command,
-    add_training,
-    read_training_config,
-    set_num_threads,
-    write_trained,
-)
+import click
+
+from p2wss.cli import common
+from p2wss.cli.parser import Command, file_option, setting
+from p2wss.config import Config
 from p2wss.provenance import fingerprint
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss model`` to the parser."""
-    command = add_command(stages, "model", model, "train Point2WSS")
-    command.add_argument("--dvae", type=Path, required=True, help="weights written by p2wss dvae")
-    add_training(command)
-
-
-def model(arguments: argparse.Namespace) -> None:
-    """Train, then write the weights and the metrics."""
-    set_num_threads(arguments.threads)
+@click.command(cls=Command)
+@common.manifest_option
+@file_option("--dvae", "weights written by p2wss dvae")
+@common.weights_option
+@common.out_metrics_option
+@common.checkpoints_option
+@common.threads_option
+@setting("model.compute.device")
+@common.config_option
+def model(
+    manifest: Path, dvae: Path, out: Path, out_metrics: Path, checkpoints: Path, threads: int, config: Config
+) -> None:
+    """Train Point2WSS."""
+    common.set_num_threads(threads)
     from p2wss import model
     from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_model
 
-    config, code = read_training_config(arguments, "model").model, fingerprint("model")
-    with training_lock(arguments.checkpoints):
-        module, dvae_config = model.train(
-            arguments.manifest, arguments.dvae, config, arguments.checkpoints, code
-        )
-        write_trained(
-            arguments, lambda metrics: save_model(module, arguments.out, config, dvae_config, code, metrics)
-        )
+    settings, code = config.model, fingerprint("model")
+    with training_lock(checkpoints):
+        module, dvae_config = model.train(manifest, dvae, settings, checkpoints, code)
+        save = partial(save_model, module, out, settings, dvae_config, code)
+        common.write_trained(checkpoints, out_metrics, save)

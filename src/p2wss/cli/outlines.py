@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
+
+import click
 
 from p2wss.cli import argument_checks
-from p2wss.cli.common import Parsers, add_command, log
-from p2wss.config import ClassPreset, Config, load
+from p2wss.cli.common import classes_option, config_option, crs_option, log
+from p2wss.cli.parser import PATH, Command
+from p2wss.config import Config
 from p2wss.errors import InputError
 from p2wss.storage import files
 
@@ -18,37 +20,29 @@ if TYPE_CHECKING:
     from p2wss.clouds.reading import Cloud
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss outlines`` to the parser."""
-    command = add_command(
-        stages, "outlines", outlines, "derive building outlines from LiDAR, without footprints"
-    )
-    command.add_argument(
-        "clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS, LAZ or COPC files, or folders of them"
-    )
-    command.add_argument("out", type=Path, metavar="OUT", help="GeoPackage to write (.gpkg)")
-    command.add_argument("--crs", help="CRS of clouds whose headers do not state it, for example EPSG:28992")
-    command.add_argument(
-        "--classes",
-        choices=get_args(ClassPreset),
-        help="classes of building, ground and ignored points (default: region.classes of the config)",
-    )
-
-
-def outlines(arguments: argparse.Namespace) -> None:
-    """Write the outlines."""
-    if arguments.out.suffix.lower() != ".gpkg":
-        raise InputError(
-            f"{arguments.out}: outlines are written as GeoPackage; name a file that ends in .gpkg"
-        )
-    options = {} if arguments.classes is None else {"classes": {"preset": arguments.classes}}
-    config = load(arguments.config, {"region": options})
-    headers, metric = argument_checks.check_clouds(arguments)
+@click.command(cls=Command)
+@click.argument(
+    "clouds",
+    type=PATH,
+    nargs=-1,
+    required=True,
+    metavar="CLOUD ..",
+    help="LAS, LAZ or COPC files, or folders of them",
+)
+@click.argument("out", type=PATH, metavar="OUT", help="GeoPackage to write (.gpkg)")
+@crs_option
+@classes_option
+@config_option
+def outlines(clouds: tuple[Path, ...], out: Path, crs: str | None, config: Config) -> None:
+    """Derive building outlines from LiDAR, without footprints."""
+    if out.suffix.lower() != ".gpkg":
+        raise InputError(f"{out}: outlines are written as GeoPackage; name a file that ends in .gpkg")
+    headers, metric = argument_checks.check_clouds(clouds, crs)
     inputs = argument_checks.Inputs(headers, None, metric, None)
     _, frame = read_outlines(config, inputs)
-    with files.atomic(arguments.out) as path:
+    with files.atomic(out) as path:
         frame.to_file(path, driver="GPKG", layer="outlines")
-    log.info("%s: %d outlines, %.0f m2", arguments.out, len(frame), frame.area.sum())
+    log.info("%s: %d outlines, %.0f m2", out, len(frame), frame.area.sum())
 
 
 def read_outlines(config: Config, inputs: argument_checks.Inputs) -> tuple[Cloud, gpd.GeoDataFrame]:

@@ -2,67 +2,61 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 from pathlib import Path
 from typing import Any
 
-from p2wss.cli.common import Parsers
+import click
+
+from p2wss.cli.parser import PATH, Command, option
 from p2wss.config import Config, dataset_name, load, member_places, place_config
 from p2wss.errors import InputError
 from p2wss.storage import files, integrity
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss plan`` to the parser."""
-    command = stages.add_parser(
-        "plan",
-        help="estimate jobs, hours, disk and memory of a config",
-        description="Estimate what a config needs before anything runs: tiles, jobs, buildings, CPU-hours, "
-        "GPU-hours, disk, downloads and memory, from measured costs. Sends no request.",
-    )
-    command.add_argument(
-        "--configfile",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="YAML",
-        help="configs as for snakemake; later ones override earlier ones (default: the miniature)",
-    )
-    command.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    command.add_argument(
-        "--pin",
-        type=Path,
-        metavar="YAML",
-        help="write a config that names all tiles, for use as the last --configfile of snakemake",
-    )
-    command.add_argument(
-        "--costs",
-        type=Path,
-        default=Path("config/costs.csv"),
-        help="table of measured costs (default: config/costs.csv)",
-    )
-    command.set_defaults(run=plan)
+@click.command(cls=Command)
+@option(
+    "--config",
+    "documents",
+    multiple=True,
+    metavar="FILE|JSON",
+    help="configs as for snakemake --configfile; may be repeated, and later ones win (default: the miniature)",
+)
+@option("--json", "as_json", is_flag=True, help="print JSON instead of a table")
+@option(
+    "--pin",
+    type=PATH,
+    metavar="YAML",
+    help="write a config that names all tiles, for use as the last --configfile of snakemake",
+)
+@option(
+    "--costs",
+    type=PATH,
+    default="config/costs.csv",
+    help="table of measured costs (default: config/costs.csv)",
+)
+def plan(documents: tuple[str, ...], as_json: bool, pin: Path | None, costs: Path) -> None:
+    """Estimate what a config needs before anything runs.
 
-
-def plan(arguments: argparse.Namespace) -> None:
-    """Print the estimate, and write the pinned config if asked for."""
+    Tiles, jobs, buildings, CPU-hours, GPU-hours, disk, downloads and memory, from measured costs. Sends no request.
+    """
     import yaml
 
-    from p2wss.plan import costs, estimate
+    from p2wss.plan import estimate
+    from p2wss.plan.costs import read_costs
 
-    config = load(*arguments.configfile)
+    config = load(*documents)
     regions, downloads = _regions_and_downloads(config)
-    result = estimate.estimate(config, regions, costs.read_costs(arguments.costs), downloads)
-    print(json.dumps(estimate.to_json(result), indent=1) if arguments.json else estimate.to_text(result))
-    if arguments.pin is not None:
-        names = " ".join(map(str, arguments.configfile))
+    result = estimate.estimate(config, regions, read_costs(costs), downloads)
+    print(json.dumps(estimate.to_json(result), indent=1) if as_json else estimate.to_text(result))
+    if pin is not None:
+        names = " ".join(documents)
         head = f"# the tiles of {names or 'the miniature'}, as p2wss plan counts them\n"
         text = yaml.safe_dump(
             estimate.pinned(config, regions), sort_keys=False, default_flow_style=None, width=120
         )
-        files.write_text(arguments.pin, head + text)
+        files.write_text(pin, head + text)
 
 
 def _regions_and_downloads(config: Config) -> tuple[list[Any], list[Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import os
 import platform
@@ -12,29 +11,22 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from multiprocessing import get_context
 from pathlib import Path
 
+import click
+
 import p2wss
-from p2wss.cli.common import Parsers, log
+from p2wss.cli.common import log
+from p2wss.cli.parser import Command, option
 
 Task = Callable[[], None]
 
 
-def add_parser(stages: Parsers) -> None:
-    """Add ``p2wss warm-up`` to the parser."""
-    command = stages.add_parser(
-        "warm-up",
-        help="compile the code before the first use",
-        description="Compile the code that p2wss reconstruct needs, once for this computer.",
-    )
-    command.add_argument("--all", action="store_true", help="also compile the code that p2wss scans needs")
-    command.add_argument(
-        "--jobs", type=int, default=_num_cores(), help="number of processes (default: one per core)"
-    )
-    command.set_defaults(run=warm_up)
-
-
-def warm_up(arguments: argparse.Namespace) -> None:
-    """Compile in several processes what is not compiled yet."""
-    marker = _marker(arguments.all)
+@click.command(cls=Command)
+@option("--all", "with_scans", is_flag=True, help="also compile the code that p2wss scans needs")
+@option("--jobs", type=click.IntRange(min=1), metavar="N", help="number of processes (default: one per core)")
+def warm_up(with_scans: bool, jobs: int | None) -> None:
+    """Compile the code that p2wss reconstruct needs, once for this computer."""
+    jobs = jobs or _num_cores()
+    marker = _marker(with_scans)
     if marker is not None and marker.exists():
         log.info("all code is already compiled")
         return
@@ -43,12 +35,12 @@ def warm_up(arguments: argparse.Namespace) -> None:
     from p2wss.storage.progress import Progress
 
     first: tuple[Task, ...] = of_reconstruct.TASKS
-    others: tuple[Task, ...] = (warm_survey,) if arguments.all else ()
+    others: tuple[Task, ...] = (warm_survey,) if with_scans else ()
     total = len(first) + len(others) + 1
-    log.info("compiling for this computer, with %d processes: up to a minute", arguments.jobs)
+    log.info("compiling for this computer, with %d processes: up to a minute", jobs)
     start = time.monotonic()
     with Progress("compiling", total, "parts") as progress:
-        run_tasks(first, of_reconstruct.warm_product, others, arguments.jobs, progress.update)
+        run_tasks(first, of_reconstruct.warm_product, others, jobs, progress.update)
     log.info("compiled in %.0f s", time.monotonic() - start)
     if marker is not None:
         marker.touch()

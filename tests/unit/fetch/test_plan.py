@@ -135,4 +135,4 @@ def test_an_existing_region_is_not_overwritten(
     assert main(["fetch", "--region", "x", *bbox]) == 2
     assert "already exists; choose another name" in capsys.readouterr().err
     assert path.read_text() == "region: {name: x}\n"
-    assert main(["fetch"]) == 2 and "give --region NAME" in capsys.readouterr().err
+    assert main(["fetch", "--dry-run"]) == 2 and "give --region NAME" in capsys.readouterr().err

@@ -156,13 +156,13 @@ def test_the_command_prints_json_and_writes_a_config_that_pins_the_tiles(tmp_pat
     monkeypatch.chdir(tmp_path)
     region = {"name": "x", "tiles": [], "lidar_tiles": [], "bounds_m": [650000, 6860000, 652000, 6861000]}
     (tmp_path / "x.yaml").write_text(yaml.safe_dump({"region": region}))
-    command = ["plan", "--configfile", "x.yaml", "--json", "--costs", str(table), "--pin", "pinned.yaml"]
+    command = ["plan", "--config", "x.yaml", "--json", "--costs", str(table), "--pin", "pinned.yaml"]
     assert cli.main(command) == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["tiles"] == 2 and printed["buildings"] == 1800 and printed["lidar_dvae"] == 0
     config = load("x.yaml", "pinned.yaml")
     assert config.region.tiles == ["0650_6861", "0651_6861"]
-    assert cli.main(["plan", "--configfile", "gone.yaml"]) == 2
+    assert cli.main(["plan", "--config", "gone.yaml"]) == 2
 
 
 def test_the_command_takes_counted_buildings_from_the_results(tmp_path, monkeypatch, capsys):

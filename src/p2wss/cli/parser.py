@@ -1,0 +1,140 @@
+"""How commands read their arguments: by click, with lists of files and with settings of the config as options."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+import click
+
+from p2wss.config import Config, Section, load
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+Decorator = Callable[[Function], Function]
+PATH = click.Path(path_type=Path)
+
+
+class Option(click.Option):
+    """An option. key: of the setting that it overrides. takes_list: its values are all words up to the next option.
+    more: not an option for every day."""
+
+    def __init__(
+        self, names: list[str], key: str = "", takes_list: bool = False, more: bool = False, **options: Any
+    ):
+        super().__init__(names, multiple=options.pop("multiple", takes_list), **options)
+        self.key, self.takes_list, self.more = key, takes_list, more
+
+
+class Command(click.Command):
+    """A command, whose parameter ``config`` is the config of ``--config`` and of the options for its settings."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments. Raises :class:`InputError` that names the setting with an invalid value."""
+        options = [option for option in self.params if isinstance(option, Option)]
+        rest = super().parse_args(ctx, _repeated(options, args))
+        if "config" in ctx.params and not ctx.resilient_parsing:
+            settings = [(option.key, ctx.params.pop(str(option.name))) for option in options if option.key]
+            stated = [_document(key, value) for key, value in settings if value is not None]
+            ctx.params["config"] = load(*ctx.params["config"], *stated)
+        return rest
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options for every day before the others."""
+        options = [option for option in self.get_params(ctx) if isinstance(option, click.Option)]
+        for title, more in (("Options", False), ("More options", True)):
+            chosen = [option for option in options if getattr(option, "more", False) == more]
+            rows = [row for option in chosen if (row := option.get_help_record(ctx))]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows, col_max=24)
+
+
+class Group(click.Group):
+    """A command that consists of parts."""
+
+    command_class = Command
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names of the parts in the order in which they run."""
+        return list(self.commands)
+
+
+class Names(click.ParamType):
+    """A list as one word, A,B,.."""
+
+    name = "A,B,.."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
+        """The names, without spaces around them."""
+        return (
+            value if isinstance(value, list) else [part.strip() for part in value.split(",") if part.strip()]
+        )
+
+
+class Pairs(click.ParamType):
+    """A mapping as one word, A=B,C=D,.."""
+
+    name = "A=B,.."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, str]:
+        """The values by their names."""
+        if isinstance(value, dict):
+            return value
+        pairs = [part.partition("=") for part in value.split(",") if part.strip()]
+        return {name.strip(): content.strip() for name, _, content in pairs}
+
+
+def option(*names: str, **options: Any) -> Decorator[Any]:
+    """Add an :class:`Option`."""
+    return click.option(*names, cls=Option, **options)
+
+
+def file_option(name: str, help: str, required: bool = True, takes_list: bool = False) -> Decorator[Any]:
+    """Add an option that names one file, or several if it ``takes_list``."""
+    return option(name, type=PATH, help=help, required=required, takes_list=takes_list)
+
+
+def setting(key: str, *names: str, more: bool = True, **options: Any) -> Decorator[Any]:
+    """Add an option that overrides the setting ``key``, with the name, the type and the description of the key."""
+    *sections, last = key.split(".")
+    section: Any = Config
+    for name in sections:
+        section = section.model_fields[name].annotation
+    field = section.model_fields[last]
+    name = f"--{last.replace('_', '-')}"
+    kind, default = field.annotation, field.default
+    if kind is bool:
+        name, default = f"{name}/--no-{name[2:]}", str(default).lower()
+    elif get_origin(kind) is Literal:
+        options["type"] = click.Choice(get_args(kind))
+    elif get_origin(kind) is list:
+        options["type"], default = Names(), ",".join(default)
+    elif issubclass(kind, Section):
+        options["type"], default = Pairs(), "..."
+    else:
+        options["type"] = kind
+    help = f"{options.pop('help', field.description)} [{key}{f': {default}' if default != '' else ''}]"
+    return option(*(names or [name]), key=key, more=more, default=None, help=help, **options)
+
+
+def _document(key: str, value: Any) -> dict[str, Any]:
+    """A config in which only ``key``, such as reconstruct.detail, is stated."""
+    for name in reversed(key.split(".")):
+        value = {name: value}
+    return value
+
+
+def _repeated(options: Iterable[Option], words: Iterable[str]) -> list[str]:
+    """The words with ``--shards A --shards B`` for ``--shards A B``, as click takes one value per option."""
+    lists = set(itertools.chain.from_iterable(option.opts for option in options if option.takes_list))
+    result, current = [], ""
+    for word in words:
+        if word.startswith("-"):
+            current = word if word in lists else ""
+        if not current:
+            result.append(word)
+        elif word != current:
+            result += [current, word]
+    return result
