@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections import Counter
 from collections.abc import Callable
@@ -16,7 +17,6 @@ from p2wss.storage import files, integrity
 from p2wss.storage.schemas.manifest import to_manifest
 
 Facts = dict[str, Any]
-_CHUNK_POINTS = 2_000_000
 
 
 INTACT = "intact"
@@ -99,11 +99,11 @@ def _plain(value: Any) -> str:
     return "-" if value is None or value == {} else str(value)
 
 
-def _provenance(stored: str | bytes | None) -> Facts:
+def _provenance(stored: str | bytes | Facts | None) -> Facts:
     """The metadata that p2wss stored, with the config as nested sections instead of one line of JSON."""
     if not stored:
         return {}
-    facts = json.loads(stored)
+    facts = stored if isinstance(stored, dict) else json.loads(stored)
     if isinstance(facts.get("config"), str):
         facts["config"] = json.loads(facts["config"])
     return {"provenance": facts}
@@ -180,9 +180,8 @@ def _raster(path: Path) -> Facts:
 
     with rasterio.open(path) as raster:
         check_size(raster, path)
-        heights = raster.read(1, masked=True)
-        values = heights.compressed()
-        values = values[np.isfinite(values)]
+        heights = raster.read(1, out_dtype="float32", masked=True).filled(np.nan)
+        values = heights[np.isfinite(heights)]
         facts: Facts = {
             "kind": f"raster, {raster.driver}",
             "crs": _crs(raster.crs),
@@ -195,33 +194,17 @@ def _raster(path: Path) -> Facts:
             "share of cells with data": round(len(values) / heights.size, 6),
         }
         if len(values):
-            facts["heights"] = {
-                "lowest": float(values.min()),
-                "median": float(np.median(values)),
-                "highest": float(values.max()),
-            }
+            facts["heights"] = {"lowest": float(values.min()), "highest": float(values.max())}
         return facts | _provenance(raster.tags().get("p2wss"))
 
 
 def _cloud(path: Path) -> Facts:
-    import laspy
+    from p2wss.fetch.cloud import count_classes, read_header
 
-    from p2wss.clouds.las_files import check_header
-
-    check_header(path)
-    with laspy.open(path) as reader:
-        header = reader.header
-        classes: Counter[int] = Counter()
-        withheld, cells = 0, set()
-        for points in reader.chunk_iterator(_CHUNK_POINTS):
-            values, counts = np.unique(np.asarray(points.classification), return_counts=True)
-            classes.update(dict(zip(values.tolist(), counts.tolist(), strict=True)))
-            withheld += int(np.asarray(points.withheld).sum())
-            column = np.floor(np.asarray(points.x)).astype(np.int64)
-            row = np.floor(np.asarray(points.y)).astype(np.int64)
-            cells |= set(np.unique(column * 10_000_000 + row).tolist())
+    header, classes = read_header(path), count_classes(path)
     if classes.total() != header.point_count:
         raise InputError(f"{path}: truncated: {classes.total()} of {header.point_count} points")
+    area_m2 = float(np.prod(header.maxs[:2] - header.mins[:2]))
     is_copc = any(vlr.user_id == "copc" and vlr.record_id == 1 for vlr in header.vlrs)
     return {
         "kind": "point cloud, COPC" if is_copc else f"point cloud, {path.suffix[1:].upper()}",
@@ -230,9 +213,8 @@ def _cloud(path: Path) -> Facts:
         "bounds": [*header.mins[:2].tolist(), *header.maxs[:2].tolist()],
         "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
         "num_points": header.point_count,
-        "points per m2 in cells with points": round(header.point_count / len(cells), 2) if cells else None,
+        "points per m2 of the bounds": round(header.point_count / area_m2, 2) if area_m2 > 0 else None,
         "num_points by class": dict(sorted(classes.items())),
-        "num_withheld": withheld,
         "scale": header.scales.tolist(),
         "extra dimensions": list(header.point_format.extra_dimension_names),
         "software": f"{header.system_identifier} / {header.generating_software}".strip(" /\0"),
@@ -240,20 +222,15 @@ def _cloud(path: Path) -> Facts:
 
 
 def _weights(path: Path) -> Facts:
-    with path.open("rb") as file:
-        (size,) = struct.unpack("<Q", file.read(8))
-        header = json.loads(file.read(size))
-    metadata = header.pop("__metadata__", {})
-    parameters = sum(int(np.prod(tensor["shape"])) for tensor in header.values())
-    end = 8 + size + max((tensor["data_offsets"][1] for tensor in header.values()), default=0)
-    if end != path.stat().st_size:
-        raise InputError(f"{path}: truncated: {path.stat().st_size} of {end} bytes")
-    types = Counter(tensor["dtype"] for tensor in header.values())
+    from safetensors import safe_open
+
+    with safe_open(path, "numpy") as file:
+        shapes = [file.get_slice(name).get_shape() for name in file.keys()]  # noqa: SIM118
+        metadata = file.metadata() or {}
     return {
         "kind": "weights, safetensors",
-        "num_tensors": len(header),
-        "num_parameters": parameters,
-        "types": dict(types),
+        "num_tensors": len(shapes),
+        "num_parameters": sum(map(math.prod, shapes)),
         **_provenance(metadata.get("p2wss")),
     }
 
@@ -273,7 +250,7 @@ def _json(path: Path) -> Facts:
     facts: Facts = {"kind": "JSON"}
     for name, value in document.items():
         facts[name] = f"{len(value)} entries" if isinstance(value, list) and len(value) > 8 else value
-    return facts | _provenance(json.dumps(stored) if stored else None)
+    return facts | _provenance(stored)
 
 
 def _json_lines(path: Path) -> Facts:
@@ -302,31 +279,23 @@ def _city(parts: list[Facts]) -> Facts:
         "geometries by level of detail": dict(
             Counter(f"{shape['type']} LoD{shape.get('lod')}" for shape in geometry)
         ),
-        **_provenance(json.dumps(stored) if stored else None),
+        **_provenance(stored),
     }
 
 
 def _glb(path: Path) -> Facts:
     with path.open("rb") as file:
-        magic, version, total = struct.unpack("<4sII", file.read(12))
-        if magic != b"glTF" or total != path.stat().st_size:
-            raise InputError(f"{path}: not a glTF file, or truncated")
-        (size, _) = struct.unpack("<I4s", file.read(8))
+        magic, version, total, size, _ = struct.unpack("<4s4I", file.read(20))
         document = json.loads(file.read(size))
+    if magic != b"glTF" or total != path.stat().st_size:
+        raise InputError(f"{path}: not a glTF file, or truncated")
     stored = document.get("asset", {}).get("extras", {}).get("p2wss")
     return {
         "kind": f"glTF {version}, binary",
         "num_nodes": len(document.get("nodes", [])),
         "num_meshes": len(document.get("meshes", [])),
-        **_provenance(json.dumps(stored) if stored else None),
+        **_provenance(stored),
     }
-
-
-def _archive(path: Path) -> Facts:
-    from p2wss.fetch.archives import members
-
-    names = members(path)
-    return {"kind": "7z archive", "num_files": len(names), "files": names[:20]}
 
 
 def _table(path: Path) -> Facts:
@@ -347,6 +316,5 @@ _READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
     ((".jsonl",), _json_lines),
     ((".json",), _json),
     ((".glb",), _glb),
-    ((".7z", ".7z.001"), _archive),
     ((".csv", ".tsv"), _table),
 ]

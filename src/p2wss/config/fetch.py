@@ -25,8 +25,7 @@ class Folder(Section):
     )
     dtm: str = Field(
         "tests/mini/rgealti",
-        description="RGE ALTI as .asc, in .7z archives as delivered, or as GeoTIFF: a file, a folder or a "
-        "pattern",
+        description="RGE ALTI as .asc or GeoTIFF: a file, a folder or a pattern",
     )
     lidar: str = Field(
         "tests/mini/lidar", description="LAS, LAZ or COPC files: a file, a folder or a pattern"

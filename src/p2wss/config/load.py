@@ -14,9 +14,6 @@ from p2wss.config.base import merge
 from p2wss.config.sections import Config
 from p2wss.errors import InputError, reading
 
-# of a config with all its aliases written out; a config of 2 million tiles has as many
-_MAX_VALUES = 5_000_000
-
 
 def load(*documents: str | Path | dict[str, Any]) -> Config:
     """The config from YAML files or mappings. Later documents override earlier ones, and all override the defaults.
@@ -62,29 +59,10 @@ def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
         except ValueError as error:  # not UTF-8, or a name that no file can have
             raise InputError(f"config: {document}: not UTF-8 text: {error}") from error
     with reading(f"config: {document}", "YAML"):
-        loader = yaml.SafeLoader(text)
-        root = loader.get_single_node()
-        _check_size(root)
-        parsed = {} if root is None else loader.construct_document(root) or {}
+        parsed = yaml.safe_load(text) or {}
     if not isinstance(parsed, dict):
         raise InputError(f"config: {document}: expected a mapping of sections, got {type(parsed).__name__}")
     return parsed
-
-
-def _check_size(root: yaml.Node | None) -> None:
-    """Raise ValueError for a document that becomes too large when its aliases are expanded."""
-    sizes: dict[int, int] = {}
-
-    def size(node: yaml.Node) -> int:
-        if id(node) not in sizes:
-            sizes[id(node)] = _MAX_VALUES + 1  # of a node that contains itself
-            children = node.value if isinstance(node, yaml.SequenceNode | yaml.MappingNode) else []
-            pairs = (child if isinstance(child, tuple) else (child,) for child in children)
-            sizes[id(node)] = 1 + sum(size(child) for pair in pairs for child in pair)
-        return sizes[id(node)]
-
-    if root is not None and size(root) > _MAX_VALUES:
-        raise ValueError(f"its aliases expand to more than {_MAX_VALUES} values")
 
 
 def _suggestion(error: Any) -> str:

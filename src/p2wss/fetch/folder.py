@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pyogrio
 import pyproj
 import rasterio
@@ -23,8 +25,6 @@ from p2wss.data.metric_crs import reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
-from p2wss.fetch import geoparquet
-from p2wss.fetch.archives import is_archive, unpack, unpacked_folder
 from p2wss.fetch.cloud import read_header
 from p2wss.fetch.listing import CLOUD, RASTER, VECTOR, list_files
 
@@ -32,13 +32,12 @@ log = logging.getLogger(__name__)
 
 
 class FolderSource:
-    """Files on disk, see :class:`p2wss.fetch.source.Source`. unpacked: folder for grids unpacked from archives."""
+    """Files on disk, see :class:`p2wss.fetch.source.Source`."""
 
-    def __init__(self, config: Folder, crs: str, unpacked: Path) -> None:
+    def __init__(self, config: Folder, crs: str) -> None:
         self.config = config
         self.crs = crs
         self.name = config.footprints
-        self.unpacked = unpacked
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
         """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if a file is missing or not usable."""
@@ -61,12 +60,7 @@ class FolderSource:
 
     def dtm(self, bounds: Bounds) -> Terrain:
         """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if a file is missing or not usable."""
-        files = []
-        for path in list_files(self.config.dtm, RASTER, "fetch.folder.dtm"):
-            if is_archive(path):
-                files += unpack(path, bounds, unpacked_folder(path, self.unpacked))
-            else:
-                files.append(path)
+        files = list_files(self.config.dtm, RASTER, "fetch.folder.dtm")
         return mosaic(files, bounds, self.crs, self.config.dtm)
 
     def lidar(self, bounds: Bounds) -> list[Path]:
@@ -105,7 +99,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
     """
     try:
         if path.suffix == ".parquet":
-            frame = geoparquet.read_window(path, lambda file_crs: _window(path, bounds, crs, file_crs))
+            frame = _read_geoparquet(path, bounds, crs)
         else:
             layers = [str(name) for name in pyogrio.list_layers(path)[:, 0]]
             if layer not in layers and len(layers) != 1:
@@ -132,6 +126,24 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
         return frame.set_crs(region_crs, allow_override=True)
     frame = reprojected(frame, region_crs, path)
     return frame[frame.intersects(shapely.box(*bounds))]
+
+
+def _read_geoparquet(path: Path, bounds: Bounds, crs: str) -> gpd.GeoDataFrame:
+    """The features whose bounding boxes intersect ``bounds``.
+
+    Of a file with the bounding boxes in a covering column, as IGN's files are, only the row groups that intersect
+    them are read.
+    """
+    empty = BytesIO()
+    pq.write_table(pq.read_schema(path).empty_table(), empty)
+    window = _window(path, bounds, crs, gpd.read_parquet(empty).crs)
+    try:
+        return gpd.read_parquet(path, bbox=window)
+    except ValueError as error:
+        if "bbox" not in str(error):
+            raise
+    frame = gpd.read_parquet(path)
+    return frame[frame.intersects(shapely.box(*window))]
 
 
 def _window(path: Path, bounds: Bounds, crs: str, file_crs: Any) -> Bounds:

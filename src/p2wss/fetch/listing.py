@@ -14,7 +14,7 @@ from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
-RASTER = (".asc", ".tif", ".tiff", ".vrt", ".7z", ".7z.001")
+RASTER = (".asc", ".tif", ".tiff", ".vrt")
 CLOUD = (".laz", ".las")
 # position of max x, min x, max y, min y in the public header block of LAS 1.0 to 1.4
 _LAS_EXTENT = struct.Struct("<4d")
@@ -34,13 +34,14 @@ def list_files(location: str, suffixes: tuple[str, ...], key: str) -> list[Path]
         paths = [Path(name) for name in glob(location, recursive=True) if Path(name).is_file()]
     if not paths:
         raise InputError(
-            f"{key}: {location}: no such file, and no folder or pattern with files {', '.join(suffixes)}"
+            f"{key}: {location}: no such file, and no folder or pattern with files {', '.join(suffixes)};"
+            " unpack archives first, such as .7z by 7z x"
         )
     return sorted(paths)
 
 
 def with_companions(path: Path) -> list[Path]:
-    """A file and those that belong to it: the .dbf, .shx, .prj and .cpg of a shapefile, the parts of an archive.
+    """A file and those that belong to it: the .dbf, .shx, .prj and .cpg of a shapefile.
 
     >>> with_companions(Path("nowhere/a.gpkg"))
     [PosixPath('nowhere/a.gpkg')]
@@ -48,8 +49,6 @@ def with_companions(path: Path) -> list[Path]:
     if path.suffix.lower() == ".shp":
         companions = {path.with_suffix(suffix) for suffix in (".dbf", ".shx", ".prj", ".cpg")}
         return [path, *sorted(file for file in companions if file.is_file())]
-    if path.name.lower().endswith(".7z.001"):
-        return sorted(path.parent.glob(f"{path.stem}.[0-9][0-9][0-9]"))
     return [path]
 
 

@@ -36,7 +36,7 @@ class Source(Protocol):
 def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     """Open the source that the config names.
 
-    downloads: folder for downloaded and unpacked files, which later runs reuse. Raises :class:`InputError` if a CRS of
+    downloads: folder for downloaded files, which later runs reuse. Raises :class:`InputError` if a CRS of
     the config does not exist.
     """
     for key, crs in (
@@ -50,7 +50,7 @@ def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     if config.source == "folder":
         from p2wss.fetch.folder import FolderSource
 
-        return FolderSource(config.folder, region.crs, downloads / "unpacked")
+        return FolderSource(config.folder, region.crs)
     from p2wss.fetch.geoplateforme import GeoplateformeSource
 
     return GeoplateformeSource(config.geoplateforme, region.crs, downloads)

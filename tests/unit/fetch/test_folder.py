@@ -29,7 +29,7 @@ OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"
 
 def source(crs: str = "EPSG:2154", **paths: Any) -> FolderSource:
     config = Folder(**{name: str(path) for name, path in paths.items()})
-    return FolderSource(config, crs, Path("unpacked"))
+    return FolderSource(config, crs)
 
 
 # --- footprints ---
