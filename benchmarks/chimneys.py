@@ -26,9 +26,8 @@ from scipy import ndimage
 from p2wss.config import Config
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.mesh.mesh_planes import topmost
-from p2wss.fit.mesh.union import is_closed
 from p2wss.fit.settings import Chimneys, Thresholds
+from p2wss.mesh.surface import topmost
 from p2wss.towns import FOOTPRINTS, LIDAR, MINIATURE_SEED, draw_town, write_footprints, write_lidar
 from p2wss.towns.site import in_lidar_tile
 from p2wss.towns.surface import draw_details
@@ -81,13 +80,14 @@ def town(seed: int, folder: Path) -> tuple[list[Building], list[Chimney]]:
 
 def higher_regions(before: Reconstruction, after: Reconstruction) -> list[Region]:
     """Where the second mesh of a building is higher than the first one."""
-    if len(before.triangle) == len(after.triangle):
+    if len(before.mesh.triangle) == len(after.mesh.triangle):
         return []
-    low, high = after.vertex_m[:, :2].min(axis=0), after.vertex_m[:, :2].max(axis=0)
+    low, high = after.mesh.vertex_m[:, :2].min(axis=0), after.mesh.vertex_m[:, :2].max(axis=0)
     x, y = np.meshgrid(*(np.arange(low[k] + CELL_M / 2, high[k], CELL_M) for k in range(2)))
     place = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     heights = [
-        topmost(np.ascontiguousarray(each.vertex_m[each.triangle]), place)[1] for each in (before, after)
+        topmost(np.ascontiguousarray(each.mesh.vertex_m[each.mesh.triangle]), place)[1]
+        for each in (before, after)
     ]
     with np.errstate(invalid="ignore"):
         label, count = ndimage.label((heights[1] - heights[0] > _HIGHER_M).reshape(x.shape), np.ones((3, 3)))
@@ -131,10 +131,9 @@ def measured(seed: int) -> dict[str, Any]:
         "share of false ones": num_false / max(len(regions), 1),
         "median offset of the centre, m": float(np.median(offset_m)),
         "median area over the true one": float(np.median(area_ratio)),
-        "closed": sum(is_closed(each.vertex_m, each.triangle) for each in after if each.has_mesh)
-        / num_meshes,
-        "triangles before": sum(len(each.triangle) for each in before) / num_meshes,
-        "triangles": sum(len(each.triangle) for each in after) / num_meshes,
+        "closed": sum(each.mesh.is_closed for each in after if each.has_mesh) / num_meshes,
+        "triangles before": sum(len(each.mesh.triangle) for each in before) / num_meshes,
+        "triangles": sum(len(each.mesh.triangle) for each in after) / num_meshes,
     }
 
 

@@ -163,7 +163,7 @@ def judged(
 
 def is_closed(result: Result) -> bool:
     """Whether each edge of the mesh is in two triangles, in opposite directions."""
-    triangle = result.reconstruction.triangle
+    triangle = result.reconstruction.mesh.triangle
     edges = np.concatenate([triangle[:, [0, 1]], triangle[:, [1, 2]], triangle[:, [2, 0]]])
     forward, count = np.unique(edges, axis=0, return_counts=True)
     backward = np.unique(edges[:, ::-1], axis=0)

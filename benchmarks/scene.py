@@ -30,7 +30,7 @@ from p2wss.data.building import Reconstruction
 from p2wss.footprints import cleaning as footprints
 from p2wss.nets.weights_file import weights_to_use
 from p2wss.reconstruct.inputs import footprint_settings, window
-from p2wss.reconstruct.pipeline import run, vertices_m
+from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.registration import register
 from p2wss.skeleton import FaceKind
 
@@ -78,8 +78,8 @@ def read(data: Path, model: Path | None) -> Scene:
 
 def outline(row: Reconstruction) -> shapely.Geometry:
     """The polygon of a building's ground faces in the CRS."""
-    xy_m = vertices_m(row)[:, :2]
-    corner = xy_m[row.triangle[row.kind == FaceKind.GROUND]]
+    xy_m = row.placed_mesh.vertex_m[:, :2]
+    corner = xy_m[row.mesh.triangle[row.mesh.kind == FaceKind.GROUND]]
     return shapely.union_all(shapely.polygons(corner))
 
 
@@ -126,8 +126,8 @@ def measure_overlap(scene: Scene, figures: Figures) -> None:
     solids = []
     origin = np.array([*np.floor(shapely.bounds(scene.source[0])[:2]), 0.0])
     for row in scene.reconstructions:
-        vertex = vertices_m(row) - origin
-        solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex, row.triangle.astype(np.uint64))))
+        vertex = row.placed_mesh.vertex_m - origin
+        solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex, row.mesh.triangle.astype(np.uint64))))
     volume = [(solids[i] ^ solids[j]).volume() for i, j in scene.pairs.tolist()]
     figures.row("overlap", {"pairs above 1 litre": int((np.array(volume) > 1e-3).sum())})
     figures.at_most("overlap in m3", float(np.sum(volume)), 0.05)
@@ -143,14 +143,14 @@ def measure_overlap(scene: Scene, figures: Figures) -> None:
 def off_walls_m(row: Reconstruction) -> float:
     """The largest distance of the mesh's outline from the footprint, and of the footprint from it."""
     footprint = shapely.boundary(shapely.Polygon(row.rings[0], row.rings[1:]))
-    corner = row.vertex_m[:, :2][row.triangle[row.kind == FaceKind.GROUND]]
+    corner = row.mesh.vertex_m[:, :2][row.mesh.triangle[row.mesh.kind == FaceKind.GROUND]]
     ground = shapely.boundary(shapely.union_all(shapely.polygons(corner)))
     return float(shapely.hausdorff_distance(footprint, ground, densify=0.1))
 
 
 def other_corners(row: Reconstruction) -> int:
     """The number of corners of the footprint at which the mesh has no vertex."""
-    present = set(map(tuple, row.vertex_m[:, :2].tolist()))
+    present = set(map(tuple, row.mesh.vertex_m[:, :2].tolist()))
     return sum(tuple(corner) not in present for ring in row.rings for corner in ring.tolist())
 
 

@@ -10,7 +10,6 @@ from figures import Figures, cpu_seconds
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Reconstruction
-from p2wss.reconstruct.pipeline import vertices_m
 from p2wss.reconstruct.skin import Skin, Solid, skins
 from p2wss.reconstruct.skin.wedges import wedges
 
@@ -23,7 +22,10 @@ MORE_DEG, FLAT_DEG = 10.0, 175.0
 def solids_of(rows: Sequence[Reconstruction]) -> list[Solid]:
     """The buildings as the export joins them."""
     meshes = [row for row in rows if row.has_mesh]
-    return [Solid(row.building_id, vertices_m(row), row.triangle, row.kind, row.edge) for row in meshes]
+    return [
+        Solid(row.building_id, row.placed_mesh.vertex_m, row.mesh.triangle, row.mesh.kind, row.mesh.label)
+        for row in meshes
+    ]
 
 
 def measure_skins(rows: Sequence[Reconstruction], figures: Figures) -> None:

@@ -37,7 +37,9 @@ VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
 
 def _points_to_mesh_m(building: Building, fit: Reconstruction) -> float:
     point_m = roof_points(building.polygon, building.point_m, building.classification, fit.ground_z_m)
-    return float(distance_to_mesh(point_m - [0, 0, fit.ground_z_m], fit.vertex_m, fit.triangle).mean())
+    return float(
+        distance_to_mesh(point_m - [0, 0, fit.ground_z_m], fit.mesh.vertex_m, fit.mesh.triangle).mean()
+    )
 
 
 def _measures(cases: list[Any], buildings: list[Building], thresholds: Thresholds) -> dict[str, float]:
@@ -57,7 +59,7 @@ def _measures(cases: list[Any], buildings: list[Building], thresholds: Threshold
         meshed = [i for i in index.tolist() if fits[i].has_mesh]
         distances_m = [_points_to_mesh_m(buildings[i], fits[i]) for i in meshed]
         measures[f"p2m_{half}_m"] = float(np.mean(distances_m))
-        measures[f"triangles_{half}"] = float(np.mean([len(fits[i].triangle) for i in meshed]))
+        measures[f"triangles_{half}"] = float(np.mean([len(fits[i].mesh.triangle) for i in meshed]))
     return measures
 
 

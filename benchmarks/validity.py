@@ -32,7 +32,6 @@ from p2wss.data import polygon_arrays  # noqa: E402
 from p2wss.data.building import Reconstruction  # noqa: E402
 from p2wss.footprints.cleaning import clean_footprints, read_footprints  # noqa: E402
 from p2wss.mesh.repair import surfaces_to_write  # noqa: E402
-from p2wss.reconstruct.valid import labelled_mesh  # noqa: E402
 
 COLUMNS = ("solids", "broken before", "mended", "simpler", "no mesh", "invalid", "without solid")
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo" / "BATIMENT.shp"
@@ -92,7 +91,7 @@ def main() -> int:
             count["without solid"] += 1
             continue
         start = time.process_time()
-        found = surfaces_to_write(labelled_mesh(building))[1]
+        found = surfaces_to_write(building.placed_mesh)[1]
         seconds += time.process_time() - start
         rules.update({breach.code for breach in found})
         ((before, after, codes),) = random_solids.validated([building])

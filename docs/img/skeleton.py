@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from p2wss.mesh.faces import planar_surfaces
+from p2wss.mesh import Mesh
 from p2wss.skeleton import FaceKind, Polygons, build
 
 RECTANGLE = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
@@ -81,7 +81,7 @@ def draw(
         [np.cos(elevation) * np.cos(turn), np.cos(elevation) * np.sin(turn), np.sin(elevation)]
     )
     light = np.array([-0.5, -0.7, 1.1]) / np.linalg.norm([-0.5, -0.7, 1.1])
-    for face in planar_surfaces(vertex, *labelled_triangles):
+    for face in Mesh(vertex, *labelled_triangles).surfaces:
         outer = vertex[face.rings[0]]
         normal = np.cross(outer, np.roll(outer, -1, 0)).sum(0)
         if normal @ towards <= 0:

@@ -16,6 +16,7 @@ import toy_crops
 import toy_scene
 
 from p2wss.data.building import Reconstruction
+from p2wss.mesh import Mesh
 from p2wss.nets.weights import write_weights
 from p2wss.storage import files
 from p2wss.storage.schemas.measures import MEASURES
@@ -94,10 +95,12 @@ def _tables(folder: Path, rows: list[dict]) -> None:
             eave_height_m=row["eave_height_m"],
             angle_deg=np.array(row["angle_deg"]),
             confidence=0.5,
-            vertex_m=np.reshape(row["vertex_xyz_m"], (-1, 3)),
-            triangle=np.reshape(row["triangle"], (-1, 3)).astype(np.int32),
-            kind=np.array(row["triangle_kind"], np.uint8),
-            edge=np.array(row["triangle_edge"], np.int32),
+            mesh=Mesh(
+                np.reshape(row["vertex_xyz_m"], (-1, 3)),
+                np.reshape(row["triangle"], (-1, 3)).astype(np.int32),
+                np.array(row["triangle_kind"], np.uint8),
+                np.array(row["triangle_edge"], np.int32),
+            ),
             num_parts=1,
             class_probability=np.full((4, 3), 1 / 3),
         )

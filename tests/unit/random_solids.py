@@ -21,8 +21,9 @@ from p2wss.fit.parts.parts import main_frame
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.fit.roof.work import Polygon
 from p2wss.formats import cityjson
+from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
-from p2wss.reconstruct.valid import labelled_mesh, with_valid_solids
+from p2wss.reconstruct.valid import with_valid_solids
 from p2wss.scenes.roofs import ANGLES_DEG, FootprintEdges, draw_angles
 from p2wss.skeleton.types import Polygons
 
@@ -50,7 +51,9 @@ def reconstruction(name: str, rings: Rings, eave_m: float, angle_deg: np.ndarray
     meshes = skeleton.build(
         Polygons.from_rings([rings]), angle_deg, np.array([eave_m]), max_roof_height_m=MAX_ROOF_M
     )
-    return None if meshes.status[0] else _reconstruction(name, rings, eave_m, angle_deg, meshes.mesh(0))
+    if meshes.status[0]:
+        return None
+    return _reconstruction(name, rings, eave_m, angle_deg, Mesh.of_kernel(meshes, 0))
 
 
 def _reconstruction(
@@ -58,14 +61,14 @@ def _reconstruction(
     rings: Rings,
     eave_m: float,
     angle_deg: np.ndarray,
-    mesh: Sequence[np.ndarray],
+    mesh: Mesh,
     num_parts: int = 1,
 ) -> Reconstruction:
     # anywhere on the ground, so that rounding is not that of the outline
     x, y, z = np.random.default_rng([7, *name.encode()]).uniform(0, 1e6, 3)
     place = ((float(x), float(y)), float(z) / 1e4)
     return Reconstruction(
-        name, "", "fit", reasons.OK, *place, rings, eave_m, angle_deg, None, *mesh, num_parts
+        name, "", "fit", reasons.OK, *place, rings, eave_m, angle_deg, None, mesh, num_parts
     )
 
 
@@ -98,11 +101,8 @@ def with_parts(
         mesh = union(parts, 0.0, MIN_EAVE_M, MAX_ROOF_M)
     if mesh is None:
         return None
-    vertex_m = np.column_stack([mesh.vertex_m[:, :2] @ rotation.T, mesh.vertex_m[:, 2]])
     flat = np.zeros(sum(map(len, rings)))
-    return _reconstruction(
-        name, rings, 5.0, flat, (vertex_m, mesh.triangle, mesh.kind, mesh.plane), len(parts)
-    )
+    return _reconstruction(name, rings, 5.0, flat, mesh.turned(rotation.T), len(parts))
 
 
 def _nearly(rng: np.random.Generator) -> float:
@@ -190,7 +190,7 @@ def validated(
         if not after.has_mesh:
             yield before, after, []
             continue
-        mesh = labelled_mesh(after)
+        mesh = after.placed_mesh
         solid = cityjson.Solid(after.building_id, mesh.vertex_m, surfaces_to_write(mesh)[0])
         (codes,) = solid_rules.codes_of_text("\n".join(cityjson.lines([solid], 2154))).values()
         yield before, after, codes

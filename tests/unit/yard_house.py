@@ -25,8 +25,8 @@ def yard_house(x_m: float = 652000.0, y_m: float = 6861000.0, ground_z_m: float 
     mesh = union(parts, ground_z_m, YARD_M, 12.0)
     assert mesh is not None
     in_yard = np.array([[11.0, 4.0, ground_z_m + 0.2]])
-    kind = OpenGround(ground_z_m, in_yard, 1).kinds(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane)
+    marked = OpenGround(ground_z_m, in_yard, 1).marked(mesh)
     return Reconstruction(
         "yard", "t", "fit", reasons.OK, (x_m, y_m), ground_z_m, [FOOTPRINT], EAVE_M, angle_deg, 0.9,
-        mesh.vertex_m, mesh.triangle, kind, mesh.plane, 2,
+        marked, 2,
     )  # fmt: skip

@@ -9,6 +9,8 @@ import numpy as np
 import shapely
 
 from p2wss.clouds.points import points_on_building
+from p2wss.mesh import Mesh
+from p2wss.mesh.faces import Surface
 
 
 @dataclass(frozen=True)
@@ -47,14 +49,12 @@ class Reconstruction:
     """The result of a method for a building: parameters and a mesh, or a status that gives the reason for none.
 
     rings: footprint of the mesh, relative to ``origin_xy_m`` like x and y of the mesh; z is above ``ground_z_m``.
-    vertex_m: (v, 3). triangle: int32 (t, 3), (0, 3) without a mesh. kind: uint8 (t,),
-    :class:`p2wss.skeleton.FaceKind`. edge: int32 (t,), the footprint edge of the face, or -1; with several parts,
-    the number of its plane. eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts:
-    parts with their own eave height; with several, ``eave_height_m`` is that of the largest part, and ``angle_deg``
-    are the angles of the parts along the footprint. confidence: expected share of correct values, 0 to 1.
-    class_probability: (edges, 3), the network's probabilities that an edge has 0 degrees, 90 degrees or a slope.
-    status: a value of :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat roof used
-    as a fallback.
+    eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: parts with their own eave
+    height; with several, ``eave_height_m`` is that of the largest part, and ``angle_deg`` are the angles of the parts
+    along the footprint. confidence: expected share of correct values, 0 to 1. class_probability: (edges, 3), the
+    network's probabilities that an edge has 0 degrees, 90 degrees or a slope. status: a value of
+    :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat roof used as a fallback. surfaces: the
+    planar polygons of the mesh that were found to be a valid solid, as files have them; none before that.
     """
 
     building_id: str
@@ -67,17 +67,26 @@ class Reconstruction:
     eave_height_m: float | None
     angle_deg: np.ndarray | None
     confidence: float | None
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    edge: np.ndarray
+    mesh: Mesh | None
     num_parts: int = 1
     class_probability: np.ndarray | None = None
+    surfaces: Sequence[Surface] = ()
 
     @property
     def has_mesh(self) -> bool:
         """Whether there is a mesh, that of a fallback included."""
-        return len(self.triangle) > 0
+        return self.mesh is not None
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """(3,), the place of the mesh's origin in the CRS of the cloud."""
+        return np.array([*self.origin_xy_m, self.ground_z_m])
+
+    @property
+    def placed_mesh(self) -> Mesh:
+        """The mesh, which must exist, in the CRS of the cloud."""
+        assert self.mesh is not None
+        return self.mesh.translated(self.position_m)
 
 
 def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
@@ -93,8 +102,5 @@ def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
         None,
         None,
         None,
-        np.zeros((0, 3)),
-        np.zeros((0, 3), np.int32),
-        np.zeros(0, np.uint8),
-        np.zeros(0, np.int32),
+        None,
     )

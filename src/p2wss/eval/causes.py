@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from p2wss.data.building import Reconstruction
 from p2wss.data.reasons import MEANINGS
 from p2wss.eval.cases import Case, local_points
 from p2wss.eval.metrics.height import surface_height_m
-from p2wss.mesh.surface import distance_to_mesh, triangle_areas
+from p2wss.mesh import Mesh
+from p2wss.mesh.surface import distance_to_mesh
+from p2wss.mesh.topology import groups
 from p2wss.skeleton.types import FaceKind
 
 FAR_M = 0.5
@@ -63,15 +63,16 @@ def cause_of_error(case: Case, reconstruction: Reconstruction, num_parts: int = 
 
     num_parts: number of parts of the building by the fit, 1 where the fit was not run.
     """
-    if not reconstruction.has_mesh:
+    mesh = reconstruction.mesh
+    if mesh is None:
         return Cause("no mesh", f"No mesh: {MEANINGS.get(reconstruction.status, reconstruction.status)}.")
     on_building = case.building.is_on_building
     point_m = local_points(case, reconstruction)[on_building]
     if len(point_m) < SPARSE_POINTS or len(point_m) < SPARSE_PER_M2 * case.building.polygon.area:
         density = len(point_m) / case.building.polygon.area
         return Cause("sparse", f"Sparse: {len(point_m)} points on the building, {density:.1f} per m².")
-    above = point_m[:, 2] - surface_height_m(point_m[:, :2], reconstruction.vertex_m, reconstruction.triangle)
-    distance = distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle)
+    above = point_m[:, 2] - surface_height_m(point_m[:, :2], mesh.vertex_m, mesh.triangle)
+    distance = distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
     has_roof = ~np.isnan(above)
     beside, mean_distance_m = float((~has_roof).mean()), float(distance.mean())
     point_m, above, distance = point_m[has_roof], above[has_roof], distance[has_roof]
@@ -160,7 +161,7 @@ def _remaining_cause(
             "roof shape",
             f"Shape of the roof: {far:.0%} of the points are more than {FAR_M:g} m from the mesh, scattered over it.",
         )
-    unseen = _ground_and_wall_share(reconstruction)
+    unseen = _ground_and_wall_share(reconstruction.mesh)
     return Cause(
         "walls",
         f"Walls and ground: the roof fits to {mean_distance_m:.2f} m; {unseen:.0%} of the mesh's area is walls "
@@ -176,8 +177,7 @@ def _largest_cluster(
     if len(far) < _MIN_CLUSTER_POINTS:
         return None
     pairs = cKDTree(point_m[far, :2]).query_pairs(_LINK_M, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(far),) * 2)
-    label = connected_components(links, directed=False)[1]
+    label = groups(len(far), pairs)
     group = far[label == np.bincount(label).argmax()]
     if len(group) < _MIN_CLUSTER_POINTS:
         return None
@@ -194,8 +194,9 @@ def _largest_cluster(
     )
 
 
-def _ground_and_wall_share(reconstruction: Reconstruction) -> float:
+def _ground_and_wall_share(mesh: Mesh | None) -> float:
     """The share of the mesh's area that faces the ground or stands upright."""
-    area = triangle_areas(reconstruction.vertex_m, reconstruction.triangle)
-    unseen = np.isin(reconstruction.kind, (FaceKind.GROUND, FaceKind.WALL))
-    return float(area[unseen].sum() / area.sum())
+    if mesh is None:
+        return 0.0
+    unseen = np.isin(mesh.kind, (FaceKind.GROUND, FaceKind.WALL))
+    return float(mesh.area_m2[unseen].sum() / mesh.area_m2.sum())

@@ -191,33 +191,26 @@ def _draw(axes: Any, case: Case, reconstruction: Reconstruction) -> tuple[np.nda
     """Draw mesh and points; returns the lower and upper corner of their extent."""
     point_m = _drawn_points(case, reconstruction.origin_xy_m, reconstruction.ground_z_m)
     dots = point_m @ _VIEW.T
-    corner_m = reconstruction.vertex_m @ _VIEW.T
-    distance = np.clip(distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle), 0, 1)
-    faces = reconstruction.vertex_m[reconstruction.triangle]
-    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    mesh = reconstruction.mesh
+    assert mesh is not None
+    corner_m = mesh.vertex_m @ _VIEW.T
+    distance = np.clip(distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle), 0, 1)
+    normal = mesh.doubled_m2 / np.maximum(np.linalg.norm(mesh.doubled_m2, axis=1, keepdims=True), 1e-12)
     front = np.flatnonzero(normal @ _VIEW[2] > 1e-6)
-    order = front[np.argsort(corner_m[reconstruction.triangle[front], 2].mean(axis=1))]
-    creases = _creases(reconstruction.triangle, normal)
+    order = front[np.argsort(corner_m[mesh.triangle[front], 2].mean(axis=1))]
+    creases = _creases(mesh.triangle, normal)
     # painter's algorithm: each triangle is followed by its creases
     shapes, fills, lines, widths = [], [], [], []
     for t in order:
         light = 0.65 + 0.35 * max(float(normal[t] @ _LIGHT), 0.0)
-        red, green, blue = (
-            light * part for part in to_rgb(FACE_COLORS[FaceKind(int(reconstruction.kind[t]))])
-        )
-        outline = corner_m[reconstruction.triangle[t], :2]
+        red, green, blue = (light * part for part in to_rgb(FACE_COLORS[FaceKind(int(mesh.kind[t]))]))
+        outline = corner_m[mesh.triangle[t], :2]
         shapes.append(outline)
         fills.append((red, green, blue, 1.0))
         lines.append((red, green, blue, 1.0))
         widths.append(0.4)
         for i in range(3):
-            if (
-                tuple(
-                    sorted((int(reconstruction.triangle[t, i]), int(reconstruction.triangle[t, (i + 1) % 3])))
-                )
-                in creases
-            ):
+            if tuple(sorted((int(mesh.triangle[t, i]), int(mesh.triangle[t, (i + 1) % 3])))) in creases:
                 shapes.append(outline[[i, (i + 1) % 3]])
                 fills.append((0.0, 0.0, 0.0, 0.0))
                 lines.append((0.13, 0.13, 0.13, 1.0))
@@ -225,7 +218,7 @@ def _draw(axes: Any, case: Case, reconstruction: Reconstruction) -> tuple[np.nda
     axes.add_collection(
         PolyCollection(shapes, facecolors=fills, edgecolors=lines, linewidths=widths, zorder=2)
     )
-    hidden = _hidden(dots, corner_m[reconstruction.triangle[front]])
+    hidden = _hidden(dots, corner_m[mesh.triangle[front]])
     for chosen, alpha in ((hidden, 0.3), (~hidden, 1.0)):
         x, y = dots[chosen, :2].T
         color = colormaps["turbo"](distance[chosen])

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,13 @@ from p2wss.clouds.las_classes import BUILDING_CLASS
 from p2wss.clouds.reading import list_clouds, read_clouds
 from p2wss.data import polygon_arrays
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
+from p2wss.eval.metrics.mesh_facts import mesh_facts
 from p2wss.footprints.schemas import GENERIC, building_ids, schema_of
 from p2wss.footprints.vector_files import read_vector
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
-from p2wss.mesh.mesh_facts import mesh_facts
-from p2wss.mesh.surface import triangle_areas
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import doubled_areas
 from p2wss.skeleton.types import FaceKind
 
 # points up to this distance from the footprint are of the building
@@ -111,7 +113,7 @@ def _matched(
     matched: dict[str, ReadSolid] = {}
     unknown: defaultdict[str, list[ReadSolid]] = defaultdict(list)
     for solid in solids:
-        if not len(solid.triangle):
+        if not len(solid.mesh.triangle):
             continue
         values = [solid.building_id, *(solid.attributes.get(name) for name in (id_field or "", *GENERIC.ids))]
         known = [str(value) for value in values if str(value) in footprints.index]
@@ -126,24 +128,16 @@ def _matched(
 
 def _most_overlapped(solid: ReadSolid, footprints: gpd.GeoSeries) -> str | None:
     """The id of the footprint with the largest overlap with the plan of a solid."""
-    on_ground = solid.kind == FaceKind.GROUND
-    triangle = solid.triangle[on_ground] if on_ground.any() else solid.triangle
-    plan = shapely.union_all(shapely.make_valid(shapely.polygons(solid.vertex_m[triangle][:, :, :2])))
+    on_ground = solid.mesh.kind == FaceKind.GROUND
+    corner_m = solid.mesh.corner_m[on_ground] if on_ground.any() else solid.mesh.corner_m
+    plan = shapely.union_all(shapely.make_valid(shapely.polygons(corner_m[:, :, :2])))
     touched = footprints.iloc[footprints.sindex.query(plan, predicate="intersects")]
     areas_m2 = touched.intersection(plan).area
     return None if not (areas_m2 > 0).any() else str(areas_m2.idxmax())
 
 
 def _joined(solids: Sequence[ReadSolid]) -> ReadSolid:
-    first = np.cumsum([0, *(len(solid.vertex_m) for solid in solids)])
-    return ReadSolid(
-        solids[0].building_id,
-        np.concatenate([solid.vertex_m for solid in solids]),
-        np.concatenate([solid.triangle + start for solid, start in zip(solids, first, strict=False)]),
-        np.concatenate([solid.kind for solid in solids]),
-        np.concatenate([solid.surface for solid in solids]),
-        solids[0].attributes,
-    )
+    return replace(solids[0], mesh=Mesh.joined([solid.mesh for solid in solids]))
 
 
 def _measures(
@@ -154,30 +148,28 @@ def _measures(
         return {"status": "too few points"}
     if solid is None:
         return {"status": "no mesh"}
-    draw = np.random.default_rng(seed)
+    draw, mesh = np.random.default_rng(seed), solid.mesh
     if len(near_m) > NUM_SAMPLES:
         near_m = near_m[np.sort(draw.choice(len(near_m), NUM_SAMPLES, replace=False))]
     row = {
         "status": "ok",
-        "cd_m": chamfer_distance_m(near_m, _samples(solid, solid.triangle, NUM_SAMPLES, draw)),
-        "num_triangles": len(solid.triangle),
-        "is_watertight": mesh_facts(solid.vertex_m, solid.triangle).watertight,
+        "cd_m": chamfer_distance_m(near_m, _samples(mesh.corner_m, NUM_SAMPLES, draw)),
+        "num_triangles": len(mesh.triangle),
+        "is_watertight": mesh_facts(mesh.vertex_m, mesh.triangle).watertight,
     }
-    roof_m = _samples(solid, solid.triangle[solid.kind == FaceKind.ROOF], NUM_SAMPLES, draw)
+    roof_m = _samples(mesh.corner_m[mesh.kind == FaceKind.ROOF], NUM_SAMPLES, draw)
     if len(on_building_m) >= MIN_ROOF_POINTS:
-        dense_m = _samples(solid, solid.triangle, NUM_DENSE_SAMPLES, draw)
+        dense_m = _samples(mesh.corner_m, NUM_DENSE_SAMPLES, draw)
         row["points_to_mesh_m"] = cKDTree(dense_m).query(on_building_m)[0].mean()
         row["roof_cd_m"] = chamfer_distance_m(on_building_m, roof_m)
     return row
 
 
-def _samples(solid: ReadSolid, triangle: np.ndarray, count: int, draw: np.random.Generator) -> np.ndarray:
-    """Points drawn uniformly by area over triangles of a solid: (count, 3), or (0, 3) without area."""
-    area_m2 = triangle_areas(solid.vertex_m, triangle)
+def _samples(corner_m: np.ndarray, count: int, draw: np.random.Generator) -> np.ndarray:
+    """Points drawn uniformly by area over triangles (t, 3, 3): (count, 3), or (0, 3) without area."""
+    area_m2 = np.linalg.norm(doubled_areas(corner_m), axis=1)
     if not area_m2.sum() > 0:
         return np.zeros((0, 3))
-    a, b, c = solid.vertex_m[triangle[draw.choice(len(triangle), count, p=area_m2 / area_m2.sum())]].swapaxes(
-        0, 1
-    )
+    a, b, c = corner_m[draw.choice(len(corner_m), count, p=area_m2 / area_m2.sum())].swapaxes(0, 1)
     from_a, from_b = np.sqrt(draw.random((count, 1))), draw.random((count, 1))
     return a + from_a * (b - a + from_b * (c - b))

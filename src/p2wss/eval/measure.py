@@ -16,10 +16,10 @@ from p2wss.eval.causes import FAR_M, UNEXPLAINED_M, cause_of_error
 from p2wss.eval.methods import fit_parts, main_method
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m, surface_height_m
+from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
 from p2wss.eval.roof_kinds import roof_kind
-from p2wss.mesh.mesh_facts import mesh_facts
-from p2wss.mesh.planarity import face_of_triangle, out_of_plane_m
-from p2wss.mesh.surface import distance_to_mesh, sample_surface, triangle_areas
+from p2wss.mesh import Mesh
+from p2wss.mesh.surface import distance_to_mesh, sample_surface
 from p2wss.reconstruct.product import NETWORK
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.schemas.crops import REAL
@@ -107,52 +107,48 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
         **dict.fromkeys(_MESH_MEASURES),
         **_parameter_errors(case, reconstruction),
     }
-    if not reconstruction.has_mesh:
+    mesh = reconstruction.mesh
+    if mesh is None:
         return row
-    row |= {"num_parts": reconstruction.num_parts, **_mesh_measures(reconstruction)}
+    row |= {"num_parts": reconstruction.num_parts, **_mesh_measures(mesh)}
     point_m = local_points(case, reconstruction)
     draw = generator(config.seed, "eval.measure", building.tile, building.building_id, reconstruction.method)
-    samples = sample_surface(reconstruction.vertex_m, reconstruction.triangle, config.num_samples, draw)
+    samples = sample_surface(mesh.vertex_m, mesh.triangle, config.num_samples, draw)
     row["chamfer_m"] = _finite(chamfer_distance_m(subset(case, point_m, config), samples))
     is_on_building = building.is_on_building
     if is_on_building.sum() >= MIN_ROOF_POINTS:
         inner = shapely.contains_xy(building.polygon.buffer(-INNER_M), x[is_on_building], y[is_on_building])
-        row |= _roof_measures(reconstruction, point_m[is_on_building], inner, config, draw)
+        row |= _roof_measures(mesh, point_m[is_on_building], inner, config, draw)
     return row
 
 
-def _mesh_measures(reconstruction: Reconstruction) -> dict[str, Any]:
-    facts = mesh_facts(reconstruction.vertex_m, reconstruction.triangle)
-    face = face_of_triangle(
-        reconstruction.triangle, np.column_stack([reconstruction.kind, reconstruction.edge])
-    )
-    area = np.bincount(face, triangle_areas(reconstruction.vertex_m, reconstruction.triangle))
-    above = np.bincount(face, reconstruction.kind != FaceKind.GROUND) > 0
+def _mesh_measures(mesh: Mesh) -> dict[str, Any]:
+    facts = mesh_facts(mesh.vertex_m, mesh.triangle)
+    area = np.bincount(mesh.face, mesh.area_m2)
+    above = np.bincount(mesh.face, mesh.kind != FaceKind.GROUND) > 0
     return {
-        "num_triangles": len(reconstruction.triangle),
+        "num_triangles": len(mesh.triangle),
         "num_mesh_vertices": facts.num_vertices,
         "watertight": facts.watertight,
         "oriented": facts.oriented,
         "manifold": facts.manifold,
-        "planar": bool(
-            out_of_plane_m(reconstruction.vertex_m, reconstruction.triangle, face).max() <= PLANAR_M
-        ),
+        "planar": bool(out_of_plane_m(mesh.vertex_m, mesh.triangle, mesh.face).max() <= PLANAR_M),
         "num_small_faces": int((above & (area < SMALL_FACE_M2)).sum()),
     }
 
 
 def _roof_measures(
-    reconstruction: Reconstruction,
+    mesh: Mesh,
     on_building: np.ndarray,
     inner: np.ndarray,
     config: Eval,
     draw: np.random.Generator,
 ) -> dict[str, Any]:
-    roof = reconstruction.triangle[np.isin(reconstruction.kind, _ROOF)]
-    roof_samples = sample_surface(reconstruction.vertex_m, roof, config.num_samples, draw)
-    distance = distance_to_mesh(on_building, reconstruction.vertex_m, reconstruction.triangle)
+    roof = mesh.triangle[np.isin(mesh.kind, _ROOF)]
+    roof_samples = sample_surface(mesh.vertex_m, roof, config.num_samples, draw)
+    distance = distance_to_mesh(on_building, mesh.vertex_m, mesh.triangle)
     place = on_building[inner]
-    above = place[:, 2] - surface_height_m(place[:, :2], reconstruction.vertex_m, reconstruction.triangle)
+    above = place[:, 2] - surface_height_m(place[:, :2], mesh.vertex_m, mesh.triangle)
     heights = above[~np.isnan(above)]
     return {
         "roof_chamfer_m": _finite(chamfer_distance_m(on_building, roof_samples)),
@@ -160,7 +156,7 @@ def _roof_measures(
         "far_share": float((distance > FAR_M).mean()),
         "height_rmse_m": _finite(height_rmse_m(above)),
         "height_bias_m": float(np.median(heights)) if len(heights) else None,
-        "overshoot_m": float(reconstruction.vertex_m[:, 2].max() - on_building[:, 2].max()),
+        "overshoot_m": float(mesh.vertex_m[:, 2].max() - on_building[:, 2].max()),
     }
 
 

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
+from p2wss.mesh import Mesh
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS, REAL
 from p2wss.storage.schemas.manifest import Manifest
@@ -41,7 +42,8 @@ class Recording:
             vertex, triangle, kind, surface = (
                 values[offset[i] : offset[i + 1]] for values, offset in lists.values()
             )
-            solids[name] = ReadSolid(name, vertex.reshape(-1, 3), triangle.reshape(-1, 3), kind, surface, {})
+            mesh = Mesh(vertex.reshape(-1, 3), triangle.reshape(-1, 3), kind, surface)
+            solids[name] = ReadSolid(name, mesh, {})
         return solids
 
 
@@ -58,10 +60,10 @@ def write_recording(paths: Sequence[Path], manifest: Manifest, out: Path) -> Rec
     ordered = sorted(solids.items())
     columns = {
         ID_FIELD: [name for name, _ in ordered],
-        "vertex_xyz_m": [solid.vertex_m.ravel() for _, solid in ordered],
-        "triangle": [solid.triangle.ravel() for _, solid in ordered],
-        "triangle_kind": [solid.kind for _, solid in ordered],
-        "triangle_surface": [solid.surface for _, solid in ordered],
+        "vertex_xyz_m": [solid.mesh.vertex_m.ravel() for _, solid in ordered],
+        "triangle": [solid.mesh.triangle.ravel() for _, solid in ordered],
+        "triangle_kind": [solid.mesh.kind for _, solid in ordered],
+        "triangle_surface": [solid.mesh.label for _, solid in ordered],
     }
     facts = {
         "names": ", ".join(path.name for path in paths),

@@ -59,7 +59,7 @@ def run(
             solid = solids.get(case.building.building_id)
             by_key[case.key] = (
                 reconstruction(case, solid)
-                if solid is not None and len(solid.triangle)
+                if solid is not None and len(solid.mesh.triangle)
                 else no_mesh(case.building, METHOD, reason or reasons.NO_ROOFER_MESH)
             )
     return [by_key[case.key] for case in cases]
@@ -80,7 +80,7 @@ def recorded(recording: Recording, cases: Sequence[Case]) -> dict[tuple[str, str
         solid = solids.get(case.building.building_id)
         if solid is None:
             by_key[case.key] = no_mesh(case.building, METHOD, reasons.NOT_RECORDED)
-        elif len(solid.triangle):
+        elif len(solid.mesh.triangle):
             by_key[case.key] = reconstruction(case, solid)
         else:
             by_key[case.key] = no_mesh(case.building, METHOD, reasons.NO_ROOFER_MESH)
@@ -103,10 +103,7 @@ def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
         None,
         None,
         None,
-        solid.vertex_m - [*building.origin_xy_m, ground],
-        solid.triangle.astype(np.int32),
-        solid.kind,
-        solid.surface.astype(np.int32),
+        solid.mesh.translated([-building.origin_xy_m[0], -building.origin_xy_m[1], -ground]),
     )
 
 

@@ -22,6 +22,7 @@ from p2wss.eval.cases import Case, Key
 from p2wss.eval.figures import COLORS, FACE_COLORS
 from p2wss.eval.samples import Samples
 from p2wss.eval.tables import numbers, rows_of
+from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh
 
 # per data set; a building with its points and three meshes takes 20 to 60 kB of the page
@@ -125,21 +126,22 @@ def _building(
     point_m, point_cm = point_m[storable], point_cm[storable]
     meshes, reach = {}, [point_m]
     for name, reconstruction in reconstructions.items():
-        if reconstruction is not None and reconstruction.has_mesh:
+        mesh = None if reconstruction is None else reconstruction.mesh
+        if reconstruction is not None and mesh is not None:
             shift = [
                 *np.subtract(reconstruction.origin_xy_m, building.origin_xy_m),
                 reconstruction.ground_z_m - ground,
             ]
-            vertex_m = reconstruction.vertex_m + np.array(shift)
+            vertex_m = mesh.vertex_m + np.array(shift)
             reach.append(vertex_m)
             meshes[name] = {
                 "vertices": _base64(np.round(vertex_m * 1000).astype(np.int32)),
-                "triangles": _base64(reconstruction.triangle.astype(np.uint32)),
-                "kinds": _base64(reconstruction.kind.astype(np.uint8)),
-                "facts": _facts(reconstruction, rows[name]),
+                "triangles": _base64(mesh.triangle.astype(np.uint32)),
+                "kinds": _base64(mesh.kind.astype(np.uint8)),
+                "facts": _facts(mesh, rows[name]),
             }
             if name == ours:
-                distance = np.clip(distance_to_mesh(point_m, vertex_m, reconstruction.triangle), 0, 1)
+                distance = np.clip(distance_to_mesh(point_m, vertex_m, mesh.triangle), 0, 1)
     if ours not in meshes:
         distance = np.zeros(len(point_m))
     corners = np.concatenate(reach) if any(map(len, reach)) else np.zeros((1, 3))
@@ -159,8 +161,8 @@ def _building(
     }
 
 
-def _facts(reconstruction: Reconstruction, row: Mapping[str, Any] | None) -> str:
-    triangles = f"{len(reconstruction.triangle)} triangles"
+def _facts(mesh: Mesh, row: Mapping[str, Any] | None) -> str:
+    triangles = f"{len(mesh.triangle)} triangles"
     if row is None or row["chamfer_m"] is None:
         return triangles
     return f"CD {row['chamfer_m']:.2f} m, {triangles}"

@@ -19,7 +19,7 @@ from p2wss.fit.boxes.open_ground import OpenGround
 from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.parametric import build_meshes, transfer_angles
 from p2wss.fit.mesh.short_edges import short_edges, without_short_edges
-from p2wss.fit.mesh.union import Mesh, is_sound, union
+from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.parts.frame import roof_frame
 from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.parts.parts import main_frame, total_cost_m
@@ -29,6 +29,7 @@ from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
 from p2wss.fit.settings import THRESHOLDS, Thresholds
+from p2wss.mesh import Mesh
 
 METHOD = "fit"
 # points of class ground this far inside the footprint show that no building is there
@@ -235,7 +236,7 @@ class _FitTask:
                     return self._of_mesh(candidate, mesh), candidate
             elif candidate is not parts_fit:
                 reconstruction, closed_fit = self._build_mesh(candidate, loose_boxes)
-                if reconstruction.has_mesh and is_sound(Mesh.of(reconstruction)):
+                if reconstruction.mesh is not None and is_sound(reconstruction.mesh):
                     return reconstruction, closed_fit
         return self._with_some_boxes(parts_fit, boxes)
 
@@ -323,10 +324,7 @@ class _FitTask:
             max(largest.eave_z_m - ground, self.config.min_eave_height_m),
             angle_deg,
             None,
-            parts_fit.in_building_frame(mesh.vertex_m),
-            mesh.triangle,
-            self._open_ground.kinds(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane),
-            mesh.plane,
+            self._open_ground.marked(mesh).turned(parts_fit.rotation.T),
             len(parts),
         )
 
@@ -380,8 +378,7 @@ def _mesh_single_parts(
 
 def _adjusted_single_part(reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
     """A reconstruction of the kernel with roofs that are adjusted to the points."""
-    if not reconstruction.has_mesh:
+    if reconstruction.mesh is None:
         return reconstruction
     point_m = parts_fit.in_building_frame(parts_fit.point_m) - (0.0, 0.0, reconstruction.ground_z_m)
-    mesh = adjusted(Mesh.of(reconstruction), reconstruction.rings, point_m)
-    return replace(reconstruction, vertex_m=mesh.vertex_m)
+    return replace(reconstruction, mesh=adjusted(reconstruction.mesh, reconstruction.rings, point_m))

@@ -12,6 +12,7 @@ import mapbox_earcut
 import numpy as np
 
 from p2wss.errors import InputError, reading
+from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
 
@@ -28,18 +29,11 @@ _READABLE = ("Solid", "MultiSurface", "CompositeSurface")
 
 @dataclass(frozen=True)
 class ReadSolid:
-    """A building from a file, triangulated.
-
-    vertex_m: float64 (v, 3) in the CRS. triangle: int (t, 3). kind: uint8 (t,), a ``FaceKind``. surface: int (t,), the
-    number of the polygon that a triangle is part of. All are empty if the building has no geometry of the level of
-    detail.
-    """
+    """A building from a file. mesh: its triangles in the CRS, labelled by the polygons that they are part of; without
+    any if the building has no geometry of the level of detail."""
 
     building_id: str
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    surface: np.ndarray
+    mesh: Mesh
     attributes: dict[str, Any]
 
 
@@ -144,16 +138,13 @@ def _buildings(objects: dict[str, Any], vertex_m: np.ndarray) -> list[ReadSolid]
         triangle = np.concatenate(triangles)
         surface = np.repeat(np.arange(len(triangles)), [len(part) for part in triangles]) - 1
         used, local = np.unique(triangle, return_inverse=True)
-        solids.append(
-            ReadSolid(
-                name,
-                vertex_m[used],
-                local.reshape(-1, 3),
-                np.concatenate(kinds),
-                surface,
-                building.get("attributes", {}),
-            )
+        mesh = Mesh(
+            vertex_m[used],
+            local.reshape(-1, 3).astype(np.int32),
+            np.concatenate(kinds),
+            surface.astype(np.int32),
         )
+        solids.append(ReadSolid(name, mesh, building.get("attributes", {})))
     return solids
 
 

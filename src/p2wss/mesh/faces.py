@@ -1,8 +1,6 @@
 """The faces of a labelled triangle mesh as planar polygons with holes, as CityJSON stores them.
 
-The kernel labels every triangle with the face that it was cut from, by kind and edge; a union of parts carries the
-same labels, with the number of the plane in place of the edge. So both give their faces by the same rule, without
-any geometric tolerance: triangles with equal labels that share a side are one face.
+Triangles with equal labels that share a side are one face: there is no geometric tolerance.
 """
 
 from __future__ import annotations
@@ -12,34 +10,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2wss.mesh.planarity import face_of_triangle
-
 
 @dataclass(frozen=True)
 class Surface:
     """One planar polygon of a building.
 
-    kind: a ``FaceKind``. edge: the footprint edge or the plane it belongs to, or -1. rings: vertex indices, the
-    exterior first, counter-clockwise seen from outside; holes clockwise. face: the number of the face that it is, or
-    is a piece of; pieces of one face have the same.
+    kind: a ``FaceKind``. label: that of its triangles, or -1. rings: vertex indices, the exterior first,
+    counter-clockwise seen from outside; holes clockwise. face: the number of the face that it is, or is a piece of;
+    pieces of one face have the same.
     """
 
     kind: int
-    edge: int
+    label: int
     rings: Sequence[np.ndarray]
     face: int = -1
 
 
-def planar_surfaces(
-    vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, edge: np.ndarray
+def surfaces_of(
+    vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, label: np.ndarray, face: np.ndarray
 ) -> list[Surface]:
-    """The faces of a closed mesh, in the order of their first triangles.
+    """The faces of a closed mesh, in the order of their numbers ``face`` (t,); the others as in
+    :class:`p2wss.mesh.Mesh`.
 
-    vertex_m (v, 3), triangle (t, 3), kind and edge (t,). The exterior ring of a face comes first; every ring runs as
-    its triangles do. A vertex within a straight side is kept where a neighbour has a corner. A hole that touches the
-    exterior or another hole in a vertex is a ring of its own.
+    The exterior ring of a face comes first; every ring runs as its triangles do. A vertex within a straight side is
+    kept where a neighbour has a corner. A hole that touches the exterior or another hole in a vertex is a ring of its
+    own.
     """
-    face = face_of_triangle(triangle, np.column_stack([kind, edge]))
     face_of_side: dict[tuple[int, int], int] = {}
     # of the triangle on the left of a side, the corner that is not on the side
     apex: dict[tuple[int, int], int] = {}
@@ -54,7 +50,7 @@ def planar_surfaces(
     return [
         Surface(
             int(kind[t]),
-            int(edge[t]),
+            int(label[t]),
             _exterior_first(np.asarray(vertex_m, float), _rings(sides, apex)),
             number,
         )

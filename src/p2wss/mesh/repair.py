@@ -4,29 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from itertools import chain
 
 import numpy as np
 
-from p2wss.mesh.faces import Surface, planar_surfaces
-from p2wss.mesh.planarity import face_of_triangle
+from p2wss.mesh import Mesh
+from p2wss.mesh.faces import Surface
 from p2wss.mesh.polygon_kernels import closest_vertices
-from p2wss.mesh.rules import WRITING, Breach, breaches, face_breaches
+from p2wss.mesh.rules import WRITING, Breach, breaches
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
 SCALE_M = 1e-4
 # vertices nearer than this are merged or, where no edge joins them, moved apart
 _NEAR_M = 2e-3
 _MAX_MOVES = 40
-
-
-class LabelledMesh(NamedTuple):
-    """vertex_m (v, 3), triangle int (t, 3), kind and edge (t,): the labels of :func:`planar_surfaces`."""
-
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    edge: np.ndarray
 
 
 def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
@@ -50,52 +41,45 @@ def _without_repeats(ring: np.ndarray) -> np.ndarray:
     return ring[ring != np.roll(ring, 1)]
 
 
-def surfaces_to_write(mesh: LabelledMesh, is_checked: bool = False) -> tuple[list[Surface], list[Breach]]:
+def surfaces_to_write(mesh: Mesh) -> tuple[list[Surface], list[Breach]]:
     """(the planar polygons of a mesh, the rules that they still break once they are stored).
 
-    mesh: in the CRS. A face that is not planar, or whose rings break a rule, is divided into its triangles. is_checked:
-    the mesh is known to be valid, so that rules of the shell are not tested again.
+    mesh: in the CRS. A face that is not planar, or whose rings break a rule, is divided into its triangles.
     """
-    surfaces = planar_surfaces(*mesh)
-    pairs = _stored_breaches(mesh.vertex_m, surfaces, is_checked)
+    pairs = _stored_breaches(mesh.vertex_m, mesh.surfaces)
     broken = {surface for breach, surface in pairs if surface >= 0 and breach.code > 102}
     if not broken:
-        return surfaces, [breach for breach, _ in pairs]
-    divided = []
-    for surface in surfaces:
-        divided += _triangles(mesh, surface) if surface.face in broken else [surface]
+        return mesh.surfaces, [breach for breach, _ in pairs]
+    divided: list[Surface] = []
+    for surface in mesh.surfaces:
+        if surface.face in broken:
+            corners = mesh.triangle[mesh.face == surface.face]
+            divided += [replace(surface, rings=[corner]) for corner in corners]
+        else:
+            divided.append(surface)
     return divided, [breach for breach, _ in _stored_breaches(mesh.vertex_m, divided)]
 
 
-def _stored_breaches(
-    vertex_m: np.ndarray, surfaces: Sequence[Surface], of_faces: bool = False
-) -> list[tuple[Breach, int]]:
+def _stored_breaches(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> list[tuple[Breach, int]]:
     """The rules that surfaces break once they are stored, each with the number of the face or -1."""
     grid, of_grid = stored(vertex_m, surfaces)
     return [
         (breach, of_grid[breach.face].face if breach.face >= 0 else -1)
-        for breach in (face_breaches if of_faces else breaches)(grid * SCALE_M, of_grid, WRITING)
+        for breach in breaches(grid * SCALE_M, of_grid, WRITING)
     ]
 
 
-def _triangles(mesh: LabelledMesh, surface: Surface) -> list[Surface]:
-    """The triangles of a face, as surfaces."""
-    face = face_of_triangle(mesh.triangle, np.column_stack([mesh.kind, mesh.edge]))
-    return [replace(surface, rings=[corner]) for corner in mesh.triangle[face == surface.face]]
-
-
-def repaired(mesh: LabelledMesh) -> LabelledMesh | None:
-    """The mesh, in the CRS, if its solid is valid; else one with vertices merged or moved by millimetres that
-    does; None if there is none."""
-    if not surfaces_to_write(mesh)[1]:
-        return mesh
-    for attempt in _attempts(mesh):
-        if not surfaces_to_write(attempt)[1]:
-            return attempt
+def repaired(mesh: Mesh) -> tuple[Mesh, list[Surface]] | None:
+    """The mesh, in the CRS, and its planar polygons, if its solid is valid; else those of one with vertices merged or
+    moved by millimetres that is; None if there is none."""
+    for candidate in chain([mesh], _attempts(mesh)):
+        surfaces, broken = surfaces_to_write(candidate)
+        if not broken:
+            return candidate, surfaces
     return None
 
 
-def _attempts(mesh: LabelledMesh) -> Iterator[LabelledMesh]:
+def _attempts(mesh: Mesh) -> Iterator[Mesh]:
     for keeps_first in (True, False):
         moved = mesh
         for _ in range(_MAX_MOVES):
@@ -113,7 +97,7 @@ def _near_pair(vertex_m: np.ndarray) -> tuple[int, int] | None:
     return (int(first), int(second)) if first >= 0 else None
 
 
-def _merged(mesh: LabelledMesh, end: int, moved: int) -> LabelledMesh | None:
+def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
     """The mesh after vertex ``moved`` has moved along an edge to ``end``; None if no edge joins them, or if it would
     not be manifold."""
     triangle = mesh.triangle
@@ -122,17 +106,10 @@ def _merged(mesh: LabelledMesh, end: int, moved: int) -> LabelledMesh | None:
     common = np.intersect1d(triangle[at_end], triangle[at_moved])
     if gone.sum() != 2 or len(common) != 4:
         return None
-    corner = np.where(triangle == moved, end, triangle)[~gone]
-    used, local = np.unique(corner, return_inverse=True)
-    return LabelledMesh(
-        mesh.vertex_m[used],
-        local.reshape(-1, 3).astype(triangle.dtype),
-        mesh.kind[~gone],
-        mesh.edge[~gone],
-    )
+    return replace(mesh, triangle=np.where(triangle == moved, end, triangle)).part(~gone)
 
 
-def _apart(mesh: LabelledMesh, *pair: int) -> LabelledMesh:
+def _apart(mesh: Mesh, *pair: int) -> Mesh:
     """The mesh after each of two vertices has moved by ``_NEAR_M`` towards its neighbours."""
     vertex_m = mesh.vertex_m.copy()
     for vertex in pair:
@@ -141,4 +118,4 @@ def _apart(mesh: LabelledMesh, *pair: int) -> LabelledMesh:
         if len(neighbours):
             step = mesh.vertex_m[neighbours].mean(axis=0) - mesh.vertex_m[vertex]
             vertex_m[vertex] += step * min(1.0, _NEAR_M / max(float(np.linalg.norm(step)), 1e-9))
-    return mesh._replace(vertex_m=vertex_m)
+    return mesh.moved(vertex_m)

@@ -15,6 +15,7 @@ import numpy as np
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
+from p2wss.mesh.topology import NEXT, twins
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -59,13 +60,6 @@ class Breach:
 
     code: int
     face: int = -1
-
-
-def face_breaches(
-    vertex_m: np.ndarray, surfaces: Sequence[Surface], tolerances: Tolerances = VAL3DITY
-) -> list[Breach]:
-    """The rules that the faces of a shell break, each by itself; arguments as those of :func:`breaches`."""
-    return _Faces.of(vertex_m, surfaces, tolerances.snap_m).breaches(tolerances)
 
 
 def breaches(
@@ -179,20 +173,15 @@ def _common_corners(corner: np.ndarray, triangle: np.ndarray) -> np.ndarray:
 def shell_code(triangle: np.ndarray) -> int:
     """The first rule that the triangles (t, 3) break as a closed, manifold, oriented surface of one part, or 0."""
     triangle = np.asarray(triangle, np.int64)
-    size = int(triangle.max()) + 1
-    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
-    forward, back = start * size + end, end * size + start
-    order = np.argsort(forward, kind="stable")
-    ordered = forward[order]
-    if (start == end).any():
+    if (triangle == triangle[:, NEXT]).any():
         return 303
-    if (np.diff(ordered) == 0).any():
-        edge = np.sort(np.minimum(forward, back))
-        return 303 if (edge[2:] == edge[:-2]).any() else 307
-    place = np.minimum(np.searchsorted(ordered, back), len(ordered) - 1)
-    if (ordered[place] != back).any():
+    sides = np.stack([triangle, triangle[:, NEXT]], axis=-1).reshape(-1, 2)
+    if len(np.unique(sides, axis=0)) < len(sides):
+        _, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+        return 303 if (count > 2).any() else 307
+    twin = twins(triangle).ravel()
+    if (twin < 0).any():
         return 302
-    twin = order[place]
     num_fans, num_parts = shell_kernels.fans_and_parts(twin)
     if num_fans != len(np.unique(triangle)):
         return 303

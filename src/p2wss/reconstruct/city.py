@@ -14,10 +14,11 @@ from p2wss import __version__, skeleton
 from p2wss.clouds.reading import horizontal
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Metadata, Solid
-from p2wss.mesh.repair import LabelledMesh, repaired, surfaces_to_write
+from p2wss.mesh import Mesh
+from p2wss.mesh.faces import Surface
+from p2wss.mesh.repair import repaired, surfaces_to_write
 from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
 from p2wss.reconstruct.pipeline import Result
-from p2wss.reconstruct.valid import labelled_mesh
 from p2wss.skeleton.types import Polygons
 
 # as many clouds are named in the title
@@ -99,23 +100,17 @@ def solid(
     values = attributes(result, facts, names)
     if not reconstruction.has_mesh:
         return Solid(reconstruction.building_id, np.zeros((0, 3)), [], values)
-    mesh = labelled_mesh(reconstruction)
-    surfaces = surfaces_to_write(mesh, is_checked=True)[0] if "2.0" in lods else []
+    mesh = reconstruction.placed_mesh
+    surfaces = (reconstruction.surfaces or surfaces_to_write(mesh)[0]) if "2.0" in lods else []
     block = _block(result) if "1.2" in lods else None
     if block is None:
         return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values)
-    return Solid(
-        reconstruction.building_id,
-        mesh.vertex_m,
-        surfaces,
-        values,
-        block.vertex_m,
-        surfaces_to_write(block, is_checked=True)[0],
-    )
+    return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values, block[0].vertex_m, block[1])
 
 
-def _block(result: Result) -> LabelledMesh | None:
-    """The footprint as a block whose flat roof is as high as 70 % of the building's; None if that is not valid."""
+def _block(result: Result) -> tuple[Mesh, list[Surface]] | None:
+    """The footprint as a block whose flat roof is as high as 70 % of the building's, and its surfaces; None if that is
+    not valid."""
     reconstruction = result.reconstruction
     height_m = result.mesh_measures.roof_z_p70_m - reconstruction.ground_z_m
     rings = list(reconstruction.rings)
@@ -124,6 +119,4 @@ def _block(result: Result) -> LabelledMesh | None:
     )
     if meshes.status[0] != skeleton.Status.OK:
         return None
-    vertex_m, *labels = meshes.mesh(0)
-    position = np.array([*reconstruction.origin_xy_m, reconstruction.ground_z_m])
-    return repaired(LabelledMesh(vertex_m + position, *labels))
+    return repaired(Mesh.of_kernel(meshes, 0).translated(reconstruction.position_m))

@@ -22,7 +22,7 @@ from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
-from p2wss.reconstruct.pipeline import Result, input_columns, vertices_m
+from p2wss.reconstruct.pipeline import Result, input_columns
 from p2wss.reconstruct.shift_page import shift_page
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
@@ -112,7 +112,7 @@ def _meshes(
         buildings = terrain_mesh.lowered_into(buildings, terrain)
     skins: Sequence[Skin] = []
     if config.skin or config.wedges:
-        edges = [results[number].reconstruction.edge for number in with_mesh]
+        edges = [results[number].reconstruction.placed_mesh.label for number in with_mesh]
         is_cut = ground is not None and config.skin_terrain == "cut"
         max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
         skins = block_skins.joined(buildings, edges, config.skin_step_m, max_lowering_m)
@@ -183,7 +183,7 @@ def terrain_note(results: Sequence[Result], terrain: Terrain) -> str | None:
     rows = [result.reconstruction for result in results if result.reconstruction.has_mesh]
     if not rows:
         return None
-    centre = np.array([row.vertex_m[:, :2].mean(axis=0) + row.origin_xy_m for row in rows])
+    centre = np.array([row.placed_mesh.vertex_m[:, :2].mean(axis=0) for row in rows])
     gap_m = terrain.interpolated(centre[:, 0], centre[:, 1]) - [row.ground_z_m for row in rows]
     gap_m = gap_m[np.isfinite(gap_m)]
     if not len(gap_m):
@@ -230,7 +230,8 @@ def mesh(result: Result, config: Reconstruct) -> Mesh:
     """The building's mesh in the CRS of the cloud, with the materials of its footprint or of ``config``."""
     row = result.reconstruction
     materials = surface_materials(result.columns, config)
-    return Mesh.of_building(row.building_id, vertices_m(row), row.triangle, row.kind, materials)
+    placed = row.placed_mesh
+    return Mesh.of_building(row.building_id, placed.vertex_m, placed.triangle, placed.kind, materials)
 
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 import shapely
 
-from p2wss.mesh.planarity import face_of_triangle
-from p2wss.mesh.repair import LabelledMesh
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import NEXT
 from p2wss.skeleton.types import FaceKind
 
 # planes with less slope are flat
@@ -48,16 +48,14 @@ class MeshMeasures:
     outer_floor_area_m2: float
 
 
-def measure(mesh: LabelledMesh) -> MeshMeasures:
+def measure(mesh: Mesh) -> MeshMeasures:
     """The measures of a closed mesh."""
-    corner = mesh.vertex_m[mesh.triangle] - mesh.vertex_m.min(axis=0)
-    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    area = np.linalg.norm(cross, axis=1) / 2
+    corner = mesh.corner_m - mesh.vertex_m.min(axis=0)
     is_roof = (mesh.kind == FaceKind.ROOF) | (mesh.kind == FaceKind.FLAT)
-    face = face_of_triangle(mesh.triangle, np.column_stack([mesh.kind, mesh.edge]))
+    area, face = mesh.area_m2, mesh.face
     # of a face, not of its triangles, among which may be slivers
     total = np.zeros((int(face.max()) + 1, 3))
-    np.add.at(total, face, cross)
+    np.add.at(total, face, mesh.doubled_m2)
     slope_deg = np.degrees(np.arctan2(np.hypot(total[:, 0], total[:, 1]), total[:, 2]))[face]
     is_sloped = is_roof & (slope_deg >= FLAT_DEG)
     num_sloped, num_level = len(np.unique(face[is_sloped])), len(np.unique(face[is_roof & ~is_sloped]))
@@ -67,16 +65,15 @@ def measure(mesh: LabelledMesh) -> MeshMeasures:
         roof_type = FLATS if num_level > 1 else FLAT
     base_z = float(mesh.vertex_m[:, 2].min())
     z = np.sort(corner[is_roof, :, 2], axis=1)
-    p50, p70 = _height_quantiles(z, np.abs(cross[is_roof, 2]), np.array([0.5, 0.7]))
-    ridge = _ridge_z(mesh, face, cross, is_sloped)
+    p50, p70 = _height_quantiles(z, np.abs(mesh.doubled_m2[is_roof, 2]), np.array([0.5, 0.7]))
     return MeshMeasures(
         roof_type,
         base_z + float(z.min()),
         base_z + p50,
         base_z + p70,
         base_z + float(z.max()),
-        ridge,
-        float(np.einsum("ij,ij->", corner[:, 0], cross) / 6),
+        _ridge_z(mesh, is_sloped),
+        mesh.volume_m3,
         float(area[mesh.kind == FaceKind.GROUND].sum()),
         float(area[is_roof & ~is_sloped].sum()),
         float(area[is_sloped].sum()),
@@ -104,31 +101,24 @@ def _height_quantiles(z: np.ndarray, weight: np.ndarray, share: np.ndarray) -> t
     return tuple(high_end.tolist())
 
 
-def _ridge_z(mesh: LabelledMesh, face: np.ndarray, cross: np.ndarray, is_sloped: np.ndarray) -> float | None:
-    triangle = mesh.triangle[is_sloped].astype(np.int64)
-    if not len(triangle):
-        return None
-    size = len(mesh.vertex_m)
-    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
-    forward, back = start * size + end, end * size + start
-    _, first, second = np.intersect1d(forward, back, return_indices=True)
-    of_face, normal = face[is_sloped], cross[is_sloped]
+def _ridge_z(mesh: Mesh, is_sloped: np.ndarray) -> float | None:
+    triangle, side = np.nonzero((mesh.twin >= 0) & is_sloped[:, None] & is_sloped[mesh.twin // 3])
+    beyond, side_beyond = np.divmod(mesh.twin[triangle, side], 3)
     # the corner of the second triangle that is not on the edge is below the first one's plane
-    apex = np.roll(triangle, -2, axis=1).ravel()[second]
-    height = np.einsum("ij,ij->i", mesh.vertex_m[apex] - mesh.vertex_m[start[first]], normal[first // 3])
-    is_ridge = (of_face[first // 3] != of_face[second // 3]) & (height < 0)
-    if not is_ridge.any():
-        return None
-    return float(mesh.vertex_m[[start[first[is_ridge]], end[first[is_ridge]]], 2].max())
+    apex = mesh.corner_m[beyond, (side_beyond + 2) % 3]
+    start, end = mesh.corner_m[triangle, side], mesh.corner_m[triangle, NEXT[side]]
+    height = np.einsum("ij,ij->i", apex - start, mesh.doubled_m2[triangle])
+    is_ridge = (mesh.face[triangle] != mesh.face[beyond]) & (height < 0)
+    return float(np.maximum(start, end)[is_ridge, 2].max()) if is_ridge.any() else None
 
 
-def party_wall_areas_m2(meshes: Sequence[LabelledMesh]) -> np.ndarray:
+def party_wall_areas_m2(meshes: Sequence[Mesh | None]) -> np.ndarray:
     """(b,) areas of the walls of each building that stand against walls of other buildings of ``meshes``: within
     0.1 m, and facing each other up to 5 degrees. meshes: may be computed at each access."""
     result = np.zeros(len(meshes))
     box_m = np.full((len(meshes), 4), np.nan)
     for i, mesh in enumerate(meshes):
-        if len(mesh.triangle):
+        if mesh is not None:
             box_m[i] = [*mesh.vertex_m[:, :2].min(axis=0), *mesh.vertex_m[:, :2].max(axis=0)]
     usable = np.flatnonzero(np.isfinite(box_m[:, 0]))
     boxes = shapely.box(*box_m[usable].T)
@@ -139,10 +129,12 @@ def party_wall_areas_m2(meshes: Sequence[LabelledMesh]) -> np.ndarray:
     return result
 
 
-def _walls(mesh: LabelledMesh) -> tuple[np.ndarray, np.ndarray]:
+def _walls(mesh: Mesh | None) -> tuple[np.ndarray, np.ndarray]:
     """(corners (t, 3, 3), unit normals in plan (t, 2)) of the triangles of walls."""
-    corner = mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.WALL]]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, :2]
+    if mesh is None:
+        return np.zeros((0, 3, 3)), np.zeros((0, 2))
+    is_wall = mesh.kind == FaceKind.WALL
+    corner, normal = mesh.corner_m[is_wall], mesh.doubled_m2[is_wall, :2]
     length = np.linalg.norm(normal, axis=1)
     is_upright = length > 1e-6
     return corner[is_upright], normal[is_upright] / length[is_upright, None]

@@ -25,13 +25,13 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.fit.roof_edges import mean_overhang_m
+from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.measures import MeshMeasures, measure, party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.spool import Lazy
-from p2wss.reconstruct.valid import labelled_mesh
 from p2wss.skeleton.types import Polygons
 
 # a residual is the mean over at most this many points
@@ -80,7 +80,7 @@ class Result:
     @cached_property
     def mesh_measures(self) -> MeshMeasures:
         """Of the mesh, which must exist: several outputs ask for them."""
-        return measure(labelled_mesh(self.reconstruction))
+        return measure(self.reconstruction.placed_mesh)
 
 
 def run(
@@ -201,12 +201,14 @@ class Rows:
                 self._pending[k] = (number, replace(building, ground_z_m=ground_z_m), status, facts)
         for first in range(0, len(self._pending), _BATCH):
             self._store(self._pending[first : first + _BATCH])
-        meshes = Lazy(
-            lambda number: labelled_mesh(self._results[number].reconstruction), range(self._num_rows)
-        )
+        meshes = Lazy(self._placed_mesh, range(self._num_rows))
         area_m2 = party_wall_areas_m2(meshes)
         for number in np.flatnonzero(area_m2).tolist():
             self._set(number, replace(self._results[number], party_wall_area_m2=float(area_m2[number])))
+
+    def _placed_mesh(self, number: int) -> Mesh | None:
+        reconstruction = self._results[number].reconstruction
+        return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
     def _store(self, rows: Sequence[tuple[int, Building, str, dict[str, Any]]]) -> None:
         buildings = [building for _, building, _, _ in rows]
@@ -283,11 +285,6 @@ def _results(
     return results
 
 
-def vertices_m(reconstruction: Reconstruction) -> np.ndarray:
-    """Mesh vertices in the CRS of the cloud, (v, 3)."""
-    return labelled_mesh(reconstruction).vertex_m
-
-
 def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
     """Raise :class:`InputError` if not one building has a point."""
     if not any(result.num_points for result in results):
@@ -334,13 +331,14 @@ def _result(building: Building, reconstruction: Reconstruction, config: Reconstr
 
 def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
     """Distances of points on the building to its mesh; none without both."""
-    if not reconstruction.has_mesh or not len(point_m):
+    mesh = reconstruction.mesh
+    if mesh is None or not len(point_m):
         return np.zeros(0)
     # every k-th point, so that no random draw is needed
     point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array(
         [0, 0, reconstruction.ground_z_m]
     )
-    return distance_to_mesh(point_m, reconstruction.vertex_m, reconstruction.triangle)
+    return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
 
 
 def _visible_share(building: Building, on_building: np.ndarray) -> float:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-
-import numpy as np
+from itertools import chain
 
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit import fitting
 from p2wss.fit.mesh.walls import REACH_M, with_exact_walls
-from p2wss.mesh.repair import LabelledMesh, repaired
+from p2wss.mesh import Mesh
+from p2wss.mesh.repair import repaired
 
 # (row, invalid reconstruction): simpler ones, the best first
 Simpler = Callable[[int, Reconstruction], Iterable[Reconstruction]]
@@ -31,11 +31,11 @@ def with_valid_solids(
     """
     result = list(reconstructions)
     for row, reconstruction in enumerate(reconstructions):
-        if not reconstruction.has_mesh:
+        if reconstruction.mesh is None:
             continue
         valid = _on_footprint(reconstruction)
         if valid is None:
-            candidates = (_on_footprint(each) for each in simpler(row, reconstruction) if each.has_mesh)
+            candidates = (_on_footprint(each) for each in simpler(row, reconstruction))
             valid = next(filter(None, candidates), None)
         result[row] = valid or no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID)
     return result
@@ -44,11 +44,13 @@ def with_valid_solids(
 def _on_footprint(reconstruction: Reconstruction) -> Reconstruction | None:
     """A valid solid, if possible one whose outer walls are exactly on the edges of the footprint; None if there is
     none."""
-    for reach_m in (REACH_M, 0.0):
-        exact = as_valid_solid(with_exact_walls(reconstruction, reach_m))
-        if exact is not None:
-            return exact
-    return as_valid_solid(reconstruction)
+    mesh = reconstruction.mesh
+    if mesh is None:
+        return None
+    candidates = chain(
+        (with_exact_walls(mesh, reconstruction.rings, reach_m) for reach_m in (REACH_M, 0.0)), [mesh]
+    )
+    return next(filter(None, (_as_valid_solid(reconstruction, candidate) for candidate in candidates)), None)
 
 
 def simpler_fits(
@@ -65,27 +67,13 @@ def simpler_fits(
         yield fitting.fit([building], simple, [initial], method)[0]
 
 
-def as_valid_solid(reconstruction: Reconstruction) -> Reconstruction | None:
-    """The reconstruction if its solid follows the rules, else a repaired one, or None."""
-    mesh = labelled_mesh(reconstruction)
-    valid = repaired(mesh)
-    if valid is None or valid is mesh:
-        return None if valid is None else reconstruction
-    vertex_m = valid.vertex_m - _position(reconstruction)
-    return replace(
-        reconstruction, vertex_m=vertex_m, triangle=valid.triangle, kind=valid.kind, edge=valid.edge
-    )
-
-
-def labelled_mesh(reconstruction: Reconstruction) -> LabelledMesh:
-    """The mesh of a reconstruction in the CRS of the cloud."""
-    return LabelledMesh(
-        reconstruction.vertex_m + _position(reconstruction),
-        reconstruction.triangle,
-        reconstruction.kind,
-        reconstruction.edge,
-    )
-
-
-def _position(reconstruction: Reconstruction) -> np.ndarray:
-    return np.array([*reconstruction.origin_xy_m, reconstruction.ground_z_m])
+def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:
+    """The reconstruction with a mesh if that follows the rules, else with a repaired one, or None."""
+    in_crs = mesh.translated(reconstruction.position_m)
+    valid = repaired(in_crs)
+    if valid is None:
+        return None
+    solid, surfaces = valid
+    if solid is not in_crs:
+        mesh = solid.translated(-reconstruction.position_m)
+    return replace(reconstruction, mesh=mesh, surfaces=surfaces)

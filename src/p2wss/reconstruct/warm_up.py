@@ -32,13 +32,14 @@ def warm_footprints_and_meshes() -> None:
     """Cleaning footprints, finding their points, meshes, whether solids are valid."""
     from p2wss import skeleton
     from p2wss.clouds.crops import crop_cloud
+    from p2wss.mesh import Mesh
     from p2wss.mesh.polygon_kernels import closest_vertices
-    from p2wss.mesh.repair import LabelledMesh, repaired
+    from p2wss.mesh.repair import repaired
 
     square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
     crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), skeleton.clean(square).polygons)
     meshes = skeleton.build(square, np.full(4, 40.0), np.full(1, 5.0))
-    repaired(LabelledMesh(*meshes.mesh(0)))
+    repaired(Mesh.of_kernel(meshes, 0))
     # only a solid that breaks a rule needs this one
     closest_vertices(np.zeros((1, 3)), 0.0)
 
@@ -56,8 +57,8 @@ def warm_product() -> None:
 
     from p2wss.config import Reconstruct
     from p2wss.data.terrain import Terrain
-    from p2wss.fit.mesh.short_edges import topmost
     from p2wss.fit.parts.merging import merged_rings
+    from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 

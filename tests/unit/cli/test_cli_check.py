@@ -13,7 +13,7 @@ import pytest
 
 from p2wss import cli, skeleton
 from p2wss.formats import cityjson
-from p2wss.mesh.faces import planar_surfaces
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import Polygons
 
 
@@ -22,9 +22,9 @@ def city(tmp_path: Path) -> Path:
     """Two hip roofs as one document."""
     ring = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
     meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(4, 40.0), np.array([5.0]))
-    vertex, *labels = meshes.mesh(0)
+    mesh = Mesh.of_kernel(meshes, 0)
     solids = [
-        cityjson.Solid(name, vertex + np.array([x, 0, 0]), planar_surfaces(vertex, *labels))
+        cityjson.Solid(name, mesh.vertex_m + np.array([x, 0, 0]), mesh.surfaces)
         for name, x in (("a", 0), ("b", 20))
     ]
     path = tmp_path / "city.city.json"

@@ -149,8 +149,9 @@ def test_reconstructions_survive_the_file(hamlet_cases: list[cases.Case], tmp_pa
     back = read_reconstructions(path)
     for case, before in zip(hamlet_cases, reconstructions, strict=True):
         after = back[case.key]
-        assert np.array_equal(before.vertex_m, after.vertex_m)
-        assert np.array_equal(before.triangle, after.triangle) and np.array_equal(before.kind, after.kind)
+        assert before.has_mesh == after.has_mesh
+        for name in ("vertex_m", "triangle", "kind", "label") if before.has_mesh else ():
+            assert np.array_equal(getattr(before.mesh, name), getattr(after.mesh, name))
         assert (before.status, before.ground_z_m) == (after.status, after.ground_z_m)
         assert all(map(np.array_equal, before.rings, after.rings))
         if before.class_probability is None:
@@ -203,7 +204,7 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
     assert isinstance(tool, roofer_command.Roofer) and tool.version == "toy 1.0"
     reconstructions = roofer.run(tool, hamlet_cases, {"simulated": "EPSG:2154", "real": "EPSG:2154"}, CONFIG)
     for case, reconstruction in zip(hamlet_cases, reconstructions, strict=True):
-        mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle)
+        mesh = trimesh.Trimesh(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle)
         top = case.building.point_m[:, 2].max() - case.building.ground_z_m
         assert reconstruction.status == "ok" and mesh.is_watertight and mesh.volume > 0
         assert mesh.bounds[1, 2] == pytest.approx(top, abs=0.011)
@@ -235,8 +236,8 @@ def test_kept_outputs_of_roofer_can_be_read_as_recorded(
     assert real and set(recorded) == {case.key for case in real}
     for case, reconstruction in zip(hamlet_cases, runs[1], strict=True):
         if case.dataset == REAL:
-            np.testing.assert_array_equal(recorded[case.key].vertex_m, reconstruction.vertex_m)
-            np.testing.assert_array_equal(recorded[case.key].triangle, reconstruction.triangle)
+            np.testing.assert_array_equal(recorded[case.key].mesh.vertex_m, reconstruction.mesh.vertex_m)
+            np.testing.assert_array_equal(recorded[case.key].mesh.triangle, reconstruction.mesh.triangle)
     # those of simulated buildings, which may have the same ids, are in a folder of their own
     assert len(list((folder / SIMULATED).glob("*.city.jsonl"))) == 1
 

@@ -19,6 +19,7 @@ from places import SHARED
 from p2wss import cli
 from p2wss.eval.files import evaluate, summary
 from p2wss.formats.cityjson_read import ReadSolid
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 DELFT = SHARED / "data" / "delft_ahn3"
@@ -35,7 +36,7 @@ def box(name: str, east_m: float) -> ReadSolid:
     quads = [(kind, quad) for kind, members in faces.items() for quad in members]
     triangle = np.array([[quad[i] for i in half] for _, quad in quads for half in ((0, 1, 2), (0, 2, 3))])
     kind = np.repeat([int(kind) for kind, _ in quads], 2).astype(np.uint8)
-    return ReadSolid(name, vertex, triangle, kind, np.repeat(np.arange(6), 2), {})
+    return ReadSolid(name, Mesh(vertex, triangle, kind, np.repeat(np.arange(6), 2)), {})
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_the_distance_to_a_box_is_the_height_above_it(place: tuple[Path, Path]) -> None:
     footprints, cloud = place
     bent = box("b", 30.0)
-    bent = replace(bent, triangle=bent.triangle[1:], kind=bent.kind[1:])
+    bent = replace(bent, mesh=bent.mesh.part(np.arange(1, 12)))
     table = evaluate([box("a", 0.0), bent], footprints, [cloud])
     assert list(table["status"]) == ["ok", "ok", "no mesh", "too few points"]
     assert list(table["num_points"]) == [3000, 3000, 3000, 0]

@@ -19,8 +19,8 @@ from p2wss.storage.schemas.crops import REAL
 def test_the_floor_of_a_yard_is_no_roof() -> None:
     """All points are on the roof: with the yard, the chamfer distance would be that of the whole mesh."""
     row = yard_house()
-    roof = np.isin(row.kind, (FaceKind.ROOF, FaceKind.FLAT))
-    point_m = sample_surface(row.vertex_m, row.triangle[roof], 1500, np.random.default_rng(0))
+    roof = np.isin(row.mesh.kind, (FaceKind.ROOF, FaceKind.FLAT))
+    point_m = sample_surface(row.mesh.vertex_m, row.mesh.triangle[roof], 1500, np.random.default_rng(0))
     classes = np.full(len(point_m), 6, np.uint8)
     building = Building(
         "yard",

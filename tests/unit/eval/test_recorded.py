@@ -81,7 +81,7 @@ def test_measures_of_roofer_on_delft_agree_with_the_judge(
     for case, row in zip(delft, rows, strict=True):
         solid = recorded[case.key]
         point = measure.local_points(case, solid)[case.building.is_on_building]
-        sample = sample_surface(solid.vertex_m, solid.triangle, 40_000, np.random.default_rng(0))
+        sample = sample_surface(solid.mesh.vertex_m, solid.mesh.triangle, 40_000, np.random.default_rng(0))
         sampled.append(cKDTree(sample).query(point)[0].mean())
         assert row["points_to_mesh_m"] < sampled[-1] < row["points_to_mesh_m"] + 0.08
     assert np.mean(sampled) == pytest.approx(0.118, abs=0.003)

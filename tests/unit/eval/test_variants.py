@@ -17,6 +17,7 @@ import shapely
 from all_cases import all_test_cases
 from truth_network import TruthNetwork
 
+from p2wss import skeleton
 from p2wss.config import Eval, Reconstruct
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.eval import cases, figures, groups, measure, parameters, predict, tables, texts
@@ -25,7 +26,6 @@ from p2wss.eval.clock import CpuClock
 from p2wss.eval.gallery import Gallery
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.eval.samples import Samples, rows_by_key
-from p2wss.fit.mesh.parametric import build_meshes
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.storage.schemas.crops import REAL, SIMULATED
@@ -148,15 +148,16 @@ def test_seen_edges_are_those_with_points_over_a_sloped_face(hamlet_cases: list[
 
 
 def num_points_over_faces(case: cases.Case, angle_deg: np.ndarray) -> np.ndarray:
-    (mesh,) = build_meshes(
-        [case.building], [case.building.rings], [0.0], np.array([case.eave_height_m]), [angle_deg],
-        np.array([np.nan]), "label", RECONSTRUCT, [""],
-    )  # fmt: skip
+    polygon = skeleton.Polygons.from_rings([list(case.building.rings)])
+    built = skeleton.build(
+        polygon, angle_deg, np.array([case.eave_height_m]), max_roof_height_m=RECONSTRUCT.max_roof_height_m
+    )
+    vertex_m, triangle, kind, edge = built.mesh(0)
     point = case.building.point_m[case.building.is_on_building]
     count = np.zeros(len(angle_deg), int)
     for e in np.flatnonzero((angle_deg > 0) & (angle_deg < 90)):
-        faces = mesh.triangle[(mesh.edge == e) & (mesh.kind >= 2)]
-        plan = shapely.union_all([shapely.Polygon(mesh.vertex_m[t][:, :2]) for t in faces])
+        faces = triangle[(edge == e) & (kind >= 2)]
+        plan = shapely.union_all([shapely.Polygon(vertex_m[t][:, :2]) for t in faces])
         count[e] = shapely.contains_xy(plan.buffer(1e-9), point[:, 0], point[:, 1]).sum()
     return count
 
@@ -391,13 +392,15 @@ def test_small_faces_overshoot_and_bent_faces_are_counted() -> None:
     # the outermost row of points is 25 cm from a wall: 18 by 18 are left
     assert row["far_share"] == pytest.approx(324 / 400)
     assert row["height_bias_m"] == pytest.approx(-0.8) and row["density_per_m2"] == pytest.approx(4)
-    top = np.flatnonzero(flat.vertex_m[:, 2] > 1)
-    vertex = flat.vertex_m.copy()
+    top = np.flatnonzero(flat.mesh.vertex_m[:, 2] > 1)
+    vertex = flat.mesh.vertex_m.copy()
     vertex[top[0], 2] += 0.05  # a corner: 12 mm out of the roof's plane
-    bent = measure.measure_building(case, replace(flat, vertex_m=vertex), CONFIG)
+    bent = measure.measure_building(case, replace(flat, mesh=flat.mesh.moved(vertex.copy())), CONFIG)
     assert bent["watertight"] and not bent["planar"]
     vertex[top[0], 2] -= 0.02
-    assert measure.measure_building(case, replace(flat, vertex_m=vertex), CONFIG)["planar"]
+    assert measure.measure_building(case, replace(flat, mesh=flat.mesh.moved(vertex.copy())), CONFIG)[
+        "planar"
+    ]
     # a corner cut off by 4 cm: one more wall, of 0.04 * sqrt(2) * 5 = 0.28 m2; by 3 cm: of 0.21 m2
     for cut, expected in ((0.04, 0), (0.03, 1)):
         ring = np.array([[0.0, 0], [10, 0], [10, 10 - cut], [10 - cut, 10], [0, 10]])

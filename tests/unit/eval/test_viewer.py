@@ -37,8 +37,7 @@ def view(hamlet: Path) -> Viewer:
     buildings = [case.building for case in test_cases]
     config = Reconstruct()
     ours = constant(buildings, np.full(len(test_cases), 5.0), 35.0, config, "point2wss")
-    none = np.zeros((0, 3), np.int32)
-    ours[-1] = replace(ours[-1], triangle=none, vertex_m=np.zeros((0, 3)), status="no height")
+    ours[-1] = replace(ours[-1], mesh=None, status="no height")
     tables = {"point2wss": ours, "lod1": lod1(buildings, config), "constant": ours}
     by_key = {
         name: {case.key: row for case, row in zip(test_cases, rows, strict=True)}

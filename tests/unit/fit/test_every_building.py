@@ -111,7 +111,7 @@ def check(results: dict[str, Result]) -> None:
         assert (result.reason is None) == (result.status == "ok"), name
         assert reconstruction.has_mesh == (result.status != "none"), name
         if reconstruction.has_mesh:
-            mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle, process=False)
+            mesh = trimesh.Trimesh(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle, process=False)
             assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0, name
             # without a point on the roof there is only the network's guess and nothing to compare it with
             assert result.residual_m < 1 or result.status == "flat" or result.visible_share == 0, name
@@ -140,7 +140,7 @@ def test_a_mesh_or_a_reason(scene: Scene, predictor: Oracle | None) -> None:
     # 10 m wide, 35 degrees: 3.5 m over the eave
     good = results["good"].reconstruction
     assert good.eave_height_m == pytest.approx(ROOF_M - GROUND_M, abs=0.1)
-    assert good.vertex_m[:, 2].max() == pytest.approx(ROOF_M + 3.5 - GROUND_M, abs=0.2)
+    assert good.mesh.vertex_m[:, 2].max() == pytest.approx(ROOF_M + 3.5 - GROUND_M, abs=0.2)
 
 
 def test_visible_share_is_the_share_of_cells_with_a_point(scene: Scene) -> None:
@@ -178,5 +178,5 @@ def test_batches_and_progress_change_nothing(scene: Scene, monkeypatch: pytest.M
     parts = scene.results(Oracle(), config)
     assert list(whole) == list(parts)
     for name, result in whole.items():
-        assert np.array_equal(result.reconstruction.vertex_m, parts[name].reconstruction.vertex_m)
+        assert np.array_equal(result.reconstruction.mesh.vertex_m, parts[name].reconstruction.mesh.vertex_m)
         assert reconstruct_attributes(result) == reconstruct_attributes(parts[name])

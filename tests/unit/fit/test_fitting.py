@@ -10,7 +10,6 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.mesh.parametric import build_meshes
-from p2wss.fit.mesh.union import is_closed
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.skeleton import Polygons
@@ -81,7 +80,7 @@ def test_the_height_of_the_ground_does_not_decide_whether_a_step_stays() -> None
     case = building(np.vstack([house, annex]))
     (reconstruction,) = fitting.fit([case], CONFIG)
     assert reconstruction.num_parts == 2
-    top_m = np.unique(reconstruction.vertex_m[reconstruction.vertex_m[:, 2] > 1, 2].round(2))
+    top_m = np.unique(reconstruction.mesh.vertex_m[reconstruction.mesh.vertex_m[:, 2] > 1, 2].round(2))
     assert top_m == pytest.approx([5.85, 6.0], abs=0.02)
 
 
@@ -118,7 +117,7 @@ def test_without_a_closed_union_there_are_fewer_parts(monkeypatch):
     monkeypatch.setattr(fitting, "union", lambda *_: None)
     (reconstruction,) = fitting.fit([case], CONFIG)
     assert reconstruction.has_mesh and reconstruction.num_parts == 1
-    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    assert reconstruction.mesh.is_closed
 
 
 def test_a_building_is_the_same_whatever_is_fitted_beside_it():
@@ -130,8 +129,8 @@ def test_a_building_is_the_same_whatever_is_fitted_beside_it():
         assert (alone.status, alone.num_parts, alone.eave_height_m) == (
             reconstruction.status, reconstruction.num_parts, reconstruction.eave_height_m,
         )  # fmt: skip
-        assert np.array_equal(alone.vertex_m, reconstruction.vertex_m)
-        assert np.array_equal(alone.triangle, reconstruction.triangle)
+        assert np.array_equal(alone.mesh.vertex_m, reconstruction.mesh.vertex_m)
+        assert np.array_equal(alone.mesh.triangle, reconstruction.mesh.triangle)
 
 
 @pytest.mark.parametrize("num_points", [1, 2, 3, 5, 9, 10, 12, 20, 40, 80, 300])
@@ -142,10 +141,10 @@ def test_every_number_of_points_gives_a_closed_solid(num_points, has_network):
     case = replace(whole, point_m=whole.point_m[chosen], classification=whole.classification[chosen])
     initial = [network(case, np.array([90, 35, 90, 35.0]), 5.0)] if has_network else None
     (reconstruction,) = with_fallback(fitting.fit([case], CONFIG, initial), [case], CONFIG)
-    assert reconstruction.has_mesh and is_closed(reconstruction.vertex_m, reconstruction.triangle)
-    z = reconstruction.vertex_m[:, 2]
+    assert reconstruction.has_mesh and reconstruction.mesh.is_closed
+    z = reconstruction.mesh.vertex_m[:, 2]
     assert z.min() == 0 and 2.5 < z.max() < 12
-    ground = shapely.convex_hull(shapely.multipoints(reconstruction.vertex_m[z == 0][:, :2]))
+    ground = shapely.convex_hull(shapely.multipoints(reconstruction.mesh.vertex_m[z == 0][:, :2]))
     assert ground.area == pytest.approx(13 * 8, rel=1e-3)
 
 

@@ -20,7 +20,8 @@ from p2wss import skeleton
 from p2wss.errors import InputError
 from p2wss.formats import cityjson, cityjson_read
 from p2wss.formats.cityjson import Solid
-from p2wss.mesh.faces import Surface, planar_surfaces
+from p2wss.mesh import Mesh
+from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind, Polygons
 
 DATA = SHARED / "data"
@@ -41,13 +42,8 @@ def solid_of(name: str) -> tuple[Solid, np.ndarray, np.ndarray]:
     rings, angle = CASES[name]
     meshes = skeleton.build(Polygons.from_rings([rings]), np.array(angle, float), np.array([5.0]))
     assert meshes.status[0] == 0
-    vertex, triangle, kind, edge = meshes.mesh(0)
-    placed = vertex + np.array([652000.25, 6861000.5, 100])
-    return (
-        Solid(name, placed, planar_surfaces(vertex, triangle, kind, edge), {"status": "ok"}),
-        placed,
-        triangle,
-    )
+    mesh = Mesh.of_kernel(meshes, 0).translated([652000.25, 6861000.5, 100])
+    return Solid(name, mesh.vertex_m, mesh.surfaces, {"status": "ok"}), mesh.vertex_m, mesh.triangle
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -56,23 +52,23 @@ def test_written_files_are_read_back(name: str, tmp_path: Path) -> None:
     path = tmp_path / "a.city.jsonl"
     path.write_text("\n".join(cityjson.lines([solid], 2154)))
     (back,) = cityjson_read.read(path)
-    ours, theirs = trimesh.Trimesh(vertex, triangle), trimesh.Trimesh(back.vertex_m, back.triangle)
+    ours, theirs = trimesh.Trimesh(vertex, triangle), trimesh.Trimesh(back.mesh.vertex_m, back.mesh.triangle)
     assert theirs.is_watertight and theirs.is_winding_consistent
     assert theirs.volume == pytest.approx(ours.volume, rel=1e-4)
-    assert len(back.triangle) == len(triangle)
+    assert len(back.mesh.triangle) == len(triangle)
     assert back.attributes == {"status": "ok"}
     # ground and roof cover the same plan
     normal_z = theirs.face_normals[:, 2] * theirs.area_faces
-    assert normal_z[back.kind == FaceKind.GROUND].sum() == pytest.approx(
-        -normal_z[back.kind == FaceKind.ROOF].sum(), rel=1e-4
+    assert normal_z[back.mesh.kind == FaceKind.GROUND].sum() == pytest.approx(
+        -normal_z[back.mesh.kind == FaceKind.ROOF].sum(), rel=1e-4
     )
 
 
 def test_open_ground_is_an_outer_floor(tmp_path: Path) -> None:
     """An ``OuterFloorSurface`` of CityJSON is level, faces upwards, belongs to the outer shell, and is no roof."""
     row = yard_house()
-    placed = row.vertex_m + np.array([*row.origin_xy_m, row.ground_z_m])
-    surfaces = planar_surfaces(row.vertex_m, row.triangle, row.kind, row.edge)
+    placed = row.mesh.vertex_m + np.array([*row.origin_xy_m, row.ground_z_m])
+    surfaces = row.mesh.surfaces
     text = "\n".join(cityjson.lines([Solid("yard", placed, surfaces, {})], 2154))
     assert cityjson_rules.assert_sequence([json.loads(line) for line in text.splitlines()]) == 1
     (geometry,) = json.loads(text.splitlines()[1])["CityObjects"]["yard"]["geometry"]
@@ -86,11 +82,11 @@ def test_open_ground_is_an_outer_floor(tmp_path: Path) -> None:
     ]
     (tmp_path / "a.city.jsonl").write_text(text)
     (back,) = cityjson_read.read(tmp_path / "a.city.jsonl")
-    corner = back.vertex_m[back.triangle[back.kind == FaceKind.FLOOR]]
+    corner = back.mesh.vertex_m[back.mesh.triangle[back.mesh.kind == FaceKind.FLOOR]]
     area_m2 = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2].sum() / 2
     assert area_m2 == pytest.approx(YARD_M2) and np.ptp(corner[:, :, 2]) == pytest.approx(0, abs=1e-6)
-    kinds = np.where(row.kind == FaceKind.FLAT, FaceKind.ROOF, row.kind)
-    assert np.bincount(back.kind, minlength=5).tolist() == np.bincount(kinds, minlength=5).tolist()
+    kinds = np.where(row.mesh.kind == FaceKind.FLAT, FaceKind.ROOF, row.mesh.kind)
+    assert np.bincount(back.mesh.kind, minlength=5).tolist() == np.bincount(kinds, minlength=5).tolist()
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -147,8 +143,8 @@ def test_header_and_features_follow_the_specification() -> None:
 def test_each_roof_plane_is_a_semantic_surface() -> None:
     ring = [np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)]
     meshes = skeleton.build(Polygons.from_rings([ring]), np.array([45, 90, 30, 90.0]), np.array([5.0]))
-    vertex, *labels = meshes.mesh(0)
-    (line,) = list(cityjson.lines([Solid("a", vertex, planar_surfaces(vertex, *labels))], None))[1:]
+    mesh = Mesh.of_kernel(meshes, 0)
+    (line,) = list(cityjson.lines([Solid("a", mesh.vertex_m, mesh.surfaces)], None))[1:]
     (geometry,) = json.loads(line)["CityObjects"]["a"]["geometry"]
     surfaces = geometry["semantics"]["surfaces"]
     roofs = sorted((s for s in surfaces if s["type"] == "RoofSurface"), key=lambda s: s["slope_deg"])
@@ -183,7 +179,7 @@ def test_both_forms_follow_the_rules(tmp_path: Path) -> None:
     (tmp_path / "a.city.jsonl").write_text("\n".join(map(json.dumps, sequence)))
     for a, b in zip(cityjson_read.read(path), cityjson_read.read(tmp_path / "a.city.jsonl"), strict=True):
         assert a.building_id == b.building_id and a.attributes == b.attributes
-        assert a.vertex_m[a.triangle] == pytest.approx(b.vertex_m[b.triangle])
+        assert a.mesh.corner_m == pytest.approx(b.mesh.corner_m)
 
 
 def test_a_vertex_within_a_face_is_not_stored() -> None:
@@ -195,7 +191,7 @@ def test_a_vertex_within_a_face_is_not_stored() -> None:
     triangle += [[a, b + 4, a + 4] for a, b in ((0, 1), (1, 2), (2, 3), (3, 0))]
     kind = np.array([3] * 4 + [0] * 2 + [1] * 8)
     edge = np.array([-1] * 6 + [0, 1, 2, 3] * 2)
-    surfaces = planar_surfaces(vertex, np.array(triangle), kind, edge)
+    surfaces = Mesh(vertex, np.array(triangle), kind, edge).surfaces
     document = json.loads(cityjson.document([Solid("a", vertex, surfaces)], 2154))
     assert len(document["vertices"]) == 8 and cityjson_rules.assert_document(document) == 1
 
@@ -267,7 +263,7 @@ def test_the_output_of_roofer_is_read_completely() -> None:
     solids = cityjson_read.read(DATA / "delft_ahn3" / "roofer_lod22.city.jsonl")
     assert len(solids) == 74
     # counted by the independent judge: 62.5 triangles on average
-    assert np.mean([len(solid.triangle) for solid in solids]) == pytest.approx(62.5, abs=0.1)
+    assert np.mean([len(solid.mesh.triangle) for solid in solids]) == pytest.approx(62.5, abs=0.1)
     for solid in solids:
-        mesh = trimesh.Trimesh(solid.vertex_m, solid.triangle)
+        mesh = trimesh.Trimesh(solid.mesh.vertex_m, solid.mesh.triangle)
         assert mesh.is_watertight and mesh.volume > 0

@@ -114,12 +114,12 @@ def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
 
 def test_open_ground_is_a_surface_of_its_own(frame: Frame) -> None:
     row = yard_house()
-    floor = row.kind == FaceKind.FLOOR
+    floor = row.mesh.kind == FaceKind.FLOOR
     materials = {"wall": "brick", "roof": "tile", "ground": "brick", "outer_floor": "wet_ground"}
-    mesh = Mesh.of_building("yard", row.vertex_m + POSITION, row.triangle, row.kind, materials)
+    mesh = Mesh.of_building("yard", row.mesh.vertex_m + POSITION, row.mesh.triangle, row.mesh.kind, materials)
     (faces,) = (faces for faces in faces_of(mesh) if faces.surface == "outer_floor")
     assert faces.material == "wet_ground" and (faces.triangle == np.flatnonzero(floor)).all() and floor.any()
-    unnamed = faces_of(Mesh.of_building("yard", row.vertex_m, row.triangle, row.kind))
+    unnamed = faces_of(Mesh.of_building("yard", row.mesh.vertex_m, row.mesh.triangle, row.mesh.kind))
     assert {f.surface: f.material for f in unnamed}["outer_floor"] == "medium_dry_ground"
     lines = obj([mesh], frame, "yard.mtl").decode().splitlines()
     start = lines.index("g outer_floor")

@@ -159,12 +159,14 @@ def test_open_ground_has_the_material_of_the_terrain(meshes: list[Mesh], tmp_pat
     row = yard_house(X + 10, Y + 10, 2.0)
     position = [*row.origin_xy_m, row.ground_z_m]
     materials = {**BRICK, "outer_floor": "medium_dry_ground"}
-    house = Mesh.of_building("yard", row.vertex_m + position, row.triangle, row.kind, materials)
+    house = Mesh.of_building(
+        "yard", row.mesh.vertex_m + position, row.mesh.triangle, row.mesh.kind, materials
+    )
     write(tmp_path / "whole", [house, meshes[2]])
     assert sionna_scene.read(tmp_path / "whole").shapes["yard"].material == "mat-brick"
     write(tmp_path / "split", [house, meshes[2]], split_materials=True)
     floor = sionna_scene.read(tmp_path / "split").shapes["yard-medium_dry_ground"]
-    assert len(floor.triangle) == (row.kind == FaceKind.FLOOR).sum() > 0
+    assert len(floor.triangle) == (row.mesh.kind == FaceKind.FLOOR).sum() > 0
     # no map of the terrain below the floor
     vertex_m, triangle = sionna_scene.read_ply(tmp_path / "split" / "terrain_top.ply")
     centre = vertex_m[triangle].reshape(-1, 6, 3)[:, :, :2].mean(axis=1)

@@ -9,8 +9,9 @@ import pytest
 import solid_rules
 
 from p2wss import skeleton
-from p2wss.mesh.faces import Surface, planar_surfaces
-from p2wss.mesh.repair import SCALE_M, LabelledMesh, repaired, stored, surfaces_to_write
+from p2wss.mesh import Mesh
+from p2wss.mesh.faces import Surface
+from p2wss.mesh.repair import SCALE_M, repaired, stored, surfaces_to_write
 from p2wss.mesh.rules import MEANINGS, VAL3DITY, breaches
 from p2wss.skeleton.types import FaceKind, Polygons
 
@@ -165,15 +166,15 @@ def test_405_a_box_inside_out() -> None:
     assert check(BOX, [[rings[0][::-1]] for rings in FACES]) == {405}
 
 
-def roofs() -> list[LabelledMesh]:
+def roofs() -> list[Mesh]:
     rings = [[np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13.0]])]] * 4
     angle = np.array([[30, 90, 30, 30, 90, 30], [0.0] * 6, [45] * 6, [20, 60, 35, 25, 5, 85]])
     meshes = skeleton.build(Polygons.from_rings(rings), angle.ravel(), np.full(4, 5.0))
     assert not meshes.status.any()
-    return [LabelledMesh(*meshes.mesh(i)) for i in range(4)]
+    return [Mesh.of_kernel(meshes, i) for i in range(4)]
 
 
-def independent_codes(mesh: LabelledMesh) -> list[int]:
+def independent_codes(mesh: Mesh) -> list[int]:
     grid, surfaces = stored(mesh.vertex_m, surfaces_to_write(mesh)[0])
     shell = [[[int(v) for v in ring] for ring in surface.rings] for surface in surfaces]
     return solid_rules.codes([tuple(map(int, place)) for place in grid], shell)
@@ -181,12 +182,10 @@ def independent_codes(mesh: LabelledMesh) -> list[int]:
 
 def test_roofs_of_the_kernel_are_left_alone() -> None:
     for mesh in roofs():
-        assert repaired(mesh) is mesh and independent_codes(mesh) == []
+        assert repaired(mesh)[0] is mesh and independent_codes(mesh) == []
 
 
-def with_split_edge(
-    mesh: LabelledMesh, share: float, move: Callable[[np.ndarray], np.ndarray]
-) -> LabelledMesh:
+def with_split_edge(mesh: Mesh, share: float, move: Callable[[np.ndarray], np.ndarray]) -> Mesh:
     """The mesh with a further vertex on the edge from corner 0 to corner 1 of its first triangle."""
     a, b, c = map(int, mesh.triangle[0])
     new = len(mesh.vertex_m)
@@ -196,11 +195,11 @@ def with_split_edge(
     triangle = np.delete(mesh.triangle, [0, beside], axis=0)
     triangle = np.vstack([triangle, [[a, new, c], [new, b, c], [b, new, d], [new, a, d]]])
     labels = [0, 0, beside, beside]
-    return LabelledMesh(
+    return Mesh(
         np.vstack([mesh.vertex_m, place]),
         triangle.astype(np.int32),
         np.r_[np.delete(mesh.kind, [0, beside]), mesh.kind[labels]],
-        np.r_[np.delete(mesh.edge, [0, beside]), mesh.edge[labels]],
+        np.r_[np.delete(mesh.label, [0, beside]), mesh.label[labels]],
     )
 
 
@@ -209,15 +208,15 @@ def test_vertices_within_a_millimetre_are_merged() -> None:
         length_m = float(np.linalg.norm(np.subtract(*mesh.vertex_m[mesh.triangle[0, :2]])))
         near = with_split_edge(mesh, 5e-4 / length_m, lambda place: place)
         assert surfaces_to_write(near)[1]
-        better = repaired(near)
-        assert better is not None and independent_codes(better) == []
+        better, _ = repaired(near)
+        assert independent_codes(better) == []
         assert len(better.triangle) == len(mesh.triangle)
 
 
 def test_a_face_that_is_not_planar_becomes_triangles() -> None:
     for mesh in roofs():
         bent = with_split_edge(mesh, 0.5, lambda place: place + 0.02)
-        whole = planar_surfaces(*bent)
+        whole = bent.surfaces
         surfaces, found = surfaces_to_write(bent)
         assert not found and independent_codes(bent) == []
         assert len(surfaces) > len(whole) and len({s.face for s in surfaces}) == len(whole)
@@ -225,7 +224,7 @@ def test_a_face_that_is_not_planar_becomes_triangles() -> None:
 
 def test_a_solid_that_cannot_be_mended_is_none() -> None:
     mesh = roofs()[1]
-    turned = mesh._replace(vertex_m=mesh.vertex_m * [1, 1, -1])
+    turned = mesh.moved(mesh.vertex_m * [1, 1, -1])
     assert {breach.code for breach in surfaces_to_write(turned)[1]} == {405}
     assert repaired(turned) is None
 
@@ -251,15 +250,15 @@ def test_a_hole_that_touches_the_outside_is_a_ring_of_its_own() -> None:
             for k in range(4)
         ),
     ]  # fmt: skip
-    mesh = LabelledMesh(
+    mesh = Mesh(
         np.array(xyz, float),
         np.array([t for _, _, triangles in faces for t in triangles], np.int32),
         np.array([kind for kind, _, triangles in faces for _ in triangles]),
         np.array([edge for _, edge, triangles in faces for _ in triangles]),
     )
-    roof = next(s for s in planar_surfaces(*mesh) if s.edge == 6)
+    roof = next(s for s in mesh.surfaces if s.label == 6)
     assert [sorted(ring.tolist()) for ring in roof.rings] == [[5, 6, 7, 8, 9], [9, 10, 11, 12]]
-    assert repaired(mesh) is mesh and independent_codes(mesh) == []
+    assert repaired(mesh)[0] is mesh and independent_codes(mesh) == []
 
 
 def test_parts_that_touch_in_a_point_are_moved_apart() -> None:
@@ -268,14 +267,14 @@ def test_parts_that_touch_in_a_point_are_moved_apart() -> None:
     meshes = skeleton.build(
         Polygons.from_rings([[np.array(ring, float)]]), np.zeros(len(ring)), np.array([4.0])
     )
-    mesh = LabelledMesh(*meshes.mesh(0))
-    assert repaired(mesh) is mesh
+    mesh = Mesh.of_kernel(meshes, 0)
+    assert repaired(mesh)[0] is mesh
     at_mouth = (mesh.vertex_m[:, 0] < 0.1) & (np.abs(mesh.vertex_m[:, 1] - 4.5) < 0.2)
     vertex_m = mesh.vertex_m.copy()
     vertex_m[at_mouth, 1] = 4.5
-    touching = mesh._replace(vertex_m=vertex_m)
+    touching = mesh.moved(vertex_m)
     assert surfaces_to_write(touching)[1]
-    better = repaired(touching)
-    assert better is not None and independent_codes(better) == []
+    better, _ = repaired(touching)
+    assert independent_codes(better) == []
     assert len(better.triangle) == len(mesh.triangle)
     assert np.abs(better.vertex_m - vertex_m).max() < 0.003

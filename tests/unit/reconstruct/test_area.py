@@ -22,7 +22,6 @@ from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.spool import Spool
-from p2wss.reconstruct.valid import labelled_mesh
 
 CONFIG = Reconstruct()
 # how far the footprints lie beside the buildings
@@ -167,7 +166,7 @@ def test_party_walls_of_meshes_that_are_read_again(
     town: tuple[gpd.GeoDataFrame, Cloud], tmp_path: Path
 ) -> None:
     results, _ = results_of(town, tmp_path)
-    meshes = [labelled_mesh(result.reconstruction) for result in results.values()]
+    meshes = [result.reconstruction.placed_mesh for result in results.values()]
     expected = [result.party_wall_area_m2 for result in results.values()]
     assert party_wall_areas_m2(meshes).tolist() == expected
     assert sum(area > 40 for area in expected) == 2 * NUM_IN_ROW

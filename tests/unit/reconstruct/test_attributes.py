@@ -23,11 +23,11 @@ from p2wss.clouds.reading import GPS_EPOCH, read_clouds
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.metric_crs import common_crs
+from p2wss.mesh import Mesh
 from p2wss.reconstruct import measures
 from p2wss.reconstruct.attributes import TO_3DBAG, attributes
 from p2wss.reconstruct.city import city_json, epsg_of
 from p2wss.reconstruct.pipeline import Result
-from p2wss.reconstruct.valid import labelled_mesh
 from p2wss.skeleton.types import Polygons
 
 BOX = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
@@ -42,7 +42,7 @@ def building(
     assert meshes.status[0] == 0
     return Reconstruction(
         name, "t", "fit", reasons.OK, (652000.0 + x_m, 6861000.0), 100.0, [ring], eave_m, np.array(angle_deg), 0.9,
-        *meshes.mesh(0),
+        Mesh.of_kernel(meshes, 0),
     )  # fmt: skip
 
 
@@ -51,7 +51,7 @@ def result(reconstruction: Reconstruction, **values: Any) -> Result:
 
 
 def measure(name: str, ring: np.ndarray, angle_deg: list[float]) -> measures.MeshMeasures:
-    return measures.measure(labelled_mesh(building(name, ring, angle_deg)))
+    return measures.measure(building(name, ring, angle_deg).placed_mesh)
 
 
 def test_measures_of_a_gable_roof() -> None:
@@ -83,7 +83,7 @@ def test_measures_of_other_roofs() -> None:
 
 def test_open_ground_is_no_roof() -> None:
     row = yard_house()
-    measured = measures.measure(labelled_mesh(row))
+    measured = measures.measure(row.placed_mesh)
     without = measure("house", np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]]), [SLOPE_DEG, 90, SLOPE_DEG, 90])
     assert measured.outer_floor_area_m2 == pytest.approx(YARD_M2) and without.outer_floor_area_m2 == 0
     assert measured.ground_area_m2 == pytest.approx(HOUSE_M2 + YARD_M2)
@@ -103,13 +103,13 @@ def test_open_ground_is_no_roof() -> None:
 
 def test_quantiles_are_those_of_a_fine_raster() -> None:
     mesh = building("hip", L_SHAPE, [30, 50, 40, 35, 25, 45])
-    measured = measures.measure(labelled_mesh(mesh))
+    measured = measures.measure(mesh.placed_mesh)
     x, y = np.meshgrid(np.arange(0.02, 12, 0.04), np.arange(0.02, 16, 0.04))
     xy = np.column_stack([x.ravel(), y.ravel()])
     xy = xy[(xy[:, 0] < 6) | (xy[:, 1] < 8)]
     z = np.full(len(xy), np.nan)
-    for t in mesh.triangle[np.isin(mesh.kind, [2, 3])]:
-        a, b, c = mesh.vertex_m[t]
+    for t in mesh.mesh.triangle[np.isin(mesh.mesh.kind, [2, 3])]:
+        a, b, c = mesh.mesh.vertex_m[t]
         share = np.linalg.solve(np.column_stack([b[:2] - a[:2], c[:2] - a[:2]]), (xy - a[:2]).T)
         inside = (share >= -1e-9).all(axis=0) & (share.sum(axis=0) <= 1 + 1e-9)
         z[inside] = a[2] + share[0, inside] * (b[2] - a[2]) + share[1, inside] * (c[2] - a[2])
@@ -122,7 +122,7 @@ def test_party_walls_are_where_neighbours_overlap() -> None:
     """Two gables side by side, the second one lower and 4 m further back, and one 5 m away."""
     lower = building("b", BOX + np.array([0, 4]), [0.0] * 4, 3.0, x_m=12.05)
     rows = [building("a", BOX, GABLE), lower, building("c", BOX, GABLE, x_m=30)]
-    areas = measures.party_wall_areas_m2([labelled_mesh(row) for row in rows])
+    areas = measures.party_wall_areas_m2([row.placed_mesh for row in rows])
     assert areas == pytest.approx([4 * 3, 4 * 3, 0], abs=1e-6)
     assert measures.party_wall_areas_m2([]).shape == (0,)
     values = attributes(result(rows[1], party_wall_area_m2=float(areas[1])))
@@ -141,7 +141,7 @@ def test_names_of_3dbag() -> None:
     flat = replace(gable, status="flat", reason=reasons.NO_ROOF)
     assert attributes(flat, names="3dbag")["b3_dak_type"] == "no planes"
     none = Result(
-        replace(gable.reconstruction, triangle=np.zeros((0, 3), int)), "none", reasons.NO_POINTS, 0,
+        replace(gable.reconstruction, mesh=None), "none", reasons.NO_POINTS, 0,
         float("nan"), float("nan"), False,
     )  # fmt: skip
     values = attributes(none, names="3dbag")

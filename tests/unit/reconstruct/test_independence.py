@@ -59,7 +59,13 @@ def reconstructions(
     result: dict[str, tuple[object, ...]] = {}
     for row in run(frame, cloud, predictor, "tile", config):
         single = row.reconstruction
-        arrays = (single.angle_deg, single.vertex_m, single.triangle, single.kind, *single.rings)
+        arrays = (
+            single.angle_deg,
+            single.mesh.vertex_m,
+            single.mesh.triangle,
+            single.mesh.kind,
+            *single.rings,
+        )
         numbers = (single.eave_height_m, single.confidence, row.residual_m, row.visible_share)
         content = tuple(None if array is None else array.tobytes() for array in arrays)
         result[single.building_id] = (row.status, row.num_points, *map(repr, numbers), *content)

@@ -42,7 +42,7 @@ def building(
 
 def test_mesh_has_the_predicted_eave_and_slope() -> None:
     (reconstruction,) = reconstruct_with_network([building()], Oracle(), CONFIG)
-    mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle)
+    mesh = trimesh.Trimesh(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle)
     assert reconstruction.status == "ok" and mesh.is_watertight and mesh.volume > 0
     assert reconstruction.eave_height_m == pytest.approx(6.0)
     assert mesh.bounds[0, 2] == 0
@@ -62,7 +62,7 @@ def test_too_few_points_get_a_flat_roof_and_no_point_only_a_reason() -> None:
     assert not any(m.has_mesh for m in reconstructions)
     few, none, large = with_fallback(reconstructions, cases, CONFIG)
     assert few.has_mesh and few.method == "lod1" and few.status == "too-few-points"
-    assert few.vertex_m[:, 2].max() == pytest.approx(6.0)
+    assert few.mesh.vertex_m[:, 2].max() == pytest.approx(6.0)
     assert not none.has_mesh and none.status == "no-points"
     assert large.method == "lod1" and large.status == "footprint-too-large"
 
@@ -75,7 +75,7 @@ def test_courtyards_stay_when_the_exterior_is_simplified_for_the_network() -> No
     assert len(oracle.rings[0][0]) <= 8 and np.array_equal(oracle.rings[0][1], yard)
     assert reconstruction.status == "ok"
     assert [len(ring) for ring in reconstruction.rings] == [40, 4] and len(reconstruction.angle_deg) == 44  # type: ignore[arg-type]
-    mesh = trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle)
+    mesh = trimesh.Trimesh(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle)
     assert mesh.is_watertight and mesh.euler_number == 0  # one hole through
 
 
@@ -83,7 +83,7 @@ def test_a_mesh_has_the_footprint_to_the_bit() -> None:
     notched = np.array([[0, 0], [6, 0], [6, 0.1], [6.1, 0.1], [6.1, 0], [12, 0], [12, 8], [0, 8]], float)
     (flat,) = lod1([building([notched])], CONFIG)
     assert np.array_equal(flat.rings[0], notched)
-    assert np.array_equal(np.unique(flat.vertex_m[:, :2], axis=0), np.unique(notched, axis=0))
+    assert np.array_equal(np.unique(flat.mesh.vertex_m[:, :2], axis=0), np.unique(notched, axis=0))
 
 
 def test_flat_height_prefers_class_6_and_ignores_what_is_outside() -> None:
@@ -136,4 +136,4 @@ def test_order_and_company_do_not_matter() -> None:
     forth = reconstruct_with_network(cases, Oracle(), CONFIG)
     back = reconstruct_with_network(cases[::-1], Oracle(), CONFIG)[::-1]
     for a, b in zip(forth, back, strict=True):
-        assert np.array_equal(a.vertex_m, b.vertex_m) and a.status == b.status
+        assert np.array_equal(a.mesh.vertex_m, b.mesh.vertex_m) and a.status == b.status

@@ -15,7 +15,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct import block_skins, exports, terrain_mesh
 from p2wss.reconstruct.inputs import footprint_settings, window
-from p2wss.reconstruct.pipeline import Result, run, vertices_m
+from p2wss.reconstruct.pipeline import Result, run
 from p2wss.reconstruct.skin import Solid, skins
 from p2wss.skeleton.types import FaceKind
 
@@ -33,7 +33,9 @@ def results() -> list[Result]:
 
 def test_rows_of_delft(results: list[Result]) -> None:
     rows = [result.reconstruction for result in results]
-    solids = [Solid(r.building_id, vertices_m(r), r.triangle, r.kind, r.edge) for r in rows]
+    solids = [
+        Solid(r.building_id, r.placed_mesh.vertex_m, r.mesh.triangle, r.mesh.kind, r.mesh.label) for r in rows
+    ]
     exact, joined = skins(solids, step_m=0.0, max_lowering_m=0.0), skins(solids)
     for skin in (*exact, *joined):
         assert skin.failure is None
@@ -54,7 +56,7 @@ def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:
     ground = exports.block(buildings, land, config)
     assert ground is not None
     buildings = terrain_mesh.lowered_into(buildings, land)
-    edges = [result.reconstruction.edge for result in results]
+    edges = [result.reconstruction.mesh.label for result in results]
     closed = block_skins.joined(buildings, edges, config.skin_step_m, np.inf)
     standing, with_holes = block_skins.on_terrain(closed, ground)
     assert all((skin.kind != FaceKind.GROUND).all() for skin in standing)

@@ -13,7 +13,7 @@ from p2wss.config import Reconstruct
 from p2wss.data.terrain import Terrain
 from p2wss.reconstruct.attributes import attributes
 from p2wss.reconstruct.exports import with_columns
-from p2wss.reconstruct.pipeline import Result, run, vertices_m
+from p2wss.reconstruct.pipeline import Result, run
 
 SQUARE, NEAR, FAR, UNKNOWN = (shapely.box(x, 0, x + 10, 10) for x in (0, 30, 500, 800))
 
@@ -36,7 +36,7 @@ def test_no_points_a_flat_roof_at_the_stated_height() -> None:
         assert result.reconstruction.eave_height_m == pytest.approx(height_m) and result.num_points == 0
         # the ground of the cloud nearby, else of the nearest building
         assert result.reconstruction.ground_z_m == pytest.approx(2.0)
-        z = vertices_m(result.reconstruction)[:, 2]
+        z = result.reconstruction.placed_mesh.vertex_m[:, 2]
         assert (z.min(), z.max()) == pytest.approx((2.0, 2.0 + height_m))
         assert not result.is_reliable
     assert (unknown.status, unknown.reason) == ("none", "no-points")

@@ -13,10 +13,11 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
+from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruct import valid
 from p2wss.reconstruct.product import reconstruct_buildings
-from p2wss.reconstruct.valid import labelled_mesh, simpler_fits, with_valid_solids
+from p2wss.reconstruct.valid import simpler_fits, with_valid_solids
 from p2wss.skeleton.types import Polygons
 
 
@@ -24,11 +25,11 @@ def pyramid(apex_m: float, num_parts: int = 1) -> Reconstruction:
     """A hip roof on a square; its apex is moved to a height, below the floor too."""
     ring = np.array([[0, 0], [8, 0], [8, 8], [0, 8]], float)
     meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(4, 40.0), np.array([5.0]))
-    vertex, *labels = meshes.mesh(0)
-    vertex = vertex.copy()
+    mesh = Mesh.of_kernel(meshes, 0)
+    vertex = mesh.vertex_m.copy()
     vertex[vertex[:, 2] > 5.5, 2] = apex_m
     return Reconstruction(
-        "a", "t", "fit", reasons.OK, (1e5, 2e5), 10.0, [ring], 5.0, np.full(4, 40.0), 0.9, vertex, *labels, num_parts
+        "a", "t", "fit", reasons.OK, (1e5, 2e5), 10.0, [ring], 5.0, np.full(4, 40.0), 0.9, mesh.moved(vertex), num_parts
     )  # fmt: skip
 
 
@@ -56,20 +57,20 @@ def test_a_valid_solid_stays_as_it_is() -> None:
 
 def is_same(after: Reconstruction, before: Reconstruction) -> bool:
     """Whether two solids are the same, except that walls may be put exactly on the footprint."""
-    return np.array_equal(after.triangle, before.triangle) and np.allclose(
-        after.vertex_m, before.vertex_m, atol=1e-6
+    return np.array_equal(after.mesh.triangle, before.mesh.triangle) and np.allclose(
+        after.mesh.vertex_m, before.mesh.vertex_m, atol=1e-6
     )
 
 
 def test_the_first_valid_simpler_one_takes_the_place() -> None:
     bad, worse, good = pyramid(-2, 3), pyramid(-1), pyramid(8)
-    assert {breach.code for breach in surfaces_to_write(labelled_mesh(bad))[1]} == {306}
+    assert {breach.code for breach in surfaces_to_write(bad.placed_mesh)[1]} == {306}
     rows = []
 
     def simpler(row: int, invalid: Reconstruction) -> list[Reconstruction]:
         rows.append(row)
         assert invalid is bad
-        return [replace(good, triangle=good.triangle[:0]), worse, good]
+        return [replace(good, mesh=None), worse, good]
 
     first, second = with_valid_solids([good, bad], [building()] * 2, simpler)
     assert is_same(first, good) and is_same(second, good) and rows == [1]

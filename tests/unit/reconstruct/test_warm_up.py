@@ -44,5 +44,5 @@ def test_the_sample_has_parts_a_dormer_and_a_courtyard() -> None:
         for dormers in (True, False)
     )
     assert [reconstruction.num_parts for reconstruction in without] == [2, 1, 1]
-    assert len(with_boxes[1].triangle) > len(without[1].triangle)
-    assert len(without[2].rings) == 2 and np.isfinite(without[2].vertex_m).all()
+    assert len(with_boxes[1].mesh.triangle) > len(without[1].mesh.triangle)
+    assert len(without[2].rings) == 2 and np.isfinite(without[2].mesh.vertex_m).all()

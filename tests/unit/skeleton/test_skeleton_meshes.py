@@ -5,7 +5,7 @@ import pytest
 from skeleton_samples import REGIMES, sample_angles, sample_footprints
 from skeleton_solids import crosses_itself, judged_sound, volumes
 
-from p2wss.mesh.faces import planar_surfaces
+from p2wss.mesh import Mesh
 from p2wss.skeleton import FaceKind, build, clean, roof_points
 
 
@@ -104,9 +104,9 @@ def test_faces_by_the_labels_are_planar_and_enclose_the_mesh_volume():
     meshes = build(polygons, sample_angles(polygons, "iid", 3), np.full(100, 5.0))
     expected = volumes(meshes)
     for k in range(100):
-        vertex, triangle, kind, edge = meshes.mesh(k)
+        vertex, triangle, _, _ = meshes.mesh(k)
         local, volume, sides = vertex - vertex[0], 0.0, set()
-        surfaces = planar_surfaces(vertex, triangle, kind, edge)
+        surfaces = Mesh.of_kernel(meshes, k).surfaces
         assert len(surfaces) < len(triangle)
         for surface in surfaces:
             corner = vertex[np.concatenate(surface.rings)]

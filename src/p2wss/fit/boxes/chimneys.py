@@ -12,16 +12,17 @@ from dataclasses import dataclass, replace
 import manifold3d
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from p2wss.data.building import Reconstruction
 from p2wss.fit.boxes.dormers import moved_to_walls
 from p2wss.fit.boxes.open_ground import OpenGround
-from p2wss.fit.mesh.mesh_planes import CAP_M, topmost
-from p2wss.fit.mesh.union import Mesh, is_closed, is_sound, simplified
+from p2wss.fit.mesh.adjustment import CAP_M
+from p2wss.fit.mesh.union import is_sound, simplified
 from p2wss.fit.settings import Chimneys
+from p2wss.mesh import Mesh
+from p2wss.mesh.surface import topmost
+from p2wss.mesh.topology import groups
 from p2wss.skeleton.types import FaceKind
 
 # returns from one top are at most this far apart in plan, and in height
@@ -52,13 +53,13 @@ class Chimney:
 def find_chimneys(mesh: Mesh, point_m: np.ndarray, chimneys: Chimneys) -> list[Chimney]:
     """The chimneys that points (m, 3) show above the roof of a mesh, both in a frame whose axes they follow."""
     point_m = np.ascontiguousarray(point_m, np.float64)
-    triangle, roof_z = topmost(np.ascontiguousarray(mesh.vertex_m[mesh.triangle]), point_m)
+    triangle, roof_z = topmost(np.ascontiguousarray(mesh.corner_m), point_m)
     point_m, above_m = point_m[triangle >= 0], (point_m[:, 2] - roof_z)[triangle >= 0]
     clusters = _clusters(point_m, above_m, chimneys)
     if not clusters:
         return []
     walls = _walls(mesh)
-    side_m = np.diff(mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.GROUND], :2], axis=1)
+    side_m = np.diff(mesh.corner_m[mesh.kind == FaceKind.GROUND, :, :2], axis=1)
     area_m2 = 0.5 * float(np.abs(np.linalg.det(side_m)).sum())
     max_area_m2 = min(chimneys.max_area_m2, chimneys.max_share * area_m2)
     result = []
@@ -77,7 +78,7 @@ def find_chimneys(mesh: Mesh, point_m: np.ndarray, chimneys: Chimneys) -> list[C
 
 def _walls(mesh: Mesh) -> shapely.MultiLineString:
     """The walls of a mesh in plan."""
-    ring = mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.WALL], :2]
+    ring = mesh.corner_m[mesh.kind == FaceKind.WALL, :, :2]
     sides = np.stack([ring, np.roll(ring, -1, axis=1)], axis=2).reshape(-1, 2, 2)
     return shapely.MultiLineString(list(sides))
 
@@ -91,10 +92,9 @@ def _clusters(point_m: np.ndarray, above_m: np.ndarray, chimneys: Chimneys) -> l
     first, second = cKDTree(scaled).query_pairs(2**0.5, output_type="ndarray").T
     plan, step = (scaled[first] - scaled[second])[:, :2], scaled[first, 2] - scaled[second, 2]
     near = ((plan**2).sum(axis=1) <= 1.0) & (np.abs(step) <= 1.0)
-    pairs = coo_array((np.ones(near.sum()), (first[near], second[near])), shape=(len(high), len(high)))
-    count, label = connected_components(pairs, directed=False)
-    groups = [high[label == k] for k in range(count)]
-    return [group for group in groups if len(group) >= chimneys.min_points]
+    label = groups(len(high), np.column_stack([first[near], second[near]]))
+    clusters = [high[label == k] for k in range(label.max() + 1)]
+    return [cluster for cluster in clusters if len(cluster) >= chimneys.min_points]
 
 
 def _chimney(
@@ -154,24 +154,16 @@ def with_chimneys(
     rotation: (2, 2), of the frame ``xy @ rotation`` that chimneys are parallel to. point_m: (m, 3), on the roof, and
     open_ground in that frame, heights as in the cloud.
     """
-    if not reconstruction.has_mesh:
+    if reconstruction.mesh is None:
         return reconstruction
     rings = [ring @ rotation for ring in reconstruction.rings]
     footprint = shapely.Polygon(rings[0], rings[1:])
-    vertex_m = np.column_stack([reconstruction.vertex_m[:, :2] @ rotation, reconstruction.vertex_m[:, 2]])
-    start = replace(Mesh.of(reconstruction), vertex_m=vertex_m)
-    mesh = start
+    mesh = start = reconstruction.mesh.turned(rotation)
     for chimney in find_chimneys(start, point_m - (0.0, 0.0, reconstruction.ground_z_m), chimneys):
         mesh = _united(mesh, _to_walls(chimney, footprint)) or mesh
     if mesh is start:
         return reconstruction
-    return replace(
-        reconstruction,
-        vertex_m=np.column_stack([mesh.vertex_m[:, :2] @ rotation.T, mesh.vertex_m[:, 2]]),
-        triangle=mesh.triangle,
-        kind=open_ground.kinds(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane),
-        edge=mesh.plane,
-    )
+    return replace(reconstruction, mesh=open_ground.marked(mesh).turned(rotation.T))
 
 
 def _to_walls(chimney: Chimney, footprint: shapely.Polygon) -> Chimney:
@@ -200,10 +192,6 @@ def _united(mesh: Mesh, chimney: Chimney) -> Mesh | None:
             continue
         result = simplified(np.array(out.vert_properties, float)[:, :3], triangle)
         # a mesh that was not sound before stays as it was
-        if (
-            result is not None
-            and is_closed(result.vertex_m, result.triangle)
-            and (is_sound(result) or not is_sound(mesh))
-        ):
+        if result is not None and result.is_closed and (is_sound(result) or not is_sound(mesh)):
             return result
     return None

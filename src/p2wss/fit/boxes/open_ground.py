@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 # a level face higher above the ground than this is a roof, whatever points are over it
@@ -35,26 +36,23 @@ class OpenGround:
         polygon = shapely.Polygon(part.rings[0], part.rings[1:])
         return self._is_mostly_ground(shapely.contains_xy(polygon, *self.point_m[:, :2].T))
 
-    def kinds(
-        self, vertex_m: np.ndarray, triangle: np.ndarray, kind: np.ndarray, plane: np.ndarray
-    ) -> np.ndarray:
-        """uint8 (t,): the kinds of a mesh with ``FLOOR`` for open ground. At least one face remains a roof.
-
-        vertex_m: (v, 3), in the frame of the points, z above the ground. triangle (t, 3), kind (t,), plane (t,): as in
-        :class:`p2wss.fit.mesh.union.Mesh`.
-        """
+    def marked(self, mesh: Mesh) -> Mesh:
+        """The mesh, in the frame of the points and with z above the ground, with the kind ``FLOOR`` for open ground. At
+        least one face remains a roof."""
         if not self.num_ground:
-            return kind
-        is_low = (kind == FaceKind.FLAT) & (vertex_m[triangle, 2].max(axis=1) <= _MAX_HEIGHT_M)
+            return mesh
+        kind = mesh.kind
+        is_low = (kind == FaceKind.FLAT) & (mesh.corner_m[:, :, 2].max(axis=1) <= _MAX_HEIGHT_M)
         is_floor = np.zeros(len(kind), bool)
-        for number in np.unique(plane[is_low]).tolist():
-            face = is_low & (plane == number)
+        for number in np.unique(mesh.label[is_low]).tolist():
+            face = is_low & (mesh.label == number)
             within = np.zeros(len(self.point_m), bool)
-            for corner in vertex_m[triangle[face], :2]:
+            for corner in mesh.corner_m[face, :, :2]:
                 within |= _are_within(corner, self.point_m[:, :2])
             is_floor |= face & self._is_mostly_ground(within)
         is_roof = ((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)) & ~is_floor
-        return np.where(is_floor, np.uint8(FaceKind.FLOOR), kind) if is_roof.any() else kind
+        kind = np.where(is_floor, np.uint8(FaceKind.FLOOR), kind)
+        return replace(mesh, kind=kind) if is_roof.any() else mesh
 
     def _is_mostly_ground(self, within: np.ndarray) -> bool:
         num_ground = int(within[len(within) - self.num_ground :].sum())

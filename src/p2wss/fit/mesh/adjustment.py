@@ -18,8 +18,10 @@ from functools import cached_property
 
 import numpy as np
 
-from p2wss.fit.mesh.mesh_planes import CAP_M, MeshPlanes, topmost, turned_over
-from p2wss.fit.mesh.union import Mesh, is_closed
+from p2wss.mesh import Mesh
+from p2wss.mesh.mesh import Planes
+from p2wss.mesh.surface import topmost
+from p2wss.mesh.topology import doubled_areas, is_closed
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.types import FaceKind
 
@@ -43,6 +45,12 @@ _MAX_MOVE_M, _MAX_TURN_DEG = 0.6, 8.0
 _OFF_PLANE_M = 1e-4
 # the condition that planes meet, and parameters that nothing determines, by their weights
 _MEET_WEIGHT, _KEEP_WEIGHT = 3e5, 3e-5
+# a wall whose plane contains an edge of the footprint is an outer wall
+_ON_WALL_M = 1e-3
+# larger residuals count as this, as in the fit
+CAP_M = 1.0
+# a triangle that is turned over by no more than this, twice its area in square metres, has no area
+_NO_AREA_M2 = 1e-6
 # smaller singular values of the normals at a vertex, relative to the largest, count as zero
 _RANK = 1e-3
 
@@ -53,14 +61,14 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
     rings: of the footprint, whose walls stay. point_m: (m, 3), on the roof. All are in the frame of the mesh.
     """
     point_m = np.ascontiguousarray(point_m, np.float64)
-    system = _System.of(mesh, MeshPlanes.of(mesh, rings), point_m)
+    system = _System.of(mesh, rings, point_m)
     if not 0 < len(system.roofs) <= _MAX_NUM_ROOFS or system.at.shape[1] > _MAX_NUM_MEETING:
         return mesh
     start = system.start()
     if (start.top < 0).all():
         return mesh
     start = system.with_shifted_walls(start)
-    shifted = mesh if start.vertex_m is mesh.vertex_m else replace(mesh, vertex_m=start.vertex_m)
+    shifted = mesh if start.vertex_m is mesh.vertex_m else mesh.moved(start.vertex_m)
     system = replace(system, mesh=shifted)
     max_loss_m = start.loss_m - _MIN_GAIN_M * len(point_m)
     vertex_weight = np.full(len(system.moving), _VERTEX_WEIGHT)
@@ -70,7 +78,7 @@ def adjusted(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> Me
             state = system.improved(state, vertex_weight)
         is_invalid = system.is_invalid(state, start)
         if not is_invalid.any():
-            return replace(mesh, vertex_m=state.vertex_m) if state.loss_m <= max_loss_m else shifted
+            return mesh.moved(state.vertex_m) if state.loss_m <= max_loss_m else shifted
         vertex_weight[is_invalid] *= _STIFFENING
     return shifted
 
@@ -98,16 +106,17 @@ class _System:
     along x and y.
 
     point_m: (m, 3). roofs: (r,), the planes that may move. roof_of: (p,), the number of each plane in roofs, -1 for
-    others. centre_m: (p, 2). is_free: (3 r,), which unknowns there are. moving: (n,), the vertices of roofs. at:
-    (n, k), the planes of each of these vertices, -1 beyond the last. pairs: (rows of at, places there, roofs), one for
-    each roof at each of them.
+    others. walls: those that may move. centre_m: (p, 2). is_free: (3 r,), which unknowns there are. moving: (n,), the
+    vertices of roofs. at: (n, k), the planes of each of these vertices, -1 beyond the last. pairs: (rows of at, places
+    there, roofs), one for each roof at each of them.
     """
 
     mesh: Mesh
-    planes: MeshPlanes
+    planes: Planes
     point_m: np.ndarray
     roofs: np.ndarray
     roof_of: np.ndarray
+    walls: list[int]
     centre_m: np.ndarray
     is_free: np.ndarray
     moving: np.ndarray
@@ -115,23 +124,23 @@ class _System:
     pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @classmethod
-    def of(cls, mesh: Mesh, planes: MeshPlanes, point_m: np.ndarray) -> _System:
-        num_planes = len(planes.normal)
-        kind = np.zeros(num_planes, np.uint8)
-        kind[planes.number] = mesh.kind
-        roofs = np.flatnonzero((kind == FaceKind.ROOF) | (kind == FaceKind.FLAT))
-        roof_of = np.full(num_planes, -1)
+    def of(cls, mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> _System:
+        planes = mesh.planes
+        roofs = np.flatnonzero((planes.kind == FaceKind.ROOF) | (planes.kind == FaceKind.FLAT))
+        walls = np.flatnonzero(is_free(planes, rings) & planes.is_wall).tolist()
+        roof_of = np.full(len(planes.normal), -1)
         roof_of[roofs] = np.arange(len(roofs))
-        middle_m = mesh.vertex_m[mesh.triangle].mean(axis=1)
+        middle_m = mesh.corner_m.mean(axis=1)
         count = np.bincount(planes.number)
         centre_m = np.column_stack([np.bincount(planes.number, middle_m[:, k]) / count for k in range(2)])
-        is_free = np.ones((len(roofs), 3), bool)
-        is_free[kind[roofs] == FaceKind.FLAT, 1:] = False
+        has_unknown = np.ones((len(roofs), 3), bool)
+        has_unknown[planes.kind[roofs] == FaceKind.FLAT, 1:] = False
         moving = np.unique(mesh.triangle[roof_of[planes.number] >= 0])
         at = planes.table(moving.tolist())
         rows, places = np.nonzero((at >= 0) & (roof_of[at] >= 0))
         pairs = rows, places, roof_of[at[rows, places]]
-        return cls(mesh, planes, point_m, roofs, roof_of, centre_m, is_free.ravel(), moving, at, pairs)
+        unknown = has_unknown.ravel()
+        return cls(mesh, planes, point_m, roofs, roof_of, walls, centre_m, unknown, moving, at, pairs)
 
     @cached_property
     def _roof_triangles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -163,10 +172,9 @@ class _System:
         """The state after each wall between roofs has moved to where the points show the step, if that gains enough and
         no roof has to follow."""
         start = state
-        walls = np.flatnonzero(self.planes.is_free & self.planes.is_wall).tolist()
-        if len(walls) * len(self.mesh.triangle) * len(self.point_m) > _MAX_WALL_TESTS:
+        if len(self.walls) * len(self.mesh.triangle) * len(self.point_m) > _MAX_WALL_TESTS:
             return state
-        for wall in walls:
+        for wall in self.walls:
             rows, places = np.nonzero(self.at == wall)
             # the moves of its vertices for a metre, and by how much these would miss the other planes there
             move_m = state.inverse[rows, :, places]
@@ -277,6 +285,20 @@ class _System:
         """(n, k), how far the planes are from the vertices that may move; 0 beyond the last."""
         height_m = (normals * vertex_m[self.moving, None]).sum(axis=2)
         return np.where(self.at >= 0, offset_m[self.at] - height_m, 0.0)
+
+
+def is_free(planes: Planes, rings: Sequence[np.ndarray]) -> np.ndarray:
+    """bool (p,): whether a plane is neither the floor nor an outer wall, over an edge of the footprint ``rings``."""
+    start = np.concatenate(list(rings))
+    end = np.concatenate([points for ring in rings for points in (ring[1:], ring[:1])])
+    gap_m = np.maximum(*(np.abs(ends @ planes.normal[:, :2].T - planes.offset_m) for ends in (start, end)))
+    is_outer = planes.is_wall & (gap_m.min(axis=0) < _ON_WALL_M)
+    return ~is_outer & (planes.kind != FaceKind.GROUND)
+
+
+def turned_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """bool (t,): which triangles (t, 3) face away from the normals (t, 3) of their planes."""
+    return (doubled_areas(vertex_m[triangle]) * normal).sum(axis=1) < -_NO_AREA_M2
 
 
 def _pseudo_inverse(matrix: np.ndarray) -> np.ndarray:

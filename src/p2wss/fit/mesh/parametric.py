@@ -12,6 +12,7 @@ from p2wss import skeleton
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import Meshes, Polygons
 
 
@@ -54,7 +55,7 @@ def transfer_angles(
     """Angles (a value or a row per edge) of ``source_rings`` for the edges of ``target_rings``, which describe the same
     building with more or fewer vertices.
 
-    Each target edge takes the angle of the source edge nearest target_end its midpoint among those that face within 45
+    Each target edge takes the angle of the source edge nearest to its midpoint among those that face within 45
     degrees of its direction or, if there is none, among all.
     """
     if len(source_rings) == len(target_rings) and all(map(np.array_equal, source_rings, target_rings)):
@@ -102,7 +103,6 @@ def build_meshes(
     )
     for k, i in enumerate(usable):
         code = skeleton.Status(int(meshes.status[k]))
-        vertex, triangle, kind, edge = meshes.mesh(k)
         result[i] = Reconstruction(
             buildings[i].building_id,
             buildings[i].tile,
@@ -114,10 +114,7 @@ def build_meshes(
             float(eave_height_m[i]),
             angle_deg[i],
             float(confidence[i]) if np.isfinite(confidence[i]) else None,
-            vertex,
-            triangle,
-            kind,
-            edge,
+            Mesh.of_kernel(meshes, k) if code == skeleton.Status.OK else None,
         )
     return result
 

@@ -13,9 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from p2wss.fit.mesh.mesh_planes import CAP_M, MeshPlanes, topmost, turned_over
-from p2wss.fit.mesh.planes import NEXT, neighbours
-from p2wss.fit.mesh.union import Mesh, is_closed, is_sound, simplified
+from p2wss.fit.mesh.adjustment import CAP_M, is_free, turned_over
+from p2wss.fit.mesh.union import is_sound, simplified
+from p2wss.mesh import Mesh
+from p2wss.mesh.mesh import Planes
+from p2wss.mesh.surface import topmost
+from p2wss.mesh.topology import NEXT, is_closed
 
 # no plane shifts by more than the first figure, and no vertex moves by more than the second
 _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
@@ -55,9 +58,9 @@ def _simpler(
     edges = short_edges(mesh, short_edge_m)
     if not edges:
         return None
-    planes = MeshPlanes.of(mesh, rings)
-    shifts = _Shifts(planes)
-    residuals = _Residuals.of(mesh, planes, point_m)
+    planes = mesh.planes
+    shifts = _Shifts(planes, is_free(planes, rings))
+    residuals = _Residuals.of(mesh, point_m)
     if not len(residuals.plane):
         return None
     weight = residuals.weights(planes)
@@ -76,15 +79,14 @@ def _simpler(
         moved_m = shifts.moved(mesh.vertex_m, clusters, shift_m)
         if np.linalg.norm(moved_m - mesh.vertex_m, axis=1).max() > _MAX_MOVE_M:
             continue
-        triangle = _merged_triangles(mesh, planes, moved_m, trial)
+        triangle = _merged_triangles(mesh, moved_m, trial)
         if triangle is not None:
             cluster_of, num_removed = trial, num_removed + 1
             results.append((moved_m, triangle))
     was_sound = bool(results) and is_sound(mesh)
     for result in reversed(results):
         simple = simplified(*result)
-        is_usable = simple is not None and is_closed(simple.vertex_m, simple.triangle)
-        if simple is not None and is_usable and (is_sound(simple) or not was_sound):
+        if simple is not None and simple.is_closed and (is_sound(simple) or not was_sound):
             return simple
     return None
 
@@ -100,20 +102,21 @@ def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
 def short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
     """(start, end) of the short edges between two planes, the shortest first."""
     start, end = mesh.triangle, mesh.triangle[:, NEXT]
-    length_m = np.linalg.norm(mesh.vertex_m[start] - mesh.vertex_m[end], axis=2)
-    is_short = (length_m < short_edge_m) & (start < end)
+    is_short = (mesh.edge_m < short_edge_m) & (start < end)
     if not is_short.any():
         return []
-    is_short &= mesh.plane[neighbours(mesh.triangle)] != mesh.plane[:, None]
-    order = np.argsort(length_m[is_short], kind="stable")
+    is_short &= mesh.label[mesh.twin // 3] != mesh.label[:, None]
+    order = np.argsort(mesh.edge_m[is_short], kind="stable")
     return list(zip(start[is_short][order].tolist(), end[is_short][order].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class _Shifts:
-    """Shifts of the planes of a mesh. known: the conditions of clusters that were asked for."""
+    """Shifts of the planes of a mesh. is_free: (p,), which may shift. known: the conditions of clusters that were asked
+    for."""
 
-    planes: MeshPlanes
+    planes: Planes
+    is_free: np.ndarray
     known: dict[tuple[int, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def _meeting(self, vertex_m: np.ndarray, cluster: list[int]) -> tuple[list[int], np.ndarray, np.ndarray]:
@@ -149,9 +152,9 @@ class _Shifts:
         result = np.zeros(len(self.planes.normal))
         conditions = np.vstack([rows for rows, _ in found])
         right_side = np.concatenate([right for _, right in found])
-        scale = 1.0 / np.sqrt(weight[self.planes.is_free])
-        result[self.planes.is_free] = (
-            scale * np.linalg.lstsq(conditions[:, self.planes.is_free] * scale, right_side, 1e-8)[0]
+        scale = 1.0 / np.sqrt(weight[self.is_free])
+        result[self.is_free] = (
+            scale * np.linalg.lstsq(conditions[:, self.is_free] * scale, right_side, 1e-8)[0]
         )
         is_consistent = np.abs(conditions @ result - right_side).max(initial=0.0) < _INCONSISTENT_M
         return result if is_consistent else None
@@ -186,9 +189,10 @@ class _Residuals:
     points_per_m2: float
 
     @classmethod
-    def of(cls, mesh: Mesh, planes: MeshPlanes, point_m: np.ndarray) -> _Residuals:
+    def of(cls, mesh: Mesh, point_m: np.ndarray) -> _Residuals:
+        planes = mesh.planes
         is_up = planes.is_roof[planes.number]
-        corner_m = np.ascontiguousarray(mesh.vertex_m[mesh.triangle[is_up]])
+        corner_m = np.ascontiguousarray(mesh.corner_m[is_up])
         triangle, roof_z = topmost(corner_m, np.ascontiguousarray(point_m, np.float64))
         is_over = triangle >= 0
         plane = planes.number[is_up][triangle[is_over]]
@@ -199,12 +203,12 @@ class _Residuals:
             len(plane) / float((planes.area_m2 * planes.normal[:, 2])[planes.is_roof].sum()),
         )
 
-    def weights(self, planes: MeshPlanes) -> np.ndarray:
+    def weights(self, planes: Planes) -> np.ndarray:
         """(p,): the number of points on each plane, and a little for its area."""
         count = np.bincount(self.plane, minlength=len(planes.normal))
         return count + _AREA_WEIGHT * self.points_per_m2 * planes.area_m2
 
-    def growth_m(self, planes: MeshPlanes, shift_m: np.ndarray) -> float:
+    def growth_m(self, planes: Planes, shift_m: np.ndarray) -> float:
         """How much the sum of the residuals grows if planes shift. Beside a wall that moves, the roof is missing, or
         too much, over a strip."""
         before = np.minimum(np.abs(self.residual_m), CAP_M)
@@ -213,9 +217,7 @@ class _Residuals:
         return float((after - before).sum()) + self.points_per_m2 * strip_m3
 
 
-def _merged_triangles(
-    mesh: Mesh, planes: MeshPlanes, moved_m: np.ndarray, cluster_of: np.ndarray
-) -> np.ndarray | None:
+def _merged_triangles(mesh: Mesh, moved_m: np.ndarray, cluster_of: np.ndarray) -> np.ndarray | None:
     """The triangles (t, 3) after the vertices of each cluster, and others that moved to one place, have become one;
     None if a triangle turns over, or if the mesh is not closed."""
     first, index = np.unique(cluster_of, return_index=True, return_inverse=True)[1:]
@@ -224,6 +226,6 @@ def _merged_triangles(
     triangle = first[near.argmax(axis=1)][index][mesh.triangle]
     has_area = (triangle != triangle[:, NEXT]).all(axis=1)
     triangle = triangle[has_area]
-    if turned_over(moved_m, triangle, planes.normal[planes.number[has_area]]).any():
+    if turned_over(moved_m, triangle, mesh.planes.normal[mesh.planes.number[has_area]]).any():
         return None
     return triangle if is_closed(moved_m, triangle) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import dist
 from operator import mul, sub
 
@@ -11,37 +11,17 @@ import manifold3d
 import numpy as np
 
 from p2wss import skeleton
-from p2wss.data.building import Reconstruction
 from p2wss.fit.boxes.dormers import Box
-from p2wss.fit.mesh.planes import NEXT, face_planes, neighbours, planes_at, snap_vertices
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
+from p2wss.mesh.planes import snap_vertices
 from p2wss.skeleton import Polygons, Status
 
-_WELD_M = 1e-4
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
 _NO_AREA_M2 = 1e-6
 # how much higher each further part is raised, and how far a surface may move when slivers are removed
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A closed mesh. vertex_m (v, 3), triangle int32 (t, 3), kind uint8 (t,) (``FaceKind``), plane int32 (t,):
-    triangles of one kind and plane that touch are one face."""
-
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    plane: np.ndarray
-
-    @classmethod
-    def of(cls, reconstruction: Reconstruction) -> Mesh:
-        """The mesh of a reconstruction. Its planes are numbered anew, because over one edge of the footprint there may
-        be both a wall and a roof."""
-        face = np.column_stack([reconstruction.kind, reconstruction.edge])
-        plane = np.unique(face, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int32)
-        return cls(reconstruction.vertex_m, reconstruction.triangle, reconstruction.kind, plane)
 
 
 def union(
@@ -66,48 +46,21 @@ def union(
         if step_m:
             raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
         mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses)
-        if mesh is None or not is_closed(mesh.vertex_m, mesh.triangle):
+        if mesh is None or not mesh.is_closed:
             continue
-        if _shortest_edge_m(mesh) >= _SHORT_EDGE_M:
+        if mesh.edge_m.min() >= _SHORT_EDGE_M:
             return mesh
         merged = collapse_vertices(mesh, _SHORT_EDGE_M)
-        if _shortest_edge_m(merged) >= _SHORT_EDGE_M and is_closed(merged.vertex_m, merged.triangle):
+        if merged.edge_m.min() >= _SHORT_EDGE_M and merged.is_closed:
             return merged
         first_closed = first_closed or mesh
     return first_closed
 
 
-def _shortest_edge_m(mesh: Mesh) -> float:
-    corner_m = mesh.vertex_m[mesh.triangle]
-    return float(np.linalg.norm(corner_m - corner_m[:, NEXT], axis=2).min())
-
-
 def is_sound(mesh: Mesh) -> bool:
     """Whether a mesh stays closed in programs that round coordinates and triangulate faces again: it has no edge of a
     few millimetres, and no vertex within a straight edge."""
-    num_planes = planes_at(mesh.triangle, mesh.plane, len(mesh.vertex_m))
-    return _shortest_edge_m(mesh) >= _SHORT_EDGE_M and bool((num_planes >= 3).all())
-
-
-def is_closed(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
-    """Whether every edge has exactly two triangles, in opposite directions, once vertices are merged that files cannot
-    distinguish."""
-    corner = _weld(vertex_m)[triangle]
-    corner = corner[(corner != corner[:, NEXT]).all(axis=1)]
-    size = len(vertex_m)
-    start, end = corner.ravel(), corner[:, NEXT].ravel()
-    forward, back = np.sort(start * size + end), np.sort(end * size + start)
-    return bool(len(forward) and (forward[1:] > forward[:-1]).all() and (forward == back).all())
-
-
-def _weld(vertex_m: np.ndarray) -> np.ndarray:
-    """A number per vertex, the same for vertices at the same place to a tenth of a millimetre."""
-    place = np.rint(vertex_m / _WELD_M)
-    order = np.lexsort(place.T)
-    ordered = place[order]
-    number = np.zeros(len(order), np.int64)
-    number[order[1:]] = np.cumsum((ordered[1:] != ordered[:-1]).any(axis=1))
-    return number
+    return bool(mesh.edge_m.min() >= _SHORT_EDGE_M and (mesh.num_planes_at >= 3).all())
 
 
 def _union(
@@ -157,9 +110,8 @@ def _mesh_of(whole: manifold3d.Manifold, simplify_m: float) -> Mesh | None:
         return None
     out = whole.to_mesh64()
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
-    triangle = np.array(out.tri_verts, np.int32)
-    mesh = Mesh(vertex_m, triangle, *face_planes(vertex_m, triangle, neighbours(triangle)))
-    return mesh if (planes_at(triangle, mesh.plane, len(vertex_m)) >= 3).all() else collapse_vertices(mesh)
+    mesh = Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32))
+    return mesh if (mesh.num_planes_at >= 3).all() else collapse_vertices(mesh)
 
 
 def _prism(rings: Sequence[np.ndarray], height_m: float) -> manifold3d.Manifold:
@@ -186,10 +138,10 @@ def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifol
 def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
     """The mesh without the vertices in only two planes, which lie within a straight edge, and after vertices have moved
     along edges shorter than ``short_m`` to their other ends."""
-    vertex_m, triangle, plane = mesh.vertex_m, mesh.triangle, mesh.plane
-    rows, place, plane_of = dict(enumerate(triangle.tolist())), vertex_m.tolist(), plane.tolist()
+    vertex_m, triangle = mesh.vertex_m, mesh.triangle
+    rows, place, plane_of = dict(enumerate(triangle.tolist())), vertex_m.tolist(), mesh.label.tolist()
     kind_of = mesh.kind.tolist()
-    normal_of = _plane_normals(vertex_m, triangle, plane)
+    normal_of = _plane_normals(mesh)
     around: dict[int, set[int]] = {}
     for t, corners in rows.items():
         for v in corners:
@@ -226,8 +178,8 @@ def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
                 break
     remaining = list(rows)
     used, index = np.unique(np.array(list(rows.values()), int), return_inverse=True)
-    kind, plane = np.array(kind_of, np.uint8)[remaining], np.array(plane_of, np.int32)[remaining]
-    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind, plane)
+    kind, label = np.array(kind_of, np.uint8)[remaining], np.array(plane_of, np.int32)[remaining]
+    return Mesh(vertex_m[used], index.reshape(-1, 3).astype(np.int32), kind, label)
 
 
 def _without_straight_vertex(
@@ -274,13 +226,11 @@ def _without_straight_vertex(
     return None if len(set(new_sides)) < len(new_sides) or sides.intersection(new_sides) else result
 
 
-def _plane_normals(vertex_m: np.ndarray, triangle: np.ndarray, plane: np.ndarray) -> list[list[float]]:
+def _plane_normals(mesh: Mesh) -> list[list[float]]:
     """The normal of each triangle's plane, weighted by area, as the normal of a sliver alone is unreliable."""
-    corner = vertex_m[triangle]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    total = np.zeros((plane.max() + 1, 3))
-    np.add.at(total, plane, normal)
-    return total[plane].tolist()
+    total = np.zeros((mesh.label.max() + 1, 3))
+    np.add.at(total, mesh.label, mesh.doubled_m2)
+    return total[mesh.label].tolist()
 
 
 def _can_move(

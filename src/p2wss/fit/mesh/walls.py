@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from p2wss.data.building import Reconstruction
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 # a vertex further from an edge of the footprint, or a wall turned further from it, is not on that edge
@@ -16,40 +15,15 @@ REACH_M, _MAX_SINE = 0.04, 0.02
 _NEAR_M = 1e-6
 
 
-def with_exact_walls(reconstruction: Reconstruction, reach_m: float = REACH_M) -> Reconstruction:
-    """The reconstruction after the vertices of its outer walls have moved onto the edges of its footprint.
+def with_exact_walls(mesh: Mesh, rings: Sequence[np.ndarray], reach_m: float = REACH_M) -> Mesh:
+    """The mesh after the vertices of its outer walls have moved onto their edges of the footprint.
 
-    Rotations and unions leave them off by rounding errors, and the merging of slivers by up to some centimetres.
-    Vertices further off than ``reach_m`` stay; those at corners of the footprint are at them to the bit.
+    Rotations and unions leave them off by rounding errors, and the merging of slivers by up to some centimetres. rings:
+    of the footprint, exterior counter-clockwise, courtyards clockwise. Vertices further off than ``reach_m`` stay;
+    those over a corner of the footprint are at it to the bit. A vertex that moves by more than rounding errors goes up
+    or down to the planes of the roofs that meet there.
     """
-    if not reconstruction.has_mesh:
-        return reconstruction
-    vertex_m = vertices_on_footprint(
-        reconstruction.vertex_m,
-        reconstruction.triangle,
-        reconstruction.kind,
-        reconstruction.edge,
-        reconstruction.rings,
-        reach_m,
-    )
-    return replace(reconstruction, vertex_m=vertex_m)
-
-
-def vertices_on_footprint(
-    vertex_m: np.ndarray,
-    triangle: np.ndarray,
-    kind: np.ndarray,
-    plane: np.ndarray,
-    rings: Sequence[np.ndarray],
-    reach_m: float = REACH_M,
-) -> np.ndarray:
-    """Vertices (v, 3) of which those of outer walls are on their edges, those over a corner of the footprint at it to
-    the bit.
-
-    triangle, kind, plane: the faces of the mesh, as in :class:`Reconstruction`. rings: of the footprint, exterior
-    counter-clockwise, courtyards clockwise. A vertex that moves by more than rounding errors goes up or down to the
-    planes of the roofs that meet there.
-    """
+    vertex_m, triangle, kind = mesh.vertex_m, mesh.triangle, mesh.kind
     start = np.concatenate(list(rings))
     along = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - start
     length = np.hypot(along[:, 0], along[:, 1])
@@ -66,8 +40,8 @@ def vertices_on_footprint(
     result[at_corner, :2] = start[nearest[at_corner]]
 
     # a face is on an edge if it is turned that way and one of its vertices is there
-    face = np.unique(np.column_stack([kind, plane]), axis=0, return_inverse=True)[1].reshape(-1)
-    normal, middle_m = _face_planes(vertex_m[triangle], face)
+    face = np.unique(np.column_stack([kind, mesh.label]), axis=0, return_inverse=True)[1].reshape(-1)
+    normal, middle_m = _face_planes(mesh, face)
     is_wall = np.zeros(len(normal), bool)
     is_wall[face[kind == FaceKind.WALL]] = True
     on_edge = np.zeros((len(normal), len(start)), bool)
@@ -92,16 +66,16 @@ def vertices_on_footprint(
             slope = normal[roofs, :2] / normal[roofs, 2:]
             shift = result[vertex, :2] - middle_m[roofs, :2]
             result[vertex, 2] = (middle_m[roofs, 2] - (shift * slope).sum(axis=1)).mean()
-    return result
+    return mesh.moved(result)
 
 
-def _face_planes(corner_m: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(unit normal, middle) of each face, (f, 3), from the corners of its triangles (t, 3, 3)."""
-    cross = np.cross(corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0])
+def _face_planes(mesh: Mesh, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(unit normal, middle) of each face, (f, 3). face: (t,), that of each triangle."""
+    cross = mesh.doubled_m2
     size = np.linalg.norm(cross, axis=1)
     normal, middle_m = np.zeros((face.max() + 1, 3)), np.zeros((face.max() + 1, 3))
     np.add.at(normal, face, cross)
-    np.add.at(middle_m, face, size[:, None] * corner_m.mean(axis=1))
+    np.add.at(middle_m, face, size[:, None] * mesh.corner_m.mean(axis=1))
     normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
     return normal, middle_m / np.maximum(np.bincount(face, size), 1e-12)[:, None]
 

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
+from p2wss import mesh as meshes
 from p2wss.formats.meshes import Mesh
-from p2wss.mesh.faces import planar_surfaces
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.noding import Edge, ring_edges, split_edges
 from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, groups, tidy
@@ -98,17 +98,17 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
 
 
 def _body(skin: Skin) -> _Body:
-    surfaces = planar_surfaces(skin.vertex_m, skin.triangle, skin.kind, skin.face)
+    surfaces = meshes.Mesh(skin.vertex_m, skin.triangle, skin.kind, skin.face).surfaces
     order = np.argsort(skin.face, kind="stable")
     numbers, start = np.unique(skin.face[order], return_index=True)
     rows = dict(zip(numbers.tolist(), np.split(order, start[1:]), strict=True))
     faces = [
         Face(
-            int(skin.building[rows[s.edge][0]]),
+            int(skin.building[rows[s.label][0]]),
             s.kind,
-            s.edge,
+            s.label,
             [np.asarray(ring).tolist() for ring in s.rings],
-            np.asarray(skin.triangle, int)[rows[s.edge]],
+            np.asarray(skin.triangle, int)[rows[s.label]],
         )
         for s in surfaces
     ]

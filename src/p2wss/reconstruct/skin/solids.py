@@ -11,8 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from p2wss.mesh.faces import planar_surfaces
-from p2wss.mesh.planarity import face_of_triangle
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 # points this near, and points this near to a wall's line, are one place
@@ -58,15 +57,11 @@ def faces_of(solids: Sequence[Solid]) -> tuple[np.ndarray, list[Face]]:
     faces: list[Face] = []
     first = 0
     for number, solid in enumerate(solids):
-        labels = solid.kind, solid.edge
-        surfaces = planar_surfaces(solid.vertex_m, solid.triangle, *labels)
-        face_of = face_of_triangle(solid.triangle, np.column_stack(labels))
-        order = np.argsort(face_of, kind="stable")
-        ends = np.searchsorted(face_of[order], np.arange(1, len(surfaces) + 1))
-        triangles = np.split(np.asarray(solid.triangle, int)[order] + first, ends[:-1])
-        for surface, triangle in zip(surfaces, triangles, strict=True):
+        mesh = Mesh(solid.vertex_m, solid.triangle, solid.kind, solid.edge)
+        for surface in mesh.surfaces:
             rings = [(np.asarray(ring) + first).tolist() for ring in surface.rings]
-            faces.append(Face(number, surface.kind, surface.edge, rings, triangle))
+            triangle = np.asarray(solid.triangle[mesh.face == surface.face], int) + first
+            faces.append(Face(number, surface.kind, surface.label, rings, triangle))
         first += len(solid.vertex_m)
     points = [np.asarray(solid.vertex_m, float).reshape(-1, 3) for solid in solids]
     return np.concatenate([np.zeros((0, 3)), *points]), faces

@@ -50,6 +50,7 @@ MESH = [
     field(
         "triangle_edge",
         pa.list_(pa.int32()),
-        "per triangle: the footprint edge of its face, or -1; with several parts and for Roofer: its polygon",
+        "per triangle: of buildings by the kernel the footprint edge of its face, or -1; of reconstructions the number"
+        " of its plane",
     ),
 ]

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Reconstruction
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import Polygons
 from p2wss.storage import files
 from p2wss.storage.schemas.columns import FOOTPRINT, FRAME, IDENTITY, MESH, STATUS, field
@@ -72,10 +73,10 @@ def reconstruction_columns(
         ],
         "confidence": [r.confidence for r in rows],
         "num_parts": [r.num_parts for r in rows],
-        "vertex_xyz_m": [r.vertex_m.ravel() for r in rows],
-        "triangle": [r.triangle.ravel() for r in rows],
-        "triangle_kind": [r.kind for r in rows],
-        "triangle_edge": [r.edge for r in rows],
+        "vertex_xyz_m": [[] if r.mesh is None else r.mesh.vertex_m.ravel() for r in rows],
+        "triangle": [[] if r.mesh is None else r.mesh.triangle.ravel() for r in rows],
+        "triangle_kind": [[] if r.mesh is None else r.mesh.kind for r in rows],
+        "triangle_edge": [[] if r.mesh is None else r.mesh.label for r in rows],
     }
 
 
@@ -135,10 +136,14 @@ def read_reconstructions(
             row["eave_height_m"],
             values_of("angle_deg", i).astype(float) if len(values_of("angle_deg", i)) else None,
             row["confidence"],
-            values_of("vertex_xyz_m", i).reshape(-1, 3),
-            values_of("triangle", i).reshape(-1, 3),
-            values_of("triangle_kind", i),
-            values_of("triangle_edge", i),
+            Mesh(
+                values_of("vertex_xyz_m", i).reshape(-1, 3),
+                values_of("triangle", i).reshape(-1, 3),
+                values_of("triangle_kind", i),
+                values_of("triangle_edge", i),
+            )
+            if len(values_of("triangle", i))
+            else None,
             row["num_parts"],
             probability.reshape(-1, 3).astype(float)
             if len(probability := values_of("class_probability", i))

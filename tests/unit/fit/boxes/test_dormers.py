@@ -10,7 +10,7 @@ from toy_roofs import sample
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.fitting import fit
-from p2wss.fit.mesh.union import Mesh, is_closed, is_sound
+from p2wss.fit.mesh.union import is_sound
 
 WIDE_M, DEEP_M, EAVE_M = 14.0, 9.0, 5.0
 HOUSE = np.array([[0, 0], [WIDE_M, 0], [WIDE_M, DEEP_M], [0, DEEP_M]])
@@ -58,7 +58,9 @@ def fit_one(building: Building, dormers: bool) -> Reconstruction:
 
 
 def volume(reconstruction: Reconstruction) -> float:
-    return float(trimesh.Trimesh(reconstruction.vertex_m, reconstruction.triangle, process=False).volume)
+    return float(
+        trimesh.Trimesh(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle, process=False).volume
+    )
 
 
 def true_volume(*boxes: tuple[float, ...]) -> float:
@@ -75,7 +77,7 @@ def true_volume(*boxes: tuple[float, ...]) -> float:
 def test_two_box_dormers_are_detected_and_the_mesh_is_closed() -> None:
     building = house(AT_WALL, WITHIN)
     reconstruction = fit_one(building, dormers=True)
-    assert reconstruction.num_parts == 1 and is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    assert reconstruction.num_parts == 1 and reconstruction.mesh.is_closed
     assert volume(reconstruction) == pytest.approx(true_volume(AT_WALL, WITHIN), rel=0.01)
     assert volume(reconstruction) - volume(fit_one(house(), dormers=True)) == pytest.approx(
         true_volume(AT_WALL, WITHIN) - true_volume(), rel=0.25
@@ -84,12 +86,14 @@ def test_two_box_dormers_are_detected_and_the_mesh_is_closed() -> None:
         # well within the box its top, half a metre beside it the slope
         middle = np.array([[(x0 + x1) / 2, y0 + 0.4]])
         beside = np.array([[x0 - 0.4, y0 + 0.4], [x1 + 0.4, y0 + 0.4]])
-        height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, np.vstack([middle, beside]))
+        height, _ = roof_over(
+            reconstruction.mesh.vertex_m, reconstruction.mesh.triangle, np.vstack([middle, beside])
+        )
         assert height[0] == pytest.approx(top, abs=0.08)
         assert height[1:] == pytest.approx(roof_z(beside), abs=0.12)
     # the box at the wall begins there, the other one does not
     near_wall = np.array([[3.5, 0.02], [9.5, 0.6]])
-    height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, near_wall)
+    height, _ = roof_over(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle, near_wall)
     assert height[0] == pytest.approx(7.4, abs=0.08)
     assert height[1] == pytest.approx(roof_z(near_wall[1:])[0], abs=0.12)
 
@@ -101,9 +105,9 @@ def test_a_terrace_within_the_slope_is_a_recess() -> None:
     over = (x > 4) & (x < 8) & (y > 1) & (y < 4)
     building.point_m[over, 2] = EAVE_M
     reconstruction = fit_one(building, dormers=True)
-    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    assert reconstruction.mesh.is_closed
     at = np.array([[6.0, 3.0], [6.0, 6.5], [3.4, 3.0], [8.6, 3.0]])
-    height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, at)
+    height, _ = roof_over(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle, at)
     assert height[0] == pytest.approx(EAVE_M, abs=0.1)
     assert height[1:] == pytest.approx(roof_z(at[1:]), abs=0.12)
     box = true_volume() - (4 * 3 * TAN * 2.5)
@@ -114,8 +118,8 @@ def test_a_clean_gable_and_a_chimney_get_no_box() -> None:
     chimney = (6.0, 6.5, 2.0, 2.6, 10.0)
     for building in (house(), house(chimney)):
         with_option, without = fit_one(building, dormers=True), fit_one(building, dormers=False)
-        assert np.array_equal(with_option.triangle, without.triangle)
-        assert with_option.vertex_m.tobytes() == without.vertex_m.tobytes()
+        assert np.array_equal(with_option.mesh.triangle, without.mesh.triangle)
+        assert with_option.mesh.vertex_m.tobytes() == without.mesh.vertex_m.tobytes()
     # the points do show the chimney
     assert (house(chimney).point_m[:, 2] > 9.5).any()
 
@@ -138,26 +142,29 @@ def test_a_chimney_is_built_at_detail_high_only(chimney: tuple[float, ...], max_
     x0, x1, y0, y1, top = chimney
     building, without = house(chimney, num_points=NUM_POINTS), house(num_points=NUM_POINTS)
     normal, high = (fit_detail(building, detail, max_parts) for detail in ("normal", "high"))
-    mesh = Mesh.of(high)
-    assert is_closed(mesh.vertex_m, mesh.triangle) and is_sound(mesh)
-    assert high.num_parts == 1 and high.vertex_m[:, 2].max() == pytest.approx(max(top, RIDGE_M), abs=0.1)
+    mesh = high.mesh
+    assert mesh.is_closed and is_sound(mesh)
+    assert high.num_parts == 1 and high.mesh.vertex_m[:, 2].max() == pytest.approx(max(top, RIDGE_M), abs=0.1)
     at = np.array([[(x0 + x1) / 2, (y0 + y1) / 2]])
     beside = at + np.array([[-0.7, 0.0], [0.0, 0.7]])
     for reconstruction, expected in ((high, top), (normal, roof_z(at)[0])):
-        height, _ = roof_over(reconstruction.vertex_m, reconstruction.triangle, np.vstack([at, beside]))
+        height, _ = roof_over(
+            reconstruction.mesh.vertex_m, reconstruction.mesh.triangle, np.vstack([at, beside])
+        )
         assert height[0] == pytest.approx(expected, abs=0.1)
         assert height[1:] == pytest.approx(roof_z(beside), abs=0.1)
     # upright walls up to a level top, nothing beyond the footprint
     assert volume(high) - volume(normal) == pytest.approx(true_volume(chimney) - true_volume(), abs=0.2)
-    assert (high.vertex_m[:, :2] > -1e-6).all() and (
-        high.vertex_m[:, :2] < [WIDE_M + 1e-6, DEEP_M + 1e-6]
+    assert (high.mesh.vertex_m[:, :2] > -1e-6).all() and (
+        high.mesh.vertex_m[:, :2] < [WIDE_M + 1e-6, DEEP_M + 1e-6]
     ).all()
     plain = fit_detail(without, "normal", max_parts)
-    assert len(normal.triangle) == len(plain.triangle) < len(high.triangle)
+    assert len(normal.mesh.triangle) == len(plain.mesh.triangle) < len(high.mesh.triangle)
     # a chimney at the wall stands on it
     wall_m = 14.0 if chimney is ON_GABLE else np.inf
     assert (
-        not np.isfinite(wall_m) or (high.vertex_m[np.abs(high.vertex_m[:, 2] - top) < 0.1, 0] == wall_m).any()
+        not np.isfinite(wall_m)
+        or (high.mesh.vertex_m[np.abs(high.mesh.vertex_m[:, 2] - top) < 0.1, 0] == wall_m).any()
     )
 
 
@@ -190,8 +197,8 @@ def test_neither_a_tree_nor_birds_nor_a_mast_become_a_chimney() -> None:
         *(with_points(plain, each) for each in (mast, pair, wires, row, pair[:1])),
     ):
         high = fit_detail(building, "high")
-        assert len(high.triangle) == len(expected.triangle)
-        assert high.vertex_m[:, 2].max() == pytest.approx(expected.vertex_m[:, 2].max(), abs=0.1)
+        assert len(high.mesh.triangle) == len(expected.mesh.triangle)
+        assert high.mesh.vertex_m[:, 2].max() == pytest.approx(expected.mesh.vertex_m[:, 2].max(), abs=0.1)
 
 
 def test_three_returns_make_a_chimney_and_dormers_switch_it_off() -> None:
@@ -199,23 +206,23 @@ def test_three_returns_make_a_chimney_and_dormers_switch_it_off() -> None:
     building = house(num_points=NUM_POINTS)
     around = np.abs(building.point_m[:, :2] - [6.25, 2.3]).max(axis=1) < 0.3
     cleared = replace(building, point_m=building.point_m[~around])
-    assert len(fit_detail(with_points(cleared, place[:2]), "high").triangle) == len(
-        fit_detail(building, "normal").triangle
+    assert len(fit_detail(with_points(cleared, place[:2]), "high").mesh.triangle) == len(
+        fit_detail(building, "normal").mesh.triangle
     )
     shown = with_points(cleared, place)
     high = fit_detail(shown, "high")
-    height, _ = roof_over(high.vertex_m, high.triangle, np.array([[6.25, 2.3]]))
+    height, _ = roof_over(high.mesh.vertex_m, high.mesh.triangle, np.array([[6.25, 2.3]]))
     assert height[0] == pytest.approx(8.3, abs=0.05)
     (off,) = fit([shown], Reconstruct(detail="high", dormers=False, max_parts=1))
-    assert len(off.triangle) == len(fit_detail(building, "normal").triangle)
+    assert len(off.mesh.triangle) == len(fit_detail(building, "normal").mesh.triangle)
 
 
 def test_on_by_default() -> None:
     assert Reconstruct().dormers
     building = house(AT_WALL, WITHIN)
     (default,) = fit([building], Reconstruct(max_parts=1))
-    assert default.vertex_m.tobytes() == fit_one(building, dormers=True).vertex_m.tobytes()
-    assert len(default.triangle) > len(fit_one(building, dormers=False).triangle)
+    assert default.mesh.vertex_m.tobytes() == fit_one(building, dormers=True).mesh.vertex_m.tobytes()
+    assert len(default.mesh.triangle) > len(fit_one(building, dormers=False).mesh.triangle)
 
 
 def test_height_over_a_mesh() -> None:

@@ -10,8 +10,8 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.boxes.open_ground import OpenGround
-from p2wss.fit.mesh.union import is_closed
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 CONFIG = Reconstruct()
@@ -33,13 +33,13 @@ def fitted(*surfaces: tuple[np.ndarray, int]) -> Reconstruction:
     classes = np.concatenate([np.full(len(point_m), number, np.uint8) for point_m, number in surfaces])
     building = Building("b", "t", (1000.0, 2000.0), [FOOTPRINT], point_m, classes, 100.0)
     (reconstruction,) = fitting.fit([building], CONFIG)
-    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
+    assert reconstruction.mesh.is_closed
     return reconstruction
 
 
 def area_and_height_m(reconstruction: Reconstruction, kind: FaceKind) -> tuple[float, float]:
     """(area in plan, mean height) of the faces of a kind."""
-    corner = reconstruction.vertex_m[reconstruction.triangle[reconstruction.kind == kind]]
+    corner = reconstruction.mesh.vertex_m[reconstruction.mesh.triangle[reconstruction.mesh.kind == kind]]
     area_m2 = shapely.area(np.asarray(shapely.polygons(corner[:, :, :2])))
     return float(area_m2.sum()), float(corner[:, :, 2].mean())
 
@@ -70,8 +70,10 @@ def test_a_patio_in_the_middle_has_a_floor() -> None:
 def test_a_low_annex_has_a_roof_of_at_least_the_minimum(low_m: float) -> None:
     house, annex = level((0, 0), (12, 8), 5.0, 0), level((12, 0), (20, 8), low_m, 1)
     reconstruction = fitted((house, BUILDING), (annex, BUILDING), (level((14, 2), (16, 4), 0.0, 2), GROUND))
-    assert set(reconstruction.kind.tolist()) == {FaceKind.GROUND, FaceKind.WALL, FaceKind.FLAT}
-    flat = reconstruction.vertex_m[reconstruction.triangle[reconstruction.kind == FaceKind.FLAT], 2]
+    assert set(reconstruction.mesh.kind.tolist()) == {FaceKind.GROUND, FaceKind.WALL, FaceKind.FLAT}
+    flat = reconstruction.mesh.vertex_m[
+        reconstruction.mesh.triangle[reconstruction.mesh.kind == FaceKind.FLAT], 2
+    ]
     assert flat.min() == pytest.approx(max(low_m, CONFIG.min_eave_height_m), abs=0.05)
 
 
@@ -79,7 +81,7 @@ def test_high_ground_is_a_roof() -> None:
     """Points on a terrace above the street may have the class of the ground."""
     house, terrace = level((0, 0), (12, 8), 5.0, 0), level((12, 0), (20, 8), 2.5, 1)
     reconstruction = fitted((house, BUILDING), (terrace, GROUND))
-    assert not (reconstruction.kind == FaceKind.FLOOR).any()
+    assert not (reconstruction.mesh.kind == FaceKind.FLOOR).any()
     assert area_and_height_m(reconstruction, FaceKind.FLAT)[0] == pytest.approx(160)
 
 
@@ -101,13 +103,14 @@ def test_only_level_and_low_parts_with_mostly_ground_are_open() -> None:
 def test_a_building_keeps_a_roof() -> None:
     """A mesh whose only upper face is over open ground is of a building that the cloud does not show."""
     vertex_m = np.array([[0, 0, 0.5], [4, 0, 0.5], [4, 4, 0.5], [0, 4, 0.5], [8, 0, 5], [8, 4, 5.0]])
-    triangle, plane = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5]]), np.array([0, 0, 1])
+    triangle, label = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5]]), np.array([0, 0, 1])
     kind = np.array([FaceKind.FLAT, FaceKind.FLAT, FaceKind.ROOF], np.uint8)
     open_ground = OpenGround(100.0, np.array([[3, 1, 100.4]]), 1)
-    with_floor = open_ground.kinds(vertex_m, triangle, kind, plane)
+    mesh = Mesh(vertex_m, triangle, kind, label)
+    with_floor = open_ground.marked(mesh).kind
     assert (
         with_floor.tolist() == [FaceKind.FLOOR, FaceKind.FLOOR, FaceKind.ROOF]
         and with_floor.dtype == np.uint8
     )
-    only = open_ground.kinds(vertex_m, triangle[:2], kind[:2], plane[:2])
-    assert only.tolist() == [FaceKind.FLAT, FaceKind.FLAT]
+    only = open_ground.marked(mesh.part(np.arange(2)))
+    assert only.kind.tolist() == [FaceKind.FLAT, FaceKind.FLAT]

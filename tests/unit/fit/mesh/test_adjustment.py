@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from p2wss.fit.mesh.adjustment import adjusted
-from p2wss.fit.mesh.mesh_planes import topmost
-from p2wss.fit.mesh.union import Mesh, is_closed, is_sound, union
+from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
+from p2wss.mesh.surface import topmost
 
 HOUSE = np.array([[0, 0], [12, 0], [12, 8], [0, 8.0]])
 NOISE_M = 0.02
@@ -54,10 +55,10 @@ def test_the_planes_move_to_the_points_and_nothing_else_changes(angle_deg) -> No
     assert mean_residual_m(mesh, point_m) > 0.1
     assert mean_residual_m(result, point_m) < 1.5 * NOISE_M
     np.testing.assert_array_equal(result.triangle, mesh.triangle)
-    np.testing.assert_array_equal(result.plane, mesh.plane)
+    np.testing.assert_array_equal(result.label, mesh.label)
     is_low = mesh.vertex_m[:, 2] < 1.0
     np.testing.assert_array_equal(result.vertex_m[is_low], mesh.vertex_m[is_low])
-    assert is_closed(result.vertex_m, result.triangle)
+    assert result.is_closed
     assert is_sound(result)
 
 
@@ -73,8 +74,8 @@ def test_faces_stay_plane_where_four_of_them_meet() -> None:
     result = adjusted(mesh, [pyramid], point_m)
 
     assert mean_residual_m(result, point_m) < 0.3 * mean_residual_m(mesh, point_m)
-    for plane in np.unique(mesh.plane):
-        corner_m = result.vertex_m[np.unique(mesh.triangle[mesh.plane == plane])]
+    for plane in np.unique(mesh.label):
+        corner_m = result.vertex_m[np.unique(mesh.triangle[mesh.label == plane])]
         assert np.linalg.svd(corner_m - corner_m.mean(axis=0))[1][2] < 1e-3
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from p2wss.fit.mesh.short_edges import without_short_edges
-from p2wss.fit.mesh.union import Mesh, is_closed, is_sound, union
+from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
 
 WEST = np.array([[0, 0], [6, 0], [6, 8], [0, 8.0]])
 EAST = np.array([[6, 0], [10, 0], [10, 8], [6, 8.0]])
@@ -43,7 +44,7 @@ def test_a_step_of_centimetres_vanishes() -> None:
     mesh = house((WEST, [0] * 4, 5.0), (EAST, [0] * 4, 5.06))
     assert len(mesh.triangle) > 12
     flat = without_short_edges(mesh, [BOTH], level_points((WEST, 5.0), (EAST, 5.06)), 100.0)
-    assert len(flat.triangle) == 12 and is_closed(flat.vertex_m, flat.triangle) and is_sound(flat)
+    assert len(flat.triangle) == 12 and flat.is_closed and is_sound(flat)
     # each roof shifts by less the more points it has: 4 / 10 and 6 / 10 of the step
     assert flat.vertex_m[:, 2].max() == pytest.approx(5.024, abs=0.002)
     assert volume_m3(flat) == pytest.approx(volume_m3(mesh), rel=1e-3)
@@ -74,7 +75,7 @@ def test_a_cut_beside_a_corner_moves_to_it_and_the_footprint_stays() -> None:
     mesh = house((west, [0] * 4, 6.0), (east, [0] * 6, 4.0))
     points = level_points((WEST, 6.0), (np.array([[6, 0], [10, 5]]), 4.0))
     flat = without_short_edges(mesh, [NOTCHED], points, 300.0)
-    assert len(flat.triangle) < len(mesh.triangle) and is_closed(flat.vertex_m, flat.triangle)
+    assert len(flat.triangle) < len(mesh.triangle) and flat.is_closed
     on_floor = flat.vertex_m[flat.vertex_m[:, 2] < 0.1, :2]
     assert sorted(map(tuple, on_floor.round(9).tolist())) == sorted(map(tuple, NOTCHED.tolist()))
     is_step = (np.abs(flat.vertex_m[:, 0] - 6.1) < 1e-6) & (flat.vertex_m[:, 1] < 1e-6)

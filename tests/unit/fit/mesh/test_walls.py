@@ -7,8 +7,9 @@ import pytest
 
 from p2wss import skeleton
 from p2wss.fit.mesh.union import union
-from p2wss.fit.mesh.walls import vertices_on_footprint
+from p2wss.fit.mesh.walls import with_exact_walls
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
 from p2wss.skeleton import Polygons
 
 TURN = np.radians(31.7)
@@ -18,18 +19,19 @@ EXTERIOR = np.array([[0, 0], [20, 0], [20, 12], [9, 12], [9, 18], [0, 18]]) @ RO
 COURTYARD = np.array([[4, 4], [4, 8], [14, 8], [14, 4]]) @ ROTATION + 0.123456789
 
 
-def solid(angle_deg: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def solid(angle_deg: float) -> Mesh:
     meshes = skeleton.build(
         Polygons.from_rings([[EXTERIOR, COURTYARD]]), np.full(10, angle_deg), np.array([6.0])
     )
     assert meshes.status[0] == skeleton.Status.OK
-    return meshes.mesh(0)
+    return Mesh.of_kernel(meshes, 0)
 
 
 def test_corners_are_those_of_the_footprint_to_the_bit() -> None:
-    vertex_m, triangle, kind, edge = solid(40)
+    mesh = solid(40)
+    vertex_m = mesh.vertex_m
     noise = np.random.default_rng(0).uniform(-1e-11, 1e-11, vertex_m.shape)
-    exact = vertices_on_footprint(vertex_m + noise, triangle, kind, edge, [EXTERIOR, COURTYARD])
+    exact = with_exact_walls(mesh.moved(vertex_m + noise), [EXTERIOR, COURTYARD]).vertex_m
     corners = {tuple(corner) for ring in (EXTERIOR, COURTYARD) for corner in ring.tolist()}
     assert corners <= {tuple(xy) for xy in exact[:, :2].tolist()}
     assert np.abs(exact - vertex_m).max() < 1e-9
@@ -38,13 +40,14 @@ def test_corners_are_those_of_the_footprint_to_the_bit() -> None:
 @pytest.mark.parametrize("corner", range(10))
 def test_a_vertex_that_left_its_walls_comes_back_and_stays_on_its_roofs(corner: int) -> None:
     """The upper end of the walls at a corner has moved by 2 cm on its roofs, as the removal of slivers does."""
-    vertex_m, triangle, kind, edge = solid(40)
+    mesh = solid(40)
+    vertex_m = mesh.vertex_m
     place = np.concatenate([EXTERIOR, COURTYARD])[corner]
     at = np.hypot(*(vertex_m[:, :2] - place).T) < 1e-6
     top = int(np.flatnonzero(at & (vertex_m[:, 2] > 1))[0])
     moved = vertex_m.copy()
     moved[top, :2] += 0.02 * np.array([np.cos(1.0), np.sin(1.0)])
-    exact = vertices_on_footprint(moved, triangle, kind, edge, [EXTERIOR, COURTYARD])
+    exact = with_exact_walls(mesh.moved(moved), [EXTERIOR, COURTYARD]).vertex_m
     assert exact[top, :2].tolist() == place.tolist()
     assert exact[top, 2] == pytest.approx(vertex_m[top, 2], abs=0.02)
     others = np.arange(len(exact)) != top
@@ -58,7 +61,7 @@ def test_the_wall_of_a_step_near_an_edge_stays() -> None:
     parts = [FittedRoof([ring], np.zeros(4), height, 0.0, 100) for ring, height in ((low, 4.0), (high, 7.0))]
     mesh = union(parts, 0.0, 1.0, 12.0)
     assert mesh is not None
-    exact = vertices_on_footprint(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane, [low])
+    exact = with_exact_walls(mesh, [low]).vertex_m
     assert np.array_equal(exact, mesh.vertex_m)
     assert (np.abs(exact[:, 1] - 0.025) < 1e-9).sum() >= 4
 
@@ -79,7 +82,7 @@ def test_a_building_of_parts_keeps_its_corners() -> None:
     mesh = union(parts, 0.0, 1.0, 12.0)
     assert mesh is not None
     vertex_m = np.column_stack([mesh.vertex_m[:, :2] @ ROTATION, mesh.vertex_m[:, 2]])
-    exact = vertices_on_footprint(vertex_m, mesh.triangle, mesh.kind, mesh.plane, [ring])
+    exact = with_exact_walls(mesh.moved(vertex_m), [ring]).vertex_m
     corners = set(map(tuple, ring.tolist()))
     assert corners <= {tuple(xy) for xy in exact[:, :2].tolist()}
     assert not corners <= {tuple(xy) for xy in vertex_m[:, :2].tolist()}

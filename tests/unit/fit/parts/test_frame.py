@@ -6,7 +6,6 @@ import pytest
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.mesh.union import is_closed
 from p2wss.fit.parts.frame import roof_frame
 from p2wss.fit.parts.parts import main_frame
 from p2wss.mesh.surface import distance_to_mesh
@@ -57,5 +56,6 @@ def block() -> Building:
 def test_a_roof_across_the_footprint_is_fitted() -> None:
     (reconstruction,) = fitting.fit([block()], Reconstruct())
     assert len(reconstruction.angle_deg) == sum(map(len, reconstruction.rings)) == len(SQUARE)
-    assert is_closed(reconstruction.vertex_m, reconstruction.triangle)
-    assert distance_to_mesh(survey(TURN_DEG), reconstruction.vertex_m, reconstruction.triangle).mean() < 0.06
+    assert reconstruction.mesh.is_closed
+    mesh = reconstruction.mesh
+    assert distance_to_mesh(survey(TURN_DEG), mesh.vertex_m, mesh.triangle).mean() < 0.06

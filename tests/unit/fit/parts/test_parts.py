@@ -6,13 +6,13 @@ import shapely
 import trimesh
 from toy_roofs import sample
 
-from p2wss.fit.mesh.union import is_closed, is_sound, union
+from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.parts.merging import merged_rings
 from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.parts.parts import main_frame, total_cost_m
 from p2wss.fit.roof.fitter import FittedRoof, Fitter
 from p2wss.fit.settings import Cutting, Effort, Limits
-from p2wss.mesh.faces import planar_surfaces
+from p2wss.mesh.topology import is_closed
 from p2wss.skeleton import FaceKind
 
 HOUSE = np.array([[0, 0], [9, 0], [9, 8], [0, 8.0]])
@@ -115,7 +115,7 @@ def test_a_handful_of_points_is_no_reason_to_cut() -> None:
 )
 def test_unions_are_closed_and_have_the_volume_of_the_parts(parts: list[FittedRoof]) -> None:
     mesh = union(parts, 0.0, 1.0, 12.0)
-    assert mesh is not None and is_closed(mesh.vertex_m, mesh.triangle)
+    assert mesh is not None and mesh.is_closed
     solid = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
     assert solid.is_watertight and solid.is_winding_consistent and solid.body_count == 1
     separate = [union([part], 0.0, 1.0, 12.0) for part in parts]
@@ -129,7 +129,7 @@ def test_coplanar_faces_of_parts_are_one() -> None:
     mesh = union([roof(HOUSE, [0] * 4, 4.0), roof(ANNEX, [0] * 4, 4.0)], 0.0, 1.0, 12.0)
     assert mesh is not None
     assert (len(mesh.vertex_m), len(mesh.triangle)) == (8, 12)
-    faces = planar_surfaces(mesh.vertex_m, mesh.triangle, mesh.kind, mesh.plane)
+    faces = mesh.surfaces
     assert sorted(face.kind for face in faces) == sorted([0, 1, 1, 1, 1, 3])
 
 
@@ -143,11 +143,11 @@ def test_an_edge_of_millimetres_is_closed_up_without_folding_a_face() -> None:
         roof(np.array(east), [54.4, 90, 54.4, 30.7, 90, 28.5, 55.1, 90], 4.919),
     ]
     mesh = union(parts, 0.0, 1.0, 12.0)
-    assert mesh is not None and is_closed(mesh.vertex_m, mesh.triangle) and is_sound(mesh)
+    assert mesh is not None and mesh.is_closed and is_sound(mesh)
     corner = mesh.vertex_m[mesh.triangle]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    for plane in np.unique(mesh.plane):
-        in_plane = normal[mesh.plane == plane]
+    for plane in np.unique(mesh.label):
+        in_plane = normal[mesh.label == plane]
         assert (in_plane @ in_plane.sum(axis=0) > 0).all()
 
 
@@ -176,7 +176,7 @@ def test_triangles_are_grouped_by_the_planes_they_lie_in() -> None:
     flat = same.face_adjacency[same.face_adjacency_angles < 1e-3]
     groups = trimesh.graph.connected_components(flat, nodes=np.arange(len(mesh.triangle)))
     assert sorted(map(sorted, groups)) == sorted(
-        np.flatnonzero(mesh.plane == plane).tolist() for plane in np.unique(mesh.plane)
+        np.flatnonzero(mesh.label == plane).tolist() for plane in np.unique(mesh.label)
     )
     up = same.face_normals[:, 2]
     expected = np.where(np.abs(up) < 0.01, FaceKind.WALL, np.where(up < 0, FaceKind.GROUND, FaceKind.ROOF))

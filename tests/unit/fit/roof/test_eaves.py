@@ -9,7 +9,7 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.mesh.union import is_closed, is_sound, union
+from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.roof.eaves import moved_walls
 from p2wss.fit.roof.fitter import FittedRoof, Fitter, flat_rings
@@ -55,13 +55,13 @@ def test_the_model_of_the_paper_has_one_eave_height() -> None:
 def test_the_solid_ends_at_the_walls_and_has_the_roof_of_the_points() -> None:
     building = Building("b", "t", (0.0, 0.0), [HOUSE], points(), np.full(600, 6, np.uint8), 0.0)
     (result,) = fitting.fit([building], Reconstruct())
-    assert result.num_parts == 1 and is_closed(result.vertex_m, result.triangle)
-    assert result.vertex_m[:, :2].min(axis=0) == pytest.approx([0, 0], abs=1e-6)
-    assert result.vertex_m[:, :2].max(axis=0) == pytest.approx([12, 9], abs=1e-6)
-    high = result.vertex_m[result.vertex_m[:, 2] > 0.1]
+    assert result.num_parts == 1 and result.mesh.is_closed
+    assert result.mesh.vertex_m[:, :2].min(axis=0) == pytest.approx([0, 0], abs=1e-6)
+    assert result.mesh.vertex_m[:, :2].max(axis=0) == pytest.approx([12, 9], abs=1e-6)
+    high = result.mesh.vertex_m[result.mesh.vertex_m[:, 2] > 0.1]
     assert high[:, 2] == pytest.approx(catslide(high[:, :2]), abs=0.1)
     # a gable roof over a rectangle: 10 vertices
-    assert len(result.triangle) == 16
+    assert len(result.mesh.triangle) == 16
     # the lowest eave
     assert result.eave_height_m == pytest.approx(9 - 5.5 * SLOPE, abs=0.1)
 

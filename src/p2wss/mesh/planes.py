@@ -1,4 +1,4 @@
-"""Which triangles of a closed mesh lie in one plane."""
+"""Which triangles of a closed mesh lie in one plane, compiled."""
 
 from __future__ import annotations
 
@@ -16,25 +16,12 @@ _ON_LINE_M = 1e-6
 _UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
 _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
-# the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
-NEXT = np.array([1, 2, 0])
-
-
-def neighbours(triangle: np.ndarray) -> np.ndarray:
-    """int64 (t, 3): the triangle across each side, which runs from a corner to the next; -1 for none."""
-    size = int(triangle.max()) + 1
-    start, end = triangle.astype(np.int64).ravel(), triangle[:, NEXT].astype(np.int64).ravel()
-    forward, back = start * size + end, end * size + start
-    order = np.argsort(forward, kind="stable")
-    place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
-    candidate = order[place]
-    return np.where(forward[candidate] == back, candidate // 3, -1).reshape(-1, 3)
 
 
 @entry
 def face_planes(vertex_m, triangle, beside):
     """(kind uint8, plane int32) of every triangle. Planes grow from the largest triangles, whose normals are the most
-    accurate. beside: what :func:`neighbours` returns."""
+    accurate. beside: int (t, 3), the triangle across each side, -1 for none."""
     num = len(triangle)
     normal, area, is_sliver = np.empty((num, 3)), np.empty(num), np.empty(num, np.bool_)
     for t in range(num):
@@ -103,20 +90,3 @@ def snap_vertices(vertex_m, corner_m):
                 if off < nearest:
                     nearest, result[v, axis] = off, corner[axis]
     return result
-
-
-@entry
-def planes_at(triangle, plane, num_vertices):
-    """int64 (num_vertices,): how many planes meet at each vertex, at most three."""
-    count, near = np.zeros(num_vertices, np.int64), np.full((num_vertices, 3), -1)
-    for t in range(len(triangle)):
-        for k in range(3):
-            v = triangle[t, k]
-            is_new = True
-            for i in range(min(count[v], 3)):
-                if near[v, i] == plane[t]:
-                    is_new = False
-            if is_new and count[v] < 3:
-                near[v, count[v]] = plane[t]
-                count[v] += 1
-    return count

@@ -1,0 +1,195 @@
+"""The mesh of a building: triangles, each with the kind and the label of its face, and what follows from them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from p2wss.mesh import topology
+from p2wss.mesh.faces import Surface, surfaces_of
+from p2wss.mesh.planes import face_planes
+from p2wss.mesh.topology import NEXT
+from p2wss.skeleton.types import Meshes
+
+if TYPE_CHECKING:
+    import trimesh
+
+# a plane is upright, or faces upwards, by the z of its normal
+_UPRIGHT_NZ = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with common vertices. Nothing changes after its construction; what is derived is computed once.
+
+    vertex_m: float64 (v, 3). triangle: int (t, 3), counter-clockwise seen from outside. kind: uint8 (t,),
+    :class:`p2wss.skeleton.FaceKind`. label: int (t,), a number for the plane of each triangle: those of one label that
+    share a side are one planar face of one kind. The numbers themselves mean nothing.
+    """
+
+    vertex_m: np.ndarray
+    triangle: np.ndarray
+    kind: np.ndarray
+    label: np.ndarray
+
+    @classmethod
+    def of_kernel(cls, meshes: Meshes, index: int) -> Mesh:
+        """One mesh of the kernel, which knows the planes of roofs and walls by the edges of the footprint."""
+        vertex_m, triangle, kind, edge = meshes.mesh(index)
+        _, label = np.unique(np.column_stack([kind, edge]), axis=0, return_inverse=True)
+        return cls(vertex_m, triangle, kind, label.reshape(-1).astype(np.int32))
+
+    @classmethod
+    def of_triangles(cls, vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh:
+        """A closed mesh whose planes are found from its triangles (:func:`p2wss.mesh.planes.face_planes`)."""
+        return cls(vertex_m, triangle, *face_planes(vertex_m, triangle, topology.twins(triangle) // 3))
+
+    @classmethod
+    def joined(cls, meshes: Sequence[Mesh]) -> Mesh:
+        """All triangles of several meshes, with the vertices and the labels of each; meshes have none in common."""
+        first = np.cumsum([0, *(len(mesh.vertex_m) for mesh in meshes)])
+        label = np.cumsum([0, *(mesh.label.max(initial=-1) + 1 for mesh in meshes)])
+        return cls(
+            np.concatenate([mesh.vertex_m for mesh in meshes]),
+            np.concatenate([mesh.triangle + start for mesh, start in zip(meshes, first, strict=False)]),
+            np.concatenate([mesh.kind for mesh in meshes]),
+            np.concatenate([mesh.label + start for mesh, start in zip(meshes, label, strict=False)]),
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def moved(self, vertex_m: np.ndarray) -> Mesh:
+        """The same triangles with other places of the vertices, (v, 3)."""
+        return replace(self, vertex_m=vertex_m)
+
+    def translated(self, by_m: Sequence[float] | np.ndarray) -> Mesh:
+        """The mesh moved by a vector (3,)."""
+        return self.moved(self.vertex_m + np.asarray(by_m))
+
+    def turned(self, rotation: np.ndarray) -> Mesh:
+        """The mesh with x and y in the frame ``xy @ rotation``. rotation: (2, 2)."""
+        return self.moved(np.column_stack([self.vertex_m[:, :2] @ rotation, self.vertex_m[:, 2]]))
+
+    def part(self, rows: np.ndarray) -> Mesh:
+        """The mesh of some of the triangles, by mask or number, without vertices that they do not use."""
+        used, triangle = np.unique(self.triangle[rows], return_inverse=True)
+        triangle = triangle.reshape(-1, 3).astype(self.triangle.dtype)
+        return Mesh(self.vertex_m[used], triangle, self.kind[rows], self.label[rows])
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The mesh for trimesh, with the attributes of its faces ``kind`` and ``label``."""
+        import trimesh  # takes longer to import than the rest of the room
+
+        attributes = {"kind": self.kind, "label": self.label}
+        return trimesh.Trimesh(self.vertex_m, self.triangle, face_attributes=attributes, process=False)
+
+    @cached_property
+    def corner_m(self) -> np.ndarray:
+        """(t, 3, 3), the corners of the triangles."""
+        return np.asarray(self.vertex_m[self.triangle])
+
+    @cached_property
+    def doubled_m2(self) -> np.ndarray:
+        """(t, 3), the normals of the triangles, outwards, twice as long as their areas."""
+        return topology.doubled_areas(self.corner_m)
+
+    @cached_property
+    def area_m2(self) -> np.ndarray:
+        """(t,), of the triangles."""
+        return np.linalg.norm(self.doubled_m2, axis=1) / 2
+
+    @cached_property
+    def volume_m3(self) -> float:
+        """The volume of a closed mesh, negative if its faces look inwards."""
+        corner_m = self.vertex_m[self.triangle[:, 0]] - self.vertex_m.min(axis=0)
+        return float(np.einsum("ij,ij->", corner_m, self.doubled_m2) / 6)
+
+    @cached_property
+    def twin(self) -> np.ndarray:
+        """int64 (t, 3), the half-edge across each side (:func:`p2wss.mesh.topology.twins`)."""
+        return topology.twins(self.triangle)
+
+    @cached_property
+    def face(self) -> np.ndarray:
+        """int (t,), the number of the face of each triangle, in the order of their first triangles."""
+        return topology.face_numbers(self.triangle, self.label)
+
+    @cached_property
+    def surfaces(self) -> list[Surface]:
+        """The faces as polygons, in the order of their numbers."""
+        return surfaces_of(self.vertex_m, self.triangle, self.kind, self.label, self.face)
+
+    @cached_property
+    def planes(self) -> Planes:
+        """The planes that the labels stand for."""
+        return Planes.of(self)
+
+    @cached_property
+    def num_planes_at(self) -> np.ndarray:
+        """int (v,), how many planes meet at each vertex."""
+        size = int(self.label.max()) + 1
+        pairs = np.unique(self.triangle.astype(np.int64) * size + self.label[:, None])
+        return np.bincount(pairs // size, minlength=len(self.vertex_m))
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every edge has exactly two triangles (:func:`p2wss.mesh.topology.is_closed`)."""
+        return topology.is_closed(self.vertex_m, self.triangle)
+
+    @cached_property
+    def edge_m(self) -> np.ndarray:
+        """(t, 3), the lengths of the sides of the triangles."""
+        return np.asarray(np.linalg.norm(self.corner_m - self.corner_m[:, NEXT], axis=2))
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The planes of a mesh, numbered from 0 in the order of their labels.
+
+    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards. offset_m: (p,), distances from the
+    origin along the normals. area_m2: (p,). at: the planes of each vertex.
+    """
+
+    number: np.ndarray
+    kind: np.ndarray
+    normal: np.ndarray
+    offset_m: np.ndarray
+    area_m2: np.ndarray
+    at: list[set[int]]
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Planes:
+        """The planes of a mesh; their normals are weighted by area, as that of a sliver alone is unreliable."""
+        number = np.unique(mesh.label, return_inverse=True)[1].reshape(-1)
+        normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
+        twice_m2 = np.linalg.norm(normal, axis=1)
+        normal = normal / twice_m2[:, None]
+        kind, offset_m = np.zeros(len(normal), np.uint8), np.zeros(len(normal))
+        kind[number] = mesh.kind
+        offset_m[number] = (normal[number] * mesh.corner_m[:, 0]).sum(axis=1)
+        at: list[set[int]] = [set() for _ in mesh.vertex_m]
+        for plane, corners in zip(number.tolist(), mesh.triangle.tolist(), strict=True):
+            for vertex in corners:
+                at[vertex].add(plane)
+        return cls(number, kind, normal, offset_m, twice_m2 / 2, at)
+
+    def table(self, vertices: Sequence[int]) -> np.ndarray:
+        """int64 (n, k): the planes of each of some vertices in ascending order, -1 beyond the last."""
+        rows = [sorted(self.at[vertex]) for vertex in vertices]
+        num = max(map(len, rows), default=0)
+        return np.array([row + [-1] * (num - len(row)) for row in rows], np.int64).reshape(len(rows), num)
+
+    @property
+    def is_roof(self) -> np.ndarray:
+        """bool (p,): planes that face upwards."""
+        return self.normal[:, 2] > _UPRIGHT_NZ
+
+    @property
+    def is_wall(self) -> np.ndarray:
+        """bool (p,): upright planes."""
+        return np.abs(self.normal[:, 2]) < _UPRIGHT_NZ
