@@ -10,10 +10,10 @@ Each module is parsed once per process, and its digest does not depend on the ve
 from __future__ import annotations
 
 import ast
-import os
 from collections.abc import Iterator
 from functools import cache
 from hashlib import blake2b
+from pathlib import Path
 from typing import NamedTuple
 
 PACKAGE = "p2wss"
@@ -22,7 +22,7 @@ NOT_TRACKED = ("config", "provenance", "cli")
 # of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
 _NOT_CODE = ("ctx", "kind", "type_comment")
 
-_ROOT = os.path.dirname(os.path.abspath(__file__))
+_ROOT = Path(__file__).resolve().parent
 
 
 class Module(NamedTuple):
@@ -66,8 +66,7 @@ def fingerprint(*stages: str) -> str:
 def _read(name: str) -> Module:
     path = _source(name)
     assert path is not None
-    with open(path, "rb") as file:
-        tree = ast.parse(file.read())
+    tree = ast.parse(path.read_bytes())
     code: list[str] = []
     _write(tree, code)
     digest = blake2b("".join(code).encode(), digest_size=16).hexdigest()
@@ -77,42 +76,32 @@ def _read(name: str) -> Module:
 def _parts(name: str) -> list[str]:
     """The module, and if it is a package its modules."""
     path = _source(name)
-    if path is None or os.path.basename(path) != "__init__.py":
+    if path is None or path.name != "__init__.py":
         return [name]
-    parts = []
-    for folder, _, files in os.walk(os.path.dirname(path)):
-        package = ".".join([PACKAGE, *os.path.relpath(folder, _ROOT).split(os.sep)])
-        for file in files:
-            stem, suffix = os.path.splitext(file)
-            if suffix == ".py":
-                parts.append(package if stem == "__init__" else f"{package}.{stem}")
-    return parts
+    modules = (file.relative_to(_ROOT).with_suffix("") for file in path.parent.rglob("*.py"))
+    return [".".join([PACKAGE, *module.parts]).removesuffix(".__init__") for module in modules]
 
 
 def _other_files(name: str) -> dict[str, str]:
     """Digests of the files of a folder that is no package, by their path within the package."""
     folder = _path(name)
-    if not os.path.isdir(folder):
+    if not folder.is_dir():
         raise ModuleNotFoundError(f"no module {name}")
-    digests = {}
-    for file in sorted(os.listdir(folder)):
-        with open(os.path.join(folder, file), "rb") as content:
-            digest = blake2b(content.read(), digest_size=16).hexdigest()
-        digests["/".join([*name.split(".")[1:], file])] = digest
-    return digests
+    return {
+        file.relative_to(_ROOT).as_posix(): blake2b(file.read_bytes(), digest_size=16).hexdigest()
+        for file in sorted(folder.iterdir())
+    }
 
 
-def _path(name: str) -> str:
-    return os.path.join(_ROOT, *name.split(".")[1:])
+def _path(name: str) -> Path:
+    return _ROOT.joinpath(*name.split(".")[1:])
 
 
 @cache
-def _source(name: str) -> str | None:
+def _source(name: str) -> Path | None:
     base = _path(name)
-    for path in (os.path.join(base, "__init__.py"), f"{base}.py"):
-        if os.path.isfile(path):
-            return path
-    return None
+    candidates = base / "__init__.py", base.with_name(f"{base.name}.py")
+    return next((path for path in candidates if path.is_file()), None)
 
 
 def _inside(tree: ast.Module) -> Iterator[str]:

@@ -35,7 +35,7 @@ def copy(tmp_path: Path) -> tuple[Path, Callable[[str], str]]:
 @pytest.fixture
 def digest_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
     """A function that fingerprints a stage whose module holds the given code."""
-    monkeypatch.setattr(provenance, "_ROOT", str(tmp_path))
+    monkeypatch.setattr(provenance, "_ROOT", tmp_path)
 
     def digest(code: str) -> str:
         (tmp_path / "stage.py").write_text(code)

@@ -14,7 +14,7 @@ import numpy as np
 
 from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
-from p2wss.storage.schemas.manifest import to_manifest
+from p2wss.storage.schemas.manifest import read_manifest
 
 Facts = dict[str, Any]
 
@@ -38,7 +38,7 @@ def check(path: Path) -> Facts:
             result = INTACT
             content = files.read_json(path) if path.suffix == ".json" else None
             if isinstance(content, dict) and content.get("shards"):
-                for shard in to_manifest(content, path).shards:
+                for shard in read_manifest(path).shards:
                     shard.verified()
             elif isinstance(content, dict) and isinstance(content.get("sha256"), dict):
                 result = _check_listed(path.parent, content["sha256"])

@@ -11,7 +11,7 @@ from p2wss.cli.parser import Command, file_option
 from p2wss.config import Config, section_json
 from p2wss.errors import InputError
 from p2wss.provenance import fingerprint
-from p2wss.storage import files, integrity
+from p2wss.storage import files
 
 
 @click.command(cls=Command)
@@ -68,6 +68,5 @@ def scans(
     if picture:
         from p2wss.scans.picture import densest_place, scan_figure
 
-        with files.atomic(picture) as temporary:
+        with files.atomic(picture, seal=True) as temporary:
             scan_figure(scan.points, densest_place(scan.points)).savefig(temporary, dpi=110)
-            integrity.append(temporary)

@@ -19,7 +19,6 @@ from p2wss.errors import InputError, reading
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
 _SUFFIXES = (".las", ".laz")
-_SIGNATURE = b"LASF"
 # headers may state bounds that are rounded
 _HEADER_MARGIN_M = 1.0
 _CHUNK_POINTS = 500_000
@@ -87,7 +86,7 @@ class CloudHeader:
 def list_clouds(paths: Sequence[Path]) -> list[Path]:
     """The files, with the LAS and LAZ files of a folder in its place, in the order of their names.
 
-    Raises :class:`InputError` if a file is missing or not LAS, LAZ or COPC, or if a folder has no such file.
+    Raises :class:`InputError` if a folder has no such file.
     """
     result: list[Path] = []
     for path in paths:
@@ -98,12 +97,6 @@ def list_clouds(paths: Sequence[Path]) -> list[Path]:
             result += of_folder
         else:
             result.append(path)
-    for path in result:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file")
-        with path.open("rb") as file:
-            if file.read(len(_SIGNATURE)) != _SIGNATURE:
-                raise InputError(f"{path}: not a LAS, LAZ or COPC file")
     return result
 
 

@@ -12,7 +12,7 @@ from zlib import crc32
 from p2wss.config.base import merge
 from p2wss.config.dataset import Member
 from p2wss.config.region import ALL, TILE_LISTS
-from p2wss.config.sections import Config
+from p2wss.config.sections import MEMBER_SECTIONS, Config
 
 PLACE_PATTERN = r"([A-Za-z0-9_-]+/)*"
 
@@ -60,7 +60,7 @@ def place_config(config: Config, place: str) -> Config:
         # names of tiles are of one region (the defaults of the miniature); "all" is of any
         if sections["region"][name] != [ALL]:
             sections["region"][name] = []
-    for name in ("region", "fetch", "scenes", "scans"):
+    for name in MEMBER_SECTIONS:
         merge(sections[name], getattr(member, name))
     for name in ("scenes", "scans"):
         sections[name]["seed"] += crc32(place.encode())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator
 
@@ -20,6 +20,10 @@ from p2wss.config.reconstruct import Reconstruct
 from p2wss.config.region import Region
 from p2wss.config.scans import Scans
 from p2wss.config.scenes import Scenes
+
+S = TypeVar("S", bound=Section)
+# of which a member of a data set may have changes
+MEMBER_SECTIONS = ("region", "fetch", "scenes", "scans")
 
 
 class Config(Section):
@@ -40,34 +44,12 @@ class Config(Section):
     plan: Plan = Plan()
 
     @model_validator(mode="after")
-    def _variants_are_models(self) -> Self:
-        for name in self.ablation.variants:
-            try:
-                ablated(self, name)
-            except ValidationError as error:
-                first = error.errors()[0]
-                key = ".".join(["ablation.variants", name, *map(str, first["loc"])])
-                raise ValueError(f"{key}: {first['msg']}") from None
-        return self
-
-    @model_validator(mode="after")
-    def _members_are_regions(self) -> Self:
-        sections: dict[str, type[Section]] = {
-            "region": Region,
-            "fetch": Fetch,
-            "scenes": Scenes,
-            "scans": Scans,
-        }
+    def _changes_are_valid(self) -> Self:
+        for name, changes in self.ablation.variants.items():
+            changed(self.model, changes, f"ablation.variants.{name}")
         for number, member in enumerate(self.dataset.members):
-            for name, model in sections.items():
-                try:
-                    merged = getattr(self, name).model_dump(mode="json")
-                    merge(merged, getattr(member, name))
-                    model.model_validate(merged)
-                except ValidationError as error:
-                    first = error.errors()[0]
-                    key = ".".join(["dataset.members", str(number), name, *map(str, first["loc"])])
-                    raise ValueError(f"{key}: {first['msg']}") from None
+            for name in MEMBER_SECTIONS:
+                changed(getattr(self, name), getattr(member, name), f"dataset.members.{number}.{name}")
         return self
 
     @model_validator(mode="after")
@@ -79,8 +61,19 @@ class Config(Section):
         return self
 
 
+def changed(section: S, changes: dict[str, Any], key: str) -> S:
+    """A section with changes. key: where they stand, for the ``ValueError`` of a wrong one."""
+    values = section.model_dump(mode="json")
+    merge(values, changes)
+    try:
+        return section.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join([key, *map(str, first['loc'])])}: {first['msg']}") from None
+
+
 def ablated(config: Config, variant: str) -> Config:
     """The config with the changes of an ablation variant applied to section model."""
-    section = config.model.model_dump(mode="json")
-    merge(section, config.ablation.variants[variant])
-    return config.model_copy(update={"model": Model.model_validate(section)})
+    return config.model_copy(
+        update={"model": changed(config.model, config.ablation.variants[variant], variant)}
+    )

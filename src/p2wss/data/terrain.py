@@ -126,6 +126,4 @@ def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[s
         with file.open(**profile) as raster:
             raster.write(terrain.height_m.astype(np.float32), 1)
             raster.update_tags(p2wss=json.dumps(metadata))
-        with files.atomic(path) as temporary:
-            temporary.write_bytes(file.getbuffer())
-            integrity.append(temporary)
+        files.write_bytes(path, file.getbuffer(), seal=True)

@@ -27,7 +27,7 @@ from p2wss.formats import html
 from p2wss.reconstruct.product import NETWORK, NETWORK_AND_FIT
 from p2wss.storage import files, integrity
 from p2wss.storage.schemas.crops import REAL, SIMULATED
-from p2wss.storage.schemas.manifest import to_manifest
+from p2wss.storage.schemas.manifest import read_manifest
 from p2wss.storage.schemas.measures import MEASURES
 
 # methods whose meshes a picture shows, as far as they were run: with the points four panels
@@ -115,7 +115,7 @@ def read(
     uses_lidar = any(
         facts.get("model", {}).get("dvae_config", {}).get("use_lidar", False) for facts in provenance.values()
     )
-    listed = to_manifest(content, manifest)
+    listed = read_manifest(manifest)
     is_chosen = REAL in listed.selection
     return Inputs(
         region,

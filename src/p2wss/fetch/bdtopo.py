@@ -18,7 +18,7 @@ import shapely
 from p2wss.clouds.reading import same_crs
 from p2wss.errors import InputError
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
-from p2wss.storage import files, integrity
+from p2wss.storage import files
 
 # our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
 SPELLINGS = {
@@ -106,6 +106,4 @@ def write_footprints(path: str | Path, frame: gpd.GeoDataFrame, metadata: dict[s
     pyogrio.write_dataframe(
         frame, file, layer="footprints", driver="GPKG", layer_metadata={"p2wss": json.dumps(metadata)}
     )
-    with files.atomic(path) as temporary:
-        temporary.write_bytes(file.getbuffer())
-        integrity.append(temporary)
+    files.write_bytes(path, file.getbuffer(), seal=True)

@@ -72,27 +72,28 @@ def write_cloud(
     header.scales, header.offsets = first.scales, first.offsets
     header.add_crs(pyproj.CRS.from_user_input(crs), keep_compatibility=first.version.minor < 4)
     num_points = 0
-    with files.atomic(out) as temporary:
-        with laspy.open(temporary, "w", header=header, do_compress=True) as writer:
-            for path in paths:
-                with laspy.open(path) as reader:
-                    for points in reader.chunk_iterator(_CHUNK_POINTS):
-                        x, y = np.asarray(points.x), np.asarray(points.y)
-                        keep = _in(x, y, bounds)
-                        for hole in holes:
-                            keep &= ~_in(x, y, hole)
-                        inside = points[keep]
-                        piece = laspy.ScaleAwarePointRecord.zeros(len(inside), header=header)
-                        piece.copy_fields_from(inside)
-                        # coordinates must be set as metres: each file has its own scale and offset
-                        piece.x, piece.y, piece.z = (
-                            np.asarray(inside.x),
-                            np.asarray(inside.y),
-                            np.asarray(inside.z),
-                        )
-                        writer.write_points(piece)
-                        num_points += len(piece)
-        integrity.append(temporary)
+    with (
+        files.atomic(out, seal=True) as temporary,
+        laspy.open(temporary, "w", header=header, do_compress=True) as writer,
+    ):
+        for path in paths:
+            with laspy.open(path) as reader:
+                for points in reader.chunk_iterator(_CHUNK_POINTS):
+                    x, y = np.asarray(points.x), np.asarray(points.y)
+                    keep = _in(x, y, bounds)
+                    for hole in holes:
+                        keep &= ~_in(x, y, hole)
+                    inside = points[keep]
+                    piece = laspy.ScaleAwarePointRecord.zeros(len(inside), header=header)
+                    piece.copy_fields_from(inside)
+                    # coordinates must be set as metres: each file has its own scale and offset
+                    piece.x, piece.y, piece.z = (
+                        np.asarray(inside.x),
+                        np.asarray(inside.y),
+                        np.asarray(inside.z),
+                    )
+                    writer.write_points(piece)
+                    num_points += len(piece)
     return num_points
 
 

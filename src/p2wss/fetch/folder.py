@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import ExitStack
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from p2wss.config import Folder
 from p2wss.data.metric_crs import reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.fetch.cloud import read_header
 from p2wss.fetch.listing import CLOUD, RASTER, VECTOR, list_files
 
@@ -97,7 +98,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
     Raises :class:`InputError` if the file is broken, has several layers and none is called ``layer``, or is in a CRS
     that cannot be transformed.
     """
-    try:
+    with reading(path, "a readable vector file"):
         if path.suffix == ".parquet":
             frame = _read_geoparquet(path, bounds, crs)
         else:
@@ -117,8 +118,6 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
                 )
             except UnicodeDecodeError:
                 frame = pyogrio.read_dataframe(path, layer=name, bbox=window, fid_as_index=True)
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
     region_crs = horizontal(pyproj.CRS.from_user_input(crs))
     if frame.crs is None:
         return frame
@@ -170,14 +169,11 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
     """
     region_crs = pyproj.CRS.from_user_input(crs)
     rasters: list[DatasetReader] = []
-    try:
+    with ExitStack() as stack:
         for path in files:
-            try:
-                raster = rasterio.open(path)
-            except rasterio.errors.RasterioIOError as error:
-                raise InputError(f"{path}: not a readable raster: {error}") from error
+            with reading(path, "a readable raster"):
+                raster = stack.enter_context(rasterio.open(path))
             if rasterio.coords.disjoint_bounds(raster.bounds, bounds):
-                raster.close()
                 continue
             rasters.append(raster)
             # .asc files do not state a CRS
@@ -195,9 +191,6 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
             )
         _warn_of_gaps([raster.bounds for raster in rasters], bounds, name)
         return _merged(rasters, bounds)
-    finally:
-        for raster in rasters:
-            raster.close()
 
 
 def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
@@ -208,7 +201,7 @@ def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
     right = grid.c + np.ceil((bounds[2] - grid.c) / cell) * cell
     bottom = grid.f - np.ceil((grid.f - bounds[1]) / cell) * cell
     top = grid.f - np.floor((grid.f - bounds[3]) / cell) * cell
-    try:
+    with reading(f"{rasters[0].name} or a neighbouring file", "a readable raster, or truncated"):
         heights, transform = rasterio.merge.merge(
             rasters,
             bounds=(left, bottom, right, top),
@@ -218,10 +211,6 @@ def _merged(rasters: list[DatasetReader], bounds: Bounds) -> Terrain:
             indexes=[1],
             resampling=Resampling.bilinear,
         )
-    except (rasterio.errors.RasterioIOError, rasterio.errors.RasterioError) as error:
-        raise InputError(
-            f"{rasters[0].name} or a neighbouring file: unreadable or truncated: {error}"
-        ) from error
     return Terrain(heights[0], transform.c, transform.f, cell)
 
 

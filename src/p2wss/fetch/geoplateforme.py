@@ -19,15 +19,14 @@ from urllib.parse import urlsplit, urlunsplit
 
 import geopandas as gpd
 import numpy as np
-import rasterio
 import shapely
-from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.errors import NotGeoreferencedWarning
 from rasterio.io import MemoryFile
 
 from p2wss.config import Geoplateforme
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.fetch.cloud import append_checksum, check_cloud
 from p2wss.fetch.http import Client, NotFoundError, RangesUnsupportedError, quote
 from p2wss.fetch.remote_copc import write_window
@@ -261,9 +260,7 @@ class GeoplateformeSource:
             return self._decode_heights(path.read_bytes(), request)
         body = self.client.get(self.config.wms_url, request.params)
         heights = self._decode_heights(body, request)
-        with files.atomic(path) as temporary:
-            temporary.write_bytes(body)
-            integrity.append(temporary)
+        files.write_bytes(path, body, seal=True)
         return heights
 
     def _decode_heights(self, body: bytes, request: MapRequest) -> np.ndarray:
@@ -271,7 +268,19 @@ class GeoplateformeSource:
         size = f"{request.columns} x {request.rows} heights"
         if not body.startswith(_TIFF_MAGIC):
             raise InputError(f"{name}: expected a GeoTIFF of {size}, got {quote(body)}")
-        heights = _from_geotiff(body, name)
+        with (
+            warnings.catch_warnings(),
+            reading(name, "a readable GeoTIFF, or truncated"),
+            MemoryFile(body) as file,
+        ):
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            with file.open() as raster:
+                if raster.dtypes[0] != "float32":
+                    raise InputError(
+                        f"{name}: expected heights as float32, got {raster.dtypes[0]}; "
+                        "is the layer an image instead of heights?"
+                    )
+                heights = raster.read(1)
         if heights.shape != (request.rows, request.columns):
             raise InputError(f"{name}: requested {size}, got {heights.shape[1]} x {heights.shape[0]}")
         return heights
@@ -324,21 +333,6 @@ def _grid(bounds: Bounds, cell: float) -> tuple[float, float, int, int]:
     left, top = float(np.floor(bounds[0] / cell)) - 0.5, float(np.ceil(bounds[3] / cell)) + 0.5
     columns = int(np.ceil(bounds[2] / cell) + 0.5 - left)
     return left, top, int(top - np.floor(bounds[1] / cell) + 0.5), columns
-
-
-def _from_geotiff(body: bytes, name: str) -> np.ndarray:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with MemoryFile(body) as file, file.open() as raster:
-                if raster.dtypes[0] != "float32":
-                    raise InputError(
-                        f"{name}: expected heights as float32, got {raster.dtypes[0]}; "
-                        "is the layer an image instead of heights?"
-                    )
-                return raster.read(1)
-    except (RasterioError, rasterio.errors.RasterioIOError) as error:
-        raise InputError(f"{name}: not a readable GeoTIFF, or truncated: {error}") from error
 
 
 def _format_bounds(bounds: Bounds) -> str:

@@ -10,14 +10,13 @@ import io
 from pathlib import Path
 
 import laspy
-import lazrs
 import numpy as np
 import pyproj
 
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.errors import reading
 from p2wss.fetch.http import Client
-from p2wss.storage import files, integrity
+from p2wss.storage import files
 
 _BLOCK_BYTES = 1 << 17  # the octree nodes of a LiDAR HD tile have 10 to 500 kB
 
@@ -59,16 +58,15 @@ def write_window(client: Client, url: str, bounds: Bounds, out: Path, crs: str) 
     """
     x_min, y_min, x_max, y_max = bounds
     window = laspy.copc.Bounds(mins=np.array([x_min, y_min]), maxs=np.array([x_max, y_max]))
-    try:
-        with laspy.CopcReader(io.BufferedReader(RemoteFile(client, url), _BLOCK_BYTES)) as reader:
-            points = reader.query(bounds=window)
-            header = laspy.LasHeader(version=reader.header.version, point_format=reader.header.point_format)
-            header.scales, header.offsets = reader.header.scales, reader.header.offsets
-    except (laspy.errors.LaspyException, lazrs.LazrsError, ValueError, RuntimeError) as error:
-        raise InputError(f"{url}: not a readable COPC file: {error}") from error
+    file = io.BufferedReader(RemoteFile(client, url), _BLOCK_BYTES)
+    with reading(url, "a readable COPC file"), laspy.CopcReader(file) as reader:
+        points = reader.query(bounds=window)
+        header = laspy.LasHeader(version=reader.header.version, point_format=reader.header.point_format)
+        header.scales, header.offsets = reader.header.scales, reader.header.offsets
     header.add_crs(pyproj.CRS.from_user_input(crs))
-    with files.atomic(out) as temporary:
-        with laspy.open(temporary, "w", header=header, do_compress=True) as writer:
-            writer.write_points(points)
-        integrity.append(temporary)
+    with (
+        files.atomic(out, seal=True) as temporary,
+        laspy.open(temporary, "w", header=header, do_compress=True) as writer,
+    ):
+        writer.write_points(points)
     return len(points)

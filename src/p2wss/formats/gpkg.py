@@ -9,7 +9,7 @@ from typing import Any
 
 import geopandas as gpd
 
-from p2wss.storage import files, integrity
+from p2wss.storage import files
 
 
 def write(
@@ -24,7 +24,7 @@ def write(
 
     Raises :class:`InputError` that names ``path`` if it cannot be written.
     """
-    with files.atomic(path) as temporary:
+    with files.atomic(path, seal=True) as temporary:
         # GDAL creates the file itself, and refuses an empty one
         temporary.unlink()
         try:
@@ -39,4 +39,3 @@ def write(
                 rows.to_file(temporary, driver="GPKG", layer=name, engine="pyogrio", mode="a")
         except RuntimeError as error:  # pyogrio's errors, a full disk among them, are not OSErrors
             raise OSError(str(error)) from error
-        integrity.append(temporary)

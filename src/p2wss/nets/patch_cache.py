@@ -50,12 +50,11 @@ def precompute_patches(
     if distributed.rank() == 0 and not integrity.is_usable(path):
         if path.is_file():
             log.warning("%s: damaged; computing the patches again", path)
-        with files.atomic(path) as temporary:
+        with files.atomic(path, seal=True) as temporary:
             files.reserve(temporary, 2 * math.prod(shape))
             mapped = np.memmap(temporary, np.int16, "r+", shape=shape)
             _fill_patch_index(dataset, settings, device, mapped)
             mapped.flush()
-            integrity.append(temporary)
     distributed.barrier()
     try:
         mapped = np.memmap(path, np.int16, "r", shape=shape)

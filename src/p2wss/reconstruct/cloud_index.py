@@ -161,7 +161,8 @@ class CloudIndex(Closeable):
         records = np.empty(int((runs[:, 1] - runs[:, 0]).sum()), _RECORD)
         place = np.concatenate([[0], np.cumsum(ends - runs[first, 0])]).tolist()
         for start, (low, high) in zip(runs[first, 0].tolist(), pairwise(place), strict=True):
-            self._scratch.read_into(start * BYTES_PER_POINT, records[low:high].view(np.uint8).data)
+            content = self._scratch.read(start * BYTES_PER_POINT, (high - low) * BYTES_PER_POINT)
+            records[low:high] = np.frombuffer(content, _RECORD)
         order = np.argsort(records["number"], kind="stable")
         columns = {name: records[name][order] for name in _COLUMNS}
         return Cloud(**columns, crs=self.crs), records["number"][order]

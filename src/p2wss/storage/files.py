@@ -13,6 +13,7 @@ import os
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -43,12 +44,13 @@ def provenance(**facts: Any) -> dict[str, Any]:
 
 
 @contextmanager
-def atomic(path: str | Path) -> Iterator[Path]:
+def atomic(path: str | Path, seal: bool = False) -> Iterator[Path]:
     """A temporary path beside ``path``. It is renamed to ``path`` if the block succeeds, and deleted otherwise.
 
     It has the suffix of ``path``, from which GDAL and laspy infer the format. A slot for a checksum
-    (:mod:`p2wss.storage.integrity`) is filled. A full disk or any other ``OSError`` inside the block is raised as an
-    :class:`InputError` that names ``path``. Temporary files that killed processes left in the folder are removed.
+    (:mod:`p2wss.storage.integrity`) is filled; seal: add one as the last line. A full disk or any other ``OSError``
+    inside the block is raised as an :class:`InputError` that names ``path``. Temporary files that killed processes
+    left in the folder are removed.
     """
     path = Path(path)
     suffix = "".join(path.suffixes)
@@ -63,6 +65,8 @@ def atomic(path: str | Path) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
+        if seal:
+            integrity.append(temporary)
         integrity.fill(temporary)
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
@@ -202,20 +206,15 @@ def write_geoparquet(
 
     schema: the types of its columns, which an empty frame does not show.
     """
-    with atomic(path) as temporary:
-        frame.to_parquet(temporary, compression="zstd")
-        table = pq.read_table(temporary)
-        if schema is not None and not table.num_rows:
-            for field in schema:
-                place = table.column_names.index(field.name)
-                table = table.set_column(place, field, pa.array([], field.type))
-        stored = table.schema.metadata | {METADATA_KEY: json.dumps(metadata).encode()}
-        table = table.replace_schema_metadata(stored)
-        with pq.ParquetWriter(
-            temporary, table.schema, compression="zstd", write_page_checksum=True
-        ) as writer:
-            writer.write_table(table)
-            writer.add_key_value_metadata({_CHECKSUM_KEY: integrity.SLOT.encode()})
+    buffer = BytesIO()
+    frame.to_parquet(buffer)
+    table = pq.read_table(buffer)
+    if schema is not None and not table.num_rows:
+        for field in schema:
+            table = table.set_column(table.column_names.index(field.name), field, pa.array([], field.type))
+    with table_writer(path, table.schema) as writer:
+        writer.append_table(table)
+        writer.metadata = metadata
 
 
 def read_metadata(path: str | Path) -> dict[str, Any]:
@@ -261,9 +260,9 @@ def write_text(path: str | Path, text: str | Iterable[str]) -> None:
         file.writelines([text] if isinstance(text, str) else text)
 
 
-def write_bytes(path: str | Path, content: bytes | memoryview) -> None:
-    """Write a binary file."""
-    with atomic(path) as temporary:
+def write_bytes(path: str | Path, content: bytes | memoryview, seal: bool = False) -> None:
+    """Write a binary file. seal: with its checksum as the last line."""
+    with atomic(path, seal) as temporary:
         temporary.write_bytes(content)
 
 
@@ -284,13 +283,8 @@ def read_json(path: str | Path, kind: Any = Any, name: str = "what p2wss writes"
     text = read_text(path)
     with reading(path, "JSON"):
         value = json.loads(text)
-    if isinstance(value, dict) and _JSON_CHECKSUM in value:
-        del value[_JSON_CHECKSUM]
-    return value if kind is Any else validated(value, path, kind, name)
-
-
-def validated(value: Any, path: str | Path, kind: Any, name: str) -> Any:
-    """A value of a JSON file as ``kind``, see :func:`read_json`. Raises :class:`InputError` for another type."""
+    if isinstance(value, dict):
+        value.pop(_JSON_CHECKSUM, None)
     try:
         return TypeAdapter(kind).validate_python(value)
     except ValidationError as error:

@@ -107,11 +107,9 @@ class Scratch(Closeable):
 
     def __init__(self, folder: Path, content: str) -> None:
         self.num_bytes = 0
-        self._folder, self._content = folder, content
-        try:
-            self._file = tempfile.TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115
-        except OSError as error:
-            raise self._failure(error) from error
+        self._name = f"{folder}: temporary file of {content}"
+        with self._told():
+            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
 
     def close(self) -> None:
         """Close the file, which removes it."""
@@ -119,29 +117,20 @@ class Scratch(Closeable):
 
     def append(self, content: bytes | memoryview) -> None:
         """Add bytes at the end. Raises :class:`InputError` if the disk is full."""
-        rest = memoryview(content)
-        try:
+        with self._told():
             self._file.seek(self.num_bytes)
-            while len(rest):
-                rest = rest[self._file.write(rest) :]
-        except OSError as error:
-            raise self._failure(error) from error
+            self._file.write(content)
+            self._file.flush()
         self.num_bytes += len(content)
 
-    def read_into(self, place: int, buffer: memoryview) -> None:
-        """Fill ``buffer`` with the bytes from ``place`` on. Raises ``EOFError`` if there are fewer."""
-        self._file.seek(place)
-        while len(buffer):
-            count = self._file.readinto(buffer)
-            if not count:
-                raise EOFError(f"{self._folder}: the temporary file of {self._content} is too short")
-            buffer = buffer[count:]
-
     def read(self, place: int, size: int) -> bytes:
-        """``size`` bytes from ``place`` on. Raises ``EOFError`` if there are fewer."""
-        content = bytearray(size)
-        self.read_into(place, memoryview(content))
-        return bytes(content)
+        """``size`` bytes from ``place`` on."""
+        self._file.seek(place)
+        return self._file.read(size)
 
-    def _failure(self, error: OSError) -> InputError:
-        return InputError(f"{self._folder}: temporary file of {self._content}: {error.strerror or error}")
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise InputError(f"{self._name}: {error.strerror or error}") from error

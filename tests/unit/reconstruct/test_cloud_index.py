@@ -118,6 +118,8 @@ def test_the_file_has_no_name_and_a_full_disk_is_one_line(
     class Full:
         def seek(self, place: int) -> None: ...
 
+        def flush(self) -> None: ...
+
         def write(self, content: memoryview) -> int:
             raise OSError(errno.ENOSPC, "No space left on device")
 

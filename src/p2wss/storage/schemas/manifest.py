@@ -111,28 +111,23 @@ def read_manifest(path: str | Path, only: Sequence[Path] | None = None) -> Manif
     only: these of its shards, in the order of the manifest; the others need not exist. Raises :class:`InputError`
     if the manifest or a shard is missing, or if it does not list one of ``only``.
     """
-    return to_manifest(files.read_json(path), path, only)
-
-
-def to_manifest(value: Any, path: str | Path, only: Sequence[Path] | None = None) -> Manifest:
-    """What :func:`read_manifest` returns, and raises, if ``value`` is what the JSON file ``path`` holds."""
-    content = files.validated(value, path, _Listing, "a manifest of crops")
+    content = files.read_json(path, _Listing, "a manifest of crops")
     shards = []
     with reading(path, "a manifest of crops"):  # a name may be none that a file can have
         for entry in content["shards"]:
             name = Path(entry["path"])
             beside = Path(path).parent / name
             shards.append(Shard(beside if beside.exists() else name, entry["dataset"], entry.get("sha256")))
-    if only is not None:
-        listed = {os.path.abspath(shard.path) for shard in shards}
-        requests = {os.path.abspath(name): name for name in only}
-        for place, name in requests.items():
-            if place not in listed:
-                raise InputError(f"{path}: does not list {name}; run the stage crops again")
-        shards = [shard for shard in shards if os.path.abspath(shard.path) in requests]
-    with reading(path, "a manifest of crops"):
-        missing = [str(shard.path) for shard in shards if not shard.path.exists()]
-    if missing:
-        raise InputError(f"{path}: lists {missing[0]}, which does not exist; run the stage crops again")
+        if only is not None:
+            listed = {os.path.abspath(shard.path): shard for shard in shards}
+            wanted = {os.path.abspath(name) for name in only}
+            for place in wanted - set(listed):
+                raise InputError(f"{path}: does not list {place}; run the stage crops again")
+            shards = [shard for place, shard in listed.items() if place in wanted]
+        for shard in shards:
+            if not shard.path.exists():
+                raise InputError(
+                    f"{path}: lists {shard.path}, which does not exist; run the stage crops again"
+                )
     selection = content.get("selection", {})
     return Manifest(shards, selection.get("ranges", {}), selection.get("seed", 0))

@@ -23,6 +23,16 @@ from p2wss.storage import files, integrity
 
 MM = 0.001
 _READ_AT_ONCE = 1_000_000
+# of what is read
+_COLUMNS = {
+    "x": np.float64,
+    "y": np.float64,
+    "z": np.float64,
+    "classification": np.uint8,
+    "point_source_id": np.uint16,
+    "building_id": np.int32,
+    "face_id": np.int32,
+}
 
 
 def write_scan(
@@ -50,7 +60,7 @@ def write_scan(
         ]
     )
     backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
-    with files.atomic(path) as temporary:
+    with files.atomic(path, seal=True) as temporary:
         try:
             with laspy.open(temporary, "w", header=header, laz_backend=backend, do_compress=True) as writer:
                 for chunk in chunks:
@@ -60,7 +70,6 @@ def write_scan(
                     writer.write_points(record)
         except lazrs.LazrsError as error:  # a full disk, which files.atomic turns into a message
             raise OSError(str(error)) from error
-        integrity.append(temporary)
 
 
 def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
@@ -75,19 +84,13 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     kind = "a readable scan of p2wss, or truncated"
     with open_cloud(path, kind, decompression_selection=needed) as reader:
         count, crs = reader.header.point_count, reader.header.parse_crs()
-        xyz = [np.empty(count) for _ in range(3)]
-        classification = np.empty(count, np.uint8)
-        building, face = np.empty(count, np.int32), np.empty(count, np.int32)
-        strip = np.empty(count, np.uint16)
+        columns = {name: np.empty(count, kind) for name, kind in _COLUMNS.items()}
         first = 0
         for points in reader.chunk_iterator(_READ_AT_ONCE):
-            part = slice(first, first + len(points))
-            for column, name in zip(xyz, "xyz", strict=True):
-                column[part] = points[name]
-            classification[part] = points.classification
-            building[part], face[part] = points["building_id"], points["face_id"]
-            strip[part] = points.point_source_id
-            first = part.stop
+            for name, column in columns.items():
+                column[first : first + len(points)] = points[name]
+            first += len(points)
         if first != count:
             raise EOFError(f"{first} of {count} points")
-    return Cloud(xyz[0], xyz[1], xyz[2], classification, crs, strip), building, face
+    x, y, z, classification, strip, building, face = columns.values()
+    return Cloud(x, y, z, classification, crs, strip), building, face
