@@ -96,7 +96,7 @@ def eval_predict(
 
     clock = CpuClock()
     predictor = load_predictor(model, device)
-    listed = read_manifest(manifest, shards)
+    listed = read_manifest(manifest, shards or None)
     labels = cases.read_medians(medians) if medians else cases.train_medians(listed)
     facts = _eval_facts(config, method=NETWORK, status="ok", model=_facts_of_weights(model))
     errors = []
@@ -142,7 +142,7 @@ def eval_fit(
         predictor = load_predictor(model, device)
         facts = {"method": NETWORK_AND_FIT, "status": "ok", "model": _facts_of_weights(model)}
     with _reconstructions(out, out_cpu, clock, _eval_facts(config, **facts)) as write:
-        for test_cases in cases.test_cases(read_manifest(manifest, shards)):
+        for test_cases in cases.test_cases(read_manifest(manifest, shards or None)):
             write(test_cases, predict.fit(test_cases, predictor, config.reconstruct, clock))
 
 
@@ -209,7 +209,7 @@ def eval_baseline(
     from p2wss.storage.schemas.manifest import read_manifest
 
     clock = CpuClock()
-    listed = read_manifest(manifest, shards)
+    listed = read_manifest(manifest, shards or None)
     labels = cases.read_medians(medians) if medians else None
     runs = []
     facts: dict[str, Any] = {"method": name}
@@ -282,7 +282,7 @@ def eval_measure(
     paths = {str(files.read_metadata(path)["method"]): path for path in reconstructions}
     errors, num_rows = [], 0
     with files.table_writer(out, MEASURES) as writer:
-        for test_cases in cases.test_cases(read_manifest(manifest, shards)):
+        for test_cases in cases.test_cases(read_manifest(manifest, shards or None)):
             keys = [case.key for case in test_cases]
             methods = {method: read_reconstructions(path, keys) for method, path in paths.items()}
             rows = list(measure.measure(test_cases, methods, config.eval))

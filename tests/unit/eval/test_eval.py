@@ -272,7 +272,8 @@ SETTINGS = json.dumps(
 
 
 def run(*arguments: object) -> None:
-    assert cli.main(["eval", *map(str, arguments), "--config", SETTINGS]) == 0
+    settings = [] if arguments[0] == "medians" else ["--config", SETTINGS]
+    assert cli.main(["eval", *map(str, arguments), *settings]) == 0
 
 
 def evaluate(manifest: Path, groups: list[list[Path]], folder: Path) -> list[Path]:
