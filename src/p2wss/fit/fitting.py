@@ -23,6 +23,7 @@ from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.parts.frame import roof_frame
 from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.parts.parts import main_frame, total_cost_m
+from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.roof.confidence import expected_share
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
@@ -93,7 +94,7 @@ class _PartsFit:
 
     rings: Sequence[np.ndarray]
     rotation: np.ndarray
-    parts: Sequence[FittedRoof]
+    parts: Sequence[Roof]
     reason: str
     point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     num_ground: int = 0
@@ -176,7 +177,7 @@ class _FitTask:
         guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + self.building.ground_z_m
         prior = make_prior(rotated, len(point_m), guess_deg, initial.class_probability, eave_z_m)
         guess = FittedRoof(rotated, guess_deg, eave_z_m, np.inf, len(point_m))
-        candidates = [[replace(guess, loss_m=self.fitter.loss(guess, point_m, prior))]]
+        candidates: list[list[Roof]] = [[replace(guess, loss_m=self.fitter.loss(guess, point_m, prior))]]
         candidates += [fit_parts(self.fitter, rotated, point_m, effort, cutting, [guess_deg], prior)]
         parts = min(filter(None, candidates), key=lambda parts: total_cost_m(parts, cutting))
         is_far_off = total_cost_m(parts, cutting) > _FAR_OFF_M * len(point_m)
@@ -238,20 +239,7 @@ class _FitTask:
                 reconstruction, closed_fit = self._build_mesh(candidate, loose_boxes)
                 if reconstruction.mesh is not None and is_sound(reconstruction.mesh):
                     return reconstruction, closed_fit
-        return self._with_some_boxes(parts_fit, boxes)
-
-    def _with_some_boxes(
-        self, parts_fit: _PartsFit, boxes: Sequence[Box]
-    ) -> tuple[Reconstruction, _PartsFit] | None:
-        """The building with those boxes that can be added one after the other, None if there are none. Its parts are
-        fitted to the points of all boxes, as parts that rely on a box would be wrong without it."""
-        chosen: list[Box] = []
-        best = None
-        for box in boxes:
-            mesh = self._sound_union(parts_fit, [*chosen, box])
-            if mesh is not None:
-                chosen, best = [*chosen, box], mesh
-        return None if best is None else (self._of_mesh(parts_fit, best), parts_fit)
+        return None
 
     def _sound_union(self, parts_fit: _PartsFit, boxes: Sequence[Box]) -> Mesh | None:
         """The union of the parts with all of the boxes, None if it is not sound."""
@@ -350,7 +338,7 @@ def _mesh_single_parts(
     indices = [
         i
         for i, parts_fit in enumerate(parts_fits)
-        if len(parts_fit.parts) == 1 and parts_fit.parts[0].outward_m is None
+        if len(parts_fit.parts) == 1 and parts_fit.parts[0].is_level_at_eaves
     ]
     if not indices:
         return result

@@ -16,6 +16,7 @@ import shapely
 from scipy import ndimage
 
 from p2wss.fit.boxes.intervals import Survey, grow_box
+from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.roof.fitter import FittedRoof, Fitter
 from p2wss.fit.settings import Boxes
 
@@ -46,7 +47,7 @@ class Box:
 
 def find_boxes(
     fitter: Fitter,
-    parts: Sequence[FittedRoof],
+    parts: Sequence[Roof],
     point_m: np.ndarray,
     price_m: float,
     boxes: Boxes,
@@ -136,16 +137,14 @@ def _around(x: np.ndarray, y: np.ndarray, seed: np.ndarray, reach_m: float) -> n
     return None if around.all() else around
 
 
-def _roof_over(
-    fitter: Fitter, parts: Sequence[FittedRoof], point_m: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _roof_over(fitter: Fitter, parts: Sequence[Roof], point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(height of the topmost roof, z of its unit normal) over each point (m, 3); minus infinity and 1 outside the
     parts."""
     height, slant = np.full(len(point_m), -np.inf), np.ones(len(point_m))
     for part in parts:
         low, high = part.rings[0].min(axis=0), part.rings[0].max(axis=0)
         near = np.flatnonzero(((point_m[:, :2] >= low) & (point_m[:, :2] <= high)).all(axis=1))
-        z, of_part = fitter.roof_over(part, point_m[near])
+        z, of_part = part.height_over(point_m[near], fitter)
         higher = z > height[near]
         height[near[higher]], slant[near[higher]] = z[higher], of_part[higher]
     return height, slant

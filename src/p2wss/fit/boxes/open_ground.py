@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.parts.roofs import Roof
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -28,7 +28,7 @@ class OpenGround:
     point_m: np.ndarray
     num_ground: int
 
-    def is_open(self, part: FittedRoof) -> bool:
+    def is_open(self, part: Roof) -> bool:
         """Whether a part is open ground."""
         is_level = not part.angle_deg.any()
         if not self.num_ground or not is_level or part.eave_z_m - self.ground_z_m > _MAX_HEIGHT_M:

@@ -10,12 +10,9 @@ from operator import mul, sub
 import manifold3d
 import numpy as np
 
-from p2wss import skeleton
 from p2wss.fit.boxes.dormers import Box
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.parts.roofs import Roof
 from p2wss.mesh import Mesh
-from p2wss.mesh.planes import snap_vertices
-from p2wss.skeleton import Polygons, Status
 
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
@@ -25,7 +22,7 @@ _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2
 
 
 def union(
-    parts: Sequence[FittedRoof],
+    parts: Sequence[Roof],
     ground_z_m: float,
     min_eave_height_m: float,
     max_roof_height_m: float,
@@ -64,29 +61,16 @@ def is_sound(mesh: Mesh) -> bool:
 
 
 def _union(
-    parts: Sequence[FittedRoof],
+    parts: Sequence[Roof],
     ground_z_m: float,
     min_eave_height_m: float,
     max_roof_height_m: float,
     simplify_m: float,
     recesses: Sequence[Box],
 ) -> Mesh | None:
-    meshes = skeleton.build(
-        Polygons.from_rings([list(part.slope_rings) for part in parts]),
-        np.concatenate([part.angle_deg for part in parts]),
-        np.array([max(part.eave_z_m - ground_z_m, min_eave_height_m) for part in parts]),
-        max_roof_height_m=max_roof_height_m,
-    )
-    if (meshes.status != Status.OK).any():
+    solids = [part.solid(ground_z_m, min_eave_height_m, max_roof_height_m) for part in parts]
+    if None in solids:
         return None
-    solids = []
-    for i, part in enumerate(parts):
-        vertex_m, triangle, _, _ = meshes.mesh(i)
-        vertex_m = snap_vertices(vertex_m, np.concatenate(list(part.slope_rings)))
-        solid = manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
-        if part.outward_m is not None:
-            solid ^= _prism(part.rings, float(solid.bounding_box()[5]) + 1.0)
-        solids.append(solid)
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     for recess in recesses:
         floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m)
@@ -112,15 +96,6 @@ def _mesh_of(whole: manifold3d.Manifold, simplify_m: float) -> Mesh | None:
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
     mesh = Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32))
     return mesh if (mesh.num_planes_at >= 3).all() else collapse_vertices(mesh)
-
-
-def _prism(rings: Sequence[np.ndarray], height_m: float) -> manifold3d.Manifold:
-    """The solid over a polygon from the ground up to a height."""
-    num = sum(map(len, rings))
-    mesh = skeleton.build(Polygons.from_rings([list(rings)]), np.zeros(num), np.array([height_m]))
-    vertex_m, triangle, _, _ = mesh.mesh(0)
-    vertex_m = snap_vertices(vertex_m, np.concatenate(list(rings)))
-    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
 
 
 def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifold:

@@ -13,8 +13,9 @@ from itertools import combinations
 import numpy as np
 
 from p2wss.fit.parts.parts import Part, PartFitter
+from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.points import even_order
-from p2wss.fit.roof.fitter import FittedRoof, Fitter
+from p2wss.fit.roof.fitter import Fitter
 from p2wss.fit.roof.work import NO_PRIOR, Prior
 from p2wss.fit.settings import Cutting, Effort
 
@@ -27,7 +28,7 @@ def fit_parts(
     cutting: Cutting,
     guesses: Sequence[np.ndarray] = (),
     prior: Prior = NO_PRIOR,
-) -> list[FittedRoof]:
+) -> list[Roof]:
     """The parts of a building: one if no cut gains enough, none if no roof can be fitted. Everything is in the frame
     of ``rings``, which is that of :func:`p2wss.fit.parts.parts.main_frame`; vertices on a cut have exactly its
     coordinate.

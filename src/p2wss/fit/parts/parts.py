@@ -12,7 +12,9 @@ import numpy as np
 
 from p2wss.fit.parts.best_cut import Roofed, Rules, Side, split_roof
 from p2wss.fit.parts.cutting import clearance_m, is_sound
+from p2wss.fit.parts.kinds import KINDS
 from p2wss.fit.parts.merging import merged_rings
+from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.points import even_order
 from p2wss.fit.roof.fitter import FittedRoof, Fitter, as_columns, flat_rings, rings_of
 from p2wss.fit.roof.prior import with_slope_cost
@@ -23,11 +25,10 @@ from p2wss.fit.settings import NOISE_M, SCREENING, SEARCHING, Cutting, Effort, S
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part with its roof. point_m: (3, m), as compiled code takes them. cost_m: the sum of its residuals, and the
-    price of its slopes."""
+    """A part with its roof. point_m: (3, m), as compiled code takes them. cost_m: :meth:`PartFitter.cost_m`."""
 
     point_m: np.ndarray
-    roof: FittedRoof
+    roof: Roof
     cost_m: float
 
     @property
@@ -44,7 +45,7 @@ def main_frame(rings: Sequence[np.ndarray]) -> np.ndarray:
     return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
 
 
-def total_cost_m(roofs: Sequence[FittedRoof], cutting: Cutting) -> float:
+def total_cost_m(roofs: Sequence[Roof], cutting: Cutting) -> float:
     """The loss summed over all points, plus the price of each part after the first."""
     num_points = sum(roof.num_points for roof in roofs)
     return sum(roof.total_loss_m for roof in roofs) + (len(roofs) - 1) * cutting.price_m(num_points)
@@ -96,7 +97,7 @@ class PartFitter:
             return None
         is_high = part.point_m[line.axis] >= line.position
         low, high = (
-            self._with_eaves(_part_of_side(np.compress(within, part.point_m, axis=1), side))
+            self._side(side, np.compress(within, part.point_m, axis=1))
             for within, side in zip((~is_high, is_high), sides, strict=True)
         )
         return (low, high) if part.cost_m - low.cost_m - high.cost_m >= min_gain_m else None
@@ -122,42 +123,32 @@ class PartFitter:
         roof = self._fitter.fit(rings, point_m, self._one_round, (), prior)
         return None if roof is None else self._part(roof, columns)
 
-    def final_roof(self, part: Part, prior: Prior) -> FittedRoof:
-        """The roof of a part with whole degrees, and with the eaves that go with them."""
-        point_m = part.point_m.T
-        slope_prior = with_slope_cost(prior, self.slope_cost_m, len(point_m), len(part.roof.angle_deg))
-        roof = self._fitter.tidy(replace(part.roof, outward_m=None), point_m, self._effort, slope_prior)
-        roof = replace(roof, loss_m=self._fitter.loss(roof, point_m, prior))
-        return self._with_eaves(replace(part, roof=roof), prior).roof
+    def final_roof(self, part: Part, prior: Prior) -> Roof:
+        """The roof of a part with whole degrees, or of the kind that is best beside it."""
+        roof, point_m = part.roof, part.point_m.T
+        slope_prior = with_slope_cost(prior, self.slope_cost_m, len(point_m), len(roof.angle_deg))
+        level = FittedRoof(roof.rings, roof.angle_deg, roof.eave_z_m, roof.loss_m, len(point_m))
+        return self._best_kind(self._fitter.tidy(level, point_m, self._effort, slope_prior), point_m, prior)
+
+    def cost_m(self, roof: Roof) -> float:
+        """What a roof costs: the sum of its residuals, and the price of its slopes."""
+        return roof.total_loss_m + roof.num_slopes * self.slope_cost_m
+
+    def _side(self, side: Side, point_m: np.ndarray) -> Part:
+        """The part on one side of a cut, with its points (3, m)."""
+        rings, num_points = rings_of(side.polygon), point_m.shape[1]
+        return self._part(FittedRoof(rings, side.angle_deg, side.eave_z_m, side.loss_m, num_points), point_m)
 
     def _part(self, roof: FittedRoof, point_m: np.ndarray) -> Part:
-        """A part with a roof that is fitted to its points, whose eaves may then get different heights."""
-        roof = replace(roof, loss_m=self._fitter.loss(roof, point_m.T))
-        num_slopes = int(((roof.angle_deg > 0) & (roof.angle_deg < 90)).sum())
-        return self._with_eaves(Part(point_m, roof, roof.total_loss_m + num_slopes * self.slope_cost_m))
+        """A part with a roof that is fitted to its points (3, m), or one of another kind."""
+        best = self._best_kind(roof, point_m.T, NO_PRIOR)
+        return Part(point_m, best, self.cost_m(best))
 
-    def _with_eaves(self, part: Part, prior: Prior = NO_PRIOR) -> Part:
-        """The part with eaves at different heights, if these gain more than a slope costs."""
-        roof, point_m = part.roof, part.point_m.T
-        if not self.slope_cost_m or roof.loss_m < NOISE_M:
-            return part
-        slope_prior = with_slope_cost(prior, self.slope_cost_m, len(point_m), len(roof.angle_deg))
-        loss_m = self._fitter.loss(roof, point_m, slope_prior)
-        # eaves at different heights are those of two slopes at least, which cost as much each
-        if (loss_m - NOISE_M) * len(point_m) <= 3 * self.slope_cost_m:
-            return part
-        uneven = self._fitter.fit_eaves(roof, point_m, self._effort, slope_prior)
-        if uneven is None:
-            return part
-        uneven_loss_m = self._fitter.loss(uneven, point_m, slope_prior)
-        gain_m = (loss_m - uneven_loss_m) * len(point_m) - self.slope_cost_m
-        if gain_m <= 0:
-            return part
-        uneven = replace(uneven, loss_m=self._fitter.loss(uneven, point_m, prior))
-        return Part(part.point_m, uneven, part.cost_m - gain_m)
-
-
-def _part_of_side(point_m: np.ndarray, side: Side) -> Part:
-    """The part on one side of a cut, with its points (3, m)."""
-    roof = FittedRoof(rings_of(side.polygon), side.angle_deg, side.eave_z_m, side.loss_m, point_m.shape[1])
-    return Part(point_m, roof, roof.total_loss_m)
+    def _best_kind(self, roof: FittedRoof, point_m: np.ndarray, prior: Prior) -> Roof:
+        """The roof, or that of another kind which costs least with its loss over all points (m, 3)."""
+        roof = replace(roof, loss_m=self._fitter.loss(roof, point_m, prior))
+        if not self.slope_cost_m:
+            return roof
+        arguments = self._fitter, roof, point_m, self._effort, prior, self.slope_cost_m
+        others = [kind(*arguments) for kind in KINDS]
+        return min([roof, *filter(None, others)], key=self.cost_m)

@@ -12,8 +12,9 @@ import numpy as np
 import shapely
 from scipy.special import expit
 
+from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.roof.evidence import Evidence, roof_evidence
-from p2wss.fit.roof.fitter import FittedRoof, Fitter
+from p2wss.fit.roof.fitter import Fitter
 
 # coefficients of 1, log(margin), residual, log(points) and is_level; and of 1, residual and log(points):
 # python benchmarks/confidence.py MANIFEST .. --model models/point2wss.safetensors --fit
@@ -28,7 +29,7 @@ _FAR_OFF_M, _DROP_PER_M = 0.2, 2.0
 
 def expected_share(
     fitter: Fitter,
-    parts: Sequence[FittedRoof],
+    parts: Sequence[Roof],
     point_m: np.ndarray,
     class_probability: np.ndarray | None = None,
 ) -> float:

@@ -7,16 +7,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate, pairwise
 
+import manifold3d
 import numpy as np
 import shapely
 
+from p2wss import skeleton
 from p2wss.fit.linkage import linked_work
+from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.points import every_kth
 from p2wss.fit.roof.eaves import fit_eaves, moved_walls
 from p2wss.fit.roof.rounds import fit_roof, improve_roof, tidy_roof
 from p2wss.fit.roof.solve import IMPOSSIBLE
 from p2wss.fit.roof.work import NO_PRIOR, Context, FitWork, Polygon, Prior
 from p2wss.fit.settings import EFFORT, Effort, Limits, Settings
+from p2wss.mesh.planes import snap_vertices
+from p2wss.skeleton import Polygons, Status
 from p2wss.skeleton.queries import OUTSIDE
 
 # fewer points show no roof
@@ -24,33 +29,59 @@ MIN_NUM_POINTS = 3
 
 
 @dataclass(frozen=True)
-class FittedRoof:
-    """A roof over a polygon: a building, a part of one, or a box.
+class FittedRoof(Roof):
+    """A roof of the kernel, cut off at its rings. outward_m: (n,), how far outside its edge each slope begins, so that
+    its eave is higher than ``eave_z_m``; None: all eaves have that height."""
 
-    rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or 5 to 75. eave_z_m: in the
-    heights of the points. loss_m: mean over the points of min(|distance to the roof|, cap), plus the cost of a prior.
-    outward_m: (n,), how far outside its edge each slope begins, so that its eave is higher than ``eave_z_m``; None:
-    all eaves have that height.
-    """
-
-    rings: Sequence[np.ndarray]
-    angle_deg: np.ndarray
-    eave_z_m: float
-    loss_m: float
-    num_points: int
     outward_m: np.ndarray | None = None
 
     @cached_property
     def slope_rings(self) -> Sequence[np.ndarray]:
-        """Where slopes begin: the kernel's roof over these rings, cut off at ``rings``, is this roof."""
         if self.outward_m is None:
             return self.rings
         polygon = flat_rings(self.rings)
         return rings_of(polygon._replace(xy_m=moved_walls(polygon, self.outward_m)))
 
     @property
-    def total_loss_m(self) -> float:
-        return self.loss_m * self.num_points
+    def is_level_at_eaves(self) -> bool:
+        return self.outward_m is None
+
+    @property
+    def num_slopes(self) -> int:
+        """Eaves at different heights cost as much as one more slope."""
+        is_slope = (self.angle_deg > 0) & (self.angle_deg < 90)
+        return int(is_slope.sum()) + (self.outward_m is not None)
+
+    def height_over(self, point_m: np.ndarray, fitter: Fitter) -> tuple[np.ndarray, np.ndarray]:
+        return fitter.roof_over(self, point_m)
+
+    def solid(
+        self, ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
+    ) -> manifold3d.Manifold | None:
+        eave_m = max(self.eave_z_m - ground_z_m, min_eave_height_m)
+        solid = kernel_solid(self.slope_rings, self.angle_deg, eave_m, max_roof_height_m)
+        if solid is None or self.outward_m is None:
+            return solid
+        flat_deg, high_m = np.zeros(len(self.angle_deg)), float(solid.bounding_box()[5]) + 1.0
+        walls = kernel_solid(self.rings, flat_deg, high_m, max_roof_height_m)
+        return None if walls is None else solid ^ walls
+
+
+def kernel_solid(
+    rings: Sequence[np.ndarray], angle_deg: np.ndarray, eave_m: float, max_roof_height_m: float
+) -> manifold3d.Manifold | None:
+    """The kernel's solid over a polygon, with exactly its coordinates; None if the kernel refuses it."""
+    meshes = skeleton.build(
+        Polygons.from_rings([list(rings)]),
+        angle_deg,
+        np.array([eave_m]),
+        max_roof_height_m=max_roof_height_m,
+    )
+    if meshes.status[0] != Status.OK:
+        return None
+    vertex_m, triangle, _, _ = meshes.mesh(0)
+    vertex_m = snap_vertices(vertex_m, np.concatenate(list(rings)))
+    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
 
 
 class Fitter:
