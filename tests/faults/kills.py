@@ -186,7 +186,7 @@ class Run:
 
 @contextmanager
 def watched(folder: Path) -> Iterator[list[int]]:
-    """Counts, while the block runs, the processes that train in one folder: those that hold its decoded clouds."""
+    """Counts, while the block runs, the processes that train in one folder: those that have its points mapped."""
     most, stop = [0], threading.Event()
 
     def watch() -> None:
@@ -197,7 +197,7 @@ def watched(folder: Path) -> Iterator[list[int]]:
                     maps = Path(f"/proc/{process}/maps").read_text(encoding="utf-8")
                 except OSError:
                     continue
-                for place in set(re.findall(r"results/mini/(\w+)/checkpoints/clouds", maps)):
+                for place in set(re.findall(r"results/mini/(\w+)/checkpoints/#", maps)):
                     counts[place] = counts.get(place, 0) + 1
             most[0] = max([most[0], *counts.values()])
 

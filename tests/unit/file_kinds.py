@@ -33,10 +33,6 @@ from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetch import bdtopo
 from p2wss.fetch.cloud import write_cloud
 from p2wss.footprints.cleaning import read_footprints
-from p2wss.nets.dataset import TrainingLimits
-from p2wss.nets.metrics_log import MetricsLog, read_metrics
-from p2wss.nets.patch_cache import PatchSettings, precompute_patches
-from p2wss.nets.shards import load_dataset
 from p2wss.nets.training_state import TrainingState
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
@@ -251,45 +247,6 @@ def _read_checkpoint(path: Path) -> Any:
     return [value.numpy().tobytes() for value in state.module.state_dict().values()]
 
 
-def _training_log(folder: Path) -> Path:
-    log = MetricsLog(folder, tensorboard=False)
-    for step in range(1, 40):
-        log.add({"step": step, "loss": 1 / step})
-    return log.path
-
-
-def _read_training_log(path: Path) -> Any:
-    lines = read_metrics(path.parent)
-    if lines.count("\n") < 39:
-        raise InputError("a line is left out, with a warning")
-    return lines
-
-
-_LIMITS = TrainingLimits(1, 12, 100.0)
-_PATCHES = PatchSettings(200, 8, 4)
-
-
-def _dataset(folder: Path) -> Any:
-    dataset = load_dataset(folder / "manifest.json", ["train"], _LIMITS, True, False, folder / "clouds")
-    return precompute_patches(dataset, _PATCHES, torch.device("cpu"))
-
-
-def _cache(pattern: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        toy_crops.make(folder, {"train": 3})
-        _dataset(folder)
-        (path,) = (folder / "clouds").glob(f"*/{pattern}")
-        return path
-
-    return write
-
-
-def _read_cache(path: Path) -> Any:
-    dataset = _dataset(path.parents[2])
-    names = ("points_cm", "point_offset", "ground_z_m", "xy_m", "vertex_offset", "angle_deg", "height_m")
-    return [np.asarray(getattr(dataset, name)).tobytes() for name in (*names, "patch_index")]
-
-
 KINDS: dict[str, Kind] = {
     "footprints, GeoPackage": Kind(_footprints, _read_footprints),
     "terrain, GeoTIFF": Kind(_terrain, _read_terrain),
@@ -307,11 +264,6 @@ KINDS: dict[str, Kind] = {
     "measures, Parquet": _table("measures.parquet", MEASURES),
     "errors and times, JSON": Kind(_json, files.read_json),
     "checkpoint": Kind(_checkpoint, _read_checkpoint, True),
-    "metrics of a training that runs": Kind(_training_log, _read_training_log, True),
-    "cache of clouds: points": Kind(_cache("points_cm.i16"), _read_cache, True),
-    "cache of clouds: buildings": Kind(_cache("buildings.npz"), _read_cache, True),
-    "cache of clouds: counts": Kind(_cache("excluded.json"), _read_cache, True),
-    "cache of clouds: patches": Kind(_cache("patches-*"), _read_cache, True),
 }
 
 

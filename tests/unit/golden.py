@@ -19,8 +19,8 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 from p2wss import dvae, model
 from p2wss.config import load
 from p2wss.nets import training
-from p2wss.nets.builders import build_dvae
-from p2wss.nets.metrics_log import read_metrics
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.training_state import METRICS_NAME
 from p2wss.nets.weights import save_dvae
 
 PATH = Path(__file__).with_name("golden.json")
@@ -39,14 +39,14 @@ def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
     try:
         dvae.train(manifest, config.dvae, folder / "dvae", "x")
         torch.manual_seed(0)
-        untrained = build_dvae(config.dvae)
-        save_dvae(untrained, folder / "d.safetensors", config.dvae, "x", "")
+        untrained = DiscreteVae(config.dvae)
+        save_dvae(untrained, folder / "d.safetensors", "x", "")
         model.train(manifest, folder / "d.safetensors", config.model, folder / "model", "x")
     finally:
         training.METRICS_EVERY_STEPS = every
         torch.set_num_threads(num_threads)
     for stage in ("dvae", "model"):
-        records = map(json.loads, read_metrics(folder / stage).splitlines())
+        records = map(json.loads, (folder / stage / METRICS_NAME).read_text().splitlines())
         losses_of_stage[stage] = [
             {name: round(value, 6) for name, value in record.items() if name != "learning_rate"}
             for record in records

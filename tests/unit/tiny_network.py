@@ -2,24 +2,18 @@
 
 import numpy as np
 
-from p2wss.nets.point2wss import ModelSizes
+from p2wss.config import Dvae, Model
 
-SIZES = ModelSizes(
+DVAE = Dvae(num_patches=12, patch_size=8, patch_dim=16, token_dim=16, num_tokens=12)
+MODEL = Model(
     dim=16,
     num_heads=2,
     mlp_ratio=2,
-    drop_path=0,
     cloud_depth=1,
-    sequence_depth=1,
     cross_depth=1,
-    patch_dim=16,
-    num_tokens=12,
     max_vertices=12,
     align_dim=8,
-    ground_relative=True,
-    numerical_encoding=True,
-    edge_embedding=True,
-    edge_attention=True,
+    coord_decimals=2,
 )
 
 

@@ -13,7 +13,7 @@ import click
 from p2wss.cli.parser import file_option, option, setting
 from p2wss.config import Config
 from p2wss.data.tiling import Bounds, tile_bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
 
 log = logging.getLogger("p2wss")
@@ -76,12 +76,13 @@ def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], No
     Of several processes the first writes.
     """
     from p2wss.nets import distributed
-    from p2wss.nets.metrics_log import read_metrics
-    from p2wss.nets.training_state import remove_checkpoints
+    from p2wss.nets.training_state import METRICS_NAME, remove_checkpoints
 
     if not distributed.is_main_process():
         return
-    metrics = read_metrics(checkpoints)
+    path = checkpoints / METRICS_NAME
+    with reading(path, "readable metrics; delete it"):
+        metrics = path.read_text(encoding="utf-8")
     files.write_text(out_metrics, metrics + integrity.JSON_LINES_TRAILER)
     save(metrics)
     remove_checkpoints(checkpoints)

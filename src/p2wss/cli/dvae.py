@@ -33,5 +33,5 @@ def dvae(
     settings, code = config.dvae, fingerprint("dvae")
     with training_lock(checkpoints):
         module = dvae.train(manifest, settings, checkpoints, code)
-        save = partial(save_dvae, module, out, settings, code)
+        save = partial(save_dvae, module, out, code)
         common.write_trained(checkpoints, out_metrics, save)

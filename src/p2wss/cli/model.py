@@ -33,6 +33,6 @@ def model(
 
     settings, code = config.model, fingerprint("model")
     with training_lock(checkpoints):
-        module, dvae_config = model.train(manifest, dvae, settings, checkpoints, code)
-        save = partial(save_model, module, out, settings, dvae_config, code)
+        module = model.train(manifest, dvae, settings, checkpoints, code)
+        save = partial(save_model, module, out, code)
         common.write_trained(checkpoints, out_metrics, save)

@@ -41,8 +41,3 @@ class Compute(Section):
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="precision of matrix products (autocast); weights and losses stay in float32"
     )
-    compile: bool = Field(
-        False, description="compile the networks with torch.compile; worthwhile only for long trainings"
-    )
-    resident: bool = Field(False, description="keep all clouds in device memory; faster if they fit")
-    tensorboard: bool = Field(False, description="also write metrics for TensorBoard, beside the checkpoints")

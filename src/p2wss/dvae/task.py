@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +14,9 @@ from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
 from p2wss.nets import augment, compute, distributed, training
 from p2wss.nets.batch import NETWORK_SCALE, batch_patches
-from p2wss.nets.builders import build_dvae
-from p2wss.nets.dataset import BatchSampler, BatchSource, ResidentDataset, TrainingLimits
+from p2wss.nets.dataset import BatchSampler, BuildingDataset, TrainingLimits
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
-from p2wss.nets.patch_cache import PatchSettings, precompute_patches
 from p2wss.nets.shards import describe, load_dataset
-from p2wss.nets.training_state import cloud_cache_folder
 from p2wss.storage import files
 
 log = logging.getLogger("p2wss")
@@ -39,19 +35,13 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
     device = compute.device_of(config.compute.device)
     limits = TrainingLimits(config.min_points, max_vertices=0, max_length_m=0)
     with distributed.process_group(device):
-        cache = cloud_cache_folder(checkpoints)
-        training_set = load_dataset(manifest, ["train"], limits, False, config.use_lidar, cache)
-        settings = PatchSettings(config.num_points, config.num_patches, config.patch_size)
-        training_set = precompute_patches(training_set, settings, device)
+        checkpoints.mkdir(parents=True, exist_ok=True)
+        training_set = load_dataset(manifest, ["train"], limits, False, config.use_lidar, checkpoints)
         log.info("dvae: train: %s", describe(training_set))
-        validation_set = load_dataset(manifest, ["val"], limits, False, False, cache)
+        validation_set = load_dataset(manifest, ["val"], limits, labelled=False, folder=checkpoints)
         torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
-        module = build_dvae(config).to(device)
-        source = ResidentDataset(training_set, device) if config.compute.resident else training_set
-        task = DvaeTask(module, source, validation_set, config, device)
-        plan = training.Plan(
-            config.seed, config.optimiser, 0.0, config.checkpoint_every_steps, config.compute
-        )
+        task = DvaeTask(DiscreteVae(config).to(device), training_set, validation_set)
+        plan = training.Plan(config.seed, config.optimiser, 0.0, config.checkpoint_every_steps)
         identity = {
             "stage": "dvae",
             "config": training.training_config(config),
@@ -64,27 +54,19 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
 
 
 class DvaeTask:
-    """The stage as a :class:`p2wss.nets.training.Task`."""
+    """The stage as a :class:`p2wss.nets.training.Task`, on the device of ``module``."""
 
     def __init__(
-        self,
-        module: DiscreteVae,
-        training_set: BatchSource,
-        validation_set: BatchSource,
-        config: DvaeConfig,
-        device: torch.device,
+        self, module: DiscreteVae, training_set: BuildingDataset, validation_set: BuildingDataset
     ) -> None:
         self.module = module
-        self.config = config
+        self.config = config = module.config
         self.training_set = training_set
         self.validation_set = validation_set
-        self.device = device
+        self.device = next(module.parameters()).device
         self.num_dead_codes = 0
         self.progress = 0.0
         self.sampler = BatchSampler(np.zeros(len(training_set)), config.optimiser.batch_size, config.seed)
-
-    def compilable_parts(self) -> Sequence[nn.Module]:
-        return [self.module]
 
     def step(self, step: int) -> dict[str, Tensor]:
         config = self.config
@@ -94,7 +76,7 @@ class DvaeTask:
         batch = augment.rotate_randomly(augment.centre(batch.to(self.device)))
         progress = self.progress = step / config.optimiser.num_steps
         tau = temperature(progress, config.temperature_end)
-        patches = batch_patches(batch, config.num_patches, config.patch_size)
+        patches = batch_patches(batch, config)
         with compute.autocast(config.compute, self.device):
             losses = self.module(patches, tau)
         weight = kl_weight(progress, config.kl_weight)
@@ -117,7 +99,7 @@ class DvaeTask:
         for first in range(0, total, size):
             index = np.arange(first, min(first + size, total))
             batch = augment.centre(self.validation_set.batch(index, config.num_points, None).to(self.device))
-            patches = batch_patches(batch, config.num_patches, config.patch_size)
+            patches = batch_patches(batch, config)
             losses = module(patches, config.temperature_end)
             chamfer += float(losses["fine"]) * len(index)
             codes = losses["codes"][patches.valid]

@@ -11,6 +11,7 @@ import pandas as pd
 
 from p2wss.eval import cases
 from p2wss.nets.compute import DeviceName
+from p2wss.nets.dataset import training_limits
 from p2wss.nets.predictor import load_predictor
 from p2wss.nets.shards import load_dataset
 from p2wss.storage.schemas.manifest import read_manifest
@@ -43,7 +44,8 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
     rows = []
     for path in paths:
         predictor = load_predictor(path, device)
-        test = load_dataset(manifest, ["test"], predictor.limits, labelled=True, include_real=False)
+        limits = training_limits(predictor.module.config, predictor.dvae_config)
+        test = load_dataset(manifest, ["test"], limits, labelled=True)
         height, angle = (np.abs(error) for error in predictor.errors(test, np.arange(len(test))))
         rows.append(
             Row(

@@ -41,7 +41,7 @@ _MIN_SINE = 0.3
 
 
 class MaskedPredictor(Predictor, Protocol):
-    """The part of :class:`p2wss.nets.predictor.Predictor` that Table 1 needs."""
+    """The part of :class:`p2wss.nets.predictor.Point2WssPredictor` that Table 1 needs."""
 
     def reconstruct_all_masked(
         self, points_m: Sequence[np.ndarray], footprints_m: Sequence[np.ndarray], signs_visible: bool = True

@@ -68,7 +68,7 @@ def scale_randomly(batch: Batch, ratio: tuple[float, float]) -> Batch:
 def jitter(batch: Batch, sigma_m: float) -> Batch:
     """Gaussian noise on the valid points."""
     noise = torch.randn_like(batch.points) * sigma_m
-    return replace(batch, points=batch.points + noise * batch.valid[..., None], patch_index=None)
+    return replace(batch, points=batch.points + noise * batch.valid[..., None])
 
 
 def lift_randomly(batch: Batch, lift_m: float) -> Batch:
@@ -82,7 +82,7 @@ def lift_randomly(batch: Batch, lift_m: float) -> Batch:
     above = batch.points[..., 2] - batch.ground_z[:, None] > batch.height[:, None] / 2
     z = batch.points[..., 2] + lift[:, None] * (above & batch.valid)
     points = torch.cat([batch.points[..., :2], z[..., None]], -1)
-    return replace(batch, points=points, height=batch.height + lift, patch_index=None)
+    return replace(batch, points=points, height=batch.height + lift)
 
 
 def occlude_randomly(batch: Batch, share: float, min_points: int) -> Batch:
@@ -102,7 +102,7 @@ def occlude_randomly(batch: Batch, share: float, min_points: int) -> Batch:
     occluded = along > from_apex.norm(dim=-1) * torch.cos(half_width)[:, None]
     remaining = batch.valid & ~occluded
     chosen &= remaining.sum(1) >= min_points
-    return replace(batch, valid=torch.where(chosen[:, None], remaining, batch.valid), patch_index=None)
+    return replace(batch, valid=torch.where(chosen[:, None], remaining, batch.valid))
 
 
 def drop_points_randomly(batch: Batch, ratio: tuple[float, float], min_points: int) -> Batch:
@@ -112,4 +112,4 @@ def drop_points_randomly(batch: Batch, ratio: tuple[float, float], min_points: i
     share = low + (high - low) * torch.rand(len(batch.points), 1, device=device)
     count = (share * batch.valid.sum(1, keepdim=True)).clamp(min=min_points)
     rank = torch.rand(batch.valid.shape, device=device).masked_fill(~batch.valid, 2).argsort(1).argsort(1)
-    return replace(batch, valid=batch.valid & (rank < count), patch_index=None)
+    return replace(batch, valid=batch.valid & (rank < count))

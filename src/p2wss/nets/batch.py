@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from p2wss.nets.patches import Patches, cut_patches, make_patches, patch_index
+from p2wss.config import Dvae
+from p2wss.nets.patches import Patches, make_patches
 
 # Network units per metre: 10 m become 1. Clouds are never scaled to the unit sphere, which would erase heights.
 NETWORK_SCALE = 0.1
-# Fills the rows of a patch_index that are not computed yet. No index, nor ~index, of 32,767 points has this value.
-UNKNOWN_PATCHES = -(2**15)
 
 
 @dataclass(frozen=True)
@@ -22,9 +21,7 @@ class Batch:
     points: float32 (b, p, 3). valid: bool (b, p), false for padding. ground_z: float32 (b,), the ground as
     estimated from the cloud. height: float32 (b,), eave above ground_z. xy: float32 (b, n, 2), exterior ring,
     counter-clockwise. angle: float32 (b, n), degrees, of the edge that leaves each vertex.
-    num_vertices: int64 (b,). patch_index: int16 (b, g, k), the :func:`~p2wss.nets.patches.patch_index` of each
-    cloud where it was precomputed, and ``UNKNOWN_PATCHES`` in the other rows. A change of a cloud's shape or of
-    its set of points drops it.
+    num_vertices: int64 (b,).
     """
 
     points: Tensor
@@ -34,23 +31,15 @@ class Batch:
     xy: Tensor
     angle: Tensor
     num_vertices: Tensor
-    patch_index: Tensor | None = None
 
     def to(self, device: torch.device) -> Batch:
         """The batch on another device."""
-        return Batch(**{name: value.to(device) for name, value in vars(self).items() if value is not None})
+        return Batch(**{name: value.to(device) for name, value in vars(self).items()})
 
     def __getitem__(self, rows: Tensor) -> Batch:
-        return Batch(**{name: value[rows] for name, value in vars(self).items() if value is not None})
+        return Batch(**{name: value[rows] for name, value in vars(self).items()})
 
 
-def batch_patches(batch: Batch, num_patches: int, patch_size: int) -> Patches:
+def batch_patches(batch: Batch, config: Dvae) -> Patches:
     """Patches in network units of a centred batch in metres."""
-    points = batch.points * NETWORK_SCALE
-    if batch.patch_index is None:
-        return make_patches(points, batch.valid, num_patches, patch_size)
-    index = batch.patch_index.long()
-    (rows,) = torch.nonzero(index[:, 0, 0] == UNKNOWN_PATCHES, as_tuple=True)
-    if len(rows):
-        index[rows] = patch_index(points[rows], batch.valid[rows], num_patches, patch_size)
-    return cut_patches(points, index)
+    return make_patches(batch.points * NETWORK_SCALE, batch.valid, config.num_patches, config.patch_size)

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from p2wss.config import Dvae
 from p2wss.nets import distributed
 from p2wss.nets.layers import BatchNorm, CoordinateLinear
-from p2wss.nets.patches import Patches, squared_distance
-from p2wss.nets.pointwise import norm_relu_linear
+from p2wss.nets.patches import Patches, nearest_points, squared_distance
 
 NUM_NEIGHBOURS = 4
 NORM_GROUPS = 4
@@ -27,16 +25,13 @@ _NEGATIVE_SLOPE = 0.2
 # of a training: the part over which the temperature falls and the weight of the divergence rises, and the part before
 # that weight is more than 0
 _SCHEDULE_SHARE, _WITHOUT_DIVERGENCE_SHARE = 0.5, 0.05
-# patches that a CPU embeds at once at inference, so that the features of their points stay in its L2 cache
-INFERENCE_PATCHES = 32
 
 
 class MiniPointNet(nn.Module):
     """Patch points (b, g, k, 3) to one embedding per patch (b, g, dim).
 
     Widths dim/2, dim, 2 dim, dim. The second block reads each point together with the maximum over its patch. Its
-    weight is split, so that the half for the maximum is applied once per patch and not once per point. No
-    activation stands between the half for the points and the layer before it: the two weights are multiplied first.
+    weight is split, so that the half for the maximum is applied once per patch and not once per point.
     """
 
     def __init__(self, dim: int) -> None:
@@ -50,45 +45,24 @@ class MiniPointNet(nn.Module):
         self.fourth = nn.Linear(2 * dim, dim)
 
     def forward(self, points: Tensor) -> Tensor:
-        x = self.first(points.flatten(0, 1))
-        second, third = self.second, self.third_point
-        weight = torch.cat([second.weight, third.weight @ second.weight])
-        bias = torch.cat([second.bias, third.weight @ second.bias])
-        patch, x = norm_relu_linear(x, self.first_norm, weight, bias, second.out_features)
-        fourth = self.fourth
-        x = x.add_(self.third_patch(patch)[:, None])
-        x, _ = norm_relu_linear(x, self.third_norm, fourth.weight, fourth.bias, fourth.out_features)
-        return x.unflatten(0, points.shape[:2])
+        of_patch = (-1, points.shape[2])
+        x = F.relu(self.first_norm(self.first(points.flatten(0, 2))), inplace=True)
+        x = self.second(x).unflatten(0, of_patch)
+        x = self.third_point(x) + self.third_patch(_largest(x))[:, None]
+        x = F.relu(self.third_norm(x.flatten(0, 1)), inplace=True)
+        return _largest(self.fourth(x).unflatten(0, of_patch)).unflatten(0, points.shape[:2])
 
-    def infer(self, points: Tensor) -> Tensor:
-        """:meth:`forward` in evaluation mode up to rounding, in less than half of the time, without gradients.
 
-        Norms are folded into the layers before them, ``third_point`` into ``second``, and terms that are equal for
-        all points of a patch are added once per patch.
-        """
-        scale, shift = self.first_norm.scale_and_shift()
-        first, first_bias = self.first.weight * scale[:, None], self.first.bias * scale + shift
-        scale, shift = self.third_norm.scale_and_shift()
-        third = self.third_point.weight @ self.second.weight * scale[:, None]
-        third_patch = self.third_patch.weight * scale[:, None]
-        second_bias = self.second.bias
-        third_bias = (self.third_point(second_bias) + self.third_patch(second_bias)) * scale + shift
-        features = []
-        num_at_once = INFERENCE_PATCHES if points.device.type == "cpu" else points.shape[:2].numel()
-        for part in points.flatten(0, 1).split(num_at_once):
-            x = F.linear(part, first, first_bias).relu_()
-            patch = F.linear(x, self.second.weight).amax(1)
-            x = F.linear(x, third).add_(F.linear(patch, third_patch, third_bias)[:, None]).relu_()
-            features.append(F.linear(x, self.fourth.weight).amax(1))
-        return torch.cat(features).view(*points.shape[:2], -1) + self.fourth.bias
+def _largest(x: Tensor) -> Tensor:
+    """Maximum over the points of each patch: (n, k, c) -> (n, c)."""
+    # amax is faster than the maximum with its index, but has the slower gradient
+    return x.max(1)[0] if torch.is_grad_enabled() else x.amax(1)
 
 
 class EdgeConvolution(nn.Module):
     """One edge convolution on a given graph: max over neighbours of act(norm(W [neighbour - x; x])).
 
-    W [nb - x; x] = W1 nb + (W2 - W1) x is applied per node before the gather: k times fewer multiplications. The
-    features of edges are never built: the moments of their group norm follow from those of the nodes and from the
-    graph, and because norm and activation are monotonic in each channel, only the extreme neighbour counts.
+    W [nb - x; x] = W1 nb + (W2 - W1) x is applied per node before the gather: k times fewer multiplications.
     """
 
     def __init__(self, dim_in: int, dim_out: int) -> None:
@@ -97,72 +71,14 @@ class EdgeConvolution(nn.Module):
         self.self = nn.Linear(dim_in, dim_out, bias=False)
         self.norm = nn.GroupNorm(NORM_GROUPS, dim_out)
 
-    def forward(self, x: Tensor, neighbour: Tensor, adjacency: Tensor) -> Tensor:
-        """``x`` (b, g, dim_in), ``neighbour`` int64 (b, g, k) and its :func:`adjacency_matrix` -> (b, g, dim_out)."""
+    def forward(self, x: Tensor, neighbour: Tensor) -> Tensor:
+        """``x`` (b, g, dim_in), ``neighbour`` int64 (b, g, k) -> (b, g, dim_out)."""
         from_neighbour = self.difference(x).float()
         from_self = F.linear(x, self.self.weight - self.difference.weight).float()
-        mean, variance = self._moments(from_neighbour, from_self, adjacency, neighbour.shape[-1])
-        scale = self.norm.weight * (variance + self.norm.eps).rsqrt()
-        # a negative scale makes the smallest neighbour the largest
-        sign = torch.where(self.norm.weight < 0, -1.0, 1.0)
-        batch, groups, dim = from_self.shape
-        rows = neighbour + groups * torch.arange(batch, device=x.device)[:, None, None]
-        largest = _LargestNeighbour.apply((from_neighbour * sign).view(-1, dim), rows.flatten(0, 1))
-        y = (largest.view_as(from_self) * sign + from_self - mean) * scale + self.norm.bias
-        return F.leaky_relu(y, _NEGATIVE_SLOPE)
-
-    def _moments(
-        self, from_neighbour: Tensor, from_self: Tensor, adjacency: Tensor, k: int
-    ) -> tuple[Tensor, Tensor]:
-        """Mean and variance (b, 1, dim) of neighbour + self over the edges and the channels of each group."""
-        count = k * from_self.shape[1]
-        degree = adjacency.sum(1)[..., None]
-        neighbour_sum = (degree * from_neighbour).sum(1)
-        mean = _group_mean(neighbour_sum + k * from_self.sum(1)) / count
-        # squares about the mean, or they would cancel
-        centred = from_self - mean[:, None]
-        neighbours = torch.bmm(adjacency, from_neighbour)
-        square = (degree * from_neighbour.square() + k * centred.square() + 2 * centred * neighbours).sum(1)
-        return mean[:, None], _group_mean(square)[:, None] / count
-
-
-def _group_mean(x: Tensor) -> Tensor:
-    """Mean over the channels of each group of the norm, for every channel (b, dim)."""
-    groups = x.unflatten(-1, (NORM_GROUPS, -1))
-    return groups.mean(-1, keepdim=True).expand_as(groups).flatten(1)
-
-
-class _LargestNeighbour(torch.autograd.Function):
-    """(n, dim): per channel the largest value among the rows ``neighbour`` (n, k) of ``x`` (n, dim).
-
-    A function of its own, because torch's maximum with its index is ten times slower than one without.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, x: Tensor, neighbour: Tensor) -> Tensor:
-        largest = x.index_select(0, neighbour[:, 0])
-        for row in neighbour.T[1:]:
-            largest = torch.maximum(largest, x.index_select(0, row), out=largest)
-        ctx.save_for_backward(x, neighbour, largest)
-        return largest
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        x, neighbour, largest = ctx.saved_tensors
-        d_x, remaining = torch.zeros_like(x), gradient.clone()
-        for row in neighbour.T:
-            # of equal neighbours the first gets the whole gradient
-            share = x.index_select(0, row).eq_(largest).mul_(remaining)
-            d_x.index_add_(0, row, share)
-            remaining -= share
-        return d_x, None
-
-
-def adjacency_matrix(neighbour: Tensor) -> Tensor:
-    """float32 (b, g, g): how often node j is a neighbour of node i, from int64 (b, g, k)."""
-    batch, groups, _ = neighbour.shape
-    counts = torch.zeros(batch, groups, groups, device=neighbour.device)
-    return counts.scatter_add_(2, neighbour, torch.ones(1, device=counts.device).expand(neighbour.shape))
+        first = len(x[0]) * torch.arange(len(x), device=x.device)[:, None, None]
+        edges = from_neighbour.flatten(0, 1)[neighbour + first] + from_self[:, :, None]
+        # the activation is monotonic: it may follow the maximum
+        return F.leaky_relu(self.norm(edges.permute(0, 3, 1, 2)).amax(-1), _NEGATIVE_SLOPE).transpose(1, 2)
 
 
 class Dgcnn(nn.Module):
@@ -181,10 +97,9 @@ class Dgcnn(nn.Module):
 
     def forward(self, x: Tensor, neighbour: Tensor) -> Tensor:
         x = self.first(x)
-        adjacency = adjacency_matrix(neighbour)
         outputs = []
         for convolution in self.convolutions:
-            x = convolution(x, neighbour, adjacency)
+            x = convolution(x, neighbour)
             outputs.append(x)
         x = self.last(torch.cat(outputs, -1))
         return F.leaky_relu(self.norm(x.transpose(1, 2)).transpose(1, 2), _NEGATIVE_SLOPE)
@@ -217,53 +132,39 @@ class FoldingDecoder(nn.Module):
         batch, groups, _ = x.shape
         coarse = self.coarse(x).view(batch, groups, self.num_coarse, 3)
         seeds = self.get_buffer("seeds").to(coarse.dtype)
-        from_seed = self.from_point(F.pad(seeds, (0, 3)))[None]
+        from_seed = self.from_point(F.pad(seeds, (0, 3)))
         from_coarse = self.from_point(F.pad(coarse, (2, 0))) + self.from_feature(x)[:, :, None]
-        middle, last = self.middle, self.last
-        offset = from_coarse.flatten(0, 2)
-        _, h = norm_relu_linear(from_seed, self.norm, middle.weight, middle.bias, offset=offset)
-        _, fold = norm_relu_linear(h, self.middle_norm, last.weight, last.bias)
+        h = F.relu(self.norm((from_coarse[..., None, :] + from_seed).flatten(0, 3)), inplace=True)
+        fold = self.last(F.relu(self.middle_norm(self.middle(h)), inplace=True))
         return coarse, (coarse[..., None, :] + fold.view(*coarse.shape[:-1], 4, 3)).flatten(2, 3)
-
-
-@dataclass(frozen=True)
-class DvaeSizes:
-    """Sizes that determine the network's weights. ``patch_size`` is a multiple of 4."""
-
-    num_patches: int
-    patch_size: int
-    patch_dim: int
-    token_dim: int
-    num_tokens: int
 
 
 class DiscreteVae(nn.Module):
     """See the module's docstring. The second stage uses :meth:`tokens`."""
 
-    def __init__(self, sizes: DvaeSizes) -> None:
+    def __init__(self, config: Dvae) -> None:
         super().__init__()
-        self.sizes = sizes
-        self.encoder = MiniPointNet(sizes.patch_dim)
-        self.to_logits = Dgcnn(sizes.patch_dim, sizes.token_dim, sizes.num_tokens)
-        self.codebook = nn.Parameter(torch.randn(sizes.num_tokens, sizes.token_dim))
-        self.to_features = Dgcnn(sizes.token_dim, sizes.token_dim, sizes.token_dim)
-        self.decoder = FoldingDecoder(sizes.token_dim, sizes.patch_size)
+        self.config = config
+        dim = config.token_dim
+        self.encoder = MiniPointNet(config.patch_dim)
+        self.to_logits = Dgcnn(config.patch_dim, dim, config.num_tokens)
+        self.codebook = nn.Parameter(torch.randn(config.num_tokens, dim))
+        self.to_features = Dgcnn(dim, dim, dim)
+        self.decoder = FoldingDecoder(dim, config.patch_size)
 
-    def logits(self, patches: Patches) -> Tensor:
-        """(b, g, num_tokens)."""
-        return self.to_logits(self.encoder(patches.points), centre_graph(patches))
+    def logits(self, patches: Patches, graph: Tensor) -> Tensor:
+        """(b, g, num_tokens), given the :func:`centre_graph` of the patches."""
+        return self.to_logits(self.encoder(patches.points), graph)
 
     @torch.no_grad()
     def tokens(self, patches: Patches) -> Tensor:
         """int64 (b, g): the most probable code of each patch, without Gumbel noise."""
-        if self.training:
-            return self.logits(patches).argmax(-1)
-        return self.to_logits(self.encoder.infer(patches.points), centre_graph(patches)).argmax(-1)
+        return self.logits(patches, centre_graph(patches)).argmax(-1)
 
     def forward(self, patches: Patches, temperature: float) -> dict[str, Tensor]:
         """Losses of the coarse and fine reconstructions (Chamfer-L1), divergence from uniform codes, and the codes."""
         graph = centre_graph(patches)
-        logits = self.to_logits(self.encoder(patches.points), graph).float()
+        logits = self.logits(patches, graph).float()
         soft = F.gumbel_softmax(logits, tau=temperature, hard=False, dim=-1)
         coarse, fine = self.decoder(self.to_features(soft @ self.codebook, graph))
         valid = patches.valid
@@ -282,9 +183,7 @@ def centre_graph(patches: Patches) -> Tensor:
     """int64 (b, g, 4): the nearest valid patches of each patch by their centres, itself among them."""
     distance = squared_distance(patches.centre, patches.centre)
     distance.masked_fill_(~patches.valid[:, None], torch.inf)
-    k = min(NUM_NEIGHBOURS, distance.shape[-1])
-    near, index = distance.topk(k, largest=False, sorted=True)
-    return torch.where(near.isinf(), index[..., :1], index)
+    return nearest_points(distance, NUM_NEIGHBOURS)
 
 
 def chamfer_l1(reconstruction: Tensor, target: Tensor, valid: Tensor) -> Tensor:

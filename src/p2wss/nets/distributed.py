@@ -11,11 +11,11 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import torch
 import torch.distributed as dist
+import torch.distributed.nn.functional as dist_nn
 from torch import Tensor, nn
 
 log = logging.getLogger("p2wss")
@@ -96,40 +96,9 @@ def average_gradients(module: nn.Module) -> None:
 
 def average(x: Tensor) -> Tensor:
     """The differentiable mean over the processes."""
-    return x if num_processes() == 1 else _Average.apply(x)
+    return x if num_processes() == 1 else dist_nn.all_reduce(x) / num_processes()
 
 
 def gather(x: Tensor) -> Tensor:
     """The rows (b, ...) of all processes; each gradient goes back to the process of its row."""
-    return x if num_processes() == 1 else _Gather.apply(x)
-
-
-class _Average(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        return _mean(x)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        return _mean(gradient)
-
-
-class _Gather(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, x: Tensor) -> Tensor:
-        x = x.contiguous()
-        parts = [torch.empty_like(x) for _ in range(num_processes())]
-        dist.all_gather(parts, x)
-        return torch.cat(parts)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        total = gradient.contiguous().clone()
-        dist.all_reduce(total)
-        return total.chunk(num_processes())[rank()]
-
-
-def _mean(x: Tensor) -> Tensor:
-    total = x.contiguous().clone()
-    dist.all_reduce(total)
-    return total / num_processes()
+    return x if num_processes() == 1 else torch.cat(dist_nn.all_gather(x.contiguous()))

@@ -19,23 +19,12 @@ class BatchNorm(nn.BatchNorm1d):
         # every process has the same number of rows
         mean, square = distributed.average(torch.stack([rows.mean(0), rows.square().mean(0)]))
         var = square - mean.square()
-        self.track(mean, var, len(x) * distributed.num_processes())
+        count = len(x) * distributed.num_processes()
+        with torch.no_grad():
+            self.get_buffer("running_mean").lerp_(mean, self.momentum or 0.0)
+            self.get_buffer("running_var").lerp_(var * (count / (count - 1)), self.momentum or 0.0)
         scale = self.weight * torch.rsqrt(var + self.eps)
         return (rows * scale + (self.bias - mean * scale)).to(x.dtype)
-
-    @torch.no_grad()
-    def track(self, mean: Tensor, var: Tensor, count: int) -> None:
-        """Update the running moments with those (channels,) of ``count`` rows."""
-        momentum = self.momentum or 0.0
-        for name, value in (("running_mean", mean), ("running_var", var * (count / (count - 1)))):
-            buffer = self.get_buffer(name)
-            buffer.lerp_(value.to(buffer.dtype), momentum)
-        self.get_buffer("num_batches_tracked").add_(1)
-
-    def scale_and_shift(self) -> tuple[Tensor, Tensor]:
-        """The norm in evaluation mode as ``x * scale + shift``, each (channels,), to be folded into another layer."""
-        scale = self.weight * torch.rsqrt(self.get_buffer("running_var") + self.eps)
-        return scale, self.bias - self.get_buffer("running_mean") * scale
 
 
 class CoordinateLinear(nn.Linear):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from p2wss.config import Dvae, Model
 from p2wss.nets import distributed
+from p2wss.nets.batch import NETWORK_SCALE
 from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.layers import CoordinateLinear
 from p2wss.nets.patches import Patches
@@ -25,45 +26,24 @@ _MATCHING_WEIGHTS = (0.1, 0.9)
 INFERENCE_PARTS = ("cloud.", "sequence.", "sequence_cross.", "sequence_head.", "look.")
 
 
-@dataclass(frozen=True)
-class ModelSizes:
-    """Sizes and switches that determine the network's weights."""
-
-    dim: int
-    num_heads: int
-    mlp_ratio: float
-    drop_path: float
-    cloud_depth: int
-    sequence_depth: int
-    cross_depth: int
-    patch_dim: int
-    num_tokens: int
-    max_vertices: int
-    align_dim: int
-    ground_relative: bool
-    numerical_encoding: bool
-    edge_embedding: bool
-    edge_attention: bool
-
-
 class CloudEncoder(nn.Module):
     """Patches to features: mini-PointNet, [cls] token, positions of the patch centres added before every block."""
 
-    def __init__(self, sizes: ModelSizes) -> None:
+    def __init__(self, config: Model, patch_dim: int) -> None:
         super().__init__()
-        dim = sizes.dim
-        self.ground_relative = sizes.ground_relative
-        self.embed = MiniPointNet(sizes.patch_dim)
-        self.reduce = nn.Linear(sizes.patch_dim, dim)
+        dim = config.dim
+        self.ground_relative = config.ground_relative
+        self.embed = MiniPointNet(patch_dim)
+        self.reduce = nn.Linear(patch_dim, dim)
         self.position = nn.Sequential(
-            CoordinateLinear(4 if sizes.ground_relative else 3, POSITION_WIDTH),
+            CoordinateLinear(4 if config.ground_relative else 3, POSITION_WIDTH),
             nn.GELU(),
             nn.Linear(POSITION_WIDTH, dim),
         )
         self.cls_token = nn.Parameter(torch.zeros(dim))
         self.cls_position = nn.Parameter(torch.zeros(dim))
         self.mask_token = nn.Parameter(torch.zeros(dim))
-        self.encoder = Encoder(dim, sizes.cloud_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
+        self.encoder = Encoder(config, config.cloud_depth)
 
     def embed_patches(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Embeddings and positional embeddings (b, 1 + g, dim) and validity (b, 1 + g), [cls] first."""
@@ -73,8 +53,7 @@ class CloudEncoder(nn.Module):
             above_ground = coordinates[..., 2:] - ground_z[:, None, None]
             coordinates = torch.cat([coordinates, above_ground], -1)
         cls = self.cls_token.expand(batch, 1, -1)
-        embedded = self.embed(patches.points) if self.training else self.embed.infer(patches.points)
-        x = torch.cat([cls, self.reduce(embedded)], 1)
+        x = torch.cat([cls, self.reduce(self.embed(patches.points))], 1)
         position = torch.cat([self.cls_position.expand(batch, 1, -1), self.position(coordinates)], 1)
         return x, position, F.pad(patches.valid, (1, 0), value=True)
 
@@ -86,26 +65,26 @@ class CloudEncoder(nn.Module):
 class SequenceEncoder(nn.Module):
     """Sequences of parameter tokens to features."""
 
-    def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer) -> None:
+    def __init__(self, config: Model, tokenizer: Tokenizer) -> None:
         super().__init__()
-        dim = sizes.dim
+        dim = config.dim
         self.tokenizer = tokenizer
-        self.max_vertices = sizes.max_vertices
+        self.max_vertices = config.max_vertices
         self.word = nn.Embedding(tokenizer.vocabulary_size, dim)
         # a position is the slot within the header or a vertex block, and the vertex; the last rows mean "none"
         self.slot = nn.Embedding(tokenizer.header_length + tokenizer.block_length + 1, dim)
-        self.vertex = nn.Embedding(sizes.max_vertices + 1, dim)
-        self.encoder = Encoder(dim, sizes.sequence_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path)
+        self.vertex = nn.Embedding(config.max_vertices + 1, dim)
+        self.encoder = Encoder(config, config.sequence_depth)
         value = tokenizer.token_value
         self.register_buffer("token_value", value, persistent=False)
         self.numerical: Tensor | None
         self.register_buffer(
             "numerical",
-            numerical_encoding(value, dim) if sizes.numerical_encoding else None,
+            numerical_encoding(value, dim) if config.numerical_encoding else None,
             persistent=False,
         )
         self.edge: nn.Module | None = None
-        if sizes.edge_embedding:
+        if config.edge_embedding:
             self.edge = nn.Sequential(
                 CoordinateLinear(9, POSITION_WIDTH), nn.GELU(), nn.Linear(POSITION_WIDTH, dim)
             )
@@ -139,9 +118,7 @@ def numerical_encoding(value: Tensor, dim: int) -> Tensor:
     return torch.stack([even, -even], -1).flatten(1)[:, :dim]
 
 
-def edge_features(
-    tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, token_value: Tensor, scale: float
-) -> Tensor:
+def edge_features(tokenizer: Tokenizer, tokens: Tensor, num_vertices: Tensor, token_value: Tensor) -> Tensor:
     """The geometry of each edge, read from the tokens; zeros where a coordinate of its ends is masked.
 
     Returns (b, n, 9): visible, start, end (scaled), length (scaled), outward normal, signed distance of the
@@ -155,7 +132,7 @@ def edge_features(
         number = block[..., slot : slot + 1 + count]
         visible &= (number != MASK).all(-1)
         axes.append(token_value[number[..., 1:]].sum(-1) * torch.where(number[..., 0] == MINUS, -1, 1))
-    start = torch.stack(axes, -1) * scale
+    start = torch.stack(axes, -1) * NETWORK_SCALE
     position = torch.arange(block.shape[1], device=tokens.device)
     following = (position + 1) % num_vertices[:, None].clamp(min=1)
     end = start.gather(1, following[..., None].expand(-1, -1, 2))
@@ -214,29 +191,23 @@ class EdgeAttention(nn.Module):
 class Point2Wss(nn.Module):
     """Both branches, their token classifiers and alignment heads. ``sequence`` is the parameter branch."""
 
-    def __init__(self, sizes: ModelSizes, tokenizer: Tokenizer, scale: float) -> None:
+    def __init__(self, config: Model, dvae_config: Dvae) -> None:
         super().__init__()
-        self.sizes = sizes
-        self.tokenizer = tokenizer
-        self.scale = scale
-        dim = sizes.dim
-
-        def cross() -> Encoder:
-            return Encoder(
-                dim, sizes.cross_depth, sizes.num_heads, sizes.mlp_ratio, sizes.drop_path, cross=True
-            )
-
-        self.cloud = CloudEncoder(sizes)
-        self.sequence = SequenceEncoder(sizes, tokenizer)
-        self.cloud_cross = cross()
-        self.sequence_cross = cross()
+        self.config = config
+        self.dvae_config = dvae_config
+        self.tokenizer = tokenizer = Tokenizer(config.coord_decimals, config.hundreds)
+        dim = config.dim
+        self.cloud = CloudEncoder(config, dvae_config.patch_dim)
+        self.sequence = SequenceEncoder(config, tokenizer)
+        self.cloud_cross = Encoder(config, config.cross_depth, cross=True)
+        self.sequence_cross = Encoder(config, config.cross_depth, cross=True)
         self.look: EdgeAttention | None = None
-        if sizes.edge_attention:
-            self.look = EdgeAttention(dim, sizes.num_heads)
-        self.cloud_head = nn.Linear(dim, sizes.num_tokens)
+        if config.edge_attention:
+            self.look = EdgeAttention(dim, config.num_heads)
+        self.cloud_head = nn.Linear(dim, dvae_config.num_tokens)
         self.sequence_head = nn.Linear(dim, tokenizer.vocabulary_size)
-        self.align_cloud = nn.Linear(dim, sizes.align_dim)
-        self.align_sequence = nn.Linear(dim, sizes.align_dim)
+        self.align_cloud = nn.Linear(dim, config.align_dim)
+        self.align_sequence = nn.Linear(dim, config.align_dim)
         self.logit_scale = nn.Parameter(torch.tensor(INITIAL_LOGIT_SCALE))
         self.match = nn.Linear(dim, 2)
         self.apply(_initialise)
@@ -252,7 +223,6 @@ class Point2Wss(nn.Module):
         tokens: Tensor,
         token_masked: Tensor,
         num_vertices: Tensor,
-        match_balanced: bool,
     ) -> dict[str, Tensor]:
         """The four losses of section 4 on one batch of matching pairs.
 
@@ -295,7 +265,7 @@ class Point2Wss(nn.Module):
             "cloud": _mean_cross_entropy(cloud_logits, patch_labels[patch_masked]),  # (1)
             "sequence": _mean_cross_entropy(sequence_logits, tokens[token_masked]),  # (2)
             "modal": self._modal_loss(cloud[first, 0], sequence[:, 0]),  # (3)
-            "match": self._match_loss(cloud_fused[:, 0], sequence_fused[first, 0], match_balanced),  # (4)
+            "match": self._match_loss(cloud_fused[:, 0], sequence_fused[first, 0]),  # (4)
         }
 
     def _modal_loss(self, cloud: Tensor, sequence: Tensor) -> Tensor:
@@ -306,7 +276,7 @@ class Point2Wss(nn.Module):
         target = torch.arange(len(logits), device=logits.device)
         return (F.cross_entropy(logits, target) + F.cross_entropy(logits.T, target)) / 2
 
-    def _match_loss(self, g_p: Tensor, g_s: Tensor, balanced: bool) -> Tensor:
+    def _match_loss(self, g_p: Tensor, g_s: Tensor) -> Tensor:
         """Equation 4 over all B^2 pairs of (b, dim) features, of all processes.
 
         FC(g_p[i] * g_s[j]) = sum_d W[c, d] g_p[i, d] g_s[j, d] + b[c], so two matrix products replace the
@@ -316,7 +286,7 @@ class Point2Wss(nn.Module):
         g_p, g_s = distributed.gather(g_p.float()), distributed.gather(g_s.float())
         logits = torch.stack([(g_p * row) @ g_s.T for row in weight], -1) + bias
         target = torch.eye(len(g_p), dtype=torch.int64, device=g_p.device)
-        if balanced:
+        if self.config.match_balanced:
             loss = F.cross_entropy(logits.flatten(0, 1), target.flatten(), reduction="none").view_as(target)
             matching = loss.diagonal().mean()
             others = (loss.sum() - loss.diagonal().sum()) / max(loss.numel() - len(loss), 1)
@@ -325,25 +295,20 @@ class Point2Wss(nn.Module):
             logits.flatten(0, 1), target.flatten(), weight=logits.new_tensor(_MATCHING_WEIGHTS)
         )
 
-    def cloud_features(self, patches: Patches, ground_z: Tensor) -> tuple[Tensor, Tensor]:
-        """(b, 1 + g, dim) features of unmasked clouds and their validity (b, 1 + g)."""
-        x, position, valid = self.cloud.embed_patches(patches, ground_z)
-        return self.cloud.encoder(x, valid, embedding=position), valid
-
     def restore(
         self,
         tokens: Tensor,
         num_vertices: Tensor,
         patches: Patches,
         ground_z: Tensor,
-        cloud: Tensor,
-        valid: Tensor,
         positions: Tensor | None = None,
     ) -> Tensor:
-        """Logits (b, l, vocabulary) of partly masked sequences, given the ``cloud_features`` of their patches.
+        """Logits (b, l, vocabulary) of partly masked sequences, given the patches of their unmasked clouds.
 
         With ``positions``, int64 (r,), only the logits there are computed, (b, r, vocabulary), which is faster.
         """
+        cloud, position, valid = self.cloud.embed_patches(patches, ground_z)
+        cloud = self.cloud.encoder(cloud, valid, embedding=position)
         present = tokens != PAD
         edges = self._edges(tokens, num_vertices)
         x = self.sequence.encoder(self.sequence.embed(tokens, num_vertices, edges), present)
@@ -353,7 +318,7 @@ class Point2Wss(nn.Module):
 
     def _edges(self, tokens: Tensor, num_vertices: Tensor) -> Tensor:
         value = self.sequence.get_buffer("token_value")
-        return edge_features(self.tokenizer, tokens, num_vertices, value, self.scale)
+        return edge_features(self.tokenizer, tokens, num_vertices, value)
 
     def _add_edge_attention(
         self, x: Tensor, edges: Tensor, cloud: Tensor, patches: Patches, ground_z: Tensor
@@ -373,7 +338,7 @@ def _mean_cross_entropy(logits: Tensor, label: Tensor) -> Tensor:
 
 
 def inference_weights(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The part of a state dict that :meth:`Point2Wss.restore` and :meth:`Point2Wss.cloud_features` use."""
+    """The part of a state dict that :meth:`Point2Wss.restore` uses."""
     return {name: value for name, value in state.items() if name.startswith(INFERENCE_PARTS)}
 
 

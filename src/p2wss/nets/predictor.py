@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,22 +13,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from p2wss.config import Decoding
-from p2wss.config import Dvae as DvaeConfig
 from p2wss.nets import augment, compute, decoding
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches
-from p2wss.nets.builders import training_limits
 from p2wss.nets.compute import DeviceName
-from p2wss.nets.dataset import BuildingDataset, TrainingLimits, thin
+from p2wss.nets.dataset import BuildingDataset, thin
 from p2wss.nets.patches import Patches
 from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.prediction import Prediction
 from p2wss.nets.tokenizer import KIND_COORDINATE, KIND_SIGN, MASK, MINUS, PLUS, roll_index
 from p2wss.nets.weights import load_model
 
-# rows of labelled buildings at once: on a CPU the activations should fit into the cache
-BATCH_SIZE = {"cpu": 16, "cuda": 256}
-# longest over shortest ring of such a batch
-MAX_LENGTH_RATIO = 1.25
+# rows of a pass on a GPU
+GPU_ROWS = 256
 # numbers of vertices that rings are padded to on a GPU, where many buildings are predicted at once
 _VERTEX_STEP = 8
 
@@ -36,48 +32,15 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 
-def load_predictor(path: Path, device: DeviceName = "auto") -> Predictor:
+def load_predictor(path: Path, device: DeviceName = "auto") -> Point2WssPredictor:
     """A trained model on ``device``; "auto" is a GPU if there is one.
 
     Raises :class:`InputError` for any other file, and for a device that is not available.
     """
-    module, config, dvae_config = load_model(path)
-    module.to(compute.device_of(device))
-    limits = training_limits(config, dvae_config, module.tokenizer)
-    return Predictor(module, config.decoding, dvae_config, config.max_vertices, limits)
+    return Point2WssPredictor(load_model(path).to(compute.device_of(device)))
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted parameters of b buildings.
-
-    eave_height_m: float (b,), eave above ground. angle_deg: per building an angle per edge, over all rings in the
-    order of the argument. class_probability: likewise (edges, 3), of 0 degrees, of 90 degrees and of a slope.
-    probability: per building (1 + v,), uncalibrated, that the height is within 0.5 m and each angle of the exterior
-    within 5 degrees. confidence: float (b,), the expected share of values that are
-    (:func:`p2wss.nets.decoding.expected_share`). A footprint too large for the number format has NaN everywhere,
-    no probability and confidence 0.
-    """
-
-    eave_height_m: np.ndarray
-    angle_deg: list[np.ndarray]
-    class_probability: list[np.ndarray]
-    probability: list[np.ndarray]
-    confidence: np.ndarray
-
-
-@dataclass(frozen=True)
-class _Prediction:
-    """Values of a batch: height_m (b,), angle_deg (b, n), class_probability (b, n, 3) and, that the height and each
-    angle are within their tolerances, probability (b, 1 + n)."""
-
-    height_m: np.ndarray
-    angle_deg: np.ndarray
-    class_probability: np.ndarray
-    probability: np.ndarray
-
-
-class Predictor:
+class Point2WssPredictor:
     """A trained model. Memory does not grow with the number of buildings.
 
     A building's prediction does not depend on the other buildings of a call, to the last bit. Matrix products round
@@ -87,34 +50,20 @@ class Predictor:
     pass has the same number of rows, padded to the most points and to a multiple of eight vertices.
     """
 
-    def __init__(
-        self,
-        module: Point2Wss,
-        settings: Decoding,
-        dvae_config: DvaeConfig,
-        max_num_vertices: int,
-        limits: TrainingLimits,
-    ) -> None:
-        """``limits`` are those of the buildings that ``module`` was trained on."""
-        self.limits = limits
+    def __init__(self, module: Point2Wss, num_views: int | None = None) -> None:
+        """``num_views``: of each building, whose probabilities are averaged; by default as the config says."""
         self.module = module.eval()
         self.device = next(module.parameters()).device
         self.tokenizer = module.tokenizer
-        self.settings = settings
-        self.dvae_config = dvae_config
-        self._max_num_vertices = max_num_vertices
-        self._batch_size = BATCH_SIZE[self.device.type]
-        self._rows_per_pass = 1 if self.device.type == "cpu" else BATCH_SIZE["cuda"]
+        self.settings = module.config.decoding
+        self.num_views = num_views or self.settings.num_rotations
+        self.dvae_config = module.dvae_config
+        self.max_num_vertices = module.config.max_vertices
+        self._rows_per_pass = 1 if self.device.type == "cpu" else GPU_ROWS
 
-    def with_num_views(self, num_views: int) -> Predictor:
+    def with_num_views(self, num_views: int) -> Point2WssPredictor:
         """The same network with ``num_views`` views of each building, whose probabilities are averaged."""
-        settings = self.settings.model_copy(update={"num_rotations": num_views})
-        return Predictor(self.module, settings, self.dvae_config, self._max_num_vertices, self.limits)
-
-    @property
-    def max_num_vertices(self) -> int:
-        """Largest number of vertices of an exterior ring."""
-        return self._max_num_vertices
+        return Point2WssPredictor(self.module, num_views)
 
     def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         """Heights and angles from clouds (n, 3), z above the ground, and the rings of their footprints.
@@ -132,15 +81,15 @@ class Predictor:
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
         class_probability = [np.full((len(edges), 3), 1 / 3) for edges in angle]
         probability = [np.zeros(0)] * len(points_m)
-        for index, prediction in self._for_each(points_m, exterior, self._decode):
+        for index, (heights, angles, classes, within) in self._for_each(points_m, exterior, self._decode):
             for row, i in enumerate(index):
                 num_edges = len(exterior[i])
-                height[i] = prediction.height_m[row]
-                angle[i][:num_edges] = prediction.angle_deg[row, :num_edges]
-                class_probability[i][:num_edges] = prediction.class_probability[row, :num_edges]
+                height[i] = heights[row]
+                angle[i][:num_edges] = angles[row, :num_edges]
+                class_probability[i][:num_edges] = classes[row, :num_edges]
                 if len(rings[i]) > 1:
                     angle[i][num_edges:] = _courtyard_angle(angle[i][:num_edges])
-                probability[i] = prediction.probability[row, : 1 + num_edges]
+                probability[i] = within[row, : 1 + num_edges]
                 confidence[i] = decoding.expected_share(probability[i])
         return Prediction(height, angle, class_probability, probability, confidence)
 
@@ -176,35 +125,21 @@ class Predictor:
     def errors(self, dataset: BuildingDataset, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed errors of heights (n,) in m and angles (edges,) in degrees, of labelled buildings whose footprint is
         known."""
-        heights = np.empty(len(index), np.float32)
-        angles = [np.empty(0)] * len(index)
-        num_points, num_vertices = np.diff(dataset.point_offset)[index], dataset.num_vertices[index]
-        for rows in self._similar_size_batches(num_points, num_vertices):
-            batch = augment.centre(dataset.batch(index[rows], self.dvae_config.num_points, None))
-            prediction = self._decode(batch)
-            heights[rows] = prediction.height_m - batch.height.numpy()
-            difference = prediction.angle_deg - batch.angle.numpy()
-            for row, i in enumerate(rows):
-                angles[i] = difference[row, : batch.num_vertices[row]]
-        return heights, np.concatenate(angles)
-
-    def _similar_size_batches(self, num_points: np.ndarray, num_vertices: np.ndarray) -> Iterator[np.ndarray]:
-        """Indices of all buildings in batches of similar sizes, so that hardly any of a batch is padding."""
-        order = np.lexsort([np.minimum(num_points, self.dvae_config.num_points), num_vertices])
-        vertices = num_vertices[order]
-        first = 0
-        while first < len(order):
-            too_long = int(np.searchsorted(vertices, MAX_LENGTH_RATIO * vertices[first], "right"))
-            end = min(too_long, first + max(self._batch_size // self.settings.num_rotations, 1))
-            yield order[first:end]
-            first = end
+        ground_m = [np.array([0, 0, dataset.ground_z_m[i]]) for i in index]
+        clouds = [0.01 * dataset.cloud_cm(i) - ground for i, ground in zip(index, ground_m, strict=True)]
+        prediction = self.predict(clouds, [[dataset.ring_m(i)] for i in index])
+        angle = [
+            predicted - dataset.edge_angles_deg(i)
+            for i, predicted in zip(index, prediction.angle_deg, strict=True)
+        ]
+        return prediction.eave_height_m - dataset.height_m[index], np.concatenate(angle)
 
     def _check(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> None:
         for i, (points, ring) in enumerate(zip(points_m, exterior, strict=True)):
             if not len(points):
                 raise ValueError(f"building {i} has no points")
-            if not 3 <= len(ring) <= self._max_num_vertices:
-                raise ValueError(f"building {i} has {len(ring)} vertices, not 3 to {self._max_num_vertices}")
+            if not 3 <= len(ring) <= self.max_num_vertices:
+                raise ValueError(f"building {i} has {len(ring)} vertices, not 3 to {self.max_num_vertices}")
 
     def _for_each(
         self,
@@ -265,32 +200,35 @@ class Predictor:
         )
 
     @torch.inference_mode()
-    def _decode(self, batch: Batch) -> _Prediction:
-        """Heights and angles of a centred batch whose footprints are known.
+    def _decode(self, batch: Batch) -> tuple[np.ndarray, ...]:
+        """Of a centred batch whose footprints are known: heights (b,) m, angles (b, n) degrees, the probabilities of
+        their classes (b, n, 3) and, that the height and each angle are within their tolerances, (b, 1 + n).
 
         The probabilities of the views are averaged before values are decoded.
         """
-        tokenizer, mode, num_views = self.tokenizer, self.settings.mode, self.settings.num_rotations
+        tokenizer, mode = self.tokenizer, self.settings.mode
         batch = batch.to(self.device)
-        patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        views, view_patches = _views(batch, patches, num_views)
-        parameters, start = tokenizer.canonical(
-            tokenizer.quantise(views.height, views.xy, views.angle, views.num_vertices)
+        views, patches = _views(batch, batch_patches(batch, self.dvae_config), self.num_views)
+        tokens, _, back = self._sequences(views)
+        heights, angles = self._distributions(
+            self.module.restore(
+                tokens,
+                views.num_vertices,
+                patches,
+                views.ground_z * NETWORK_SCALE,
+                tokenizer.target_positions(batch.xy.shape[1]).to(self.device),
+            )
         )
-        tokens, _ = tokenizer.mask_targets(parameters)
-        positions = tokenizer.target_positions(batch.xy.shape[1]).to(self.device)
-        heights, angles = self._distributions(self._logits(tokens, views, view_patches, positions))
-        back = roll_index(views.num_vertices - start, views.num_vertices, views.xy.shape[1])
         angles = angles.gather(1, back[..., None].expand_as(angles))
-        heights = heights.unflatten(0, (num_views, -1)).mean(0)
-        angles = angles.unflatten(0, (num_views, -1)).mean(0)
+        heights = heights.unflatten(0, (self.num_views, -1)).mean(0)
+        angles = angles.unflatten(0, (self.num_views, -1)).mean(0)
         angles = decoding.constrain(angles, self._angle_support())
         height, angle = decoding.decode(heights, mode), decoding.decode(angles, mode)
         unit = 10.0 ** tokenizer.height_places[-1]
         height_tolerance = round(decoding.HEIGHT_TOLERANCE_M / unit)
         height_probability = decoding.mass_near(heights, height, height_tolerance)
         angle_probability = decoding.mass_near(angles, angle, decoding.ANGLE_TOLERANCE_DEG)
-        return _Prediction(
+        return (
             (height * unit).cpu().numpy(),
             angle.double().cpu().numpy(),
             decoding.class_probability(angles).double().cpu().numpy(),
@@ -302,14 +240,11 @@ class Predictor:
         """Heights (b,) m, vertices (b, n, 2) m and angles (b, n) degrees of a centred batch, all digits masked."""
         tokenizer, mode = self.tokenizer, self.settings.mode
         batch = batch.to(self.device)
-        parameters, start = tokenizer.canonical(
-            tokenizer.quantise(batch.height, batch.xy, batch.angle, batch.num_vertices)
-        )
-        tokens, kind = tokenizer.mask_targets(parameters)
+        tokens, kind, back = self._sequences(batch)
         masked = (kind == KIND_COORDINATE) | ((kind == KIND_SIGN) & (not signs_visible))
         tokens = tokens.masked_fill(masked, MASK)
-        patches = batch_patches(batch, self.dvae_config.num_patches, self.dvae_config.patch_size)
-        logits = self._logits(tokens, batch, patches)
+        patches = batch_patches(batch, self.dvae_config)
+        logits = self.module.restore(tokens, batch.num_vertices, patches, batch.ground_z * NETWORK_SCALE)
         heights, angle = self._distributions(
             logits[:, tokenizer.target_positions(batch.xy.shape[1]).to(self.device)]
         )
@@ -327,7 +262,6 @@ class Predictor:
             else:
                 negative = block_logits[..., slot, [PLUS, MINUS]].argmax(-1) == 1
             axes.append(torch.where(negative, -size, size))
-        back = roll_index(batch.num_vertices - start, batch.num_vertices, batch.xy.shape[1])
         xy = torch.stack(axes, -1).gather(1, back[..., None].expand(-1, -1, 2))
         return (
             (height * 10.0 ** tokenizer.height_places[-1]).cpu().numpy(),
@@ -335,12 +269,16 @@ class Predictor:
             decoding.decode(angle, mode).gather(1, back).double().cpu().numpy(),
         )
 
-    def _logits(
-        self, tokens: Tensor, batch: Batch, patches: Patches, positions: Tensor | None = None
-    ) -> Tensor:
-        ground_z = batch.ground_z * NETWORK_SCALE
-        cloud, valid = self.module.cloud_features(patches, ground_z)
-        return self.module.restore(tokens, batch.num_vertices, patches, ground_z, cloud, valid, positions)
+    def _sequences(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        """Tokens (b, l) with masked heights and angles, their kinds (b, l), and the place (b, n) in the sequence of
+        each edge of the footprints."""
+        tokenizer, num_vertices = self.tokenizer, batch.num_vertices
+        parameters, start = tokenizer.canonical(
+            tokenizer.quantise(batch.height, batch.xy, batch.angle, num_vertices)
+        )
+        return *tokenizer.mask_targets(parameters), roll_index(
+            num_vertices - start, num_vertices, batch.xy.shape[1]
+        )
 
     def _angle_support(self) -> Tensor:
         return decoding.angle_support(self.settings.angle_support).to(self.device)

@@ -41,7 +41,7 @@ KIND_PAD, KIND_FRAME, KIND_TYPE, KIND_SIGN, KIND_HEIGHT, KIND_COORDINATE, KIND_A
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Quantised:
     """Quantised parameter sets of a batch, in canonical order.
 
     height: int64 (b,), units of 10^-height_decimals m. xy: int64 (b, n, 2), units of 10^-coord_decimals m.
@@ -91,32 +91,19 @@ class Tokenizer:
             [0.0] * FIRST_DIGIT + [digit * 10.0**place for place in self.places for digit in range(10)]
         )
 
-    def length(self, num_vertices: int) -> int:
-        """Number of tokens of a building with ``num_vertices`` vertices."""
-        return self.header_length + self.block_length * num_vertices + 1
-
     # --- quantise, canonical order ---
 
-    def quantise(self, height_m: Tensor, xy_m: Tensor, angle_deg: Tensor, num_vertices: Tensor) -> Parameters:
+    def quantise(self, height_m: Tensor, xy_m: Tensor, angle_deg: Tensor, num_vertices: Tensor) -> Quantised:
         """Round metres and degrees; arguments (b,), (b, n, 2), (b, n), (b,). Not yet in canonical order."""
         inside = _inside(num_vertices, xy_m.shape[1])
-        return Parameters(
+        return Quantised(
             height=torch.round(height_m.double() * 10 ** -self.height_places[-1]).long(),
             xy=torch.round(xy_m.double() * 10**self.coord_decimals).long() * inside[..., None],
             angle=torch.round(angle_deg.double()).long() * inside,
             num_vertices=num_vertices,
         )
 
-    def representable(self, parameters: Parameters) -> Tensor:
-        """bool (b,): whether every value fits its digits."""
-        return (
-            (parameters.height >= 0)
-            & (parameters.height <= self.max_height)
-            & (parameters.xy.abs().amax((1, 2)) <= self.max_coord)
-            & ((parameters.angle >= 0) & (parameters.angle <= 99)).all(1)
-        )
-
-    def canonical(self, parameters: Parameters) -> tuple[Parameters, Tensor]:
+    def canonical(self, parameters: Quantised) -> tuple[Quantised, Tensor]:
         """Roll each ring to its uppermost-left vertex, angles with it.
 
         Returns the parameters and the start (b,): canonical vertex i is the input's vertex (start + i) mod n.
@@ -128,7 +115,7 @@ class Tokenizer:
         start = key.masked_fill(~inside, torch.iinfo(torch.int64).min).argmax(1)
         order = roll_index(start, num_vertices, parameters.xy.shape[1])
         return (
-            Parameters(
+            Quantised(
                 height=parameters.height,
                 xy=parameters.xy.gather(1, order[..., None].expand(-1, -1, 2)) * inside[..., None],
                 angle=parameters.angle.gather(1, order) * inside,
@@ -139,12 +126,18 @@ class Tokenizer:
 
     # --- tokens ---
 
-    def encode(self, parameters: Parameters) -> Tensor:
+    def encode(self, parameters: Quantised) -> Tensor:
         """int64 (b, length(n)) tokens of canonical parameters, padded with [pad].
 
         Raises ``ValueError`` where a value does not fit its digits.
         """
-        if not bool(self.representable(parameters).all()):
+        fits = (
+            (parameters.height >= 0)
+            & (parameters.height <= self.max_height)
+            & (parameters.xy.abs().amax((1, 2)) <= self.max_coord)
+            & ((parameters.angle >= 0) & (parameters.angle <= 99)).all(1)
+        )
+        if not bool(fits.all()):
             raise ValueError("a height, coordinate or angle does not fit the number format")
         device = parameters.xy.device
         batch, n = parameters.angle.shape
@@ -164,38 +157,6 @@ class Tokenizer:
         tokens = tokens.masked_fill(position >= end[:, None], PAD)
         return tokens.scatter(1, end[:, None], END)
 
-    def decode(self, tokens: Tensor) -> Parameters:
-        """The parameters of complete sequences (no [mask]), the inverse of :meth:`encode`.
-
-        Raises ``ValueError`` for a sequence that :meth:`encode` cannot produce.
-        """
-        num_vertices = self.num_vertices(tokens)
-        n = (tokens.shape[1] - self.header_length - 1) // self.block_length
-        inside = _inside(num_vertices, n)
-        block = self.blocks(tokens)
-        value = {
-            slot: self._number(block[..., slot + 1 : slot + 1 + len(self.coord_places)], self.coord_places)
-            * torch.where(block[..., slot] == MINUS, -1, 1)
-            for slot in (self.x_slot, self.y_slot)
-        }
-        parameters = Parameters(
-            height=self._number(tokens[:, 2 : self.header_length], self.height_places),
-            xy=torch.stack([value[self.x_slot], value[self.y_slot]], -1) * inside[..., None],
-            angle=self._number(block[..., self.angle_slot :], self.angle_places) * inside,
-            num_vertices=num_vertices,
-        )
-        if (
-            not bool(self.representable(parameters).all())
-            or not torch.equal(self.encode(parameters), tokens)
-            or bool(self.canonical(parameters)[1].any())
-        ):
-            raise ValueError("not a token sequence of a parameter set")
-        return parameters
-
-    def num_vertices(self, tokens: Tensor) -> Tensor:
-        """int64 (b,): vertices of each sequence, from its length without padding ([mask] counts as a token)."""
-        return ((tokens != PAD).sum(1) - self.header_length - 1) // self.block_length
-
     def blocks(self, tokens: Tensor) -> Tensor:
         """(b, n, block_length): the tokens between the header and the last position, per vertex; a view."""
         return tokens[:, self.header_length : -1].unflatten(1, (-1, self.block_length))
@@ -210,12 +171,12 @@ class Tokenizer:
         kind = kind.expand(len(num_vertices), -1).masked_fill(position >= end, KIND_PAD)
         return kind.masked_fill(position == end, KIND_FRAME)
 
-    def mask_targets(self, parameters: Parameters) -> tuple[Tensor, Tensor]:
+    def mask_targets(self, parameters: Quantised) -> tuple[Tensor, Tensor]:
         """The sequence of inference (section 4.3), in which the digits of height and angles are [mask].
 
         ``height`` and ``angle`` of the argument are ignored. Returns tokens (b, l) and kinds (b, l).
         """
-        empty = Parameters(
+        empty = Quantised(
             torch.zeros_like(parameters.height),
             parameters.xy,
             torch.zeros_like(parameters.angle),
@@ -238,14 +199,6 @@ class Tokenizer:
             [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=value.device
         )
         return (value[..., None] // powers) % 10 + first
-
-    def _number(self, digits: Tensor, places: tuple[int, ...]) -> Tensor:
-        """The inverse of :meth:`_digits`."""
-        powers = torch.tensor([10 ** (place - places[-1]) for place in places], device=digits.device)
-        first = torch.tensor(
-            [FIRST_DIGIT + 10 * self.places.index(place) for place in places], device=digits.device
-        )
-        return ((digits - first) * powers).sum(-1)
 
     def digit_tokens(self, place: int) -> slice:
         """The ten digit tokens of a place, as a slice of the vocabulary."""

@@ -10,7 +10,7 @@ import logging
 import math
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,11 +19,10 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from p2wss.config import Compute, Optimiser, Section
+from p2wss.config import Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.errors import InputError
 from p2wss.nets import distributed
-from p2wss.nets.metrics_log import MetricsLog
 from p2wss.nets.training_state import TrainingState
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
@@ -43,7 +42,6 @@ class Plan:
     optimiser: Optimiser
     ema_decay: float
     checkpoint_every_steps: int
-    compute: Compute
 
 
 class Task(Protocol):
@@ -60,9 +58,6 @@ class Task(Protocol):
     def validate(self, module: nn.Module) -> dict[str, float]:
         """Measures on held-out data of ``module``, the averaged weights where there are any."""
 
-    def compilable_parts(self) -> Sequence[nn.Module]:
-        """The parts of ``module`` that are worth compiling."""
-
 
 def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -> nn.Module:
     """Train ``task.module`` for ``plan.optimiser.num_steps`` steps and return the weights to keep.
@@ -75,12 +70,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
     """
     num_steps = plan.optimiser.num_steps
     state = TrainingState(task.module, plan.optimiser, plan.ema_decay)
-    if plan.compute.compile:
-        for part in task.compilable_parts():
-            part.compile()
-    metrics = MetricsLog(checkpoints, plan.compute.tensorboard)
     start = state.resume(checkpoints, identity)
-    metrics.truncate(start)
     with _stop_request() as is_stop_requested, Progress("training", num_steps, "steps", start) as progress:
         for step in range(start, num_steps):
             rate = state.learning_rate
@@ -90,10 +80,10 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
             if checkpoint_due or done % METRICS_EVERY_STEPS == 0:
                 averages = distributed.average_values({name: float(loss) for name, loss in losses.items()})
                 _require_finite(averages["loss"], done)
-                metrics.add({"step": done, "learning_rate": rate, **averages})
+                state.metrics.append({"step": done, "learning_rate": rate, **averages})
                 progress.update(done, f"loss {averages['loss']:.4f}")
             if checkpoint_due:
-                metrics.add({"step": done, **_validate(task, state, plan, done)})
+                state.metrics.append({"step": done, **_validate(task, state, plan, done)})
             stopping = done < num_steps and _any_process_stops(is_stop_requested(), done)
             if checkpoint_due or stopping:
                 state.save(checkpoints, done, identity)
@@ -105,9 +95,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
 
 def training_config(config: Section) -> dict[str, Any]:
     """The config without the settings that may differ between a run and the one that resumes it."""
-    return config.model_dump(
-        mode="json", exclude={"compute": {"device", "num_gpus", "compile", "resident", "tensorboard"}}
-    )
+    return config.model_dump(mode="json", exclude={"compute": {"device", "num_gpus"}})
 
 
 def _take_step(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[str, Tensor]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import shutil
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -18,16 +17,17 @@ from torch.optim.swa_utils import AveragedModel
 
 from p2wss.config import Optimiser
 from p2wss.nets import distributed
-from p2wss.nets.metrics_log import FILE_NAME
 from p2wss.storage import files, integrity
 
 log = logging.getLogger("p2wss")
 
+METRICS_NAME = "metrics.jsonl"
 MAX_CHECKPOINTS = 2
 
 
 class TrainingState:
-    """A network, the running average of its weights, its optimiser and its learning rate's schedule.
+    """A network, the running average of its weights, its optimiser, its learning rate's schedule, and the metrics of
+    the steps so far.
 
     Averaged weights are off for an ``ema_decay`` of 0.
     """
@@ -42,6 +42,7 @@ class TrainingState:
         )
         self.schedule = LambdaLR(self.optimiser, lambda step: learning_rate(step, settings))
         self.averaged = _averaged_model(module, ema_decay) if ema_decay > 0 else None
+        self.metrics: list[dict[str, float]] = []
 
     @property
     def trained(self) -> nn.Module:
@@ -61,22 +62,22 @@ class TrainingState:
             self.averaged.update_parameters(self.module)
 
     def save(self, folder: Path, step: int, identity: dict[str, Any]) -> None:
-        """Write a checkpoint after ``step`` steps and remove old ones; the main process does."""
+        """Write the metrics and a checkpoint after ``step`` steps, and remove old ones; the main process does."""
         if distributed.rank():
             return
+        files.write_text(folder / METRICS_NAME, "".join(json.dumps(line) + "\n" for line in self.metrics))
         checkpoint = {name: part.state_dict() for name, part in self._parts().items()}
+        checkpoint |= {"step": step, "identity": _text(identity), "metrics": self.metrics}
         # through memory, because torch reports a full disk as some RuntimeError
         buffer = BytesIO()
-        torch.save(checkpoint | {"step": step, "identity": json.dumps(identity, sort_keys=True)}, buffer)
-        buffer.write(integrity.TRAILER)
-        files.write_bytes(folder / f"step-{step:08d}.pt", buffer.getbuffer())
+        torch.save(checkpoint, buffer)
+        files.write_bytes(folder / f"step-{step:08d}.pt", buffer.getbuffer(), seal=True)
         for old in sorted(_checkpoints(folder))[:-MAX_CHECKPOINTS]:
             _checkpoints(folder)[old].unlink()
 
     def resume(self, folder: Path, identity: dict[str, Any]) -> int:
         """Load the latest readable checkpoint of this ``identity`` and return its step; without one, return 0
         and remove the checkpoints of anything else."""
-        expected = json.dumps(identity, sort_keys=True)
         for step, path in sorted(_checkpoints(folder).items(), reverse=True):
             if not integrity.is_usable(path):
                 log.warning("%s: damaged or incomplete; trying the previous one", path)
@@ -86,7 +87,7 @@ class TrainingState:
             except Exception as error:
                 log.warning("%s: not readable (%s); trying the previous one", path, type(error).__name__)
                 continue
-            if checkpoint["identity"] != expected:
+            if checkpoint["identity"] != _text(identity):
                 log.warning(
                     "%s: belongs to another configuration, code or data set; starting from the beginning",
                     folder,
@@ -94,6 +95,7 @@ class TrainingState:
                 break
             for name, part in self._parts().items():
                 part.load_state_dict(checkpoint[name])
+            self.metrics = checkpoint["metrics"]
             log.info("resuming at step %d", step)
             return step
         distributed.barrier()  # until every process has looked
@@ -117,30 +119,23 @@ def learning_rate(step: int, settings: Optimiser) -> float:
     return low + (high - low) * (1 + math.cos(math.pi * share)) / 2
 
 
-def cloud_cache_folder(checkpoints: Path) -> Path:
-    """Where the point clouds of the shards are decoded to, see :func:`p2wss.nets.shards.load_dataset`."""
-    return checkpoints / "clouds"
-
-
 def remove_checkpoints(checkpoints: Path) -> None:
     """Remove what a training wrote to the folder, and the folder if nothing else is in it."""
-    shutil.rmtree(cloud_cache_folder(checkpoints), ignore_errors=True)
-    for path in [*_checkpoints(checkpoints).values(), checkpoints / FILE_NAME]:
+    for path in [*_checkpoints(checkpoints).values(), checkpoints / METRICS_NAME]:
         path.unlink(missing_ok=True)
     if checkpoints.is_dir() and not any(checkpoints.iterdir()):
         checkpoints.rmdir()
 
 
+def _text(identity: dict[str, Any]) -> str:
+    return json.dumps(identity, sort_keys=True)
+
+
 def _parameter_groups(module: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
     """Weights of linear layers decay; biases, norms, tokens, codebooks and embeddings do not."""
-    decayed: list[nn.Parameter] = []
-    constant: list[nn.Parameter] = []
-    for name, parameter in module.named_parameters():
-        if parameter.requires_grad:
-            layer = module.get_submodule(name.rpartition(".")[0])
-            decays = parameter.ndim > 1 and isinstance(layer, nn.Linear)
-            (decayed if decays else constant).append(parameter)
-    return [{"params": decayed, "weight_decay": weight_decay}, {"params": constant, "weight_decay": 0.0}]
+    decayed = [part.weight for part in module.modules() if isinstance(part, nn.Linear)]
+    others = [p for p in module.parameters() if not any(p is weight for weight in decayed)]
+    return [{"params": decayed, "weight_decay": weight_decay}, {"params": others, "weight_decay": 0.0}]
 
 
 def _averaged_model(module: nn.Module, ema_decay: float) -> AveragedModel:

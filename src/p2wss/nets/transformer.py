@@ -7,6 +7,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from p2wss.config import Model
+
 
 class Attention(nn.Module):
     """Multi-head attention from ``x`` to ``source``, without biases in the projections (Point-BERT)."""
@@ -56,14 +58,15 @@ Source = tuple[Tensor, Tensor]
 class Block(nn.Module):
     """Self-attention and MLP, or self-attention, cross-attention and MLP (paper, figure 4; MaskVLM)."""
 
-    def __init__(self, dim: int, num_heads: int, mlp_ratio: float, drop_path: float, cross: bool) -> None:
+    def __init__(self, config: Model, drop_path: float, cross: bool) -> None:
         super().__init__()
+        dim, num_heads = config.dim, config.num_heads
         self.self_norm = nn.LayerNorm(dim)
         self.self_attention = Attention(dim, num_heads)
         self.cross_norm = nn.LayerNorm(dim) if cross else None
         self.cross_attention = Attention(dim, num_heads) if cross else None
         self.mlp_norm = nn.LayerNorm(dim)
-        self.mlp = Mlp(dim, mlp_ratio)
+        self.mlp = Mlp(dim, config.mlp_ratio)
         self.drop_path = DropPath(drop_path)
 
     def forward(
@@ -85,19 +88,11 @@ class Block(nn.Module):
 class Encoder(nn.Module):
     """``depth`` blocks and a final norm; the rate of stochastic depth grows linearly to ``drop_path``."""
 
-    def __init__(
-        self,
-        dim: int,
-        depth: int,
-        num_heads: int,
-        mlp_ratio: float,
-        drop_path: float,
-        cross: bool = False,
-    ) -> None:
+    def __init__(self, config: Model, depth: int, cross: bool = False) -> None:
         super().__init__()
-        rates = np.linspace(0, drop_path, depth).tolist()
-        self.blocks = nn.ModuleList(Block(dim, num_heads, mlp_ratio, rate, cross) for rate in rates)
-        self.norm = nn.LayerNorm(dim)
+        rates = np.linspace(0, config.drop_path, depth).tolist()
+        self.blocks = nn.ModuleList(Block(config, rate, cross) for rate in rates)
+        self.norm = nn.LayerNorm(config.dim)
 
     def forward(
         self,

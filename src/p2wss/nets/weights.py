@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,44 +16,41 @@ from p2wss import __version__
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
 from p2wss.errors import InputError
-from p2wss.nets.builders import build_dvae, build_model, build_tokenizer
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.metrics_log import last_validation
 from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.weights_file import read_metadata
 from p2wss.storage import files, integrity
 
-# keys of the metadata that had another name when older files were written
-_RENAMED_KEYS = {"words": "vocabulary"}
+_Network = TypeVar("_Network", bound=Module)
 
 
-def save_dvae(module: DiscreteVae, path: Path, config: DvaeConfig, code: str, metrics: str) -> None:
+def save_dvae(module: DiscreteVae, path: Path, code: str, metrics: str) -> None:
     """Write the tokenizer's weights, completely or not at all. ``metrics``: lines of ``metrics.jsonl``."""
     metadata = files.provenance(
-        kind="dvae", config=config.model_dump(mode="json"), code=code, measures=last_validation(metrics)
+        kind="dvae",
+        config=_settings(module.config.model_dump(mode="json")),
+        code=code,
+        measures=last_validation(metrics),
     )
     write_weights(path, module.state_dict(), metadata)
 
 
-def load_dvae(path: Path) -> tuple[DiscreteVae, DvaeConfig]:
-    """The trained tokenizer, frozen, and its config. Raises :class:`InputError` for any other file."""
+def load_dvae(path: Path) -> DiscreteVae:
+    """The trained tokenizer, frozen. Raises :class:`InputError` for any other file."""
     state, metadata = read_weights(path, "dvae")
     with _compatible(path, metadata):
-        config = DvaeConfig.model_validate(metadata["config"])
-        _check_sizes(lambda: build_dvae(config), state)
-        module = build_dvae(config)
+        config = DvaeConfig.model_validate(_settings(metadata["config"]))
+        module = _built(lambda: DiscreteVae(config), state)
         module.load_state_dict(state)
-    return module.eval().requires_grad_(False), config
+    return module.eval().requires_grad_(False)
 
 
-def save_model(
-    module: Point2Wss, path: Path, config: ModelConfig, dvae_config: DvaeConfig, code: str, metrics: str
-) -> None:
+def save_model(module: Point2Wss, path: Path, code: str, metrics: str) -> None:
     """Write the weights that inference needs, completely or not at all. ``metrics``: lines of ``metrics.jsonl``."""
     metadata = files.provenance(
         kind="model",
-        config=config.model_dump(mode="json"),
-        dvae_config=dvae_config.model_dump(mode="json"),
+        config=_settings(module.config.model_dump(mode="json")),
+        dvae_config=_settings(module.dvae_config.model_dump(mode="json")),
         vocabulary=module.tokenizer.vocabulary,
         code=code,
         measures=last_validation(metrics),
@@ -61,25 +58,27 @@ def save_model(
     write_weights(path, inference_weights(module.state_dict()), metadata)
 
 
-def load_model(path: Path) -> tuple[Point2Wss, ModelConfig, DvaeConfig]:
-    """A trained Point2WSS for inference, with its config and its tokenizer's.
-
-    Raises :class:`InputError` for any other file.
-    """
+def load_model(path: Path) -> Point2Wss:
+    """A trained Point2WSS for inference. Raises :class:`InputError` for any other file."""
     state, metadata = read_weights(path, "model")
     with _compatible(path, metadata):
-        config = ModelConfig.model_validate(metadata["config"])
-        dvae_config = DvaeConfig.model_validate(metadata["dvae_config"])
-        tokenizer = build_tokenizer(config)
-        if tuple(metadata["vocabulary"]) != tokenizer.vocabulary:
+        config = ModelConfig.model_validate(_settings(metadata["config"]))
+        dvae_config = DvaeConfig.model_validate(_settings(metadata["dvae_config"]))
+        module = _built(lambda: Point2Wss(config, dvae_config), state)
+        if tuple(metadata["vocabulary"]) != module.tokenizer.vocabulary:
             raise ValueError("another vocabulary")
-        _check_sizes(lambda: build_model(config, dvae_config, tokenizer), state)
-        module = build_model(config, dvae_config, tokenizer)
         module.load_state_dict(state, strict=False)
         missing = set(inference_weights(module.state_dict())) - set(state)
         if missing:
             raise ValueError(f"no weights {min(missing)}")
-    return module, config, dvae_config
+    return module
+
+
+def last_validation(metrics: str) -> dict[str, float]:
+    """The measures of the last validation among lines of metrics; empty if there was none."""
+    records = [json.loads(line) for line in metrics.splitlines()]
+    validations = [record for record in records if any(name.startswith("val_") for name in record)]
+    return validations[-1] if validations else {}
 
 
 def write_weights(path: Path, state: dict[str, Tensor], metadata: dict[str, Any]) -> None:
@@ -92,7 +91,7 @@ def write_weights(path: Path, state: dict[str, Tensor], metadata: dict[str, Any]
 
 
 def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """The inverse of :func:`write_weights`; renamed keys of the metadata get their present names.
+    """The inverse of :func:`write_weights`.
 
     Raises :class:`InputError` for a file that is missing, unreadable or not of this ``kind``.
     """
@@ -104,11 +103,16 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable safetensors file: {error}") from error
-    return state, {_RENAMED_KEYS.get(name, name): value for name, value in metadata.items()}
+    return state, metadata
 
 
-def _check_sizes(build: Callable[[], Module], state: dict[str, Tensor]) -> None:
-    """Raise ValueError if the network that the config describes has other sizes than the file's tensors.
+def _settings(config: dict[str, Any]) -> dict[str, Any]:
+    """The config of a network without where it was trained, which only files of older versions state."""
+    return {name: value for name, value in config.items() if name != "compute"}
+
+
+def _built(build: Callable[[], _Network], state: dict[str, Tensor]) -> _Network:
+    """The network. Raises ValueError if the config describes one of other sizes than the file's tensors.
 
     It is built without memory first, so that a config that does not belong to the weights cannot take all of it.
     """
@@ -117,6 +121,7 @@ def _check_sizes(build: Callable[[], Module], state: dict[str, Tensor]) -> None:
     for name, value in state.items():
         if shapes.get(name) != value.shape:
             raise ValueError(f"{name} has another size")
+    return build()
 
 
 @contextmanager

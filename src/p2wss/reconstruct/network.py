@@ -12,31 +12,11 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.mesh.parametric import build_meshes, kernel_angles, simplify_exterior, transfer_angles
-
-
-class Parameters(Protocol):
-    """Predicted parameters of b buildings.
-
-    eave_height_m: above the ground, (b,). angle_deg: per building an array with a value per edge over all rings.
-    class_probability: per building (edges, 3), of 0 degrees, 90 degrees and a slope. confidence: (b,), 0 to 1. Heights
-    are NaN where the network cannot take the footprint.
-    """
-
-    @property
-    def eave_height_m(self) -> np.ndarray: ...
-
-    @property
-    def angle_deg(self) -> Sequence[np.ndarray]: ...
-
-    @property
-    def class_probability(self) -> Sequence[np.ndarray]: ...
-
-    @property
-    def confidence(self) -> np.ndarray: ...
+from p2wss.nets.prediction import Prediction
 
 
 class Predictor(Protocol):
-    """The part of :class:`p2wss.model.Predictor` that reconstruction needs."""
+    """The part of :class:`p2wss.nets.predictor.Point2WssPredictor` that reconstruction needs."""
 
     @property
     def max_num_vertices(self) -> int:
@@ -47,8 +27,8 @@ class Predictor(Protocol):
         """The same network with predictions averaged over ``num_views`` views of a building."""
         ...
 
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Parameters:
-        """The parameters of buildings with these points, each (n, 3) with z above the ground, and rings as in
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
+        """The heights and angles of buildings with these points, each (n, 3) with z above the ground, and rings as in
         :class:`Building`."""
         ...
 
@@ -76,18 +56,18 @@ def reconstruct_with_network(
         elif status[i] == reasons.OK:
             status[i] = reasons.TOO_FEW_POINTS
     if with_points:
-        parameters = predictor.predict(
+        prediction = predictor.predict(
             [buildings[i].point_m - [0, 0, ground[i]] for i in with_points],
             [network_rings[i] for i in with_points],
         )
         for k, i in enumerate(with_points):
-            if np.isfinite(parameters.eave_height_m[k]):
-                height[i] = max(float(parameters.eave_height_m[k]), config.min_eave_height_m)
-                confidence[i] = parameters.confidence[k]
-                angle_deg = transfer_angles(network_rings[i], parameters.angle_deg[k], mesh_rings[i])
+            if np.isfinite(prediction.eave_height_m[k]):
+                height[i] = max(float(prediction.eave_height_m[k]), config.min_eave_height_m)
+                confidence[i] = prediction.confidence[k]
+                angle_deg = transfer_angles(network_rings[i], prediction.angle_deg[k], mesh_rings[i])
                 angle[i] = kernel_angles(angle_deg)
                 probability[i] = transfer_angles(
-                    network_rings[i], parameters.class_probability[k], mesh_rings[i]
+                    network_rings[i], prediction.class_probability[k], mesh_rings[i]
                 )
             else:
                 status[i] = reasons.FOOTPRINT_TOO_LARGE

@@ -7,10 +7,11 @@ each function is compiled for one set of types. Imports are inside, so that each
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
+from p2wss.nets.prediction import Prediction
 
 if TYPE_CHECKING:
     import geopandas as gpd
@@ -120,14 +121,6 @@ def _cloud(point_m: np.ndarray, classification: np.ndarray) -> Cloud:
     return Cloud(x, y, z, classification, pyproj.CRS(_CRS))
 
 
-@dataclass(frozen=True)
-class _Values:
-    eave_height_m: np.ndarray
-    angle_deg: Sequence[np.ndarray]
-    class_probability: Sequence[np.ndarray]
-    confidence: np.ndarray
-
-
 class _Network:
     """Hip roofs everywhere, in place of a network, which has nothing to compile."""
 
@@ -136,8 +129,11 @@ class _Network:
     def with_num_views(self, num_views: int) -> _Network:
         return self
 
-    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Any:
+    def predict(self, points_m: Sequence[np.ndarray], rings: Sequence[Sequence[np.ndarray]]) -> Prediction:
         num_edges = [sum(map(len, each)) for each in rings]
         probability = [np.tile([0.1, 0.2, 0.7], (n, 1)) for n in num_edges]
         angle_deg = [np.full(n, 40.0) for n in num_edges]
-        return _Values(np.full(len(rings), 6.0), angle_deg, probability, np.full(len(rings), 0.5))
+        confidence = np.full(len(rings), 0.5)
+        return Prediction(
+            np.full(len(rings), 6.0), angle_deg, probability, [confidence] * len(rings), confidence
+        )

@@ -15,8 +15,8 @@ from p2wss import cli
 from p2wss.config import ablated, load
 from p2wss.errors import InputError
 from p2wss.eval import ablation
-from p2wss.nets.builders import build_model, build_tokenizer
 from p2wss.nets.dataset import TrainingLimits
+from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import load_predictor
 from p2wss.nets.shards import load_dataset
 from p2wss.nets.weights import save_model
@@ -68,9 +68,9 @@ def test_the_table_holds_the_errors_on_the_test_split(tmp_path: Path) -> None:
     torch.manual_seed(0)
     paths = []
     for name in ("one", "two"):
-        module = build_model(config.model, config.dvae, build_tokenizer(config.model))
+        module = Point2Wss(config.model, config.dvae)
         paths.append(tmp_path / name / "model.safetensors")
-        save_model(module, paths[-1], config.model, config.dvae, "x", "")
+        save_model(module, paths[-1], "x", "")
     arguments = ["--manifest", str(manifest), "--models", *map(str, paths)]
     arguments += ["--out-csv", str(tmp_path / "t.csv"), "--out-markdown", str(tmp_path / "t.md")]
     assert cli.main(["eval", "ablation", *arguments, "--device", "cpu"]) == 0

@@ -18,9 +18,11 @@ from p2wss.errors import InputError
 from p2wss.model import task
 from p2wss.nets import dataset
 from p2wss.nets.batch import Batch
-from p2wss.nets.builders import build_dvae, build_tokenizer
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
-from p2wss.nets.predictor import BATCH_SIZE, Prediction, Predictor, load_predictor
+from p2wss.nets.discrete_vae import DiscreteVae
+from p2wss.nets.point2wss import Point2Wss
+from p2wss.nets.prediction import Prediction
+from p2wss.nets.predictor import Point2WssPredictor, load_predictor
 from p2wss.nets.shards import load_dataset
 from p2wss.nets.weights import save_dvae
 from p2wss.storage import integrity
@@ -33,7 +35,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     manifest = toy_crops.make(folder, {"train": 24, "val": 8, "test": 20})
     config = load({"dvae": SMALL_DVAE}).dvae
     torch.manual_seed(0)
-    save_dvae(build_dvae(config), folder / "d.safetensors", config, "x", "")
+    save_dvae(DiscreteVae(config), folder / "d.safetensors", "x", "")
     arguments = ["model", "--manifest", str(manifest), "--dvae", str(folder / "d.safetensors")]
     arguments += ["--out", str(folder / "m.safetensors")]
     arguments += ["--out-metrics", str(folder / "m.jsonl"), "--checkpoints", str(folder / "c")]
@@ -42,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def predictor(folder: Path) -> Predictor:
+def predictor(folder: Path) -> Point2WssPredictor:
     return load_predictor(folder / "m.safetensors")
 
 
@@ -85,7 +87,7 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
 ) -> None:
     config = load({"model": SMALL_MODEL}).model
     data = folder / "manifest.json", folder / "d.safetensors", config
-    expected = model.train(*data, tmp_path / "one", "x")[0].state_dict()
+    expected = model.train(*data, tmp_path / "one", "x").state_dict()
     real = task.ModelTask.step
 
     def dies(self: task.ModelTask, step: int) -> dict[str, torch.Tensor]:
@@ -97,12 +99,12 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     with pytest.raises(KeyboardInterrupt):
         model.train(*data, tmp_path / "two", "x")
     monkeypatch.setattr(task.ModelTask, "step", real)
-    resumed = model.train(*data, tmp_path / "two", "x")[0].state_dict()
+    resumed = model.train(*data, tmp_path / "two", "x").state_dict()
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
 def test_predictions_do_not_depend_on_the_order_or_on_other_buildings(
-    predictor: Predictor, labelled: BuildingDataset
+    predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
     together = predictor.predict(clouds, rings)
@@ -147,7 +149,7 @@ def test_predictions_are_the_same_to_the_bit_in_any_batch_and_on_any_number_of_t
 
 
 def test_passes_of_many_rows_have_sizes_that_follow_from_each_building(
-    predictor: Predictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
+    predictor: Point2WssPredictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on a GPU, where a matrix product of the same sizes rounds each row in the same way."""
     clouds, rings = inputs(labelled)
@@ -172,7 +174,7 @@ def test_passes_of_many_rows_have_sizes_that_follow_from_each_building(
 
 
 def test_predictions_follow_the_vertex_order_of_the_ring(
-    predictor: Predictor, labelled: BuildingDataset
+    predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
     """Another first vertex rolls the angles; a shift of cloud and ring changes nothing."""
     clouds, rings = inputs(labelled)
@@ -188,7 +190,7 @@ def test_predictions_follow_the_vertex_order_of_the_ring(
 
 
 def test_errors_of_labelled_buildings_are_those_of_their_predictions(
-    predictor: Predictor, labelled: BuildingDataset
+    predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
     prediction = predictor.predict(clouds, rings)
@@ -197,29 +199,7 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
     assert np.array_equal(np.concatenate(prediction.angle_deg) - labelled.angle_deg, angle)
 
 
-def test_errors_come_in_the_order_of_the_index(
-    predictor: Predictor, labelled: BuildingDataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    order = np.random.default_rng(0).permutation(len(labelled))
-    height, angle = predictor.errors(labelled, np.arange(len(labelled)))
-    monkeypatch.setattr(predictor, "_similar_size_batches", lambda *_: np.split(np.roll(order, 5), [7]))
-    other_height, other_angle = predictor.errors(labelled, order)
-    assert np.allclose(height[order], other_height, atol=0.011)
-    assert np.array_equal(angle.reshape(-1, 4)[order], other_angle.reshape(-1, 4))
-
-
-def test_batches_hold_each_building_once_and_hardly_any_padding(predictor: Predictor) -> None:
-    rng = np.random.default_rng(0)
-    num_points, num_vertices = rng.integers(10, 3000, 200), rng.integers(3, 17, 200)
-    batches = list(predictor.with_num_views(1)._similar_size_batches(num_points, num_vertices))
-    assert sorted(np.concatenate(batches)) == list(range(200))
-    for batch in batches:
-        assert len(batch) <= BATCH_SIZE["cpu"]
-        assert num_vertices[batch].max() <= 1.25 * num_vertices[batch].min()
-    assert len(batches) < 25
-
-
-def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: BuildingDataset) -> None:
+def test_courtyards_get_the_median_slope(predictor: Point2WssPredictor, labelled: BuildingDataset) -> None:
     clouds, rings = inputs(labelled)
     hole = np.array([[0, 0], [0, 1], [1, 1], [1, 0.0]])
     plain, pierced = predictor.predict(clouds, rings), predictor.predict(clouds, [[*r, hole] for r in rings])
@@ -232,7 +212,7 @@ def test_courtyards_get_the_median_slope(predictor: Predictor, labelled: Buildin
 
 
 def test_probabilities_of_classes_are_those_of_the_angles(
-    predictor: Predictor, labelled: BuildingDataset
+    predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
     prediction = predictor.predict(clouds, rings)
@@ -247,7 +227,7 @@ def test_probabilities_of_classes_are_those_of_the_angles(
 
 
 def test_a_footprint_beyond_the_number_format_has_no_prediction(
-    predictor: Predictor, labelled: BuildingDataset
+    predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
     clouds, rings = inputs(labelled)
     rings[3] = [rings[3][0] * 30]
@@ -262,7 +242,7 @@ def test_a_footprint_beyond_the_number_format_has_no_prediction(
 
 @pytest.mark.parametrize("signs_visible", [True, False])
 def test_footprints_predicted_from_masked_digits_keep_frame_and_order(
-    predictor: Predictor, labelled: BuildingDataset, signs_visible: bool
+    predictor: Point2WssPredictor, labelled: BuildingDataset, signs_visible: bool
 ) -> None:
     clouds, rings = inputs(labelled)
     exterior = [r[0] for r in rings]
@@ -288,19 +268,10 @@ def test_files_of_another_kind_are_rejected(folder: Path) -> None:
         load_predictor(folder / "d.safetensors")
 
 
-def test_patches_are_precomputed_where_no_augmentation_changes_the_shape_of_a_cloud() -> None:
-    assert model.preserves_patches(load(ROOT / "config" / "paper.yaml").model.augmentation)
-    off = {"keep_points": [1, 1], "occlusion_share": 0, "lift_m": 0, "jitter_m": 0}
-    assert model.preserves_patches(load({"model": {"augmentation": off}}).model.augmentation)
-    for name in off:
-        one_on = {key: value for key, value in off.items() if key != name}
-        assert not model.preserves_patches(load({"model": {"augmentation": one_on}}).model.augmentation)
-
-
 def test_the_papers_preset_is_a_valid_override() -> None:
     paper = load(ROOT / "config" / "paper.yaml").model
     assert paper.dim == 384 and paper.masking.random_ratio == (0.3, 0.3)
-    assert build_tokenizer(paper).vocabulary_size == 61
+    assert Point2Wss(paper, load(ROOT / "config" / "paper.yaml").dvae).tokenizer.vocabulary_size == 61
     assert Model().masking.inference_share == 0.8
 
 
@@ -319,20 +290,18 @@ def test_eight_buildings_can_be_memorised(folder: Path, tmp_path: Path) -> None:
             }
         }
     ).model
-    module, dvae_config = model.train(manifest, folder / "d.safetensors", config, tmp_path / "c", "x")
+    module = model.train(manifest, folder / "d.safetensors", config, tmp_path / "c", "x")
     training_set = load_dataset(
         manifest, ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False
     )
-    height, angle = Predictor(module, config.decoding, dvae_config, 8, TrainingLimits(64, 8, 70)).errors(
-        training_set, np.arange(8)
-    )
+    height, angle = Point2WssPredictor(module).errors(training_set, np.arange(8))
     assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3
 
 
-def test_bfloat16_resident_clouds_and_the_device_option_train_too(folder: Path, tmp_path: Path) -> None:
+def test_bfloat16_and_the_device_option_train_too(folder: Path, tmp_path: Path) -> None:
     few = SMALL_MODEL | {
         "optimiser": {"num_steps": 4, "batch_size": 8},
-        "compute": {"precision": "bfloat16", "resident": True},
+        "compute": {"precision": "bfloat16"},
     }
     arguments = [
         "model",

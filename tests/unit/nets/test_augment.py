@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import torch
 
 from p2wss.nets import augment
 from p2wss.nets.batch import Batch
-from p2wss.nets.patches import Patches, cut_patches, make_patches, patch_index
 
 from .test_tokenizer import buildings
 
@@ -50,29 +48,6 @@ def test_rings_stay_on_their_points(change: object) -> None:
     after = change(before)  # type: ignore[operator]
     rings_follow(before, after)
     assert not torch.equal(after.points, before.points)
-
-
-def test_a_patch_index_survives_rigid_changes_and_scaling_only() -> None:
-    torch.manual_seed(0)
-    before = batch()
-    index = patch_index(before.points, before.valid, 8, 8)
-    with_index = replace(before, patch_index=index.to(torch.int16))
-    after = augment.scale_randomly(augment.mirror_randomly(augment.rotate_randomly(with_index)), (0.5, 2))
-    after = augment.centre(after)
-    assert after.patch_index is not None
-    ours, computed = (cut_patches(after.points, after.patch_index.long()), recomputed_patches(after))
-    assert torch.allclose(ours.points, computed.points) and torch.equal(ours.valid, computed.valid)
-    for changed in (
-        augment.lift_randomly(with_index, 3),
-        augment.jitter(with_index, 0.1),
-        augment.occlude_randomly(with_index, 1.0, 4),
-        augment.drop_points_randomly(with_index, (0.5, 0.5), 4),
-    ):
-        assert changed.patch_index is None
-
-
-def recomputed_patches(batch: Batch) -> Patches:
-    return make_patches(batch.points, batch.valid, 8, 8)
 
 
 def test_centre_ignores_padding() -> None:

@@ -11,11 +11,8 @@ import torch
 import toy_crops
 
 from p2wss.errors import InputError
-from p2wss.nets import dataset, patch_cache, shards
-from p2wss.nets.batch import UNKNOWN_PATCHES
+from p2wss.nets import dataset
 from p2wss.nets.dataset import BatchSampler, TrainingLimits
-from p2wss.nets.patch_cache import PatchSettings, precompute_patches
-from p2wss.nets.patches import patch_index
 from p2wss.nets.shards import describe, load_dataset
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS
@@ -136,42 +133,10 @@ def test_an_epoch_visits_every_building_once_in_batches_of_similar_length() -> N
     assert len(BatchSampler(num[:5], 32, seed=1).batch(3)) == 5
 
 
-def test_the_decoded_files_are_found_again_and_hold_the_same(
-    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    arguments = (["train"], LIMITS, True, False)
-    plain = load_dataset(manifest, *arguments)
-    first = load_dataset(manifest, *arguments, cache=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 1
-    with monkeypatch.context() as patch:
-        patch.setattr(shards, "_read_shard", lambda *_: pytest.fail("decoded again"))
-        second = load_dataset(manifest, *arguments, cache=tmp_path)
-    for name in vars(plain):
-        if name not in ("num_excluded", "folder"):
-            assert np.array_equal(getattr(plain, name), getattr(first, name))
-            assert np.array_equal(getattr(plain, name), getattr(second, name))
-    assert plain.num_excluded == second.num_excluded
-    load_dataset(manifest, ["val"], LIMITS, True, False, cache=tmp_path)
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_an_interrupted_decoding_leaves_nothing(
-    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def dies(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(np, "savez", dies)
-    with pytest.raises(KeyboardInterrupt):
-        load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_thinning_selects_every_point_equally_often_and_in_order() -> None:
     count = np.zeros(50)
     for seed in range(4000):
-        chosen = np.empty(20, np.int64)
-        dataset._select(50, dataset._random_states(np.array([3]), np.array([50]), seed * 7919)[0], chosen)
+        chosen = dataset.thin(50, 20, seed * 7919)
         assert (np.diff(chosen) > 0).all() and chosen[-1] < 50
         count[chosen] += 1
     # 4,000 draws of 2 in 5: 5 standard deviations
@@ -179,69 +144,15 @@ def test_thinning_selects_every_point_equally_often_and_in_order() -> None:
     assert dataset.thin(10, 20).tolist() == list(range(10))
 
 
-def test_patches_are_computed_once_and_only_of_clouds_that_are_not_thinned(
+def test_the_points_leave_no_file_and_a_full_disk_is_one_clear_line(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cpu = torch.device("cpu")
-    train = load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
-    size = np.diff(train.point_offset)
-    cut = PatchSettings(int(np.median(size)), 6, 8)
-    whole = size <= cut.num_points
-    assert 0 < whole.sum() < len(train)
-    monkeypatch.setattr(patch_cache, "_BATCH_SIZE", 4)
-    first = precompute_patches(train, cut, cpu)
-    monkeypatch.setattr(patch_cache, "_fill_patch_index", lambda *_: pytest.fail("computed again"))
-    second = precompute_patches(train, cut, cpu)
-    monkeypatch.undo()
-    in_memory = precompute_patches(
-        load_dataset(manifest, ["train"], LIMITS, True, False), cut, torch.device("cpu")
-    )
-    assert first.patch_index is not None and first.patch_index.dtype == np.int16
-    assert np.array_equal(first.patch_index, second.patch_index)
-    assert np.array_equal(first.patch_index, in_memory.patch_index)
-    assert (first.patch_index[~whole] == UNKNOWN_PATCHES).all()
-    index = np.array([np.flatnonzero(whole)[-1], np.flatnonzero(~whole)[0]])
-    batch = first.batch(index, cut.num_points, 7)
-    expected = patch_index(batch.points[:1], batch.valid[:1], 6, 8)
-    assert batch.patch_index is not None and torch.equal(batch.patch_index[:1].long(), expected)
+    loaded = load_dataset(manifest, ["train"], LIMITS, labelled=True, folder=tmp_path)
+    assert len(loaded.points_cm) == loaded.point_offset[-1] and not list(tmp_path.iterdir())
 
+    def full(**_: object) -> object:
+        raise OSError(28, "No space left on device")
 
-def test_an_interrupted_computation_of_patches_leaves_nothing(
-    manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    train = load_dataset(manifest, ["train"], LIMITS, True, False, cache=tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-
-    def dies(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(patch_cache, "patch_index", dies)
-    with pytest.raises(KeyboardInterrupt):
-        precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
-    assert sorted(tmp_path.rglob("*")) == before
-    monkeypatch.undo()
-    loaded = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
-    assert loaded.folder is not None and loaded.patch_index is not None
-    expected = loaded.patch_index.copy()
-    next(loaded.folder.glob("patches-*")).write_bytes(b"cut off")
-    again = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
-    assert "patches-1000000-4x8.i16: damaged; computing the patches again" in caplog.text
-    assert again.patch_index is not None
-    assert np.array_equal(again.patch_index, expected)
-
-
-def test_resident_clouds_give_the_same_batches(manifest: Path) -> None:
-    train = load_dataset(manifest, ["train"], LIMITS, labelled=True, include_real=False)
-    train = precompute_patches(train, PatchSettings(10**6, 4, 8), torch.device("cpu"))
-    resident = dataset.ResidentDataset(train, torch.device("cpu"))
-    index = np.array([5, 1, 9])
-    for seed in (None, 4):
-        ours, other = train.batch(index, 10**6, seed), resident.batch(index, 10**6, seed)
-        for name in vars(ours):
-            assert torch.allclose(getattr(ours, name), getattr(other, name), atol=1e-6), name
-    thinned = resident.batch(index, 100, 4)
-    assert thinned.valid.sum(1).tolist() == [100] * 3
-    whole = {
-        tuple(np.round(100 * p).astype(int)) for p in train.batch(index[:1], 10**6, None).points[0].numpy()
-    }
-    assert {tuple(np.round(100 * p).astype(int)) for p in thinned.points[0].numpy()} <= whole
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
+    with pytest.raises(InputError, match="temporary file: No space left on device"):
+        load_dataset(manifest, ["train"], LIMITS, labelled=True, folder=tmp_path)

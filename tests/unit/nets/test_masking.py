@@ -17,13 +17,13 @@ from p2wss.nets.tokenizer import (
     Tokenizer,
 )
 
-from .test_tokenizer import buildings
+from .test_tokenizer import buildings, length
 
 
 def kinds(count: int = 400) -> torch.Tensor:
     tok = Tokenizer()
     num = buildings(0, count)[3]
-    return tok.kinds(torch.Size((count, tok.length(12))), num)
+    return tok.kinds(torch.Size((count, int(length(tok, torch.tensor(12))))), num)
 
 
 def test_each_pattern_masks_its_kinds_of_tokens() -> None:

@@ -46,11 +46,6 @@ def test_farthest_points_as_by_brute_force_and_never_padding(seed: int) -> None:
         assert chosen[row].tolist() == expected.tolist()
         reference = cdist(points[row, chosen[row]].numpy(), points[row].numpy()[valid_index])
         assert np.allclose(distance[row].numpy()[:, valid_index], reference**2, rtol=1e-4, atol=1e-6)
-        # one cloud without padding, which numpy searches
-        alone = farthest_points(points[row, valid_index][None], torch.ones(1, len(valid_index)).bool(), 16)
-        assert valid_index[alone[0][0].numpy()].tolist() == expected.tolist()
-        assert torch.equal(alone[1][0], distinct[row])
-        assert torch.equal(alone[2][0], distance[row][:, valid_index])
 
 
 @settings(max_examples=25, deadline=None)

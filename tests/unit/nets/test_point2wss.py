@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 import tiny_network
 import torch
 from torch.nn import functional as F
 
-from p2wss.nets.discrete_vae import MiniPointNet
 from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
 from p2wss.nets.tokenizer import FIRST_DIGIT, KIND_ANGLE, KIND_COORDINATE, KIND_HEIGHT, MASK, Tokenizer
 
-from .test_discrete_vae import with_random_norms
-from .test_tokenizer import buildings
+from .test_tokenizer import buildings, length
 
-SIZES = replace(tiny_network.SIZES, num_tokens=20)
+DVAE = tiny_network.DVAE.model_copy(update={"num_tokens": 20})
 
 
 def network(**switches: object) -> Point2Wss:
     torch.manual_seed(0)
-    return Point2Wss(replace(SIZES, **switches), Tokenizer(), 0.1)  # type: ignore[arg-type]
+    return Point2Wss(tiny_network.MODEL.model_copy(update=switches), DVAE)
 
 
 def sample(count: int = 4) -> tuple[Patches, torch.Tensor, torch.Tensor]:
@@ -41,36 +38,27 @@ def test_padding_of_the_sequence_changes_nothing() -> None:
     model = network().eval()
     patches, tokens, num = sample()
     shortest = int(num.argmin())
-    cloud, valid = model.cloud_features(patches, torch.zeros(4))
-    together = model.restore(tokens, num, patches, torch.zeros(4), cloud, valid)
-    length = Tokenizer().length(int(num[shortest]))
+    together = model.restore(tokens, num, patches, torch.zeros(4))
+    num_tokens = int(length(Tokenizer(), num[shortest]))
     one = slice(shortest, shortest + 1)
     few = Patches(patches.centre[one], patches.points[one], patches.valid[one])
-    alone = model.restore(tokens[one, :length], num[one], few, torch.zeros(1), cloud[one], valid[one])
-    assert length < tokens.shape[1]
-    assert torch.allclose(together[shortest, :length], alone[0], atol=1e-5)
+    alone = model.restore(tokens[one, :num_tokens], num[one], few, torch.zeros(1))
+    assert num_tokens < tokens.shape[1]
+    assert torch.allclose(together[shortest, :num_tokens], alone[0], atol=1e-5)
 
 
-def test_inference_equals_the_plain_network(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folded norms and target positions only, on padded clouds and sequences, against the plain forward pass."""
+def test_positions_are_a_part_of_the_whole() -> None:
+    """Target positions only, on padded clouds and sequences, against all positions."""
     tok = Tokenizer()
-    model = network()
-    with_random_norms(model.cloud.embed)
+    model = network().eval()
     patches, tokens, num = sample()
     patches.valid[1, 7:] = False
     kind = tok.kinds(tokens.shape, num)
     tokens = tokens.masked_fill((kind == KIND_HEIGHT) | (kind == KIND_ANGLE), MASK)
     targets = tok.target_positions(int(num.max()))
     ground = torch.randn(4)
-
-    def logits(positions: torch.Tensor | None) -> torch.Tensor:
-        cloud, valid = model.cloud_features(patches, ground)
-        return model.restore(tokens, num, patches, ground, cloud, valid, positions)
-
-    model.eval()
-    result = logits(targets)
-    monkeypatch.setattr(MiniPointNet, "infer", MiniPointNet.forward)
-    plain = logits(None)
+    result = model.restore(tokens, num, patches, ground, targets)
+    plain = model.restore(tokens, num, patches, ground)
     assert result.shape == (4, len(targets), tok.vocabulary_size) and len(targets) < plain.shape[1]
     assert torch.allclose(result, plain[:, targets], atol=2e-5)
     assert plain[:, targets].std() > 0.1
@@ -79,15 +67,13 @@ def test_inference_equals_the_plain_network(monkeypatch: pytest.MonkeyPatch) -> 
 def test_repeated_patches_change_nothing() -> None:
     model = network().eval()
     patches, tokens, num = sample()
-    cloud, valid = model.cloud_features(patches, torch.zeros(4))
-    expected = model.restore(tokens, num, patches, torch.zeros(4), cloud, valid)
+    expected = model.restore(tokens, num, patches, torch.zeros(4))
     more = Patches(
         torch.cat([patches.centre, torch.full((4, 3, 3), 9.0)], 1),
         torch.cat([patches.points, torch.full((4, 3, 8, 3), 9.0)], 1),
         torch.cat([patches.valid, torch.zeros(4, 3, dtype=torch.bool)], 1),
     )
-    cloud, valid = model.cloud_features(more, torch.zeros(4))
-    assert torch.allclose(model.restore(tokens, num, more, torch.zeros(4), cloud, valid), expected, atol=1e-5)
+    assert torch.allclose(model.restore(tokens, num, more, torch.zeros(4)), expected, atol=1e-5)
 
 
 def test_masked_digits_cannot_leak() -> None:
@@ -104,7 +90,7 @@ def test_masked_digits_cannot_leak() -> None:
     for sequence in (tokens, other):
         model.losses(
             patches, torch.zeros(4), mask_patches(patches, (0.3, 0.3)), torch.zeros(4, 12, dtype=torch.long),
-            sequence, digits, num, True,
+            sequence, digits, num,
         )  # fmt: skip
     assert torch.equal(captured[0][4:], captured[1][4:])  # the masked half of the doubled batch
     assert not torch.equal(captured[0][:4], captured[1][:4])
@@ -115,7 +101,7 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     square = torch.tensor([[[-3.0, 2.5], [-3.0, -2.5], [3.0, -2.5], [3.0, 2.5]]])
     parameters = tok.quantise(torch.tensor([5.0]), square, torch.zeros(1, 4), torch.tensor([4]))
     tokens, _ = tok.mask_targets(parameters)
-    edges = edge_features(tok, tokens, torch.tensor([4]), tok.token_value, 0.1)[0]
+    edges = edge_features(tok, tokens, torch.tensor([4]), tok.token_value)[0]
     #         visible  start        end          length normal  distance
     expected = [
         [1, -0.3, 0.25, -0.3, -0.25, 0.5, -1, 0, 0.3],
@@ -126,7 +112,7 @@ def test_edge_features_restate_the_visible_coordinates_only() -> None:
     assert torch.allclose(edges, torch.tensor(expected), atol=1e-6)
     masked = tokens.clone()
     masked[0, tok.header_length + tok.block_length + tok.x_slot + 2] = MASK  # a digit of vertex 1
-    edges = edge_features(tok, masked, torch.tensor([4]), tok.token_value, 0.1)[0]
+    edges = edge_features(tok, masked, torch.tensor([4]), tok.token_value)[0]
     assert (edges[:2] == 0).all()
     assert torch.allclose(edges[2:], torch.tensor(expected)[2:], atol=1e-6)
 
@@ -146,7 +132,7 @@ def test_edges_attend_to_patches_in_their_own_frame() -> None:
         tokens, _ = tok.mask_targets(parameters)
         if masked is not None:
             tokens[0, tok.header_length + tok.block_length * masked + tok.x_slot + 1] = MASK
-        return look(edge_features(tok, tokens, num, tok.token_value, 0.1), cloud, some, ground)[0]
+        return look(edge_features(tok, tokens, num, tok.token_value), cloud, some, ground)[0]
 
     moved = Patches(patches.centre + torch.tensor([0.2, 0.2, 0]), patches.points, patches.valid)
     assert torch.allclose(attended(0, patches), attended(2, moved), atol=1e-5)
@@ -170,7 +156,7 @@ def test_averaging_before_the_value_layer_is_averaging_after_it() -> None:
     patches, tokens, num = sample()
     patches.valid[1, 7:] = False
     tok = Tokenizer()
-    edges = edge_features(tok, tokens, num, tok.token_value, 0.1)
+    edges = edge_features(tok, tokens, num, tok.token_value)
     pairs: list[torch.Tensor] = []
     look.logits.register_forward_pre_hook(lambda _module, inputs: pairs.append(inputs[0]))
     result = look(edges, torch.randn(4, 12, 16), patches, torch.randn(4))
@@ -182,13 +168,13 @@ def test_averaging_before_the_value_layer_is_averaging_after_it() -> None:
 
 @pytest.mark.parametrize("balanced", [False, True])
 def test_match_loss_is_that_of_all_fused_pairs(balanced: bool) -> None:
-    model = network()
+    model = network(match_balanced=balanced)
     g_p, g_s = torch.randn(6, 16), torch.randn(6, 16)
     fused = (g_p[:, None] * g_s[None]).flatten(0, 1)
     target = torch.eye(6, dtype=torch.long).flatten()
     weight = torch.tensor([1 / 30, 1 / 6]) if balanced else torch.tensor([0.1, 0.9])
     expected = F.cross_entropy(model.match(fused), target, weight=weight)
-    assert torch.allclose(model._match_loss(g_p, g_s, balanced), expected, atol=1e-6)
+    assert torch.allclose(model._match_loss(g_p, g_s), expected, atol=1e-6)
 
 
 def test_losses_start_near_chance_and_reach_every_weight() -> None:
@@ -197,7 +183,7 @@ def test_losses_start_near_chance_and_reach_every_weight() -> None:
     masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
     losses = model.losses(
         patches, torch.zeros(8), mask_patches(patches, (0.25, 0.45)),
-        torch.randint(20, (8, 12)), tokens, masked, num, False,
+        torch.randint(20, (8, 12)), tokens, masked, num,
     )  # fmt: skip
     assert float(losses["sequence"].detach()) == pytest.approx(math.log(51), abs=0.7)
     assert float(losses["cloud"]) == pytest.approx(math.log(20), abs=0.7)
@@ -211,10 +197,10 @@ def test_auxiliary_losses_are_those_of_the_first_pairs_alone() -> None:
     patches, tokens, num = sample(8)
     masked = mask_parameters(Tokenizer().kinds(tokens.shape, num), 0.0, 0.0, (0.3, 0.3))
     patch_masked, labels = mask_patches(patches, (0.25, 0.45)), torch.randint(20, (8, 12))
-    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, tokens, masked, num, True)
-    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], tokens, masked, num, True)
+    whole = model.losses(patches, torch.zeros(8), patch_masked, labels, tokens, masked, num)
+    some = model.losses(patches, torch.zeros(8), patch_masked[:3], labels[:3], tokens, masked, num)
     alone = model.losses(
-        patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], masked[:3], num[:3], True
+        patches[:3], torch.zeros(3), patch_masked[:3], labels[:3], tokens[:3], masked[:3], num[:3]
     )
     assert torch.allclose(some["sequence"], whole["sequence"], atol=1e-5)
     for name in ("cloud", "modal", "match"):
@@ -228,12 +214,9 @@ def test_inference_needs_only_the_parts_that_are_kept() -> None:
     weights = inference_weights(model.state_dict())
     assert not any(name.startswith(("cloud_cross", "cloud_head", "align", "match")) for name in weights)
     torch.manual_seed(9)
-    other = Point2Wss(SIZES, Tokenizer(), 0.1).eval()
+    other = Point2Wss(tiny_network.MODEL, DVAE).eval()
     other.load_state_dict(weights, strict=False)
-    answers = []
-    for net in (model, other):
-        cloud, valid = net.cloud_features(patches, torch.ones(4))
-        answers.append(net.restore(tokens, num, patches, torch.zeros(4), cloud, valid))
+    answers = [net.restore(tokens, num, patches, torch.zeros(4)) for net in (model, other)]
     assert torch.equal(*answers)
 
 
@@ -241,6 +224,7 @@ def test_ground_enters_only_where_it_is_switched_on() -> None:
     patches, _, _ = sample()
     for on in (True, False):
         model = network(ground_relative=on).eval()
-        low, _ = model.cloud_features(patches, torch.zeros(4))
-        high, _ = model.cloud_features(patches, torch.ones(4))
+        low, high = (
+            model.cloud.embed_patches(patches, ground)[1] for ground in (torch.zeros(4), torch.ones(4))
+        )
         assert torch.equal(low, high) is not on

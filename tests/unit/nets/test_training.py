@@ -11,17 +11,15 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import torch
 from torch import Tensor, nn
 
-from p2wss.config import Compute
 from p2wss.errors import InputError
 from p2wss.nets import compute, training
-from p2wss.nets.metrics_log import last_validation, read_metrics
-from p2wss.nets.training_state import TrainingState, learning_rate, remove_checkpoints
+from p2wss.nets.training_state import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
+from p2wss.nets.weights import last_validation
 
 IDENTITY = {"config": {"a": 1}, "code": "x"}
 
@@ -55,16 +53,17 @@ class Line:
         loss = (self.module(x)[:, 0] - x.sum(1)).square().mean()
         return {"loss": loss * (math.nan if step == self.poison else 1.0)}
 
-    def compilable_parts(self) -> list[nn.Module]:
-        return [self.module]
-
     def validate(self, module: nn.Module) -> dict[str, float]:
         x = torch.randn(64, 2)
         return {"val_error": float((module(x)[:, 0] - x.sum(1)).abs().mean())}
 
 
+def read_metrics(folder: Path) -> str:
+    return (folder / METRICS_NAME).read_text()
+
+
 def run(folder: Path, task: Line, ema_decay: float = 0.9, identity: dict = IDENTITY) -> dict[str, Tensor]:
-    plan = training.Plan(3, Settings(), ema_decay, 20, Compute())
+    plan = training.Plan(3, Settings(), ema_decay, 20)
     return training.train(task, plan, folder, identity).state_dict()
 
 
@@ -195,44 +194,6 @@ def test_metrics_are_lines_of_json_and_the_folder_can_go(tmp_path: Path) -> None
     assert last_validation(read_metrics(folder))["step"] == 60
     remove_checkpoints(folder)
     assert not folder.exists()
-
-
-def test_tensorboard_that_is_not_installed_is_one_clear_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    plan = training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True))
-    with pytest.raises(InputError, match="pip install tensorboard"):
-        training.train(Line(), plan, tmp_path, IDENTITY)
-
-
-def test_tensorboard_gets_every_metric(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written: list[tuple[str, float, int]] = []
-
-    class Writer:
-        def __init__(self, folder: str) -> None:
-            assert Path(folder) == tmp_path / "tensorboard"
-
-        def add_scalar(self, *what: object) -> None:
-            written.append(what)
-
-        def flush(self) -> None: ...
-
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", SimpleNamespace(SummaryWriter=Writer))
-    training.train(Line(), training.Plan(3, Settings(), 0, 20, Compute(tensorboard=True)), tmp_path, IDENTITY)
-    records = [json.loads(line) for line in read_metrics(tmp_path).splitlines()]
-    expected = [(k, v, r["step"]) for r in records for k, v in r.items() if k != "step"]
-    assert sorted(written) == sorted(expected)
-
-
-@pytest.mark.slow
-def test_compiled_is_the_same_but_for_rounding(tmp_path: Path) -> None:
-    plain = run(tmp_path / "one", Line())
-    plan = training.Plan(3, Settings(), 0.9, 20, Compute(compile=True))
-    task = Line()
-    task.module[2] = nn.Identity()  # its random numbers come from elsewhere once compiled
-    compiled = training.train(task, plan, tmp_path / "two", IDENTITY).state_dict()
-    assert plain.keys() == compiled.keys()
 
 
 def test_a_gpu_that_is_not_there_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 
 from p2wss.config import load
 from p2wss.errors import InputError
-from p2wss.nets.builders import build_model, build_tokenizer
+from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.weights import load_dvae, load_model, read_weights, save_model, write_weights
 from p2wss.storage.integrity import is_intact
 
@@ -38,8 +38,8 @@ def test_weights_carry_their_metadata_and_other_files_are_rejected(tmp_path: Pat
 
 def test_the_shipped_weights_load_and_know_the_vocabulary_of_the_code() -> None:
     _, metadata = read_weights(SHIPPED, "model")
-    assert "words" not in metadata
-    module, config, dvae_config = load_model(SHIPPED)
+    module = load_model(SHIPPED)
+    config, dvae_config = module.config, module.dvae_config
     assert tuple(metadata["vocabulary"]) == module.tokenizer.vocabulary
     assert (config.dim, config.decoding.num_rotations, dvae_config.num_tokens) == (128, 4, 512)
 
@@ -54,18 +54,13 @@ def test_the_shipped_weights_state_their_checksum(tmp_path: Path) -> None:
         load_model(path)
 
 
-def test_metadata_with_former_names_loads_as_metadata_with_present_ones(tmp_path: Path) -> None:
+def test_weights_that_are_read_are_those_that_were_saved(tmp_path: Path) -> None:
     config = load({"dvae": SMALL_DVAE, "model": SMALL_MODEL})
-    module = build_model(config.model, config.dvae, build_tokenizer(config.model))
     path = tmp_path / "m.safetensors"
-    save_model(module, path, config.model, config.dvae, "x", "")
-    state, present = read_weights(path, "model")
-    former = dict(present)
-    former["words"] = former.pop("vocabulary")
-    write_weights(path, state, former)
-    assert read_weights(path, "model")[1] == present
-    loaded, *configs = load_model(path)
-    assert configs == [config.model, config.dvae]
+    save_model(Point2Wss(config.model, config.dvae), path, "x", "")
+    state, _ = read_weights(path, "model")
+    loaded = load_model(path)
+    assert (loaded.config, loaded.dvae_config) == (config.model, config.dvae)
     assert all(torch.equal(loaded.state_dict()[name], state[name]) for name in state)
 
 

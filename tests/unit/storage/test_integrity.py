@@ -6,7 +6,6 @@ import json
 import shutil
 from pathlib import Path
 
-import file_kinds
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -15,6 +14,8 @@ from file_kinds import KINDS, flip_bits
 
 from p2wss.cli import main
 from p2wss.errors import InputError
+from p2wss.nets.dataset import TrainingLimits
+from p2wss.nets.shards import load_dataset
 from p2wss.storage import files, integrity
 from p2wss.storage.schemas.manifest import read_manifest
 
@@ -107,7 +108,7 @@ def test_another_shard_in_place_of_one_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"0001_0001\.parquet: not the file that the manifest lists.*-R crops "
     ):
-        file_kinds.load_dataset(manifest, ["train"], file_kinds._LIMITS, True, False)
+        load_dataset(manifest, ["train"], TrainingLimits(1, 12, 100.0), labelled=True)
 
 
 def test_a_manifest_from_which_a_shard_was_dropped_is_refused(tmp_path: Path) -> None:
