@@ -25,12 +25,12 @@ sys.path.insert(0, str(ROOT / "tests" / "unit" / "skeleton"))
 from figures import Figures, cpu_seconds  # noqa: E402
 from numba import njit  # noqa: E402
 from sfcgal import sfcgal_volumes  # noqa: E402
-from skeleton_samples import REGIMES, sample_angles, sample_footprints  # noqa: E402
+from skeleton_samples import REGIMES, clean, edge_source, sample_angles, sample_footprints  # noqa: E402
 from skeleton_solids import volumes  # noqa: E402
 
 from p2wss.config import Scenes  # noqa: E402
 from p2wss.scenes.roofs import FootprintEdges, draw_angles  # noqa: E402
-from p2wss.skeleton import Polygons, Status, build, clean  # noqa: E402
+from p2wss.skeleton import Polygons, Status, build  # noqa: E402
 from p2wss.skeleton.footprint import load_footprint, set_angles  # noqa: E402
 from p2wss.skeleton.kinetic import simulate, skeleton_work  # noqa: E402
 from p2wss.skeleton.queries import assign, query_work  # noqa: E402
@@ -38,12 +38,12 @@ from p2wss.skeleton.queries import assign, query_work  # noqa: E402
 FIRST_USE = """
 import time, numpy as np
 start = time.process_time()
-from p2wss.skeleton import Polygons, build, clean, roof_points
+from p2wss.skeleton import Polygons, build, roof_points
 square = np.array([[0, 0], [10, 0], [10, 10], [0, 10]], float)
-polygons = clean(Polygons.from_rings([[square]])).polygons
+polygons = Polygons.from_rings([[square]])
 solid = polygons, np.full(4, 45.0), np.array([5.0])
 build(*solid)
-print("clean+build", time.process_time() - start)
+print("build", time.process_time() - start)
 start = time.process_time()
 roof_points(*solid, np.ones((1, 2)), np.zeros(1, int))
 print("roof_points", time.process_time() - start)
@@ -52,19 +52,17 @@ REAL = ("olemps_bdtopo/BATIMENT.shp", "delft_ahn3/footprints.gpkg", "bresse_ign/
 
 
 def speed(num: int) -> float:
-    """Buildings per second and core for clean-up, skeleton, mesh and checks, in the slowest regime."""
+    """Buildings per second and core for skeleton, mesh and checks, in the slowest regime."""
     print(f"{'regime':<12}{'courtyards':>11}{'edges':>7}{'buildings/s':>13}{'triangles':>11}  rejected")
     slowest = np.inf
     for share in (0.0, 1.0):
-        raw = sample_footprints(num, 1, share)
-        polygons = clean(raw).polygons
+        polygons = clean(sample_footprints(num, 1, share))
         eave = np.full(num, 5.0)
-        clean_s = cpu_seconds(lambda raw=raw: clean(raw))
         for regime in REGIMES:
             angle = sample_angles(polygons, regime, 5)
             meshes = build(polygons, angle, eave)
             build_s = cpu_seconds(lambda p=polygons, a=angle, e=eave: build(p, a, e))
-            rate = num / (clean_s + build_s)
+            rate = num / build_s
             if share == 0.0:
                 slowest = min(slowest, rate)
             reasons = dict(Counter(Status(s).reason for s in meshes.status if s))
@@ -77,7 +75,7 @@ def speed(num: int) -> float:
 
 def against_sfcgal(num: int) -> float:
     """Speed over that of SFCGAL on the same buildings, both in CPU time."""
-    polygons = clean(sample_footprints(num, 2)).polygons
+    polygons = clean(sample_footprints(num, 2))
     angle = sample_angles(polygons, "one", 2)
     eave = np.full(num, 5.0)
     kernel_s = cpu_seconds(lambda: build(polygons, angle, eave)) / num
@@ -93,7 +91,7 @@ def against_compas(num: int) -> float | None:
         return None
     from compas_cgal import _straight_skeleton_2
 
-    polygons = clean(sample_footprints(num, 2)).polygons
+    polygons = clean(sample_footprints(num, 2))
     angle = sample_angles(polygons, "one", 2)
     kernel_s = cpu_seconds(lambda: build(polygons, angle, np.full(num, 5.0))) / num
     compas_s = 0.0
@@ -111,7 +109,7 @@ def against_compas(num: int) -> float | None:
 
 def triangles_by_edges(num: int) -> None:
     """Print the number of triangles of a solid by the number of its footprint edges."""
-    polygons = clean(sample_footprints(num, 1)).polygons
+    polygons = clean(sample_footprints(num, 1))
     meshes = build(polygons, sample_angles(polygons, "realistic", 5), np.full(num, 5.0))
     edges, triangles = np.diff(polygons.vertex_offset), np.diff(meshes.triangle_offset)
     print(f"\n{'edges':>6}{'buildings':>11}{'triangles: mean':>17}{'p5':>6}{'p95':>6}   (realistic)")
@@ -130,7 +128,7 @@ def scaling() -> float:
         rng = np.random.default_rng(n)
         t = np.linspace(0, 2 * np.pi, n, endpoint=False)
         ring = n * (0.12 + rng.uniform(0, 0.025, n))[:, None] * np.stack([np.cos(t), np.sin(t)], 1) * 3
-        polygons = clean(Polygons.from_rings([[ring]])).polygons
+        polygons = clean(Polygons.from_rings([[ring]]))
         angle = rng.uniform(20, 45, len(polygons.xy_m))
         repeats = max(1, 1000 // n)
 
@@ -165,9 +163,10 @@ def changed_share(polygons: Polygons, angle: np.ndarray, seed: int, **options: f
     jitter = np.random.default_rng(seed).normal(0, 1e-3, polygons.xy_m.shape)
     volume = []
     for xy in (polygons.xy_m, polygons.xy_m + jitter):
-        cleaned = clean(Polygons(xy, polygons.ring_offset, polygons.polygon_offset), **options)
+        raw = Polygons(xy, polygons.ring_offset, polygons.polygon_offset)
+        cleaned = clean(raw, **options)
         eave = np.full(len(polygons), 5.0)
-        volume.append(volumes(build(cleaned.polygons, angle[cleaned.edge_source], eave)))
+        volume.append(volumes(build(cleaned, angle[edge_source(raw, cleaned)], eave)))
     return float(np.mean(np.abs(volume[1] / volume[0] - 1) > 0.02))
 
 
@@ -180,7 +179,7 @@ def sensitivity(num: int, real: dict[str, Polygons], figures: Figures) -> float:
     worst = 0.0
     exact = sample_footprints(num, 6, jitters=(0.0,))
     for name, raw in {"orthogonal": exact, "mixed": sample_footprints(num, 6), **real}.items():
-        polygons = clean(raw, parallel_deg=0.0).polygons
+        polygons = clean(raw, parallel_deg=0.0)
         seeds = range(1 if name in ("orthogonal", "mixed") else 10)
         for regime in ("roof types", *(REGIMES if name == "mixed" else ())):
             shares = []
@@ -232,14 +231,12 @@ def rejections(num: int, real: dict[str, Polygons]) -> float | None:
             reasons: Counter[str] = Counter()
             for seed in range(10 if name in real else 1):
                 by_type = regime == "roof types"
-                polygons = cleaned.polygons
-                angle = roof_angles(polygons, seed) if by_type else sample_angles(polygons, regime, seed)
-                meshes = build(polygons, angle, np.full(len(raw), 6.0))
-                status = np.where(cleaned.status != 0, cleaned.status, meshes.status)
-                reasons.update(Status(s).reason for s in status if s)
+                angle = roof_angles(cleaned, seed) if by_type else sample_angles(cleaned, regime, seed)
+                meshes = build(cleaned, angle, np.full(len(raw), 6.0))
+                reasons.update(Status(s).reason for s in meshes.status if s)
             share = sum(reasons.values()) / ((seed + 1) * len(raw))
             print(
-                f"{name:<18}{regime:<12}{len(raw):>9}{len(cleaned.polygons.xy_m) / len(raw):>7.2f}"
+                f"{name:<18}{regime:<12}{len(raw):>9}{len(cleaned.xy_m) / len(raw):>7.2f}"
                 f"{(seed + 1) * len(raw):>8}{share:>10.3%}  {dict(reasons) or '-'}"
             )
             if regime == "roof types" and name in real:
@@ -268,7 +265,7 @@ def _load(polygons_xy, ring_offset, work):
 def fit_evaluation(num_points: int = 60) -> float:
     """Mean microseconds to evaluate one set of angles at 60 points, as the fit does, over footprints of up to
     8 edges."""
-    polygons = clean(sample_footprints(400, 4)).polygons
+    polygons = clean(sample_footprints(400, 4))
     angle = sample_angles(polygons, "realistic", 4)
     rng = np.random.default_rng(0)
     seconds = []
@@ -294,7 +291,7 @@ def fit_evaluation(num_points: int = 60) -> float:
 
 
 def first_use() -> float:
-    """CPU seconds of the first clean() and build() with an empty cache, imports included; prints further calls."""
+    """CPU seconds of the first build() with an empty cache, imports included; prints further calls."""
     with tempfile.TemporaryDirectory() as cache:
         environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
         by_call = []
@@ -307,7 +304,7 @@ def first_use() -> float:
     print("\nCPU seconds of the first call in a process, empty cache and full cache:")
     for name in by_call[0]:
         print(f"  {name:<12}{by_call[0][name]:>7.2f}{by_call[1][name]:>7.2f}")
-    return by_call[0]["clean+build"]
+    return by_call[0]["build"]
 
 
 def main() -> int:

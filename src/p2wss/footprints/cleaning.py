@@ -17,7 +17,7 @@ from p2wss.data import polygon_arrays, reasons
 from p2wss.data.metric_crs import MetricCrs, reprojected
 from p2wss.data.tiling import Bounds, grown
 from p2wss.errors import InputError
-from p2wss.footprints.coverage import Cleaning, block_numbers, clean_block
+from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import read_attributes, read_vector
@@ -31,8 +31,7 @@ _TYPES_WITH_POLYGONS = [
 _OPENING_M = 0.15
 # column of tuples: the numbers of parts of a feature that would give them the id of another feature of its file
 _TAKEN = "p2wss_taken_part_numbers"
-# options of the kernel's cleaning for which it removes only vertices that are within an edge to a micrometre
-_ONLY_WITHIN_EDGES = {"min_edge_m": 1e-3, "min_turn_deg": 0.0, "min_offset_m": 1e-6, "parallel_deg": 0.0}
+_TOO_SMALL = skeleton.Status.TOO_SMALL.reason
 
 
 def read_footprints(
@@ -180,56 +179,17 @@ def _box_centres(shapes: np.ndarray) -> np.ndarray:
 def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFrame:
     """Polygons for the kernel: exterior counter-clockwise, courtyards clockwise, without superfluous vertices.
 
-    After :func:`split_parts`, footprints that touch, overlap or are at most ``snap_m`` apart are cleaned together, as
-    one coverage (:func:`p2wss.footprints.coverage.clean_block`), so that they keep the walls that they share. Any other
-    footprint is simplified (Douglas-Peucker, ``simplify_m``) and cleaned by :func:`p2wss.skeleton.clean`. A footprint
-    that then touches itself is cut apart where it does, and cleaned again by itself. Every footprint keeps a row:
-    ``status`` is "ok" or the reason for exclusion, and an excluded footprint has an empty polygon.
+    After :func:`split_parts`, footprints that touch, overlap or are at most ``snap_m`` apart are cleaned as one
+    coverage (:func:`p2wss.footprints.coverage.clean_coverage`), so that they keep the walls that they share. A
+    footprint that cannot be part of it, for instance because it touches itself, is cut apart where it does, and cleaned
+    by itself. Every footprint keeps a row: ``status`` is "ok" or the reason for exclusion, and an excluded footprint
+    has an empty polygon.
 
     The result of a footprint depends on those of its block only, and not on the order of the rows.
     """
     result = split_parts(frame, config.min_area_m2, config.simplify_m)
-    shapes = result.geometry.to_numpy().copy()
     status = result["status"].to_numpy(dtype=object).copy()
-    codes = np.full(len(shapes), int(skeleton.Status.EMPTY))
-    touches = [skeleton.Status.NOT_SIMPLE, skeleton.Status.COURTYARD_OUTSIDE]
-
-    def clean(rows: np.ndarray, footprints: np.ndarray, **options: float) -> np.ndarray:
-        """Clean the footprints of these rows, and return the rows of those that touch themselves."""
-        cleaned = skeleton.clean(
-            polygon_arrays.to_polygons(footprints), min_area_m2=config.min_area_m2, **options
-        )
-        codes[rows] = cleaned.status
-        is_clean = cleaned.status == skeleton.Status.OK
-        shapes[rows[is_clean]] = polygon_arrays.to_geometries(polygon_arrays.take(cleaned.polygons, is_clean))
-        return rows[np.isin(cleaned.status, touches)]
-
-    coverage_rows, footprints = _clean_blocks(shapes, np.flatnonzero(status == "ok"), config)
-    # of a coverage only vertices within an edge may go, as all others may be shared
-    broken = clean(coverage_rows, footprints, **_ONLY_WITHIN_EDGES)
-    pending = np.union1d(np.setdiff1d(np.flatnonzero(status == "ok"), coverage_rows), broken)
-    alone = {
-        "min_edge_m": config.min_edge_m,
-        "parallel_deg": config.parallel_deg,
-        "max_shift_m": config.max_shift_m,
-    }
-    pending = clean(pending, _simplified(shapes[pending], config.simplify_m), **alone)
-    clean(pending, _simplified(_cut_apart(shapes[pending]), config.simplify_m), **alone)
-
-    has_code = status == "ok"
-    status[has_code] = [skeleton.Status(code).reason if code else "ok" for code in codes[has_code]]
-    num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
-    status[(status == "ok") & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
-    shapes[status != "ok"] = shapely.Polygon()
-    result["status"] = status
-    return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
-
-
-def _clean_blocks(shapes: np.ndarray, rows: np.ndarray, config: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, clean polygons) of the footprints that share walls with others, among those of ``rows``."""
-    rows = rows[shapely.area(shapes[rows]) >= config.min_area_m2]
-    block = block_numbers(shapes[rows], config.snap_m)
-    order = np.argsort(block, kind="stable")
+    shapes = result.geometry.to_numpy().copy()
     cleaning = Cleaning(
         config.snap_m,
         config.simplify_m,
@@ -237,27 +197,45 @@ def _clean_blocks(shapes: np.ndarray, rows: np.ndarray, config: Scenes) -> tuple
         parallel_deg=config.parallel_deg,
         max_shift_m=config.max_shift_m,
     )
-    result = np.full(len(rows), None, dtype=object)
-    for members in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
-        if len(members) > 1:
-            result[members] = clean_block(shapes[rows[members]], cleaning)
-    is_clean = ~shapely.is_missing(result)
-    return rows[is_clean], result[is_clean]
+    status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
+    usable = np.flatnonzero(status == reasons.OK)
+    shapes[usable] = [_without_small_courtyards(shape, config.min_area_m2) for shape in shapes[usable]]
+    cleaned = clean_coverage(shapes[usable], cleaning)
+    for i in np.flatnonzero(shapely.is_missing(cleaned)):
+        cleaned[i], status[usable[i]] = _clean_alone(shapes[usable[i]], cleaning)
+    shapes[usable] = cleaned
+    status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
+    num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
+    status[(status == reasons.OK) & (num_edges > config.max_edges)] = skeleton.Status.TOO_MANY_EDGES.reason
+    shapes[status != reasons.OK] = shapely.Polygon()
+    result["status"] = status
+    return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
 
 
-def _simplified(shapes: np.ndarray, tolerance_m: float) -> np.ndarray:
-    return shapely.simplify(shapes, tolerance_m) if tolerance_m else shapes
+def _clean_alone(shape: shapely.Polygon, cleaning: Cleaning) -> tuple[shapely.Polygon, str]:
+    """(the largest piece of a footprint that cannot be cleaned as it is, the reason if that cannot be either)."""
+    piece = _cut_apart(shape)
+    if piece is None:
+        return shapely.Polygon(), _TOO_SMALL
+    (cleaned,) = clean_coverage(np.array([piece]), cleaning)
+    if cleaned is not None:
+        return cleaned, reasons.OK
+    (code,) = kernel_status(polygon_arrays.to_polygons([shapely.orient_polygons(piece)]))
+    return shapely.Polygon(), skeleton.Status(code or skeleton.Status.NOT_SIMPLE).reason
 
 
-def _cut_apart(shapes: np.ndarray) -> np.ndarray:
-    """The largest piece of each polygon after cutting it where rings touch and where it is narrow."""
-    largest = np.full(len(shapes), shapely.Polygon(), dtype=object)
-    for index, shape in enumerate(shapes):
-        rings = shapely.get_rings(shape)
-        contacts = [first.intersection(second) for first, second in combinations(rings, 2)]
-        cut = shape.difference(shapely.union_all(contacts).buffer(2 * _OPENING_M, cap_style="square"))
-        eroded = cut.buffer(-_OPENING_M, join_style="mitre")
-        pieces = shapely.get_parts(eroded.buffer(_OPENING_M, join_style="mitre"))
-        if len(pieces):
-            largest[index] = pieces[np.argmax(shapely.area(pieces))]
-    return largest
+def _without_small_courtyards(shape: shapely.Polygon, min_area_m2: float) -> shapely.Polygon:
+    if not shape.interiors:
+        return shape
+    courtyards = [ring for ring in shape.interiors if shapely.Polygon(ring).area >= min_area_m2]
+    return shapely.Polygon(shape.exterior, courtyards)
+
+
+def _cut_apart(shape: shapely.Polygon) -> shapely.Polygon | None:
+    """The largest piece of a polygon cut where rings touch and where it is narrow; None if none is left."""
+    rings = shapely.get_rings(shape)
+    contacts = [first.intersection(second) for first, second in combinations(rings, 2)]
+    cut = shape.difference(shapely.union_all(contacts).buffer(2 * _OPENING_M, cap_style="square"))
+    eroded = cut.buffer(-_OPENING_M, join_style="mitre")
+    pieces = shapely.get_parts(eroded.buffer(_OPENING_M, join_style="mitre"))
+    return pieces[np.argmax(shapely.area(pieces))] if len(pieces) else None

@@ -1,8 +1,9 @@
-"""Clean the footprints of a block as one coverage, so that neighbours keep the walls that they share.
+"""Clean footprints as coverages, block by block, so that neighbours keep the walls that they share.
 
-A block is a set of footprints that touch, nearly touch or overlap. Its footprints are joined in common nodes
-(:mod:`p2wss.footprints.common_nodes`), simplified along the lines between the nodes where walls meet, and
-straightened with shared edges once (:mod:`p2wss.footprints.directions`).
+A block is a set of footprints that touch, nearly touch or overlap, often one alone. Its footprints are joined in common
+nodes (:mod:`p2wss.footprints.common_nodes`), simplified along the lines between the nodes where walls meet, and
+straightened with shared edges once (:mod:`p2wss.footprints.directions`). All blocks are cleaned at once; nothing that
+happens to one depends on the others.
 """
 
 from __future__ import annotations
@@ -18,18 +19,24 @@ from scipy.sparse.csgraph import connected_components
 from p2wss import skeleton
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
-from p2wss.footprints.directions import straightened
+from p2wss.footprints.directions import Edges, straightened
+from p2wss.skeleton.types import Polygons
+
+# a vertex that is nearer to the line between its neighbours is within an edge
+_WITHIN_EDGE_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Cleaning:
-    """How the footprints of a block are cleaned.
+    """How footprints are cleaned.
 
     snap_m: gaps and overlaps up to this width are closed; 0 = none. simplify_m: tolerance of Douglas-Peucker along the
     walls between the nodes where they meet. A vertex goes too if it has an edge shorter than ``min_edge_m``, if the
-    wall turns there by less than ``min_turn_deg`` or if it is within ``min_offset_m`` of the line between its
-    neighbours, as in :func:`p2wss.skeleton.clean`. parallel_deg: edges that are parallel to within this angle become
-    exactly parallel, 0 = none, as far as no corner moves by more than ``max_shift_m``.
+    wall turns there by less than ``min_turn_deg`` (or by less than that from a full reversal, a spike) or if it is
+    within ``min_offset_m`` of the line between its neighbours; the nearest to that line goes first. parallel_deg: edges
+    that are parallel to within this angle become exactly parallel, 0 = none, as far as no corner moves by more than
+    ``max_shift_m``: otherwise a millimetre would decide which of two wavefront edges of a roof continues where they
+    meet.
     """
 
     snap_m: float = 0.1
@@ -49,56 +56,76 @@ def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def clean_block(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
-    """The polygons of a block as a coverage, an object array in the same order; None for a polygon that cannot be part
-    of it, for instance because it is so narrow that it collapses.
+def clean_coverage(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
+    """The polygons as coverages, one per block, an object array in the same order; None for a polygon that cannot be
+    part of its coverage, for instance because it is so narrow that it collapses.
 
-    shapes: valid polygons. Shared walls have bit-identical vertices in both polygons. A vertex of one of them
-    within an edge of another is on it to the rounding of coordinates, and a vertex of both. The result does not depend
-    on the order of the polygons. Never raises for valid polygons.
+    shapes: valid polygons. Exteriors become counter-clockwise, courtyards clockwise. Shared walls have the same lines,
+    and corners of both sides are bit-identical. The result for a polygon depends on its block only, and not on the
+    order of the polygons. Never raises for valid polygons.
     """
     result = np.full(len(shapes), None, dtype=object)
+    if not len(shapes):
+        return result
+    shapes = shapely.orient_polygons(shapes)
     bounds = shapely.bounds(shapes)
-    order = np.lexsort((shapely.area(shapes), *bounds.T[::-1]))
-    origin = np.floor(bounds[order[0], :2]) if len(shapes) else np.zeros(2)
-    while len(order):
-        polygons, is_whole = _clean(shapes[order], origin, cleaning)
+    block = block_numbers(shapes, cleaning.snap_m)
+    origin = np.full((block.max() + 1, 2), np.inf)
+    np.minimum.at(origin, block, np.floor(bounds[:, :2]))
+    pending = [np.lexsort((shapely.area(shapes), *bounds.T[::-1]))]
+    while pending:
+        rows = pending.pop()
+        polygons, is_whole = _clean(shapes[rows], origin[block[rows]], cleaning)
         if is_whole.all():
-            result[order] = polygons
-            break
-        order = order[is_whole]
+            result[rows] = polygons
+            continue
+        # blocks that lose a polygon are cleaned again without it
+        loses = np.isin(block[rows], block[rows[~is_whole]])
+        pending += [part for part in (rows[~loses], rows[loses & is_whole]) if len(part)]
     return result
 
 
 def _clean(shapes: np.ndarray, origin: np.ndarray, cleaning: Cleaning) -> tuple[np.ndarray, np.ndarray]:
-    """(polygons, whether each can be part of the coverage); they are a coverage if all can be."""
+    """(polygons, whether each can be part of its coverage); they are coverages if all can be. origin: (n, 2), the
+    corner of each block."""
     polygons = polygon_arrays.to_polygons(shapes)
-    local = type(polygons)(polygons.xy_m - origin, polygons.ring_offset, polygons.polygon_offset)
-    nodes = join_rings(local, cleaning.snap_m)
-    xy_m, node, ring_offset = nodes.xy_m, nodes.node, nodes.ring_offset
-    node = _contract(xy_m, node, ring_offset, cleaning.min_edge_m)
-    node, ring_offset = _without_spikes(*without_repeats(node, ring_offset))
-    rings = _Rings(node, ring_offset, polygons.polygon_offset)
-    is_whole = shapely.is_valid(rings.polygons(xy_m))
+    nodes = join_rings(polygons, cleaning.snap_m)
+    of_node = np.zeros(len(nodes.xy_m), np.int64)
+    before = _Rings(nodes.node, nodes.ring_offset, polygons.polygon_offset)
+    of_node[nodes.node] = before.polygon_of_vertex
+    xy_m = nodes.xy_m - origin[of_node]
+    node = _contract(xy_m, nodes.node, nodes.ring_offset, cleaning.min_edge_m)
+    rings = _Rings(*_without_spikes(*without_repeats(node, nodes.ring_offset)), polygons.polygon_offset)
+    is_whole = rings.are_whole(xy_m)
     if not is_whole.all():
         return np.zeros(0, object), is_whole
-    arcs = _Arcs.of_rings(rings, len(xy_m))
-    tolerance = np.full(len(arcs.nodes), cleaning.simplify_m)
-    for _ in range(3):
-        simple = arcs.simplified(xy_m, tolerance, cleaning)
-        rings = simple.rings(polygons.polygon_offset)
-        invalid = ~shapely.is_valid(rings.polygons(xy_m))
-        if not invalid.any():
+    arcs = _Arcs.of_rings(rings, xy_m)
+    # simplified, walls may cross: then they keep more of their vertices
+    tolerances = np.array([cleaning.simplify_m, 0.0, -1.0])
+    level = np.zeros(len(arcs.nodes), np.int64)
+    for _ in tolerances:
+        rings = arcs.simplified(xy_m, tolerances[level], cleaning).rings(polygons.polygon_offset)
+        is_whole = rings.are_whole(xy_m)
+        if is_whole.all():
             break
-        # simplified, their walls would cross
-        tolerance[arcs.of_polygons(invalid, polygons.polygon_offset)] = -1.0
+        level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
-        return np.zeros(0, object), ~invalid
+        return np.zeros(0, object), is_whole
     if cleaning.parallel_deg > 0:
         xy_m = _straighten(xy_m, rings, cleaning)
-    # a polygon that is hardly more than a spike would not pass alone
-    alone = skeleton.clean(polygon_arrays.to_polygons(rings.polygons(xy_m)))
-    return rings.polygons(xy_m, origin), alone.status == skeleton.Status.OK
+    result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
+    return polygon_arrays.to_geometries(result), is_accepted(result)
+
+
+def is_accepted(polygons: Polygons) -> np.ndarray:
+    """Whether the kernel takes each polygon, bool (n,): one that is hardly more than a spike it does not."""
+    return kernel_status(polygons) == skeleton.Status.OK
+
+
+def kernel_status(polygons: Polygons) -> np.ndarray:
+    """What the kernel says of each polygon under a flat roof, :class:`p2wss.skeleton.Status` (n,)."""
+    flat = np.full(len(polygons.xy_m), 90.0)
+    return skeleton.build(polygons, flat, np.ones(len(polygons))).status
 
 
 def _straighten(xy_m: np.ndarray, rings: _Rings, cleaning: Cleaning) -> np.ndarray:
@@ -106,29 +133,27 @@ def _straighten(xy_m: np.ndarray, rings: _Rings, cleaning: Cleaning) -> np.ndarr
     ends = np.sort(np.column_stack([rings.node, rings.node[next_in_ring(rings.ring_offset)]]), axis=1)
     segment, of_vertex = np.unique(ends, axis=0, return_inverse=True)
     pairs = np.unique(np.column_stack([rings.polygon_of_vertex, of_vertex.reshape(-1)]), axis=0)
+    edges = Edges(xy_m, segment, pairs[:, 0], pairs[:, 1])
+    max_sine = float(np.sin(np.radians(cleaning.parallel_deg)))
     is_free = np.zeros(len(segment), bool)
     for _ in range(3):
-        place_m = straightened(
-            xy_m,
-            segment,
-            pairs[:, 0],
-            pairs[:, 1],
-            float(np.sin(np.radians(cleaning.parallel_deg))),
-            cleaning.max_shift_m,
-            cleaning.min_offset_m,
-            is_free,
-        )
-        invalid = ~shapely.is_valid(rings.polygons(place_m))
-        if not invalid.any():
+        place_m = straightened(edges, max_sine, cleaning.max_shift_m, cleaning.min_offset_m, is_free)
+        is_whole = rings.are_whole(place_m)
+        if is_whole.all():
             return place_m
-        is_free[pairs[invalid[pairs[:, 0]], 1]] = True
-    return xy_m
+        is_free[pairs[~is_whole[pairs[:, 0]], 1]] = True
+    # the blocks that are still invalid stay as they are
+    broken = np.zeros(len(xy_m), bool)
+    broken[rings.node[~is_whole[rings.polygon_of_vertex]]] = True
+    graph = coo_array((np.ones(len(segment)), segment.T), (len(xy_m), len(xy_m)))
+    block = connected_components(graph, directed=False)[1]
+    return np.where(np.isin(block, block[broken])[:, None], xy_m, place_m)
 
 
 @dataclass(frozen=True)
 class _Rings:
-    """Rings of nodes. A ring of fewer than three nodes counts as none; polygon p has the rings
-    ``polygon_offset[p]:polygon_offset[p + 1]``."""
+    """Rings of nodes. A ring of fewer than three nodes counts as none, and so do those of a polygon whose exterior is
+    none; polygon p has the rings ``polygon_offset[p]:polygon_offset[p + 1]``."""
 
     node: np.ndarray
     ring_offset: np.ndarray
@@ -137,26 +162,35 @@ class _Rings:
     @property
     def polygon_of_vertex(self) -> np.ndarray:
         """The polygon of each element of ``node``, int64."""
-        ring = np.repeat(np.arange(len(self.ring_offset) - 1), np.diff(self.ring_offset))
-        return np.searchsorted(self.polygon_offset, ring, side="right") - 1
+        of_ring = np.repeat(np.arange(len(self.polygon_offset) - 1), np.diff(self.polygon_offset))
+        return np.repeat(of_ring, np.diff(self.ring_offset))
 
-    def polygons(self, xy_m: np.ndarray, origin: np.ndarray | float = 0.0) -> np.ndarray:
-        """Object array of polygons, with places of the nodes relative to ``origin``; one whose exterior has collapsed
-        is invalid."""
-        result = np.empty(len(self.polygon_offset) - 1, object)
-        for p, (first, last) in enumerate(pairwise(self.polygon_offset.tolist())):
-            rings = [
-                xy_m[self.node[self.ring_offset[r] : self.ring_offset[r + 1]]] + origin
-                for r in range(first, last)
-                if r == first or self.ring_offset[r + 1] - self.ring_offset[r] > 2
-            ]
-            # a ring of too few vertices becomes a valid empty one, or an error: a bow tie is neither
-            is_ring = len(rings[0]) > 2
-            result[p] = shapely.Polygon(rings[0], rings[1:]) if is_ring else _BOW_TIE
-        return result
+    def polygons(self, xy_m: np.ndarray) -> Polygons:
+        """The polygons, with places of the nodes."""
+        count = np.diff(self.ring_offset)
+        of_ring = np.repeat(np.arange(len(self.polygon_offset) - 1), np.diff(self.polygon_offset))
+        is_ring = (count > 2) & (count[self.polygon_offset[:-1]] > 2)[of_ring]
+        num_rings = np.bincount(of_ring[is_ring], minlength=len(self.polygon_offset) - 1)
+        return Polygons(
+            xy_m[self.node[np.repeat(is_ring, count)]],
+            np.concatenate([[0], np.cumsum(count[is_ring])]).astype(np.int64),
+            np.concatenate([[0], np.cumsum(num_rings)]).astype(np.int64),
+        )
 
+    def are_whole(self, xy_m: np.ndarray) -> np.ndarray:
+        """Whether each polygon is valid and has not collapsed, bool (n,)."""
+        shapes = polygon_arrays.to_geometries(self.polygons(xy_m))
+        return shapely.is_valid(shapes) & ~shapely.is_empty(shapes)
 
-_BOW_TIE = shapely.Polygon([(0, 0), (1, 1), (1, 0), (0, 1)])
+    def without_inner(self, xy_m: np.ndarray) -> _Rings:
+        """The rings without the vertices within their edges, which are corners of neighbours only."""
+        here = xy_m[self.node]
+        before, after = here[previous_in_ring(self.ring_offset)], here[next_in_ring(self.ring_offset)]
+        u, v = here - before, after - here
+        offset_m = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.hypot(*(after - before).T)
+        keep = (offset_m >= _WITHIN_EDGE_M) | ((u * v).sum(axis=1) <= 0)
+        num_kept = np.concatenate([[0], np.cumsum(keep)])
+        return _Rings(self.node[keep], num_kept[self.ring_offset], self.polygon_offset)
 
 
 @dataclass(frozen=True)
@@ -168,17 +202,18 @@ class _Arcs:
     of_ring: list[list[tuple[int, bool]]]
 
     @classmethod
-    def of_rings(cls, rings: _Rings, num_nodes: int) -> _Arcs:
-        """The arcs of rings whose nodes are numbered in the order of x."""
+    def of_rings(cls, rings: _Rings, xy_m: np.ndarray) -> _Arcs:
+        """The arcs of rings of nodes at these places."""
         ends = np.sort(np.column_stack([rings.node, rings.node[next_in_ring(rings.ring_offset)]]), axis=1)
-        degree = np.bincount(np.unique(ends, axis=0).ravel(), minlength=num_nodes)
+        degree = np.bincount(np.unique(ends, axis=0).ravel(), minlength=len(xy_m))
         numbers: dict[tuple[int, ...], int] = {}
         of_ring: list[list[tuple[int, bool]]] = []
         for first, last in pairwise(rings.ring_offset.tolist()):
             ring = rings.node[first:last]
             meets = np.flatnonzero(degree[ring] != 2)
             if not len(meets):
-                meets = np.array([ring.argmin()])  # nodes are in the order of x: this one is a corner
+                # the vertex farthest from the middle is a corner
+                meets = np.array([np.hypot(*(xy_m[ring] - xy_m[ring].mean(axis=0)).T).argmax()])
             ring = np.roll(ring, -meets[0])
             cuts = [*(meets - meets[0]).tolist(), len(ring)]
             closed = [*ring.tolist(), int(ring[0])]
@@ -234,8 +269,8 @@ class _Arcs:
 def _thinned(
     xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, cleaning: Cleaning
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes, numbers of their arcs) without nodes that :func:`p2wss.skeleton.clean` would remove, one at a time in
-    each arc, the one nearest to the line between its neighbours first. The ends of an arc stay."""
+    """(nodes, numbers of their arcs) without superfluous nodes (:class:`Cleaning`), which go one at a time in each arc,
+    the one nearest to the line between its neighbours first. The ends of an arc stay."""
     max_cosine = np.cos(np.radians(cleaning.min_turn_deg))
     while len(node) > 2:
         inner = np.flatnonzero((arc[1:-1] == arc[:-2]) & (arc[1:-1] == arc[2:])) + 1

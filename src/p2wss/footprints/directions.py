@@ -1,12 +1,11 @@
 """Make nearly parallel edges of neighbouring footprints exactly parallel and nearly collinear ones collinear, shared
 edges once for both sides.
-
-The counterpart of :mod:`p2wss.skeleton.straighten` for footprints that share nodes.
 """
 
 from __future__ import annotations
 
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -14,24 +13,40 @@ from scipy.sparse.csgraph import connected_components
 
 # two lines at a node that meet at a smaller angle do not fix its place
 _MIN_SINE = 0.2
-_MAX_ROUNDS = 50
+
+
+class Edges(NamedTuple):
+    """The edges of polygons that share nodes. xy_m: places of the nodes (n, 2). segment: int64 (m, 2), nodes of each
+    edge. polygon, of_segment: int64 (k,), polygon ``polygon[i]`` has the edge ``of_segment[i]``."""
+
+    xy_m: np.ndarray
+    segment: np.ndarray
+    polygon: np.ndarray
+    of_segment: np.ndarray
+
+    @property
+    def along_m(self) -> np.ndarray:
+        """From one end to the other, (m, 2)."""
+        return self.xy_m[self.segment[:, 1]] - self.xy_m[self.segment[:, 0]]
+
+    @property
+    def bearing(self) -> np.ndarray:
+        """Radians, (m,)."""
+        return np.arctan2(self.along_m[:, 1], self.along_m[:, 0])
+
+    @property
+    def length_m(self) -> np.ndarray:
+        """(m,)."""
+        return np.hypot(self.along_m[:, 0], self.along_m[:, 1])
 
 
 def straightened(
-    xy_m: np.ndarray,
-    segment: np.ndarray,
-    polygon: np.ndarray,
-    of_segment: np.ndarray,
-    max_sine: float,
-    max_shift_m: float,
-    max_offset_m: float,
-    is_free: np.ndarray,
+    edges: Edges, max_sine: float, max_shift_m: float, max_offset_m: float, is_free: np.ndarray
 ) -> np.ndarray:
     """New places of the nodes (n, 2), none further than ``max_shift_m`` from the old one.
 
-    segment: int64 (m, 2), the nodes of each edge. polygon, of_segment: int64 (k,), polygon ``polygon[i]`` has the edge
-    ``of_segment[i]``. max_sine: of the angle between edges that become parallel. max_offset_m: distance of parallel
-    lines that become one. is_free: bool (m,), edges whose direction stays free.
+    max_sine: of the angle between edges that become parallel. max_offset_m: distance of parallel lines that become one.
+    is_free: bool (m,), edges whose direction stays free.
 
     Edges of a polygon that are parallel to within ``max_sine``, as far as that moves their ends by at most
     ``max_shift_m``, form a group. Groups that share an edge, or whose edges continue each other at a node, are joined
@@ -39,24 +54,18 @@ def straightened(
     chain of edges of a group one line in that direction. A node goes to where its lines meet. An edge that cannot
     follow its line keeps both its ends where other lines leave them.
     """
-    start_m, along_m = xy_m[segment[:, 0]], xy_m[segment[:, 1]] - xy_m[segment[:, 0]]
-    length_m = np.hypot(along_m[:, 0], along_m[:, 1])
-    bearing = np.arctan2(along_m[:, 1], along_m[:, 0])
-    group = _groups(xy_m, segment, polygon, of_segment, bearing, length_m, max_sine, max_shift_m)
+    xy_m, segment, along_m, length_m = edges.xy_m, edges.segment, edges.along_m, edges.length_m
+    group = _groups(edges, max_sine, max_shift_m)
     axis = (
-        np.bincount(group, length_m**2 * np.cos(2 * bearing)),
-        np.bincount(group, length_m**2 * np.sin(2 * bearing)),
+        np.bincount(group, length_m**2 * np.cos(2 * edges.bearing)),
+        np.bincount(group, length_m**2 * np.sin(2 * edges.bearing)),
     )
     direction = np.arctan2(axis[1], axis[0]) / 2
     follows = (np.bincount(group)[group] > 1) & ~is_free
     normal = np.column_stack([-np.sin(direction), np.cos(direction)])
-    middle_m = start_m + along_m / 2
-    middle_offset = (normal[group] * middle_m).sum(axis=1)
-    place_m = xy_m
-    for _ in range(_MAX_ROUNDS):
+    middle_offset = (normal[group] * (xy_m[segment[:, 0]] + along_m / 2)).sum(axis=1)
+    while follows.any():
         edge = np.flatnonzero(follows)
-        if not len(edge):
-            return xy_m
         line = _lines(segment[edge], group[edge])
         total_m = np.bincount(line, length_m[edge])
         offset = np.bincount(line, length_m[edge] * middle_offset[edge]) / total_m
@@ -66,29 +75,21 @@ def straightened(
             line, offset, total_m, group_of_line, max_offset_m
         )
         place_m, release = _places(
-            xy_m, segment, edge, line, offset, total_m, normal[group_of_line], max_shift_m
+            edges, edge, line, _Lines(offset, total_m, normal[group_of_line]), max_shift_m
         )
         moved_m = place_m[segment[:, 1]] - place_m[segment[:, 0]]
         shrunk = ~((moved_m * along_m).sum(axis=1) > 0.5 * length_m**2)
         if shrunk.any():
             release = np.union1d(release, np.flatnonzero(np.isin(segment, segment[shrunk]).any(axis=1)))
-        if not len(release):
+        if not follows[release].any():
             return place_m
         follows[release] = False
     return xy_m
 
 
-def _groups(
-    xy_m: np.ndarray,
-    segment: np.ndarray,
-    polygon: np.ndarray,
-    of_segment: np.ndarray,
-    bearing: np.ndarray,
-    length_m: np.ndarray,
-    max_sine: float,
-    max_shift_m: float,
-) -> np.ndarray:
+def _groups(edges: Edges, max_sine: float, max_shift_m: float) -> np.ndarray:
     """The group of each edge, int64 (m,)."""
+    polygon, of_segment, bearing, length_m = edges.polygon, edges.of_segment, edges.bearing, edges.length_m
     group = np.full(len(polygon), -1)
     rest = np.lexsort((of_segment, -length_m[of_segment], polygon))
     num_groups = 0
@@ -101,43 +102,30 @@ def _groups(
         group[rest[fits]] = num_groups + owner[fits]
         num_groups += len(owners)
         rest = rest[~fits]
-    root = _joined_groups(
-        _links(xy_m, segment, of_segment, group, bearing, length_m, max_sine),
-        [of_segment[group == number] for number in range(num_groups)],
-        bearing,
-        length_m,
-        max_sine,
-        max_shift_m,
-    )
+    by_group = np.argsort(group, kind="stable")
+    members = np.split(of_segment[by_group], np.cumsum(np.bincount(group))[:-1])
+    group = _joined_groups(edges, _links(edges, group, max_sine), members, max_sine, max_shift_m)[group]
     # an edge in two groups follows the one of more weight
-    group = root[group]
     weight = np.zeros(num_groups)
     pairs = np.unique(np.column_stack([group, of_segment]), axis=0)
     np.add.at(weight, pairs[:, 0], length_m[pairs[:, 1]] ** 2)
     order = np.lexsort((-pairs[:, 0], weight[pairs[:, 0]], pairs[:, 1]))
-    result = np.zeros(len(segment), np.int64)
+    result = np.zeros(len(edges.segment), np.int64)
     result[pairs[order, 1]] = pairs[order, 0]
     return result
 
 
-def _links(
-    xy_m: np.ndarray,
-    segment: np.ndarray,
-    of_segment: np.ndarray,
-    group: np.ndarray,
-    bearing: np.ndarray,
-    length_m: np.ndarray,
-    max_sine: float,
-) -> list[tuple[int, int]]:
+def _links(edges: Edges, group: np.ndarray, max_sine: float) -> list[tuple[int, int]]:
     """Pairs of groups that share an edge or continue each other at a node, those of the longest edges first."""
+    segment, bearing, length_m = edges.segment, edges.bearing, edges.length_m
     links: list[tuple[float, int, int, int, int]] = []
     groups_of: dict[int, list[int]] = {}
-    for edge, number in zip(of_segment.tolist(), group.tolist(), strict=True):
+    for edge, number in zip(edges.of_segment.tolist(), group.tolist(), strict=True):
         groups_of.setdefault(edge, []).append(number)
     for edge, numbers in groups_of.items():
         links += [(-length_m[edge], edge, edge, *pair) for pair in combinations(numbers, 2)]
     at_node = np.argsort(segment.ravel(), kind="stable")
-    counts = np.bincount(segment.ravel(), minlength=len(xy_m))
+    counts = np.bincount(segment.ravel(), minlength=len(edges.xy_m))
     starts = np.cumsum(counts) - counts
     for node in np.flatnonzero(counts > 2).tolist():
         half_edges = at_node[starts[node] : starts[node] + counts[node]].tolist()
@@ -151,20 +139,23 @@ def _links(
 
 
 def _joined_groups(
+    edges: Edges,
     links: list[tuple[int, int]],
-    edges: list[np.ndarray],
-    bearing: np.ndarray,
-    length_m: np.ndarray,
+    members: list[np.ndarray],
     max_sine: float,
     max_shift_m: float,
 ) -> np.ndarray:
-    """The number of the group that each group has become part of."""
-    root = np.arange(len(edges))
+    """The number of the group that each group has become part of. members: the edges of each group."""
+    bearing, length_m = edges.bearing, edges.length_m
+    root = np.arange(len(members))
     for g, h in links:
-        a, b = root[g], root[h]
-        if a == b:
+        while root[g] != g:
+            g = int(root[g])
+        while root[h] != h:
+            h = int(root[h])
+        if g == h:
             continue
-        both = np.union1d(edges[a], edges[b])
+        both = np.union1d(members[g], members[h])
         weight = length_m[both] ** 2
         direction = (
             np.arctan2((weight * np.sin(2 * bearing[both])).sum(), (weight * np.cos(2 * bearing[both])).sum())
@@ -173,9 +164,10 @@ def _joined_groups(
         sine = np.abs(np.sin(bearing[both] - direction))
         if (sine > max_sine).any() or (0.5 * sine * length_m[both] > max_shift_m).any():
             continue
-        a, b = min(a, b), max(a, b)
-        edges[a] = both
-        root[root == b] = a
+        root[max(g, h)] = min(g, h)
+        members[min(g, h)] = both
+    while (root[root] != root).any():
+        root = root[root]
     return root
 
 
@@ -211,18 +203,19 @@ def _joined_lines(
     return number[line], means, sums, groups
 
 
+class _Lines(NamedTuple):
+    """Of each line: distance from the origin along the normal, length of its edges, normal."""
+
+    offset: np.ndarray
+    total_m: np.ndarray
+    normal: np.ndarray
+
+
 def _places(
-    xy_m: np.ndarray,
-    segment: np.ndarray,
-    edge: np.ndarray,
-    line: np.ndarray,
-    offset: np.ndarray,
-    total_m: np.ndarray,
-    normal: np.ndarray,
-    max_shift_m: float,
+    edges: Edges, edge: np.ndarray, line: np.ndarray, lines: _Lines, max_shift_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(places of the nodes, edges that must not follow their lines). edge: those that follow ``line``; offset, total_m,
-    normal: of each line."""
+    """(places of the nodes, edges that must not follow their lines). edge: those that follow ``line``."""
+    xy_m, segment, (offset, total_m, normal) = edges.xy_m, edges.segment, lines
     half_edges = np.column_stack([segment[edge].ravel(), np.repeat(line, 2)])
     pairs, count = np.unique(half_edges, axis=0, return_counts=True)
     # at each node the lines that run through it come first, then the longer ones

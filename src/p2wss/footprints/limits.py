@@ -15,6 +15,8 @@ from p2wss.data import reasons
 
 # no building is longer; the largest has 1.7 km
 MAX_EXTENT_M = 5000.0
+# beyond this, float64 cannot resolve micrometres
+_FARTHEST_M = 1e9
 # rings with more vertices are simplified
 _MANY_VERTICES = 2000
 # Douglas-Peucker takes seconds for a ring of so many vertices that it cannot thin
@@ -41,7 +43,7 @@ def repaired(shapes: np.ndarray, tolerance_m: float = 0.2) -> tuple[np.ndarray, 
         shapes[i] = _polygons_of(shapes[i])
     reason = np.full(len(shapes), reasons.OK, dtype=object)
     xy, row = shapely.get_coordinates(shapes, return_index=True)
-    reason[np.unique(row[~np.isfinite(xy).all(axis=1)])] = reasons.NON_FINITE
+    reason[np.unique(row[~(np.abs(xy) < _FARTHEST_M).all(axis=1)])] = reasons.NON_FINITE
     bounds = shapely.bounds(shapes)
     is_large = (bounds[:, 2:] - bounds[:, :2] > MAX_EXTENT_M).any(axis=1)
     reason[(reason == reasons.OK) & is_large] = reasons.IMPLAUSIBLE_SIZE

@@ -163,7 +163,7 @@ def build(
 ) -> Meshes:
     """Closed LoD2 meshes from clean polygons.
 
-    polygons: as returned by :func:`p2wss.skeleton.clean`, any planar frame in metres (coordinates of 7e6 m
+    polygons: as cleaned by :mod:`p2wss.footprints`, any planar frame in metres (coordinates of 7e6 m
     are possible, because the computation is relative to the first vertex). angle_deg: (num_vertices,), per
     edge 0, 90 or 5..85. eave_height_m: (num_polygons,), measured from z = 0. base_height_m: height of the
     ground face, below the eave; negative to reach down a slope. max_roof_height_m: a roof that would rise

@@ -9,7 +9,7 @@ class Status(IntEnum):
     """``OK``, or the reason why a polygon has no mesh. Every polygon has exactly one."""
 
     OK = 0
-    # of the footprint, from clean() and from build()
+    # of the footprint
     EMPTY = 1  # no ring, or fewer than three vertices
     NON_FINITE = 2  # NaN or infinity among the coordinates
     TOO_SMALL = 3  # the exterior encloses less than the minimum area
@@ -17,7 +17,7 @@ class Status(IntEnum):
     NOT_SIMPLE = 5  # a ring crosses or touches itself or another ring
     COURTYARD_OUTSIDE = 6  # a courtyard outside the exterior, or inside another courtyard
     # of the arguments of build()
-    NOT_CLEAN = 7  # wrong orientation, or an edge shorter than a millimetre: run clean() first
+    NOT_CLEAN = 7  # wrong orientation, or an edge shorter than a millimetre
     BAD_ANGLE = 8  # an angle that is not 0, 90 or within 5..85 degrees
     BAD_HEIGHT = 9  # heights not finite, no wall height, or a negative maximum
     # of the wavefront

@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import SHARED
 
-from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.footprints import coverage
 from p2wss.footprints.cleaning import clean_footprints, read_footprints, read_whole_blocks
-from p2wss.footprints.coverage import Cleaning, block_numbers, clean_block
+from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, is_accepted
+from p2wss.footprints.directions import Edges
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
 OLEMPS = SHARED / "data" / "olemps_bdtopo" / "BATIMENT.shp"
@@ -179,10 +179,11 @@ def test_a_footprint_that_straightening_would_break_leaves_the_others_straight(
 ) -> None:
     straightened, num_free = coverage.straightened, []
 
-    def breaking(xy_m: np.ndarray, segment: np.ndarray, *more: Any) -> np.ndarray:
+    def breaking(edges: Edges, *more: Any) -> np.ndarray:
         """Makes a bow tie of the first polygon unless all its edges are free."""
-        place_m = straightened(xy_m, segment, *more).copy()
-        polygon, of_segment, is_free = more[0], more[1], more[-1]
+        place_m = straightened(edges, *more).copy()
+        _, segment, polygon, of_segment = edges
+        is_free = more[-1]
         num_free.append(int(is_free.sum()))
         edges = of_segment[polygon == 0]
         if not is_free[edges].all():
@@ -191,7 +192,7 @@ def test_a_footprint_that_straightening_would_break_leaves_the_others_straight(
         return place_m
 
     monkeypatch.setattr(coverage, "straightened", breaking)
-    crooked, _, straight = clean_block(np.array(row_of_houses(5, 3, 0.0, 0.008), object), Cleaning())
+    crooked, _, straight = clean_coverage(np.array(row_of_houses(5, 3, 0.0, 0.008), object), Cleaning())
     assert num_free == [0, 4]
     assert _worst_pair_deg(crooked) > 0.01 and _worst_pair_deg(straight) < 1e-6
 
@@ -250,7 +251,7 @@ def test_any_tessellation_stays_one(seed: int) -> None:
     ]
     if not all(cell.is_valid for cell in noisy):
         return
-    result = clean_block(np.array(noisy, object), Cleaning())
+    result = clean_coverage(np.array(noisy, object), Cleaning())
     present = [shape for shape in result if shape is not None]
     assert len(present) >= len(noisy) - 1 and all(shape.is_valid for shape in present)
     if len(present) < len(noisy):
@@ -299,7 +300,7 @@ def test_a_footprint_of_olemps_depends_on_its_block_only() -> None:
             assert row.status == whole.status and row.geometry.wkb == whole.geometry.wkb
     # what the kernel takes for itself passes
     polygons = polygon_arrays.to_polygons(usable.geometry.to_numpy())
-    assert (skeleton.clean(polygons).status == skeleton.Status.OK).all()
+    assert is_accepted(polygons).all()
     assert shapely.is_valid(usable.geometry.to_numpy()).all()
 
 

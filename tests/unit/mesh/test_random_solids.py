@@ -11,19 +11,18 @@ import pytest
 import random_solids
 from places import ROOT, SHARED
 
-from p2wss import skeleton
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction
 
 sys.path.insert(0, str(ROOT / "tests" / "unit" / "skeleton"))
-from skeleton_samples import sample_footprints
+from skeleton_samples import clean, sample_footprints
 
 NUM = 36
 
 
 @pytest.fixture(scope="module")
 def outlines() -> list[random_solids.Rings]:
-    polygons = skeleton.clean(sample_footprints(NUM, 5, court_share=0.15)).polygons
+    polygons = clean(sample_footprints(NUM, 5, court_share=0.15))
     return [[np.asarray(ring) for ring in polygons.rings(i)] for i in range(len(polygons))]
 
 

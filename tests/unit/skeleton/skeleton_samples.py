@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 
+from p2wss.data import polygon_arrays
+from p2wss.footprints.coverage import Cleaning, clean_coverage
 from p2wss.skeleton import Polygons
 
 REGIMES = ("one", "iid", "realistic", "many-90", "many-0")
@@ -89,6 +92,38 @@ def sample_footprints(
         c, s = np.cos(turn), np.sin(turn)
         out.append([(r + jitter * rng.normal(size=r.shape)) @ np.array([[c, -s], [s, c]]) for r in rings])
     return Polygons.from_rings(out)
+
+
+def clean(raw: Polygons, parallel_deg: float = 2.5) -> Polygons:
+    """Each polygon cleaned by itself; one that is rejected is empty."""
+    first = np.array([rings[0][0] if (rings := raw.rings(k)) else (0, 0) for k in range(len(raw))])
+    # so far apart that none is a neighbour of another
+    number = np.arange(len(raw))
+    shift = np.column_stack([number % 64, number // 64]) * 1000.0 - first
+    of_vertex = np.repeat(shift, np.diff(raw.vertex_offset), axis=0)
+    apart = Polygons(raw.xy_m + of_vertex, raw.ring_offset, raw.polygon_offset)
+    shapes = polygon_arrays.to_geometries(apart)
+    valid = np.flatnonzero(shapely.is_valid(shapes) & ~shapely.is_empty(shapes))
+    result = np.full(len(raw), shapely.Polygon(), dtype=object)
+    result[valid] = clean_coverage(shapes[valid], Cleaning(0.0, 0.0, 0.05, parallel_deg=parallel_deg))
+    polygons = polygon_arrays.to_polygons(result)
+    xy_m = polygons.xy_m - np.repeat(shift, np.diff(polygons.vertex_offset), axis=0)
+    return Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
+
+
+def edge_source(raw: Polygons, cleaned: Polygons) -> np.ndarray:
+    """For each edge of cleaned polygons the edge of the raw ones whose middle is nearest, int64."""
+    middles = []
+    for polygons in (raw, cleaned):
+        rings = np.split(polygons.xy_m, polygons.ring_offset[1:-1])
+        middles.append(np.concatenate([(ring + np.roll(ring, -1, axis=0)) / 2 for ring in rings]))
+    result = []
+    for k in range(len(raw)):
+        a, b = raw.vertex_offset[k : k + 2]
+        c, d = cleaned.vertex_offset[k : k + 2]
+        distance = np.linalg.norm(middles[0][a:b] - middles[1][c:d, None], axis=2)
+        result.append(a + distance.argmin(axis=1) if d > c else np.zeros(0, int))
+    return np.concatenate(result)
 
 
 def edge_lengths(polygons: Polygons) -> np.ndarray:

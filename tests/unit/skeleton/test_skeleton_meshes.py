@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
-from skeleton_samples import REGIMES, sample_angles, sample_footprints
+from skeleton_samples import REGIMES, clean, sample_angles, sample_footprints
 from skeleton_solids import crosses_itself, judged_sound, volumes
 
 from p2wss.mesh import Mesh
-from p2wss.skeleton import FaceKind, build, clean, roof_points
+from p2wss.skeleton import FaceKind, build, roof_points
 
 
 def judge(num, regime, court_share, seed):
-    polygons = clean(sample_footprints(num, seed, court_share)).polygons
+    polygons = clean(sample_footprints(num, seed, court_share))
     meshes = build(polygons, sample_angles(polygons, regime, seed), np.full(num, 5.0))
     assert (meshes.status == 0).mean() >= 0.999
     num_courtyards = np.diff(polygons.polygon_offset) - 1
@@ -46,14 +46,14 @@ def test_the_judge_notices_a_crossing():
 @pytest.mark.parametrize("num", [40, pytest.param(400, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("regime", REGIMES)
 def test_no_mesh_crosses_itself(regime, num):
-    polygons = clean(sample_footprints(num, 13, 0.25)).polygons
+    polygons = clean(sample_footprints(num, 13, 0.25))
     meshes = build(polygons, sample_angles(polygons, regime, 13), np.full(num, 5.0))
     assert [k for k in range(num) if crosses_itself(*meshes.mesh(k)[:2])] == []
 
 
 @pytest.mark.parametrize("regime", REGIMES)
 def test_heights_on_the_roof_equal_the_mesh(regime):
-    polygons = clean(sample_footprints(200, 5, 0.3)).polygons
+    polygons = clean(sample_footprints(200, 5, 0.3))
     angle, eave = sample_angles(polygons, regime, 6), np.linspace(3, 9, 200)
     meshes = build(polygons, angle, eave, max_roof_height_m=4.0)
     rng = np.random.default_rng(0)
@@ -73,7 +73,7 @@ def test_heights_on_the_roof_equal_the_mesh(regime):
 
 
 def test_derivatives_match_finite_differences():
-    polygons = clean(sample_footprints(150, 8, 0.3)).polygons
+    polygons = clean(sample_footprints(150, 8, 0.3))
     angle = sample_angles(polygons, "one", 9) + np.random.default_rng(1).uniform(-4, 4, len(polygons.xy_m))
     rng = np.random.default_rng(2)
     index = rng.integers(0, 150, 600)
@@ -100,7 +100,7 @@ def test_derivatives_match_finite_differences():
 
 def test_faces_by_the_labels_are_planar_and_enclose_the_mesh_volume():
     """Triangles of equal kind and edge that share a side are one face, as the writer of CityJSON takes them."""
-    polygons = clean(sample_footprints(100, 3, 0.4)).polygons
+    polygons = clean(sample_footprints(100, 3, 0.4))
     meshes = build(polygons, sample_angles(polygons, "iid", 3), np.full(100, 5.0))
     expected = volumes(meshes)
     for k in range(100):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from sfcgal import sfcgal_volumes
-from skeleton_samples import REGIMES, sample_angles, sample_footprints
+from skeleton_samples import REGIMES, clean, sample_angles, sample_footprints
 from skeleton_solids import volumes
 
-from p2wss.skeleton import Polygons, build, clean
+from p2wss.skeleton import Polygons, build
 
 pytest.importorskip("pysfcgal")
 
@@ -35,7 +35,7 @@ def on_a_tie(rings, angle, sfcgal_m3):
 
 def compare(num, regime, court_share):
     """Numbers of buildings that agree, that differ, that are capped, ambiguous or on a tie, without an answer."""
-    polygons = clean(sample_footprints(num, 3, court_share)).polygons
+    polygons = clean(sample_footprints(num, 3, court_share))
     angle = sample_angles(polygons, regime, 4)
     eave = np.full(num, 5.0)
     meshes = build(polygons, angle, eave)
