@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 import platform
 import time
 from collections.abc import Callable
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -54,20 +55,16 @@ def run_tasks(
     progress: Callable[[int], object],
 ) -> None:
     """Run all tasks in processes, ``last`` once all of ``first`` are done. progress: called with how many are."""
-    num_done = 0
+    num_done = itertools.count(1)
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin) as pool:
-        needed = {pool.submit(task) for task in first}
-        pending: set[Future[None]] = needed | {pool.submit(task) for task in others}
-        waits = True
-        while pending or waits:
-            if waits and not needed & pending:
-                pending.add(pool.submit(last))
-                waits = False
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in done:
-                future.result()
-            num_done += len(done)
-            progress(num_done)
+        needed = [pool.submit(task) for task in first]
+        rest = [pool.submit(task) for task in others]
+        for future in as_completed(needed):
+            future.result()
+            progress(next(num_done))
+        for future in as_completed([pool.submit(last), *rest]):
+            future.result()
+            progress(next(num_done))
 
 
 def _begin() -> None:
