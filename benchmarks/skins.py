@@ -10,7 +10,8 @@ from figures import Figures, cpu_seconds
 
 from p2wss.config import Reconstruct
 from p2wss.data.building import Reconstruction
-from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.mesh import Mesh
+from p2wss.reconstruct.skin import Skin, skins
 from p2wss.reconstruct.skin.wedges import wedges
 
 # a wedge is looked at from this far away, in this many directions
@@ -19,13 +20,9 @@ RADIUS_M, DIRECTIONS = 2e-3, 72
 MORE_DEG, FLAT_DEG = 10.0, 175.0
 
 
-def solids_of(rows: Sequence[Reconstruction]) -> list[Solid]:
+def solids_of(rows: Sequence[Reconstruction]) -> dict[str, Mesh]:
     """The buildings as the export joins them."""
-    meshes = [row for row in rows if row.has_mesh]
-    return [
-        Solid(row.building_id, row.placed_mesh.vertex_m, row.mesh.triangle, row.mesh.kind, row.mesh.label)
-        for row in meshes
-    ]
+    return {row.building_id: row.placed_mesh for row in rows if row.has_mesh}
 
 
 def measure_skins(rows: Sequence[Reconstruction], figures: Figures) -> None:
@@ -37,14 +34,16 @@ def measure_skins(rows: Sequence[Reconstruction], figures: Figures) -> None:
     figures.row("skins", {"skins": len(skin_list), "blocks": len(blocks)})
     figures.at_most("skins: buildings not joined", sum(skin.failure is not None for skin in skin_list), 0)
     figures.at_most("skins: not closed and manifold", sum(not is_closed(skin) for skin in skin_list), 0)
-    before = sum(len(solid.triangle) for solid in solids)
+    before = sum(len(solid.triangle) for solid in solids.values())
     figures.row("skins, triangles without joined steps", {"share": count(exact) / before})
     figures.at_most("skins: triangles per triangle of the parts", count(skin_list) / before, 0.9)
-    thin_before = sum(int((smallest_deg(solid.vertex_m, solid.triangle) < 1).sum()) for solid in solids)
-    thin = sum(int((smallest_deg(skin.vertex_m, skin.triangle) < 1).sum()) for skin in skin_list)
+    thin_before = sum(
+        int((smallest_deg(solid.vertex_m, solid.triangle) < 1).sum()) for solid in solids.values()
+    )
+    thin = sum(int((smallest_deg(skin.mesh.vertex_m, skin.mesh.triangle) < 1).sum()) for skin in skin_list)
     figures.at_most("skins: triangles below 1 degree, of as many in the parts", thin, thin_before)
     # the same count on the buildings by themselves shows what it finds
-    alone = [part for solid in solids for part in skins([solid])]
+    alone = [part for solid in solids.items() for part in skins(dict([solid]))]
     figures.row(
         "false wedges", {"of the parts": false_wedges(alone), "without joined steps": false_wedges(exact)}
     )
@@ -54,7 +53,7 @@ def measure_skins(rows: Sequence[Reconstruction], figures: Figures) -> None:
 
 
 def count(skin_list: Sequence[Skin]) -> int:
-    return sum(len(skin.triangle) for skin in skin_list)
+    return sum(len(skin.mesh.triangle) for skin in skin_list)
 
 
 def num_wedges(skin_list: Sequence[Skin]) -> int:
@@ -64,7 +63,7 @@ def num_wedges(skin_list: Sequence[Skin]) -> int:
 def is_closed(skin: Skin) -> bool:
     """Whether every edge has a triangle on each side, and the triangles at every vertex are one fan."""
     following: dict[int, dict[int, int]] = {}
-    for a, b, c in skin.triangle.tolist():
+    for a, b, c in skin.mesh.triangle.tolist():
         for here, ahead, behind in ((a, b, c), (b, c, a), (c, a, b)):
             if ahead in following.setdefault(here, {}):
                 return False
@@ -121,7 +120,7 @@ class _Heights:
     """Which places are inside skins: those with more surfaces above them that face up than down."""
 
     def __init__(self, skin_list: Sequence[Skin]) -> None:
-        corner = np.concatenate([skin.vertex_m[skin.triangle] for skin in skin_list])
+        corner = np.concatenate([skin.mesh.vertex_m[skin.mesh.triangle] for skin in skin_list])
         self.origin = np.floor(corner.min(axis=(0, 1)))
         corner = corner - self.origin
         normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

@@ -14,14 +14,14 @@ import numpy as np
 
 from p2wss import __version__
 from p2wss.data.materials import MATERIALS
-from p2wss.formats.meshes import Frame, Mesh, faces_of, material_names
+from p2wss.formats.meshes import Body, Frame, faces_of, material_names
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 FLOAT, UNSIGNED_INT = 5126, 5125
 _AXES = "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - northing; metres"
 
 
-def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
+def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
     """Bytes of a GLB with one node per mesh below a root node, and one primitive per building and material.
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with
@@ -31,11 +31,11 @@ def glb(meshes: Sequence[Mesh], frame: Frame, facts: dict[str, Any]) -> bytes:
     """
     place = {"crs": frame.crs, "origin_m": [float(value) for value in frame.origin_m], "axes": _AXES}
     binary = Binary()
-    names = material_names(meshes)
+    names = material_names(bodies)
     nodes, shapes = [], []
-    for number, mesh in enumerate(meshes):
-        nodes.append({"name": mesh.name, "mesh": number, "extras": _extras(mesh)})
-        shapes.append({"name": mesh.name, "primitives": _primitives(mesh, frame, names, binary)})
+    for number, body in enumerate(bodies):
+        nodes.append({"name": body.name, "mesh": number, "extras": _extras(body)})
+        shapes.append({"name": body.name, "primitives": _primitives(body, frame, names, binary)})
     root = {"name": "p2wss", "children": list(range(1, len(nodes) + 1)), "extras": place}
     tree = {
         "asset": {
@@ -95,17 +95,17 @@ class Binary:
         return len(self.views) - 1
 
 
-def _primitives(mesh: Mesh, frame: Frame, names: Sequence[str], binary: Binary) -> list[dict[str, Any]]:
-    x, y, z = (np.asarray(mesh.vertex_m, float) - frame.origin_m).T
+def _primitives(body: Body, frame: Frame, names: Sequence[str], binary: Binary) -> list[dict[str, Any]]:
+    x, y, z = (body.mesh.vertex_m - frame.origin_m).T
     vertex = np.column_stack([x, z, -y]).astype("<f4")
     bounds = {"min": vertex.min(axis=0).tolist(), "max": vertex.max(axis=0).tolist()}
     position = binary.append(vertex, ARRAY_BUFFER, componentType=FLOAT, type="VEC3", **bounds)
     pieces: dict[tuple[str, str], list[np.ndarray]] = {}
-    for faces in faces_of(mesh):
+    for faces in faces_of(body):
         pieces.setdefault((faces.building_id, faces.material), []).append(faces.triangle)
     result = []
     for (building_id, material), triangles in pieces.items():
-        corner = mesh.triangle[np.sort(np.concatenate(triangles))].astype("<u4").ravel()
+        corner = body.mesh.triangle[np.sort(np.concatenate(triangles))].astype("<u4").ravel()
         primitive = {
             "attributes": {"POSITION": position},
             "indices": binary.append(corner, ELEMENT_ARRAY_BUFFER, componentType=UNSIGNED_INT, type="SCALAR"),
@@ -116,9 +116,9 @@ def _primitives(mesh: Mesh, frame: Frame, names: Sequence[str], binary: Binary) 
     return result
 
 
-def _extras(mesh: Mesh) -> dict[str, Any]:
-    materials: dict[str, dict[str, str]] = {ref.building_id: {} for ref in mesh.buildings}
-    for faces in faces_of(mesh):
+def _extras(body: Body) -> dict[str, Any]:
+    materials: dict[str, dict[str, str]] = {ref.building_id: {} for ref in body.buildings}
+    for faces in faces_of(body):
         materials[faces.building_id][faces.surface] = faces.material
     if len(materials) == 1:
         ((building_id, surfaces),) = materials.items()

@@ -14,6 +14,8 @@ import numpy as np
 
 from p2wss import __version__
 from p2wss.data.materials import DEFAULTS, MATERIALS
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import doubled_areas
 from p2wss.skeleton.types import FaceKind
 
 # kind of the triangles of terrain, after those of ``FaceKind``
@@ -42,35 +44,27 @@ class BuildingRef:
 
 
 @dataclass(frozen=True)
-class Mesh:
-    """A named solid: one building, a skin of several buildings that touch, or the terrain.
+class Body:
+    """A named mesh to write: one building, a skin of several buildings that touch, or the terrain.
 
-    vertex_m: float64 (v, 3) in the CRS. triangle: int (t, 3). kind: uint8 (t,), a ``FaceKind``, or :data:`TERRAIN`.
-    building: int32 (t,), the building that each triangle belongs to, an index into ``buildings``. The terrain is the
-    only "building" of its mesh.
+    mesh: in the CRS; the kind of terrain is :data:`TERRAIN`. building: int32 (t,), the building that each triangle
+    belongs to, an index into ``buildings``. The terrain is the only "building" of its mesh.
     """
 
     name: str
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
+    mesh: Mesh
     building: np.ndarray
     buildings: tuple[BuildingRef, ...]
 
     @classmethod
-    def of_building(
-        cls,
-        building_id: str,
-        vertex_m: np.ndarray,
-        triangle: np.ndarray,
-        kind: np.ndarray,
-        materials: Mapping[str, str] | None = None,
-    ) -> Mesh:
-        """The mesh of a single building, or of the terrain, named after it."""
-        building = np.zeros(len(triangle), np.int32)
-        return cls(
-            building_id, vertex_m, triangle, kind, building, (BuildingRef(building_id, materials or {}),)
-        )
+    def of_building(cls, name: str, mesh: Mesh, materials: Mapping[str, str] | None = None) -> Body:
+        """A single building, or the terrain, with its materials."""
+        return cls(name, mesh, np.zeros(len(mesh.triangle), np.int32), (BuildingRef(name, materials or {}),))
+
+    @property
+    def is_terrain(self) -> bool:
+        """Whether it is the terrain."""
+        return TERRAIN in self.mesh.kind
 
 
 @dataclass(frozen=True)
@@ -86,9 +80,9 @@ class Frame:
         return " ".join(f"{value:.10g}" for value in self.origin_m)
 
 
-def frame_around(meshes: Sequence[Mesh], crs: str) -> Frame:
+def frame_around(bodies: Sequence[Body], crs: str) -> Frame:
     """The frame at the lower corner of all meshes, in whole metres: coordinates are small enough for 32 bits."""
-    corners = [mesh.vertex_m.min(axis=0) for mesh in meshes if len(mesh.vertex_m)]
+    corners = [body.mesh.vertex_m.min(axis=0) for body in bodies]
     return Frame(np.floor(np.min(corners, axis=0)) if corners else np.zeros(3), crs)
 
 
@@ -103,11 +97,11 @@ class Faces:
     triangle: np.ndarray
 
 
-def faces_of(mesh: Mesh) -> list[Faces]:
-    """The triangles of a mesh by building and surface, in the order in which these first appear."""
+def faces_of(body: Body) -> list[Faces]:
+    """The triangles of a body by building and surface, in the order in which these first appear."""
     kinds = max(SURFACE_NAMES) + 1
     number, first, index = np.unique(
-        np.asarray(mesh.building, int) * kinds + mesh.kind, return_index=True, return_inverse=True
+        np.asarray(body.building, int) * kinds + body.mesh.kind, return_index=True, return_inverse=True
     )
     by_surface: dict[tuple[int, str], list[int]] = {}
     for position in np.argsort(first):
@@ -115,13 +109,13 @@ def faces_of(mesh: Mesh) -> list[Faces]:
         by_surface.setdefault((building, SURFACE_NAMES[kind]), []).append(position)
     result = []
     for (building, surface), positions in by_surface.items():
-        ref = mesh.buildings[building]
+        ref = body.buildings[building]
         material = ref.materials.get(surface, DEFAULTS[surface])
         result.append(Faces(ref.building_id, surface, material, np.flatnonzero(np.isin(index, positions))))
     return result
 
 
-def obj(meshes: Sequence[Mesh], frame: Frame, library: str | None = None) -> bytes:
+def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> bytes:
     """Wavefront OBJ: one object per mesh, its faces in groups named after their surfaces.
 
     The faces of a mesh of several buildings are also in a group named after the building. library: name of the file
@@ -135,12 +129,13 @@ def obj(meshes: Sequence[Mesh], frame: Frame, library: str | None = None) -> byt
     if library is not None:
         lines.append(f"mtllib {library}")
     first = 1
-    for mesh in meshes:
-        lines.append(f"o {_word(mesh.name)}")
+    for body in bodies:
+        mesh = body.mesh
+        lines.append(f"o {_word(body.name)}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         material = None
-        for faces in faces_of(mesh):
-            building = f" {_word(faces.building_id)}" if len(mesh.buildings) > 1 else ""
+        for faces in faces_of(body):
+            building = f" {_word(faces.building_id)}" if len(body.buildings) > 1 else ""
             lines.append(f"g {faces.surface}{building}")
             if library is not None and faces.material != material:
                 material = faces.material
@@ -150,10 +145,10 @@ def obj(meshes: Sequence[Mesh], frame: Frame, library: str | None = None) -> byt
     return ("\n".join(lines) + "\n").encode()
 
 
-def mtl(meshes: Sequence[Mesh]) -> bytes:
+def mtl(bodies: Sequence[Body]) -> bytes:
     """The materials of the meshes for :func:`obj`: names, colours and, in comments, types of ITU-R P.2040."""
     lines = [f"# p2wss {__version__}"]
-    for name in material_names(meshes):
+    for name in material_names(bodies):
         material = MATERIALS[name]
         red, green, blue = (value / 255 for value in material.colour)
         lines += [
@@ -165,17 +160,17 @@ def mtl(meshes: Sequence[Mesh]) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def material_names(meshes: Sequence[Mesh]) -> list[str]:
+def material_names(bodies: Sequence[Body]) -> list[str]:
     """Names of all materials of the meshes, in the order in which they first appear."""
-    return list(dict.fromkeys(faces.material for mesh in meshes for faces in faces_of(mesh)))
+    return list(dict.fromkeys(faces.material for body in bodies for faces in faces_of(body)))
 
 
-def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:
+def ply(bodies: Sequence[Body], frame: Frame) -> bytes:
     """Binary PLY; each face has its kind and the number of its building, whose id is in the comments."""
-    vertex, triangle, kind, building = _joined(meshes, frame)
+    vertex, triangle, kind, building = _joined(bodies, frame)
     face = np.zeros(len(triangle), _PLY_FACE)
     face["count"], face["vertex"], face["kind"], face["building"] = 3, triangle, kind, building
-    buildings = [building for mesh in meshes for building in mesh.buildings]
+    buildings = [building for body in bodies for building in body.buildings]
     kinds = ", ".join(f"{int(number)} {name}" for number, name in SURFACE_NAMES.items())
     header = [
         "ply",
@@ -196,13 +191,12 @@ def ply(meshes: Sequence[Mesh], frame: Frame) -> bytes:
     return ("\n".join(header) + "\n").encode() + vertex.tobytes() + face.tobytes()
 
 
-def stl(meshes: Sequence[Mesh], frame: Frame) -> bytes:
+def stl(bodies: Sequence[Body], frame: Frame) -> bytes:
     """Binary STL, all meshes in one; CRS and origin in its header of 80 bytes."""
-    vertex, triangle, _, _ = _joined(meshes, frame)
+    vertex, triangle, _, _ = _joined(bodies, frame)
     face = np.zeros(len(triangle), _STL_FACE)
     face["corner"] = vertex["xyz"][triangle]
-    corner = face["corner"].astype(float)
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal = doubled_areas(face["corner"].astype(float))
     face["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
     # readers take a header that begins with "solid" for the text format
     header = f"p2wss metres z up origin_m {frame.origin} crs {frame.crs}".encode("ascii", "replace")[:80]
@@ -226,23 +220,17 @@ def file_names(names: Sequence[str]) -> list[str]:
     return result
 
 
-def _joined(meshes: Sequence[Mesh], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _joined(bodies: Sequence[Body], frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Vertices (:data:`_VERTEX`), triangles, and per triangle kind and number of the building, of all meshes.
 
     Buildings are numbered in the order of the meshes, and within a mesh in that of its ``buildings``.
     """
-    counts = np.array([len(mesh.vertex_m) for mesh in meshes], int)
-    sizes = [len(mesh.triangle) for mesh in meshes]
-    first = np.repeat(np.cumsum(counts) - counts, sizes)
-    vertex = np.zeros(counts.sum(), _VERTEX)
-    if not meshes:
-        return vertex, np.zeros((0, 3), int), np.zeros(0, np.uint8), np.zeros(0, int)
-    vertex["xyz"] = np.concatenate([mesh.vertex_m for mesh in meshes]) - frame.origin_m
-    triangle = np.concatenate([mesh.triangle for mesh in meshes]).astype(int) + first[:, None]
-    kind = np.concatenate([mesh.kind for mesh in meshes])
-    refs = np.array([len(mesh.buildings) for mesh in meshes])
-    building = np.concatenate([mesh.building for mesh in meshes]) + np.repeat(np.cumsum(refs) - refs, sizes)
-    return vertex, triangle, kind, building
+    whole = Mesh.joined([body.mesh for body in bodies])
+    vertex = np.zeros(len(whole.vertex_m), _VERTEX)
+    vertex["xyz"] = whole.vertex_m - frame.origin_m
+    first = np.cumsum([0, *(len(body.buildings) for body in bodies)])
+    building = [body.building + start for body, start in zip(bodies, first, strict=False)]
+    return vertex, whole.triangle, whole.kind, np.concatenate([np.zeros(0, int), *building])
 
 
 def _word(name: str) -> str:

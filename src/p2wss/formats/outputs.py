@@ -1,4 +1,4 @@
-"""The mesh formats: for each, a function from meshes to the content of its files."""
+"""The mesh formats: for each, a function from bodies to the content of its files."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from p2wss.formats.glb import glb
-from p2wss.formats.meshes import Frame, Mesh, mtl, obj, ply, stl
+from p2wss.formats.meshes import Body, Frame, mtl, obj, ply, stl
 from p2wss.formats.sionna import scene_files
 from p2wss.formats.tiles3d import tileset_files
 
 
 @dataclass(frozen=True)
 class FileOptions:
-    """What a writer needs besides meshes and frame. stem: of the names of the files. facts: provenance. The others are
+    """What a writer needs besides bodies and frame. stem: of the names of the files. facts: provenance. The others are
     settings of the section ``reconstruct``."""
 
     stem: str
@@ -26,21 +26,21 @@ class FileOptions:
 
 # contents by the names of the files, relative to the folder of the output and with "/", in the order of writing: the
 # file that a reader opens comes last, when those that it names exist
-Writer = Callable[[Sequence[Mesh], Frame, FileOptions], dict[str, bytes]]
+Writer = Callable[[Sequence[Body], Frame, FileOptions], dict[str, bytes]]
 
 # one entry per mesh format of ``reconstruct.outputs``
 MESH_WRITERS: dict[str, Writer] = {
-    "glb": lambda meshes, frame, options: {f"{options.stem}.glb": glb(meshes, frame, dict(options.facts))},
-    "obj": lambda meshes, frame, options: {
-        f"{options.stem}.mtl": mtl(meshes),
-        f"{options.stem}.obj": obj(meshes, frame, f"{options.stem}.mtl"),
+    "glb": lambda bodies, frame, options: {f"{options.stem}.glb": glb(bodies, frame, dict(options.facts))},
+    "obj": lambda bodies, frame, options: {
+        f"{options.stem}.mtl": mtl(bodies),
+        f"{options.stem}.obj": obj(bodies, frame, f"{options.stem}.mtl"),
     },
-    "ply": lambda meshes, frame, options: {f"{options.stem}.ply": ply(meshes, frame)},
-    "stl": lambda meshes, frame, options: {f"{options.stem}.stl": stl(meshes, frame)},
-    "sionna": lambda meshes, frame, options: {
+    "ply": lambda bodies, frame, options: {f"{options.stem}.ply": ply(bodies, frame)},
+    "stl": lambda bodies, frame, options: {f"{options.stem}.stl": stl(bodies, frame)},
+    "sionna": lambda bodies, frame, options: {
         f"{options.stem}_sionna/{name}": content
         for name, content in scene_files(
-            meshes,
+            bodies,
             frame,
             options.facts,
             options.frequency_ghz,
@@ -48,9 +48,9 @@ MESH_WRITERS: dict[str, Writer] = {
             options.map_cell_m,
         ).items()
     },
-    "3dtiles": lambda meshes, frame, options: {
+    "3dtiles": lambda bodies, frame, options: {
         f"{options.stem}_3dtiles/{name}": content
-        for name, content in tileset_files(meshes, frame, options.facts).items()
+        for name, content in tileset_files(bodies, frame, options.facts).items()
     },
 }
 # those that `--per-building` writes a file of per mesh

@@ -20,8 +20,9 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from p2wss import __version__
 from p2wss.data.materials import MATERIALS
-from p2wss.formats.meshes import AXES, TERRAIN, Frame, Mesh, faces_of, file_names, material_names
+from p2wss.formats.meshes import AXES, Body, Frame, faces_of, file_names, material_names
 from p2wss.formats.radio_materials import Properties, properties
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 _PLY_FACE = np.dtype([("count", "u1"), ("vertex", "<i4", 3)])
@@ -30,17 +31,16 @@ TERRAIN_TOP = "terrain_top.ply"
 
 @dataclass(frozen=True)
 class _Shape:
-    """A shape of the scene: name of a mesh or of a piece of it, and triangles of one material."""
+    """A shape of the scene: name of a body or of a piece of it, whose triangles have one material."""
 
     name: str
     buildings: list[str]
     material: str
-    vertex_m: np.ndarray
-    triangle: np.ndarray
+    mesh: Mesh
 
 
 def scene_files(
-    meshes: Sequence[Mesh],
+    bodies: Sequence[Body],
     frame: Frame,
     facts: Mapping[str, Any],
     frequency_ghz: float,
@@ -52,9 +52,9 @@ def scene_files(
     split_materials: a shape for each material of a mesh. Otherwise a mesh is one shape of the material that most of its
     wall area has. map_cell_m: size of the squares of the terrain's top.
     """
-    terrain = [mesh for mesh in meshes if TERRAIN in mesh.kind]
-    others = [mesh for mesh in meshes if TERRAIN not in mesh.kind]
-    shapes = [shape for mesh in (*terrain, *others) for shape in _shapes(mesh, split_materials)]
+    terrain = [body for body in bodies if body.is_terrain]
+    others = [body for body in bodies if not body.is_terrain]
+    shapes = [shape for body in (*terrain, *others) for shape in _shapes(body, split_materials)]
     # Mitsuba reserves the point in ids; Sionna RT reads the XML in the encoding of the system
     ids = file_names([re.sub(r"[^A-Za-z0-9_-]", "_", shape.name) for shape in shapes])
     materials = {
@@ -63,11 +63,11 @@ def scene_files(
     }
     files = {}
     for shape, name in zip(shapes, ids, strict=True):
-        files[f"meshes/{name}.ply"] = _ply(shape.vertex_m - frame.origin_m, shape.triangle)
+        files[f"meshes/{name}.ply"] = _ply(shape.mesh.vertex_m - frame.origin_m, shape.mesh.triangle)
     if terrain:
-        files[TERRAIN_TOP] = _top(terrain[0], others, frame, map_cell_m)
+        files[TERRAIN_TOP] = _top(terrain[0].mesh, others, frame, map_cell_m)
     latitude_deg, longitude_deg = _wgs84(frame)
-    is_mixed = any(len(material_names([mesh])) > 1 for mesh in others)
+    is_mixed = any(len(material_names([body])) > 1 for body in others)
     remarks = notes(materials, frequency_ghz, bool(terrain), is_mixed, split_materials)
     document = {
         "p2wss": dict(facts),
@@ -158,37 +158,29 @@ def notes(
     return result
 
 
-def _shapes(mesh: Mesh, split_materials: bool) -> list[_Shape]:
-    faces = faces_of(mesh)
-    corner = mesh.vertex_m[mesh.triangle]
-    area_m2 = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+def _shapes(body: Body, split_materials: bool) -> list[_Shape]:
+    mesh = body.mesh
     by_material: dict[str, list[np.ndarray]] = {}
     wall_m2: dict[str, float] = {}
-    for piece in faces:
+    for piece in faces_of(body):
         by_material.setdefault(piece.material, []).append(piece.triangle)
-        weight = area_m2[piece.triangle].sum() * (1.0 if piece.surface == "wall" else 1e-6)
+        weight = mesh.area_m2[piece.triangle].sum() * (1.0 if piece.surface == "wall" else 1e-6)
         wall_m2[piece.material] = wall_m2.get(piece.material, 0.0) + weight
-    buildings = [] if TERRAIN in mesh.kind else [ref.building_id for ref in mesh.buildings]
+    buildings = [] if body.is_terrain else [ref.building_id for ref in body.buildings]
     if not split_materials or len(by_material) == 1:
         material = max(wall_m2, key=wall_m2.__getitem__)
-        return [_Shape(mesh.name, buildings, material, mesh.vertex_m, mesh.triangle)]
-    result = []
-    for material, rows in by_material.items():
-        used, triangle = np.unique(mesh.triangle[np.concatenate(rows)], return_inverse=True)
-        shape = _Shape(
-            f"{mesh.name}-{material}", buildings, material, mesh.vertex_m[used], triangle.reshape(-1, 3)
-        )
-        result.append(shape)
-    return result
+        return [_Shape(body.name, buildings, material, mesh)]
+    return [
+        _Shape(f"{body.name}-{material}", buildings, material, mesh.part(np.concatenate(rows)))
+        for material, rows in by_material.items()
+    ]
 
 
-def _top(terrain: Mesh, buildings: Sequence[Mesh], frame: Frame, cell_m: float) -> bytes:
+def _top(terrain: Mesh, buildings: Sequence[Body], frame: Frame, cell_m: float) -> bytes:
     """The upper side of the terrain as squares of ``cell_m``, two triangles each, without those whose centre is in a
     building. A radio map has a value per triangle."""
     local = terrain.vertex_m - frame.origin_m
-    corner = local[terrain.triangle]
-    upwards = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 0
-    top = local[np.unique(terrain.triangle[upwards])]
+    top = local[np.unique(terrain.triangle[terrain.doubled_m2[:, 2] > 0])]
     low, high = top[:, :2].min(axis=0), top[:, :2].max(axis=0)
     counts = np.maximum(np.floor((high - low) / cell_m).astype(int), 1)
     x, y = (start + cell_m * np.arange(count + 1) for start, count in zip(low, counts, strict=True))
@@ -207,12 +199,11 @@ def _top(terrain: Mesh, buildings: Sequence[Mesh], frame: Frame, cell_m: float) 
     return _ply(np.column_stack([node, height])[used], triangle.reshape(-1, 3))
 
 
-def _are_covered(point_m: np.ndarray, buildings: Sequence[Mesh], frame: Frame) -> np.ndarray:
+def _are_covered(point_m: np.ndarray, buildings: Sequence[Body], frame: Frame) -> np.ndarray:
     """Which of the points (n, 2) are in the footprint of a building, bool (n,)."""
     # by its roofs, as a skin that ends on the terrain has no floor
     surfaces = [
-        mesh.vertex_m[mesh.triangle[mesh.kind != FaceKind.WALL]][:, :, :2] - frame.origin_m[:2]
-        for mesh in buildings
+        body.mesh.corner_m[body.mesh.kind != FaceKind.WALL, :, :2] - frame.origin_m[:2] for body in buildings
     ]
     covered = np.zeros(len(point_m), bool)
     if surfaces:

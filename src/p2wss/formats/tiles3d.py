@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,8 @@ from p2wss import __version__
 from p2wss.errors import InputError
 from p2wss.formats.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UNSIGNED_INT, Binary, container
 from p2wss.formats.glb import gltf_material as material_of
-from p2wss.formats.meshes import TERRAIN, Frame, Mesh, faces_of, material_names
+from p2wss.formats.meshes import Body, Frame, faces_of, material_names
+from p2wss.mesh import Mesh
 
 MAX_MESHES = 256
 _EARTH_CENTRED, _GEOGRAPHIC = "EPSG:4978", "EPSG:4979"
@@ -29,7 +30,7 @@ _NORMAL_STEPS = 1e4
 
 
 def tileset_files(
-    meshes: Sequence[Mesh], frame: Frame, facts: Mapping[str, Any], max_meshes: int = MAX_MESHES
+    bodies: Sequence[Body], frame: Frame, facts: Mapping[str, Any], max_meshes: int = MAX_MESHES
 ) -> dict[str, bytes]:
     """The files of a tileset by their names, ``tileset.json`` last.
 
@@ -44,15 +45,14 @@ def tileset_files(
     without a vertical CRS, they are written as heights above the ellipsoid, which the extras of the asset state.
     """
     earth_centred = _transformer(frame.crs, _EARTH_CENTRED)
-    corner_m = _corners(meshes, frame)
+    corner_m = _corners(bodies, frame)
     centre_m = corner_m.mean(axis=0)
     to_globe = _east_north_up(frame.crs, centre_m)
-    buildings: list[_Part] = []
-    terrains: list[_Part] = []
-    for mesh in meshes:
-        if len(mesh.triangle):
-            local_m = _local(mesh.vertex_m, earth_centred, to_globe)
-            (terrains if TERRAIN in mesh.kind else buildings).append(_Part(mesh, local_m))
+    buildings: list[Body] = []
+    terrains: list[Body] = []
+    for body in bodies:
+        local = body.mesh.moved(_local(body.mesh.vertex_m, earth_centred, to_globe))
+        (terrains if body.is_terrain else buildings).append(replace(body, mesh=local))
     files: dict[str, bytes] = {}
     root = _tile(buildings, "0", max_meshes, files) if buildings else None
     tile: dict[str, Any] = {"children": [root.tile]} if root is not None else {}
@@ -88,19 +88,6 @@ def tileset_files(
 
 
 @dataclass(frozen=True)
-class _Part:
-    """A mesh with its vertices (v, 3) in the local frame of the tileset."""
-
-    mesh: Mesh
-    local_m: np.ndarray
-
-    @property
-    def centre_m(self) -> np.ndarray:
-        """The centre of the bounding box, (3,), metres."""
-        return np.asarray(self.local_m.min(axis=0) + self.local_m.max(axis=0)) / 2
-
-
-@dataclass(frozen=True)
 class _Tile:
     """A tile as JSON and its bounds in the local frame."""
 
@@ -109,9 +96,9 @@ class _Tile:
     high_m: np.ndarray
 
 
-def _tile(parts: Sequence[_Part], name: str, max_meshes: int, files: dict[str, bytes]) -> _Tile:
+def _tile(parts: Sequence[Body], name: str, max_meshes: int, files: dict[str, bytes]) -> _Tile:
     """A leaf with all parts, or an inner tile with those of each quarter below it. Contents are added to ``files``."""
-    centre_m = np.array([part.centre_m for part in parts])
+    centre_m = np.array([np.mean(_bounds(part.mesh), axis=0) for part in parts])
     if len(parts) <= max_meshes or (np.ptp(centre_m[:, :2], axis=0) == 0).all():
         origin_m = np.round(centre_m.mean(axis=0))
         uri = f"content/{name}.glb"
@@ -145,27 +132,19 @@ def _tile(parts: Sequence[_Part], name: str, max_meshes: int, files: dict[str, b
     return _Tile(inner, low_m, high_m)
 
 
-def _content(parts: Sequence[_Part], origin_m: np.ndarray) -> tuple[bytes, np.ndarray, np.ndarray]:
+def _content(parts: Sequence[Body], origin_m: np.ndarray) -> tuple[bytes, np.ndarray, np.ndarray]:
     """A GLB of the parts, y up as glTF prescribes, and its bounds, z up, around ``origin_m``.
 
     Each corner of a face has the normal of the face and the number of its building, the row of the property table.
     """
-    names = material_names([part.mesh for part in parts])
-    vertices = [part.local_m - origin_m for part in parts]
-    first_vertex = np.cumsum([0, *map(len, vertices)])
-    first_building = np.cumsum([0, *(len(part.mesh.buildings) for part in parts)])
-    vertex_m = np.concatenate(vertices)
-    triangle = np.concatenate(
-        [p.mesh.triangle + first for p, first in zip(parts, first_vertex, strict=False)]
-    )
-    building = np.concatenate(
-        [p.mesh.building + first for p, first in zip(parts, first_building, strict=False)]
-    )
-    material = np.concatenate([_material_numbers(part.mesh, names) for part in parts])
-    corner = vertex_m[triangle]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.where(length > 0, normal / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
+    names = material_names(parts)
+    whole = Mesh.joined([part.mesh for part in parts]).translated(-origin_m)
+    vertex_m, triangle = whole.vertex_m, whole.triangle
+    first_building = np.cumsum([0, *(len(part.buildings) for part in parts)])
+    building = np.concatenate([p.building + first for p, first in zip(parts, first_building, strict=False)])
+    material = np.concatenate([_material_numbers(part, names) for part in parts])
+    length = 2 * whole.area_m2[:, None]
+    normal = np.where(length > 0, whole.doubled_m2 / np.maximum(length, 1e-12), [0.0, 0.0, 1.0])
 
     binary = Binary()
     primitives = []
@@ -223,14 +202,14 @@ def _primitive(
     }
 
 
-def _metadata(parts: Sequence[_Part], binary: Binary) -> dict[str, Any]:
+def _metadata(parts: Sequence[Body], binary: Binary) -> dict[str, Any]:
     """The property table: id and height of each building, in the order of the feature numbers."""
-    ids = [ref.building_id.encode() for part in parts for ref in part.mesh.buildings]
+    ids = [ref.building_id.encode() for part in parts for ref in part.buildings]
     offsets = np.cumsum([0, *map(len, ids)]).astype("<u4")
     heights = []
     for part in parts:
-        for number in range(len(part.mesh.buildings)):
-            z_m = part.local_m[part.mesh.triangle[part.mesh.building == number], 2]
+        for number in range(len(part.buildings)):
+            z_m = part.mesh.corner_m[part.building == number, :, 2]
             heights.append(float(np.ptp(z_m)) if z_m.size else 0.0)
     # the specification requires that views of tables begin at multiples of eight bytes
     values = binary.append_view(b"".join(ids), 8)
@@ -260,9 +239,9 @@ def _metadata(parts: Sequence[_Part], binary: Binary) -> dict[str, Any]:
     }
 
 
-def _material_numbers(mesh: Mesh, names: Sequence[str]) -> np.ndarray:
-    numbers = np.zeros(len(mesh.triangle), int)
-    for faces in faces_of(mesh):
+def _material_numbers(body: Body, names: Sequence[str]) -> np.ndarray:
+    numbers = np.zeros(len(body.mesh.triangle), int)
+    for faces in faces_of(body):
         numbers[faces.triangle] = names.index(faces.material)
     return numbers
 
@@ -278,8 +257,8 @@ def _box(low_m: np.ndarray, high_m: np.ndarray) -> list[float]:
     return [*((low_m + high_m) / 2).tolist(), *np.diag(half).ravel().tolist()]
 
 
-def _corners(meshes: Sequence[Mesh], frame: Frame) -> np.ndarray:
-    corners = [bound for mesh in meshes if len(mesh.vertex_m) for bound in _bounds(mesh)]
+def _corners(bodies: Sequence[Body], frame: Frame) -> np.ndarray:
+    corners = [bound for body in bodies for bound in _bounds(body.mesh)]
     low_high = np.array(corners) if corners else np.array([frame.origin_m])
     return np.array([low_high.min(axis=0), low_high.max(axis=0)])
 

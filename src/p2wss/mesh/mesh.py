@@ -49,8 +49,14 @@ class Mesh:
         return cls(vertex_m, triangle, *face_planes(vertex_m, triangle, topology.twins(triangle) // 3))
 
     @classmethod
+    def empty(cls) -> Mesh:
+        """A mesh without triangles."""
+        return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros(0, np.uint8), np.zeros(0, np.int32))
+
+    @classmethod
     def joined(cls, meshes: Sequence[Mesh]) -> Mesh:
         """All triangles of several meshes, with the vertices and the labels of each; meshes have none in common."""
+        meshes = meshes or [cls.empty()]
         first = np.cumsum([0, *(len(mesh.vertex_m) for mesh in meshes)])
         label = np.cumsum([0, *(mesh.label.max(initial=-1) + 1 for mesh in meshes)])
         return cls(
@@ -168,7 +174,7 @@ class Planes:
         number = np.unique(mesh.label, return_inverse=True)[1].reshape(-1)
         normal = np.column_stack([np.bincount(number, mesh.doubled_m2[:, axis]) for axis in range(3)])
         twice_m2 = np.linalg.norm(normal, axis=1)
-        normal = normal / twice_m2[:, None]
+        normal = normal / np.maximum(twice_m2, 1e-12)[:, None]
         kind, offset_m = np.zeros(len(normal), np.uint8), np.zeros(len(normal))
         kind[number] = mesh.kind
         offset_m[number] = (normal[number] * mesh.corner_m[:, 0]).sum(axis=1)

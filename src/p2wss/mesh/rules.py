@@ -15,7 +15,7 @@ import numpy as np
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.topology import NEXT, twins
+from p2wss.mesh.topology import NEXT, doubled_plan_areas, twins
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -159,9 +159,7 @@ class _Faces:
 
 
 def _turns_back(plane_m: np.ndarray, triangle: np.ndarray) -> bool:
-    a, b, c = plane_m[triangle[:, 0]], plane_m[triangle[:, 1]], plane_m[triangle[:, 2]]
-    u, v = b - a, c - a
-    return bool((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() < 0)
+    return bool(doubled_plan_areas(plane_m[triangle]).sum() < 0)
 
 
 def _common_corners(corner: np.ndarray, triangle: np.ndarray) -> np.ndarray:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from p2wss.formats.meshes import SURFACE_NAMES, Mesh
-from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.formats.meshes import SURFACE_NAMES, Body
+from p2wss.reconstruct.skin import Skin, skins
 from p2wss.reconstruct.skin.on_terrain import cut
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
@@ -18,22 +19,10 @@ from p2wss.storage.schemas.wedges import WEDGES
 log = logging.getLogger("p2wss")
 
 
-def joined(
-    buildings: Sequence[Mesh],
-    edges: Sequence[np.ndarray],
-    step_m: float,
-    max_lowering_m: float = MAX_LOWERING_M,
-) -> list[Skin]:
-    """The skins around ``buildings``, meshes of one building each, with a warning for those that stay apart.
-
-    edges: per building, int (t,), the label that separates the faces of one kind. step_m, max_lowering_m: see
-    :func:`p2wss.reconstruct.skin.skins`.
-    """
-    solids = [
-        Solid(mesh.name, mesh.vertex_m, mesh.triangle, mesh.kind, edge)
-        for mesh, edge in zip(buildings, edges, strict=True)
-    ]
-    result = skins(solids, step_m, max_lowering_m)
+def joined(buildings: Sequence[Body], step_m: float, max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
+    """The skins around ``buildings``, one each, with a warning for those that stay apart; the others as in
+    :func:`p2wss.reconstruct.skin.skins`."""
+    result = skins({body.name: body.mesh for body in buildings}, step_m, max_lowering_m)
     apart = [skin for skin in result if skin.failure is not None]
     if apart:
         example = f"{apart[0].building_ids[0]}: {apart[0].failure}"
@@ -45,24 +34,22 @@ def joined(
     return result
 
 
-def on_terrain(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
+def on_terrain(skin_list: Sequence[Skin], terrain: Body) -> tuple[list[Skin], Body]:
     """The skins down to the terrain, and the terrain outside them, with a warning for those that stay solids in it."""
-    result, with_holes = cut(skin_list, terrain)
-    whole = sum((skin.kind == FaceKind.GROUND).any() for skin in result)
+    result, mesh = cut(skin_list, terrain.mesh)
+    whole = sum((skin.mesh.kind == FaceKind.GROUND).any() for skin in result)
     if whole:
         log.warning("%d skins remain closed solids that overlap the terrain", whole)
-    return result, with_holes
+    return result, replace(terrain, mesh=mesh, building=np.zeros(len(mesh.triangle), np.int32))
 
 
-def skin_meshes(skin_list: Sequence[Skin], buildings: Sequence[Mesh]) -> list[Mesh]:
-    """A mesh per skin, named after its building or, as a block, after the first of its buildings."""
-    references = {mesh.name: mesh.buildings[0] for mesh in buildings}
+def skin_bodies(skin_list: Sequence[Skin], buildings: Sequence[Body]) -> list[Body]:
+    """A body per skin, named after its building or, as a block, after the first of its buildings."""
+    references = {body.name: body.buildings[0] for body in buildings}
     return [
-        Mesh(
+        Body(
             skin.building_ids[0] if len(skin.building_ids) == 1 else f"block_{skin.building_ids[0]}",
-            skin.vertex_m,
-            skin.triangle,
-            skin.kind,
+            skin.mesh,
             skin.building,
             tuple(references[name] for name in skin.building_ids),
         )
@@ -78,7 +65,7 @@ def counts(skin_list: Sequence[Skin]) -> dict[str, int]:
         "blocks": len(blocks),
         "buildings_in_blocks": sum(len(skin.building_ids) for skin in blocks),
         "not_joined": sum(skin.failure is not None for skin in skin_list),
-        "cut_from_terrain": sum(not (skin.kind == FaceKind.GROUND).any() for skin in skin_list),
+        "cut_from_terrain": sum(not (skin.mesh.kind == FaceKind.GROUND).any() for skin in skin_list),
     }
 
 
@@ -89,7 +76,7 @@ def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
     for number, skin in enumerate(skin_list):
         edges = wedges(skin)
         # a triangle of each face states its kind and building
-        faces, example = np.unique(skin.face, return_index=True)
+        faces, example = np.unique(skin.mesh.label, return_index=True)
         triangle = example[np.searchsorted(faces, edges.face)]
         names = np.array(skin.building_ids, dtype=object)
         columns = {"skin": np.full(len(edges.face), number), "opening_angle_deg": edges.opening_angle_deg}
@@ -97,7 +84,7 @@ def wedge_columns(skin_list: Sequence[Skin]) -> dict[str, np.ndarray]:
             for axis, letter in enumerate("xyz"):
                 columns[f"{letter}{side}_m"] = edges.end_m[:, side, axis]
             columns[f"face_{side}"] = edges.face[:, side]
-            columns[f"kind_{side}"] = kinds[skin.kind[triangle[:, side]]]
+            columns[f"kind_{side}"] = kinds[skin.mesh.kind[triangle[:, side]]]
             columns[f"building_id_{side}"] = names[skin.building[triangle[:, side]]]
         parts.append(columns)
     return {

@@ -17,7 +17,7 @@ from p2wss.data.materials import materials_of
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.formats import gpkg, sionna
-from p2wss.formats.meshes import AXES, BuildingRef, Frame, Mesh, file_names, frame_around
+from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
@@ -90,7 +90,9 @@ def write(
             "sha256": {path.relative_to(folder).as_posix(): files.sha256(path) for path in delivered},
             "buildings": counts(results),
             "skin": block_skins.counts(skins) if config.skin else None,
-            "terrain": None if ground is None else {"mesh": ground.name, "triangles": len(ground.triangle)},
+            "terrain": None
+            if ground is None
+            else {"mesh": ground.name, "triangles": len(ground.mesh.triangle)},
         },
     )
     return [*written, f"{stem}.json"]
@@ -98,13 +100,13 @@ def write(
 
 def _meshes(
     results: Sequence[Result], terrain: Terrain | None, config: Reconstruct
-) -> tuple[Sequence[Mesh], Mesh | None, Sequence[Skin]]:
+) -> tuple[Sequence[Body], Body | None, Sequence[Skin]]:
     """(all meshes to write, that of the terrain among them, the skins of the blocks if skins or wedges are requested).
 
     Without skin, wedges and terrain, each mesh is made at its access.
     """
     with_mesh = [number for number, result in enumerate(results) if result.reconstruction.has_mesh]
-    buildings: Sequence[Mesh] = Lazy(lambda number: mesh(results[number], config), with_mesh)
+    buildings: Sequence[Body] = Lazy(lambda number: mesh(results[number], config), with_mesh)
     if terrain is not None or config.skin or config.wedges:
         buildings = list(buildings)
     ground = None if terrain is None else block(buildings, terrain, config)
@@ -112,15 +114,14 @@ def _meshes(
         buildings = terrain_mesh.lowered_into(buildings, terrain)
     skins: Sequence[Skin] = []
     if config.skin or config.wedges:
-        edges = [results[number].reconstruction.placed_mesh.label for number in with_mesh]
         is_cut = ground is not None and config.skin_terrain == "cut"
         max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
-        skins = block_skins.joined(buildings, edges, config.skin_step_m, max_lowering_m)
+        skins = block_skins.joined(buildings, config.skin_step_m, max_lowering_m)
         if ground is not None and is_cut:
             skins, with_holes = block_skins.on_terrain(skins, ground)
             ground = with_holes if config.skin else ground
     if config.skin:
-        buildings = block_skins.skin_meshes(skins, buildings)
+        buildings = block_skins.skin_bodies(skins, buildings)
     return (buildings if ground is None else [*buildings, ground]), ground, skins
 
 
@@ -147,7 +148,7 @@ def _write_results(
 
 
 def write_meshes(
-    folder: Path, output: str, meshes: Sequence[Mesh], frame: Frame, options: FileOptions
+    folder: Path, output: str, meshes: Sequence[Body], frame: Frame, options: FileOptions
 ) -> list[Path]:
     """Write the files of one of the formats :data:`~p2wss.formats.outputs.MESH_WRITERS`. Returns their paths."""
     contents = MESH_WRITERS[output](meshes, frame, options)
@@ -156,11 +157,11 @@ def write_meshes(
     return [folder / name for name in contents]
 
 
-def block(buildings: Sequence[Mesh], terrain: Terrain, config: Reconstruct) -> Mesh | None:
+def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> Body | None:
     """The terrain around the buildings, None without buildings. Raises :class:`InputError` if it has no height."""
     if not buildings:
         return None
-    corners = np.concatenate([building.vertex_m for building in buildings])
+    corners = np.concatenate([building.mesh.vertex_m for building in buildings])
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = config.terrain_margin_m
     bounds = (low[0] - margin, low[1] - margin, high[0] + margin, high[1] + margin)
@@ -226,12 +227,11 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     }
 
 
-def mesh(result: Result, config: Reconstruct) -> Mesh:
+def mesh(result: Result, config: Reconstruct) -> Body:
     """The building's mesh in the CRS of the cloud, with the materials of its footprint or of ``config``."""
     row = result.reconstruction
     materials = surface_materials(result.columns, config)
-    placed = row.placed_mesh
-    return Mesh.of_building(row.building_id, placed.vertex_m, placed.triangle, placed.kind, materials)
+    return Body.of_building(row.building_id, row.placed_mesh, materials)
 
 
 def with_columns(result: Result, names: Sequence[str]) -> Result:

@@ -12,7 +12,9 @@ from scipy.spatial import Delaunay
 
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
-from p2wss.formats.meshes import TERRAIN, Mesh
+from p2wss.formats.meshes import TERRAIN, Body
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import border_rings, doubled_plan_areas
 from p2wss.skeleton.types import FaceKind
 
 NAME = "terrain"
@@ -22,7 +24,7 @@ _BELOW_M, _FOOT_M = 2.0, 0.5
 _MAX_CELLS = 4_000_000
 
 
-def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float = np.inf) -> Mesh:
+def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float = np.inf) -> Body:
     """A closed solid over the centres of the cells in ``bounds`` and of one more row of cells on every side.
 
     The top is a Delaunay triangulation, to which cells are added as vertices until no cell is further than
@@ -38,7 +40,7 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
         # Delaunay on whole numbers is exact: points on the border stay on it
         plan = np.column_stack([column, row])
         upper = Delaunay(plan.astype(float)).simplices
-        area = _doubled_area(plan[upper])
+        area = doubled_plan_areas(plan[upper])
         # rows run south: what is clockwise on the grid is counter-clockwise seen from above
         upper = np.where((area > 0)[:, None], upper[:, ::-1], upper)[area != 0]
         worst = _worst_cells(height_m, plan[upper], tolerance_m)
@@ -50,20 +52,21 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
     return _closed(top_m, upper, min(float(height_m.min()), lowest_m) - _BELOW_M)
 
 
-def lowered_into(meshes: Sequence[Mesh], terrain: Terrain) -> list[Mesh]:
+def lowered_into(bodies: Sequence[Body], terrain: Terrain) -> list[Body]:
     """The buildings with their ground faces lowered below the lowest terrain under each, walls extended.
 
     So there is no gap between a level ground face and sloping terrain through which a ray could enter the building.
     """
     result = []
-    for mesh in meshes:
+    for body in bodies:
+        mesh = body.mesh
         low, high = mesh.vertex_m.min(axis=0), mesh.vertex_m.max(axis=0)
         height_m = terrain.cut((low[0], low[1], high[0], high[1])).height_m
         lowest = np.nanmin(height_m) if np.isfinite(height_m).any() else np.inf
         vertex_m = mesh.vertex_m.copy()
         ground = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
         vertex_m[ground, 2] = np.minimum(vertex_m[ground, 2], lowest - _FOOT_M)
-        result.append(replace(mesh, vertex_m=vertex_m))
+        result.append(replace(body, mesh=mesh.moved(vertex_m)))
     return result
 
 
@@ -117,9 +120,9 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
     return height, terrain.x_min_m + (column + 0.5) * cell, terrain.y_max_m - (row + 0.5) * cell
 
 
-def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Mesh:
+def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Body:
     """The solid of a top surface, vertical sides and a level bottom; the border of ``upper`` must be a single ring."""
-    border = _ring(upper)
+    border = np.array(border_rings(upper)[0])
     count, around = len(top_m), len(border)
     below = np.column_stack([top_m[border, :2], np.full(around, bottom_z_m)])
     lower = count + np.arange(around)
@@ -135,22 +138,5 @@ def _closed(top_m: np.ndarray, upper: np.ndarray, bottom_z_m: float) -> Mesh:
     bottom = np.column_stack([lower[following], lower, np.full(around, count + around)])
     triangle = np.concatenate([upper, sides, bottom]).astype(np.int32)
     kind = np.full(len(triangle), TERRAIN, np.uint8)
-    return Mesh.of_building(NAME, np.vstack([top_m, below, middle]), triangle, kind)
-
-
-def _ring(triangle: np.ndarray) -> np.ndarray:
-    """The border of a triangulated disc, in the orientation of its triangles."""
-    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
-    pairs = set(zip(start.tolist(), end.tolist(), strict=True))
-    following = {a: b for a, b in pairs if (b, a) not in pairs}
-    ring = [min(following)]
-    while (vertex := following[ring[-1]]) != ring[0]:
-        ring.append(vertex)
-    assert len(ring) == len(following)
-    return np.array(ring)
-
-
-def _doubled_area(corner: np.ndarray) -> np.ndarray:
-    """Twice the signed areas of triangles (t, 3, 2), positive if counter-clockwise."""
-    u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    label = np.zeros(len(triangle), np.int32)
+    return Body.of_building(NAME, Mesh(np.vstack([top_m, below, middle]), triangle, kind, label))

@@ -16,9 +16,9 @@ from p2wss import skeleton
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import (
     SURFACE_NAMES,
+    Body,
     BuildingRef,
     Frame,
-    Mesh,
     faces_of,
     frame_around,
     mtl,
@@ -26,6 +26,7 @@ from p2wss.formats.meshes import (
     ply,
     stl,
 )
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind, Polygons
 
 POSITION = np.array([652000.25, 6861000.5, 103.7])
@@ -37,7 +38,7 @@ COURTYARD = [
 
 
 @pytest.fixture(scope="module")
-def meshes() -> list[Mesh]:
+def meshes() -> list[Body]:
     """An L with gables and, 40 m east of it, a block around a courtyard."""
     built = skeleton.build(
         Polygons.from_rings([L_SHAPE, COURTYARD]),
@@ -47,13 +48,14 @@ def meshes() -> list[Mesh]:
     assert (built.status == 0).all()
     result = []
     for i, name in enumerate(("house 1", "courtyard")):
-        vertex, triangle, kind, _ = built.mesh(i)
-        result.append(Mesh.of_building(name, vertex + POSITION + [40 * i, 0, 0], triangle, kind))
+        result.append(
+            Body.of_building(name, Mesh.of_kernel(built, i).translated(POSITION + np.array([40 * i, 0, 0])))
+        )
     return result
 
 
 @pytest.fixture(scope="module")
-def frame(meshes: list[Mesh]) -> Frame:
+def frame(meshes: list[Body]) -> Frame:
     return frame_around(meshes, "EPSG:2154")
 
 
@@ -74,19 +76,21 @@ def solids_of(content: bytes, kind: str) -> dict[str, trimesh.Trimesh]:
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply", "stl", "glb"])
-def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Mesh], frame: Frame) -> None:
+def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Body], frame: Frame) -> None:
     content = (
         glb(meshes, frame, {}) if kind == "glb" else {"obj": obj, "ply": ply, "stl": stl}[kind](meshes, frame)
     )
     pieces = list(solids_of(content, kind).values())
     assert len(pieces) == len(meshes)
-    expected = sorted(trimesh.Trimesh(m.vertex_m - frame.origin_m, m.triangle).volume for m in meshes)
+    expected = sorted(
+        trimesh.Trimesh(m.mesh.vertex_m - frame.origin_m, m.mesh.triangle).volume for m in meshes
+    )
     assert sorted(piece.volume for piece in pieces) == pytest.approx(expected, rel=1e-5)
     for piece in pieces:
         assert piece.is_watertight and piece.is_winding_consistent and piece.volume > 0
     low = np.min([piece.bounds[0] for piece in pieces], axis=0)
     high = np.max([piece.bounds[1] for piece in pieces], axis=0)
-    corners = np.concatenate([m.vertex_m for m in meshes]) - frame.origin_m
+    corners = np.concatenate([m.mesh.vertex_m for m in meshes]) - frame.origin_m
     expected_bounds = np.array([corners.min(axis=0), corners.max(axis=0)])
     if kind == "glb":
         # y up: x east, y height, -z north
@@ -95,7 +99,7 @@ def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Mesh], fra
     assert np.array([low, high]) == pytest.approx(expected_bounds, abs=2e-4)
 
 
-def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
+def test_names_and_groups_in_obj(meshes: list[Body], frame: Frame) -> None:
     lines = obj(meshes, frame).decode().splitlines()
     assert [line for line in lines if line.startswith("o ")] == ["o house_1", "o courtyard"]
     assert "# crs EPSG:2154" in lines
@@ -106,7 +110,7 @@ def test_names_and_groups_in_obj(meshes: list[Mesh], frame: Frame) -> None:
             name = line.split()[1]
         if line.startswith("f "):
             num_faces[name] = num_faces.get(name, 0) + 1
-    kinds = np.concatenate([mesh.kind for mesh in meshes])
+    kinds = np.concatenate([mesh.mesh.kind for mesh in meshes])
     assert num_faces["ground"] == (kinds == FaceKind.GROUND).sum()
     assert num_faces["wall"] == (kinds == FaceKind.WALL).sum()
     assert num_faces["roof"] == np.isin(kinds, (FaceKind.ROOF, FaceKind.FLAT)).sum()
@@ -116,10 +120,10 @@ def test_open_ground_is_a_surface_of_its_own(frame: Frame) -> None:
     row = yard_house()
     floor = row.mesh.kind == FaceKind.FLOOR
     materials = {"wall": "brick", "roof": "tile", "ground": "brick", "outer_floor": "wet_ground"}
-    mesh = Mesh.of_building("yard", row.mesh.vertex_m + POSITION, row.mesh.triangle, row.mesh.kind, materials)
+    mesh = Body.of_building("yard", row.mesh.translated(POSITION), materials)
     (faces,) = (faces for faces in faces_of(mesh) if faces.surface == "outer_floor")
     assert faces.material == "wet_ground" and (faces.triangle == np.flatnonzero(floor)).all() and floor.any()
-    unnamed = faces_of(Mesh.of_building("yard", row.mesh.vertex_m, row.mesh.triangle, row.mesh.kind))
+    unnamed = faces_of(Body.of_building("yard", row.mesh))
     assert {f.surface: f.material for f in unnamed}["outer_floor"] == "medium_dry_ground"
     lines = obj([mesh], frame, "yard.mtl").decode().splitlines()
     start = lines.index("g outer_floor")
@@ -137,7 +141,7 @@ def glb_json(content: bytes) -> bytes:
     return content[20 : 20 + size]
 
 
-def test_ply_has_kind_and_building_of_every_face(meshes: list[Mesh], frame: Frame) -> None:
+def test_ply_has_kind_and_building_of_every_face(meshes: list[Body], frame: Frame) -> None:
     content = ply(meshes, frame)
     header = content[: content.index(b"end_header")].decode().splitlines()
     assert "comment origin_m 652000 6861000 103 (add it to every vertex)" in header
@@ -145,14 +149,16 @@ def test_ply_has_kind_and_building_of_every_face(meshes: list[Mesh], frame: Fram
     raw = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False).metadata["_ply_raw"]["face"][
         "data"
     ]
-    assert raw["kind"].ravel().tolist() == np.concatenate([mesh.kind for mesh in meshes]).tolist()
-    assert raw["building"].ravel().tolist() == [0] * len(meshes[0].triangle) + [1] * len(meshes[1].triangle)
+    assert raw["kind"].ravel().tolist() == np.concatenate([mesh.mesh.kind for mesh in meshes]).tolist()
+    assert raw["building"].ravel().tolist() == [0] * len(meshes[0].mesh.triangle) + [1] * len(
+        meshes[1].mesh.triangle
+    )
 
 
-def test_ply_numbers_the_buildings_of_a_mesh_of_several(meshes: list[Mesh], frame: Frame) -> None:
+def test_ply_numbers_the_buildings_of_a_mesh_of_several(meshes: list[Body], frame: Frame) -> None:
     """A skin before a single building: its two buildings are 0 and 1, the building 2."""
     house, courtyard = meshes
-    halves = np.arange(len(courtyard.triangle), dtype=np.int32) % 2
+    halves = np.arange(len(courtyard.mesh.triangle), dtype=np.int32) % 2
     skin = replace(courtyard, name="block", building=halves, buildings=(BuildingRef("a"), BuildingRef("b c")))
     content = ply([skin, house], frame)
     header = content[: content.index(b"end_header")].decode().splitlines()
@@ -162,13 +168,13 @@ def test_ply_numbers_the_buildings_of_a_mesh_of_several(meshes: list[Mesh], fram
         "comment building 2 house_1",
     ]
     raw = trimesh.load_mesh(BytesIO(content), file_type="ply", process=False).metadata["_ply_raw"]["face"]
-    assert raw["data"]["building"].ravel().tolist() == [*halves.tolist(), *[2] * len(house.triangle)]
+    assert raw["data"]["building"].ravel().tolist() == [*halves.tolist(), *[2] * len(house.mesh.triangle)]
 
 
-def test_materials_in_obj(meshes: list[Mesh], frame: Frame) -> None:
+def test_materials_in_obj(meshes: list[Body], frame: Frame) -> None:
     """A group has the material of its surface, and a mesh of two buildings has groups of each."""
     house, courtyard = meshes
-    halves = np.arange(len(courtyard.triangle), dtype=np.int32) % 2
+    halves = np.arange(len(courtyard.mesh.triangle), dtype=np.int32) % 2
     materials = {"wall": "brick", "roof": "tile", "ground": "brick"}
     refs = (BuildingRef("a", materials), BuildingRef("b", {"wall": "wood"}))
     skin = replace(courtyard, name="block", building=halves, buildings=refs)
@@ -194,7 +200,7 @@ def test_materials_in_obj(meshes: list[Mesh], frame: Frame) -> None:
         ("roof",): {"concrete"},
         ("ground",): {"concrete"},
     }
-    assert num_faces["wall", "b"] == ((skin.kind == FaceKind.WALL) & (halves == 1)).sum()
+    assert num_faces["wall", "b"] == ((skin.mesh.kind == FaceKind.WALL) & (halves == 1)).sum()
     library = mtl([skin, house]).decode().splitlines()
     assert sorted(line for line in library if line.startswith("newmtl")) == [
         "newmtl brick",
@@ -204,7 +210,7 @@ def test_materials_in_obj(meshes: list[Mesh], frame: Frame) -> None:
     ]
 
 
-def test_glb_keeps_crs_origin_and_materials_where_readers_look(meshes: list[Mesh], frame: Frame) -> None:
+def test_glb_keeps_crs_origin_and_materials_where_readers_look(meshes: list[Body], frame: Frame) -> None:
     house, courtyard = meshes
     house = replace(house, buildings=(BuildingRef("house 1", {"wall": "brick", "roof": "tile"}),))
     content = glb([house, courtyard], frame, {"code": "x"})
@@ -222,7 +228,7 @@ def test_glb_keeps_crs_origin_and_materials_where_readers_look(meshes: list[Mesh
     }
     names = [material["name"] for material in tree["materials"]]
     assert sorted(names) == ["brick", "concrete", "tile"]
-    kinds = {"brick": house.kind == FaceKind.WALL, "concrete": house.kind == FaceKind.GROUND}
+    kinds = {"brick": house.mesh.kind == FaceKind.WALL, "concrete": house.mesh.kind == FaceKind.GROUND}
     kinds["tile"] = ~kinds["brick"] & ~kinds["concrete"]
     for primitive in tree["meshes"][0]["primitives"]:
         count = tree["accessors"][primitive["indices"]]["count"]
@@ -233,11 +239,11 @@ def test_glb_keeps_crs_origin_and_materials_where_readers_look(meshes: list[Mesh
     assert tree["buffers"][0]["byteLength"] == sum(view["byteLength"] for view in tree["bufferViews"])
 
 
-def test_stl_is_binary_with_unit_normals_outwards(meshes: list[Mesh], frame: Frame) -> None:
+def test_stl_is_binary_with_unit_normals_outwards(meshes: list[Body], frame: Frame) -> None:
     content = stl(meshes, frame)
     assert not content.startswith(b"solid") and b"origin_m 652000 6861000 103 crs EPSG:2154" in content[:80]
     (count,) = struct.unpack("<I", content[80:84])
-    assert count == sum(len(mesh.triangle) for mesh in meshes) and len(content) == 84 + 50 * count
+    assert count == sum(len(mesh.mesh.triangle) for mesh in meshes) and len(content) == 84 + 50 * count
     record = np.frombuffer(content[84:], np.dtype("<12f4,<u2"), count)
     values = np.array([row[0] for row in record.tolist()])
     corner = values[:, 3:].reshape(-1, 3, 3)

@@ -15,9 +15,10 @@ from yard_house import yard_house
 from p2wss import skeleton
 from p2wss.data.materials import MATERIALS
 from p2wss.data.terrain import Terrain
-from p2wss.formats.meshes import BuildingRef, Frame, Mesh, frame_around
+from p2wss.formats.meshes import Body, BuildingRef, Frame, frame_around
 from p2wss.formats.radio_materials import ITU_TYPES, properties
 from p2wss.formats.sionna import scene_files
+from p2wss.mesh import Mesh
 from p2wss.reconstruct import terrain_mesh
 from p2wss.skeleton.types import FaceKind, Polygons
 
@@ -26,7 +27,7 @@ BRICK = {"wall": "brick", "roof": "tile", "ground": "brick"}
 
 
 @pytest.fixture(scope="module")
-def meshes() -> list[Mesh]:
+def meshes() -> list[Body]:
     """Two gable houses, the second of brick with tiles, and their terrain, which is the last."""
     ring = np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)
     built = skeleton.build(
@@ -34,16 +35,15 @@ def meshes() -> list[Mesh]:
     )
     result = []
     for i, name in enumerate(("NL.IMBAG.Pand.0503100000000001", "B 2")):
-        vertex, triangle, kind, _ = built.mesh(i)
-        position = np.array([X + 10 + 20 * i, Y + 10, 2])
-        result.append(Mesh.of_building(name, vertex + position, triangle, kind))
+        mesh = Mesh.of_kernel(built, i).translated([X + 10 + 20 * i, Y + 10, 2])
+        result.append(Body.of_building(name, mesh))
     result[1] = replace(result[1], buildings=(BuildingRef("B 2", BRICK),))
     heights = 2 + 0.05 * np.arange(60, dtype=np.float32)[None] + np.zeros((40, 1), np.float32)
     land = Terrain(heights, X, Y + 40, 1.0)
     return [*result, terrain_mesh.block(land, (X + 4, Y + 4, X + 50, Y + 30), 0.1)]
 
 
-def write(folder: Path, meshes: Sequence[Mesh], frequency_ghz: float = 3.5, **options: bool) -> Frame:
+def write(folder: Path, meshes: Sequence[Body], frequency_ghz: float = 3.5, **options: bool) -> Frame:
     frame = frame_around(meshes, "EPSG:28992")
     for name, content in scene_files(meshes, frame, {"code": "x"}, frequency_ghz, **options).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -57,13 +57,13 @@ def closed(shape: sionna_scene.Shape) -> trimesh.Trimesh:
     return solid
 
 
-def test_a_shape_per_building_and_the_terrain(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_a_shape_per_building_and_the_terrain(meshes: list[Body], tmp_path: Path) -> None:
     frame = write(tmp_path, meshes)
     scene = sionna_scene.read(tmp_path)
     assert list(scene.shapes) == ["terrain", "NL_IMBAG_Pand_0503100000000001", "B_2"]
     for shape, mesh in zip(scene.shapes.values(), (meshes[2], *meshes[:2]), strict=True):
-        assert shape.vertex_m == pytest.approx(mesh.vertex_m - frame.origin_m, abs=1e-4)
-        assert (shape.triangle == mesh.triangle).all()
+        assert shape.vertex_m == pytest.approx(mesh.mesh.vertex_m - frame.origin_m, abs=1e-4)
+        assert (shape.triangle == mesh.mesh.triangle).all()
         closed(shape)
     assert [shape.material for shape in scene.shapes.values()] == [
         "mat-medium_dry_ground",
@@ -77,7 +77,7 @@ def test_a_shape_per_building_and_the_terrain(meshes: list[Mesh], tmp_path: Path
     ]
 
 
-def test_place_and_contents_are_stated_in_comments_and_json(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_place_and_contents_are_stated_in_comments_and_json(meshes: list[Body], tmp_path: Path) -> None:
     frame = write(tmp_path, meshes)
     scene = sionna_scene.read(tmp_path)
     facts = scene.facts
@@ -97,26 +97,26 @@ def test_place_and_contents_are_stated_in_comments_and_json(meshes: list[Mesh], 
     assert len(facts["notes"]) == 1 and "material of most of its walls" in facts["notes"][0]
 
 
-def test_the_map_surface_is_the_top_of_the_terrain(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_the_map_surface_is_the_top_of_the_terrain(meshes: list[Body], tmp_path: Path) -> None:
     frame = write(tmp_path, meshes)
     vertex_m, triangle = sionna_scene.read_ply(tmp_path / "terrain_top.ply")
     top = trimesh.Trimesh(vertex_m, triangle, process=False)
     assert (top.face_normals[:, 2] > 0.5).all()
     # half squares of 2 m, and none whose square has its centre in a house of 10 m by 8 m
-    size = np.floor(np.ptp(meshes[2].vertex_m[:, :2], axis=0) / 2) * 2
+    size = np.floor(np.ptp(meshes[2].mesh.vertex_m[:, :2], axis=0) / 2) * 2
     plan = trimesh.Trimesh(vertex_m * [1, 1, 0], triangle, process=False)
     assert plan.area_faces == pytest.approx(2.0, rel=1e-5)
     assert size.prod() - plan.area == pytest.approx(2 * 10 * 8, abs=2 * 10)
     centre = plan.triangles[:, :, :2].reshape(-1, 6, 2).mean(axis=1) + frame.origin_m[:2]
     for house in meshes[:2]:
-        low, high = house.vertex_m[:, :2].min(axis=0), house.vertex_m[:, :2].max(axis=0)
+        low, high = house.mesh.vertex_m[:, :2].min(axis=0), house.mesh.vertex_m[:, :2].max(axis=0)
         assert not ((centre > low) & (centre < high)).all(axis=1).any()
     # on the plane of the terrain, which rises by 5 cm a metre
     x_m = vertex_m[:, 0] + frame.origin_m[0] - X
     assert vertex_m[:, 2] + frame.origin_m[2] == pytest.approx(2 + 0.05 * (x_m - 0.5), abs=1e-3)
 
 
-def test_a_map_of_another_cell(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_a_map_of_another_cell(meshes: list[Body], tmp_path: Path) -> None:
     frame = frame_around(meshes, "EPSG:28992")
     areas = []
     for cell_m in (0.5, 1.0):
@@ -127,11 +127,13 @@ def test_a_map_of_another_cell(meshes: list[Mesh], tmp_path: Path) -> None:
         assert plan.area_faces == pytest.approx(cell_m**2 / 2, rel=1e-3)
         areas.append(plan.area)
     assert (
-        areas[0] == pytest.approx(areas[1]) == pytest.approx(np.ptp(meshes[2].vertex_m[:, :2], axis=0).prod())
+        areas[0]
+        == pytest.approx(areas[1])
+        == pytest.approx(np.ptp(meshes[2].mesh.vertex_m[:, :2], axis=0).prod())
     )
 
 
-def test_without_terrain_a_note_says_that_there_is_no_ground(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_without_terrain_a_note_says_that_there_is_no_ground(meshes: list[Body], tmp_path: Path) -> None:
     write(tmp_path, meshes[:1])
     scene = sionna_scene.read(tmp_path)
     assert scene.facts["terrain_top"] is None and list(scene.shapes) == ["NL_IMBAG_Pand_0503100000000001"]
@@ -139,7 +141,7 @@ def test_without_terrain_a_note_says_that_there_is_no_ground(meshes: list[Mesh],
     assert "the scene has no ground; terrain adds it" in scene.comments
 
 
-def test_split_materials(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_split_materials(meshes: list[Body], tmp_path: Path) -> None:
     write(tmp_path, meshes, split_materials=True)
     scene = sionna_scene.read(tmp_path)
     assert {name: shape.material for name, shape in scene.shapes.items()} == {
@@ -149,19 +151,17 @@ def test_split_materials(meshes: list[Mesh], tmp_path: Path) -> None:
         "B_2-tile": "mat-tile",
     }
     assert scene.materials["mat-tile"]["type"] == "brick"
-    roof = np.isin(meshes[1].kind, (FaceKind.ROOF, FaceKind.FLAT)).sum()
+    roof = np.isin(meshes[1].mesh.kind, (FaceKind.ROOF, FaceKind.FLAT)).sum()
     assert len(scene.shapes["B_2-tile"].triangle) == roof
-    assert len(scene.shapes["B_2-brick"].triangle) == len(meshes[1].triangle) - roof
+    assert len(scene.shapes["B_2-brick"].triangle) == len(meshes[1].mesh.triangle) - roof
     assert any("does not find diffracting edges between two shapes" in note for note in scene.facts["notes"])
 
 
-def test_open_ground_has_the_material_of_the_terrain(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_open_ground_has_the_material_of_the_terrain(meshes: list[Body], tmp_path: Path) -> None:
     row = yard_house(X + 10, Y + 10, 2.0)
     position = [*row.origin_xy_m, row.ground_z_m]
     materials = {**BRICK, "outer_floor": "medium_dry_ground"}
-    house = Mesh.of_building(
-        "yard", row.mesh.vertex_m + position, row.mesh.triangle, row.mesh.kind, materials
-    )
+    house = Body.of_building("yard", row.mesh.translated(position), materials)
     write(tmp_path / "whole", [house, meshes[2]])
     assert sionna_scene.read(tmp_path / "whole").shapes["yard"].material == "mat-brick"
     write(tmp_path / "split", [house, meshes[2]], split_materials=True)
@@ -174,13 +174,13 @@ def test_open_ground_has_the_material_of_the_terrain(meshes: list[Mesh], tmp_pat
     assert not ((centre > low[0]) & (centre < low[1])).all(axis=1).any()
 
 
-def test_a_skin_has_the_material_of_most_of_its_walls(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_a_skin_has_the_material_of_most_of_its_walls(meshes: list[Body], tmp_path: Path) -> None:
     house = meshes[1]
-    corner = house.vertex_m[house.triangle]
+    corner = house.mesh.vertex_m[house.mesh.triangle]
     # the two triangles of one long wall are of wood, and so is the whole roof
-    is_wood = (house.kind == FaceKind.WALL) & (np.ptp(corner[:, :, 1], axis=1) == 0) & (
+    is_wood = (house.mesh.kind == FaceKind.WALL) & (np.ptp(corner[:, :, 1], axis=1) == 0) & (
         corner[:, 0, 1] == Y + 10
-    ) | (house.kind == FaceKind.ROOF)
+    ) | (house.mesh.kind == FaceKind.ROOF)
     refs = (BuildingRef("a", BRICK), BuildingRef("b", {"wall": "wood", "roof": "wood"}))
     skin = replace(house, name="block 1", building=is_wood.astype(np.int32), buildings=refs)
     write(tmp_path, [skin])
@@ -189,7 +189,7 @@ def test_a_skin_has_the_material_of_most_of_its_walls(meshes: list[Mesh], tmp_pa
     assert scene.facts["shapes"]["block_1"]["buildings"] == ["a", "b"]
 
 
-def test_ids_are_unique_and_plain(meshes: list[Mesh], tmp_path: Path) -> None:
+def test_ids_are_unique_and_plain(meshes: list[Body], tmp_path: Path) -> None:
     names = ["a/1", "A_1", "Ö--2", "terrain", ' <"&> ', "."]
     copies = [replace(meshes[0], name=name, buildings=(BuildingRef(name),)) for name in names]
     write(tmp_path, [*copies, meshes[2]])
@@ -214,7 +214,7 @@ def test_ids_are_unique_and_plain(meshes: list[Mesh], tmp_path: Path) -> None:
     ],
 )
 def test_materials_at_a_frequency(
-    frequency_ghz: float, constant: list[str], meshes: list[Mesh], tmp_path: Path
+    frequency_ghz: float, constant: list[str], meshes: list[Body], tmp_path: Path
 ) -> None:
     """Types that the recommendation does not define there become materials of constant properties, with a note."""
     write(tmp_path, meshes, frequency_ghz)

@@ -6,7 +6,7 @@ import itertools
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ import pyproj
 import pytest
 
 from p2wss.errors import InputError
-from p2wss.formats.meshes import TERRAIN, BuildingRef, Frame, Mesh, frame_around
+from p2wss.formats.meshes import TERRAIN, Body, BuildingRef, Frame, frame_around
 from p2wss.formats.tiles3d import tileset_files
+from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
 LAMBERT, RD, RD_NAP = "EPSG:2154", "EPSG:28992", "EPSG:7415"
@@ -30,7 +31,7 @@ _WIDTHS = {"SCALAR": 1, "VEC3": 3}
 Z_UP = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
 
 
-def box(name: str, low: np.ndarray, size: tuple[float, float, float]) -> Mesh:
+def box(name: str, low: np.ndarray, size: tuple[float, float, float]) -> Body:
     corner = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
     triangle = np.array(
         [
@@ -39,10 +40,11 @@ def box(name: str, low: np.ndarray, size: tuple[float, float, float]) -> Mesh:
         ]
     )  # fmt: skip
     kind = np.repeat([FaceKind.GROUND, FaceKind.FLAT, *[FaceKind.WALL] * 4], 2).astype(np.uint8)
-    return Mesh.of_building(name, low + corner * size, triangle, kind, {"roof": "tile", "wall": "brick"})
+    mesh = Mesh(low + corner * size, triangle, kind, np.arange(len(kind)) // 2)
+    return Body.of_building(name, mesh, {"roof": "tile", "wall": "brick"})
 
 
-def town(crs: str, count: int = 40, extent_m: float = 3000.0) -> list[Mesh]:
+def town(crs: str, count: int = 40, extent_m: float = 3000.0) -> list[Body]:
     draw = np.random.default_rng(4)
     corner = np.array(CORNER[crs])
     return [
@@ -162,7 +164,7 @@ def test_every_triangle_is_where_it_was_to_the_centimetre(crs: str) -> None:
         triangle = in_crs(content.triangle, crs)
         for name in set(content.building):
             rows = [i for i, building in enumerate(content.building) if building == name]
-            expected = by_name[name].vertex_m[by_name[name].triangle]
+            expected = by_name[name].mesh.corner_m
             found = triangle[rows]
             # as sets: faces are sorted by material
             order, other = (np.lexsort(np.round(t.reshape(-1, 9), 1).T) for t in (expected, found))
@@ -221,18 +223,15 @@ def test_the_tileset_stands_upright_on_the_globe() -> None:
 def test_a_terrain_is_the_content_of_the_root_and_a_skin_keeps_its_buildings() -> None:
     corner = np.array(CORNER[LAMBERT])
     a, b = box("a", corner, (5, 5, 8)), box("b", corner + np.array([5, 0, 0]), (5, 5, 6))
-    skin = Mesh(
+    skin = Body(
         "a+b",
-        np.concatenate([a.vertex_m, b.vertex_m]),
-        np.concatenate([a.triangle, b.triangle + 8]),
-        np.concatenate([a.kind, b.kind]),
+        Mesh.joined([a.mesh, b.mesh]),
         np.repeat([0, 1], 12).astype(np.int32),
         (BuildingRef("a"), BuildingRef("b")),
     )
     ground = box("terrain", corner - [50, 50, 3], (100, 100, 2))
-    terrain = Mesh.of_building(
-        "terrain", ground.vertex_m, ground.triangle, np.full(12, TERRAIN, np.uint8), {"terrain": "wet_ground"}
-    )
+    mesh = replace(ground.mesh, kind=np.full(12, TERRAIN, np.uint8))
+    terrain = Body.of_building("terrain", mesh, {"terrain": "wet_ground"})
     meshes = [skin, terrain]
     files = tileset_files(meshes, frame_around(meshes, LAMBERT), {"version": "x"})
     root, leaf = contents(files)

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import manifold3d
 import numpy as np
 import shapely
 
 from p2wss import skeleton
-from p2wss.reconstruct.skin import Skin, Solid
+from p2wss.mesh import Mesh
+from p2wss.reconstruct.skin import Skin
 from p2wss.skeleton import Polygons
+
+
+class Solid(NamedTuple):
+    """A building and its mesh: a list of these is the argument of ``skins``, as a dictionary."""
+
+    building_id: str
+    mesh: Mesh
 
 
 def solid(
@@ -27,8 +36,7 @@ def solid(
     angles = np.broadcast_to(np.asarray(angle_deg, float), count)
     meshes = skeleton.build(Polygons.from_rings([rings]), np.array(angles), np.array([eave_m]))
     assert meshes.status[0] == skeleton.Status.OK
-    vertex, triangle, kind, edge = meshes.mesh(0)
-    return Solid(name, vertex + np.array([0, 0, ground_z_m]), triangle, kind, edge)
+    return Solid(name, Mesh.of_kernel(meshes, 0).translated([0, 0, ground_z_m]))
 
 
 def gable(name: str, box: tuple[float, float, float, float], eave_m: float, pitch_deg: float) -> Solid:
@@ -46,7 +54,10 @@ def volume(vertex_m: np.ndarray, triangle: np.ndarray) -> float:
 def united(solids: Sequence[Solid]) -> manifold3d.Manifold:
     """The union as an independent library computes it."""
     return manifold3d.Manifold.batch_boolean(
-        [manifold3d.Manifold(manifold3d.Mesh64(s.vertex_m, s.triangle.astype(np.uint64))) for s in solids],
+        [
+            manifold3d.Manifold(manifold3d.Mesh64(s.mesh.vertex_m, s.mesh.triangle.astype(np.uint64)))
+            for s in solids
+        ],
         manifold3d.OpType.Add,
     )
 
@@ -62,20 +73,20 @@ def smallest_angles_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarra
 def assert_closed(skin: Skin) -> None:
     """Every edge has exactly two triangles, in opposite directions, and every vertex one fan of triangles."""
     following: dict[int, dict[int, int]] = {}
-    for a, b, c in skin.triangle.tolist():
+    for a, b, c in skin.mesh.triangle.tolist():
         for here, ahead, behind in ((a, b, c), (b, c, a), (c, a, b)):
             around = following.setdefault(here, {})
             assert ahead not in around, "an edge with two triangles on one side"
             around[ahead] = behind
-    assert sorted(following) == list(range(len(skin.vertex_m)))
+    assert sorted(following) == list(range(len(skin.mesh.vertex_m)))
     for around in following.values():
         start = next(iter(around))
         vertex, steps = around[start], 1
         while vertex != start:
             vertex, steps = around[vertex], steps + 1
         assert steps == len(around), "a vertex with two fans"
-    corner = skin.vertex_m[skin.triangle]
+    corner = skin.mesh.vertex_m[skin.mesh.triangle]
     doubled = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
     assert (doubled > 1e-9).all(), "a triangle without area"
-    assert volume(skin.vertex_m, skin.triangle) > 0
-    assert len(skin.triangle) == len(skin.kind) == len(skin.building) == len(skin.face)
+    assert volume(skin.mesh.vertex_m, skin.mesh.triangle) > 0
+    assert len(skin.mesh.triangle) == len(skin.mesh.kind) == len(skin.mesh.label) == len(skin.building)

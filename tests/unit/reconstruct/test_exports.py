@@ -190,15 +190,15 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["skin"] == {"blocks": 1, "buildings_in_blocks": 2, "not_joined": 0, "cut_from_terrain": 0}
     meshes = [exports.mesh(result, config) for result in row]
-    skins = block_skins.joined(
-        meshes, [result.reconstruction.mesh.label for result in row], config.skin_step_m
-    )
-    block, alone = block_skins.skin_meshes(skins, meshes)
+    skins = block_skins.joined(meshes, config.skin_step_m)
+    block, alone = block_skins.skin_bodies(skins, meshes)
     assert (block.name, alone.name) == ("block_a", "alone")
     assert [building.building_id for building in block.buildings] == ["a", "b"]
     # a box of 20 m by 8 m, of which each building has one half
-    assert trimesh.Trimesh(block.vertex_m, block.triangle).volume == pytest.approx(2 * 80 * 6, rel=1e-3)
-    assert len(block.triangle) < 0.9 * sum(len(mesh.triangle) for mesh in meshes[:2])
+    assert trimesh.Trimesh(block.mesh.vertex_m, block.mesh.triangle).volume == pytest.approx(
+        2 * 80 * 6, rel=1e-3
+    )
+    assert len(block.mesh.triangle) < 0.9 * sum(len(mesh.mesh.triangle) for mesh in meshes[:2])
 
     assert "out.wedges.parquet" in written
     assert files.read_metadata(tmp_path / "out.wedges.parquet") == {"code": "x"}

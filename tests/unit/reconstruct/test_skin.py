@@ -9,9 +9,9 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skin_solids import assert_closed, gable, smallest_angles_deg, solid, united, volume
+from skin_solids import Solid, assert_closed, gable, smallest_angles_deg, solid, united, volume
 
-from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.reconstruct.skin import Skin, skins
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
@@ -20,22 +20,22 @@ from p2wss.skeleton.types import FaceKind
 def exact(solids: list[Solid], merged_m3: float = 0.0) -> list[Skin]:
     """Skins that keep every step, checked against the union. merged_m3: how much the volume may change as corners that
     are millimetres apart become one."""
-    result = skins(solids, step_m=0.0)
+    result = skins(dict(solids), step_m=0.0)
     assert [skin.failure for skin in result] == [None] * len(result)
     for skin in result:
         assert_closed(skin)
     assert sorted(name for skin in result for name in skin.building_ids) == sorted(
         s.building_id for s in solids
     )
-    total = sum(volume(skin.vertex_m, skin.triangle) for skin in result)
+    total = sum(volume(skin.mesh.vertex_m, skin.mesh.triangle) for skin in result)
     assert total == pytest.approx(united(solids).volume(), rel=1e-6, abs=merged_m3)
     return result
 
 
 def wall_area(skin: Skin, building: str | None = None) -> float:
-    corner = skin.vertex_m[skin.triangle]
+    corner = skin.mesh.vertex_m[skin.mesh.triangle]
     area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
-    mask = skin.kind == FaceKind.WALL
+    mask = skin.mesh.kind == FaceKind.WALL
     if building is not None:
         mask &= skin.building == skin.building_ids.index(building)
     return float(area[mask].sum())
@@ -45,8 +45,8 @@ def test_a_building_alone_keeps_its_triangles() -> None:
     alone = gable("a", (0, 0, 8, 10), 6, 40)
     (skin,) = exact([alone])
     assert np.array_equal(
-        np.sort(skin.vertex_m[skin.triangle].reshape(-1, 9), axis=0),
-        np.sort(alone.vertex_m[alone.triangle].reshape(-1, 9), axis=0),
+        np.sort(skin.mesh.vertex_m[skin.mesh.triangle].reshape(-1, 9), axis=0),
+        np.sort(alone.mesh.vertex_m[alone.mesh.triangle].reshape(-1, 9), axis=0),
     )
 
 
@@ -58,10 +58,10 @@ def test_a_step_between_roofs_belongs_to_the_higher_building() -> None:
     assert wall_area(skin, "low") == pytest.approx((8 + 10 + 8) * 4)
     assert wall_area(skin, "high") == pytest.approx((7 + 10 + 7) * 7 + 3 * 10)
     # nothing of the plane between them remains below the step
-    corner = skin.vertex_m[skin.triangle]
+    corner = skin.mesh.vertex_m[skin.mesh.triangle]
     between = (np.abs(corner[:, :, 0] - 8) < 1e-9).all(axis=1)
     assert corner[between][:, :, 2].min() == 4
-    assert len(skin.vertex_m) == 14
+    assert len(skin.mesh.vertex_m) == 14
 
 
 def test_roofs_of_one_height_have_no_wall_between_them() -> None:
@@ -69,7 +69,7 @@ def test_roofs_of_one_height_have_no_wall_between_them() -> None:
     row = [solid(str(k), box, 5) for k, box in enumerate(boxes)]
     (skin,) = exact(row)
     assert wall_area(skin) == pytest.approx((24 + 9) * 2 * 5)
-    assert len(skin.triangle) <= 0.9 * sum(len(house.triangle) for house in row)
+    assert len(skin.mesh.triangle) <= 0.9 * sum(len(house.mesh.triangle) for house in row)
     # an edge between coplanar roofs is no wedge: two at every ridge-less house front, four corners, and the floor's
     assert len(wedges(skin).face) == 2 * (4 + 4) + 4 + 4
 
@@ -88,11 +88,11 @@ def test_a_row_against_a_long_house(ground_z_m: float) -> None:
 def test_floors_of_neighbours_become_level() -> None:
     floors = [0.0, 0.2, 0.45, 0.6, 3.0]
     solids = [solid(str(k), shapely.box(6 * k, 0, 6 * k + 6, 9), 5, 0.0, z) for k, z in enumerate(floors)]
-    (skin,) = skins(solids, step_m=0.0)
+    (skin,) = skins(dict(solids), step_m=0.0)
     assert_closed(skin)
-    ground = skin.kind == FaceKind.GROUND
+    ground = skin.mesh.kind == FaceKind.GROUND
     level = {
-        name: set(skin.vertex_m[skin.triangle[ground & (skin.building == k)], 2].ravel().tolist())
+        name: set(skin.mesh.vertex_m[skin.mesh.triangle[ground & (skin.building == k)], 2].ravel().tolist())
         for k, name in enumerate(skin.building_ids)
     }
     assert all(len(heights) == 1 for heights in level.values())
@@ -105,10 +105,12 @@ def test_gables_of_different_pitch_cross() -> None:
     first, second = gable("a", (0, 0, 8, 10), 5, 45), gable("b", (0, 10, 8, 18), 6, 30)
     (skin,) = exact([first, second])
     # a's ridge is higher, b's eaves are: two crossings, and a wall on either side of each
-    along = skin.vertex_m[np.abs(skin.vertex_m[:, 1] - 10) < 1e-9]
+    along = skin.mesh.vertex_m[np.abs(skin.mesh.vertex_m[:, 1] - 10) < 1e-9]
     crossing_z = 5 + (1 / (1 - np.tan(np.pi / 6)))
     assert (np.abs(along[:, 2] - crossing_z) < 1e-9).sum() == 2
-    assert wall_area(skin) < wall_area(skins([first])[0]) + wall_area(skins([second])[0]) - 2 * 8 * 5
+    assert (
+        wall_area(skin) < wall_area(skins(dict([first]))[0]) + wall_area(skins(dict([second]))[0]) - 2 * 8 * 5
+    )
 
 
 def test_houses_around_a_courtyard() -> None:
@@ -119,7 +121,7 @@ def test_houses_around_a_courtyard() -> None:
     solids = [solid(str(k), piece, 5 + k, 0) for k, piece in enumerate(pieces)]
     (skin,) = exact(solids)
     # one handle
-    assert len(skin.vertex_m) - len(skin.triangle) // 2 == 0
+    assert len(skin.mesh.vertex_m) - len(skin.mesh.triangle) // 2 == 0
 
 
 def test_a_garage_within_a_wall() -> None:
@@ -146,7 +148,7 @@ def test_four_houses_around_a_point(heights: tuple[float, ...]) -> None:
         for k, ((x, y), z) in enumerate(zip(corners, heights, strict=True))
     ]
     (skin,) = exact(solids)
-    centre = skin.vertex_m[(np.abs(skin.vertex_m[:, :2] - 5) < 1e-9).all(axis=1)]
+    centre = skin.mesh.vertex_m[(np.abs(skin.mesh.vertex_m[:, :2] - 5) < 1e-9).all(axis=1)]
     opposite = min(max(heights[0], heights[2]), max(heights[1], heights[3])) < max(
         min(heights[0], heights[2]), min(heights[1], heights[3])
     )
@@ -195,21 +197,23 @@ def test_any_coverage(
     if step_m == 0:
         # a slope may end within millimetres of the height of a neighbour
         exact(solids, merged_m3=0.05)
-    for skin in skins(solids, step_m):
+    for skin in skins(dict(solids), step_m):
         assert_closed(skin)
         assert skin.failure is None
 
 
 def test_small_steps_are_joined() -> None:
     solids = [solid(str(k), shapely.box(6 * k, 0, 6 * k + 6, 9), 5 + 0.03 * (k % 2)) for k in range(4)]
-    (skin,) = skins(solids, step_m=0.1)
+    (skin,) = skins(dict(solids), step_m=0.1)
     assert_closed(skin)
     assert wall_area(skin) == pytest.approx((24 + 9) * 2 * 5, rel=0.01)
-    assert smallest_angles_deg(skin.vertex_m, skin.triangle).min() > 10
-    (stepped,) = skins(solids, step_m=0.0)
-    assert smallest_angles_deg(stepped.vertex_m, stepped.triangle).min() < 1
+    assert smallest_angles_deg(skin.mesh.vertex_m, skin.mesh.triangle).min() > 10
+    (stepped,) = skins(dict(solids), step_m=0.0)
+    assert smallest_angles_deg(stepped.mesh.vertex_m, stepped.mesh.triangle).min() < 1
     moved = (
-        np.abs(skin.vertex_m[:, None] - np.concatenate([s.vertex_m for s in solids])).max(axis=2).min(axis=1)
+        np.abs(skin.mesh.vertex_m[:, None] - np.concatenate([s.mesh.vertex_m for s in solids]))
+        .max(axis=2)
+        .min(axis=1)
     )
     assert moved.max() <= 0.1
 
@@ -221,7 +225,7 @@ def test_overlapping_buildings_stay_apart_with_the_reason() -> None:
         solid("a", shapely.box(2, 8, 9, 15), 6),
         solid("b", shapely.box(7, 8, 14, 15), 7),
     ]
-    result = skins(solids)
+    result = skins(dict(solids))
     assert [skin.building_ids for skin in result] == [("a",), ("b",), ("long",)]
     assert all(skin.failure and "overlap" in skin.failure for skin in result)
     for skin in result:
@@ -230,18 +234,18 @@ def test_overlapping_buildings_stay_apart_with_the_reason() -> None:
 
 def test_order_of_the_buildings_has_no_effect() -> None:
     solids = [solid(f"r{k}", shapely.box(5 * k, 0, 5 * k + 5, 9), 5 + 0.04 * k, 30) for k in range(5)]
-    (first,), (second,) = skins(solids), skins(solids[::-1])
-    assert np.array_equal(first.vertex_m, second.vertex_m)
-    assert np.array_equal(first.triangle, second.triangle)
+    (first,), (second,) = skins(dict(solids)), skins(dict(solids[::-1]))
+    assert np.array_equal(first.mesh.vertex_m, second.mesh.vertex_m)
+    assert np.array_equal(first.mesh.triangle, second.mesh.triangle)
 
 
 def test_wedges_of_a_box_and_of_a_step() -> None:
     low, high = solid("low", shapely.box(0, 0, 8, 10), 4), solid("high", shapely.box(8, 0, 15, 10), 7)
-    edges = wedges(skins([low])[0])
+    edges = wedges(skins(dict([low]))[0])
     assert len(edges.face) == 12 and edges.opening_angle_deg == pytest.approx(np.full(12, 90))
     length = np.linalg.norm(edges.end_m[:, 1] - edges.end_m[:, 0], axis=1)
     assert sorted(length.round(6)) == [4] * 4 + [8] * 4 + [10] * 4
-    (skin,) = skins([low, high])
+    (skin,) = skins(dict([low, high]))
     edges = wedges(skin)
     ends = {tuple(sorted(map(tuple, np.round(end, 6).tolist()))) for end in edges.end_m}
     # the top of the step is a wedge; its foot, where the low roof ends, is concave
@@ -251,7 +255,7 @@ def test_wedges_of_a_box_and_of_a_step() -> None:
 
 
 def test_wedge_of_a_ridge() -> None:
-    edges = wedges(skins([gable("a", (0, 0, 8, 10), 5, 40)])[0])
+    edges = wedges(skins(dict([gable("a", (0, 0, 8, 10), 5, 40)]))[0])
     ridge = (edges.end_m[:, :, 2] > 8).all(axis=1)
     assert edges.opening_angle_deg[ridge] == pytest.approx([100]) and len(edges.face) == 4 + 4 + 2 + 4 + 1
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rasterio
 from places import SHARED
-from skin_solids import assert_closed, smallest_angles_deg, united, volume
+from skin_solids import Solid, assert_closed, smallest_angles_deg, united, volume
 from test_skin_terrain import together
 
 from p2wss.clouds import reading as clouds
@@ -16,7 +16,7 @@ from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct import block_skins, exports, terrain_mesh
 from p2wss.reconstruct.inputs import footprint_settings, window
 from p2wss.reconstruct.pipeline import Result, run
-from p2wss.reconstruct.skin import Solid, skins
+from p2wss.reconstruct.skin import skins
 from p2wss.skeleton.types import FaceKind
 
 DELFT = SHARED / "data" / "delft_ahn3"
@@ -33,18 +33,16 @@ def results() -> list[Result]:
 
 def test_rows_of_delft(results: list[Result]) -> None:
     rows = [result.reconstruction for result in results]
-    solids = [
-        Solid(r.building_id, r.placed_mesh.vertex_m, r.mesh.triangle, r.mesh.kind, r.mesh.label) for r in rows
-    ]
-    exact, joined = skins(solids, step_m=0.0, max_lowering_m=0.0), skins(solids)
+    solids = [Solid(row.building_id, row.placed_mesh) for row in rows]
+    exact, joined = skins(dict(solids), 0.0, max_lowering_m=0.0), skins(dict(solids))
     for skin in (*exact, *joined):
         assert skin.failure is None
         assert_closed(skin)
     assert max(len(skin.building_ids) for skin in joined) > 20 and len(joined) < 15
-    total = sum(volume(skin.vertex_m, skin.triangle) for skin in exact)
+    total = sum(volume(skin.mesh.vertex_m, skin.mesh.triangle) for skin in exact)
     assert total == pytest.approx(united(solids).volume(), rel=1e-6)
-    thin = sum((smallest_angles_deg(skin.vertex_m, skin.triangle) < 1).sum() for skin in joined)
-    assert thin <= sum((smallest_angles_deg(s.vertex_m, s.triangle) < 1).sum() for s in solids)
+    thin = sum((smallest_angles_deg(skin.mesh.vertex_m, skin.mesh.triangle) < 1).sum() for skin in joined)
+    assert thin <= sum((smallest_angles_deg(s.mesh.vertex_m, s.mesh.triangle) < 1).sum() for s in solids)
 
 
 def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:
@@ -56,10 +54,9 @@ def test_rows_of_delft_on_their_terrain(results: list[Result]) -> None:
     ground = exports.block(buildings, land, config)
     assert ground is not None
     buildings = terrain_mesh.lowered_into(buildings, land)
-    edges = [result.reconstruction.mesh.label for result in results]
-    closed = block_skins.joined(buildings, edges, config.skin_step_m, np.inf)
+    closed = block_skins.joined(buildings, config.skin_step_m, np.inf)
     standing, with_holes = block_skins.on_terrain(closed, ground)
-    assert all((skin.kind != FaceKind.GROUND).all() for skin in standing)
-    corner = ground.vertex_m.min(axis=0)
-    place, triangle = together(standing, with_holes, corner)
-    assert volume(place, triangle) > volume(ground.vertex_m - corner, ground.triangle) + 20_000
+    assert all((skin.mesh.kind != FaceKind.GROUND).all() for skin in standing)
+    corner = ground.mesh.vertex_m.min(axis=0)
+    place, triangle = together(standing, with_holes.mesh, corner)
+    assert volume(place, triangle) > volume(ground.mesh.vertex_m - corner, ground.mesh.triangle) + 20_000

@@ -8,12 +8,13 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from skin_solids import gable, solid, volume
+from skin_solids import Solid, gable, solid, volume
 
 from p2wss.data.terrain import Terrain
-from p2wss.formats.meshes import TERRAIN, Mesh
+from p2wss.formats.meshes import TERRAIN
+from p2wss.mesh import Mesh
 from p2wss.reconstruct import terrain_mesh
-from p2wss.reconstruct.skin import Skin, Solid, skins
+from p2wss.reconstruct.skin import Skin, skins
 from p2wss.reconstruct.skin.on_terrain import cut
 from p2wss.reconstruct.skin.wedges import wedges
 from p2wss.skeleton.types import FaceKind
@@ -26,16 +27,16 @@ def block(height_m: np.ndarray, cell_m: float = 1.0, tolerance_m: float = 0.2) -
     rows, columns = height_m.shape
     raster = Terrain(height_m.astype(np.float32), X, Y + rows * cell_m, cell_m)
     bounds = (X + cell_m, Y + cell_m, X + (columns - 1) * cell_m, Y + (rows - 1) * cell_m)
-    return terrain_mesh.block(raster, bounds, tolerance_m, lowest_m=-20)
+    return terrain_mesh.block(raster, bounds, tolerance_m, lowest_m=-20).mesh
 
 
 def placed(solids: list[Solid], z_m: float = -10.0) -> list[Solid]:
     """The solids at (X + 20, Y + 20) with floors at ``z_m``."""
     result = []
     for each in solids:
-        vertex = each.vertex_m + np.array([X + 20, Y + 20, 0])
-        vertex[np.unique(each.triangle[each.kind == FaceKind.GROUND]), 2] = z_m
-        result.append(Solid(each.building_id, vertex, each.triangle, each.kind, each.edge))
+        mesh = each.mesh.translated([X + 20, Y + 20, 0])
+        mesh.vertex_m[np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND]), 2] = z_m
+        result.append(Solid(each.building_id, mesh))
     return result
 
 
@@ -43,7 +44,9 @@ def together(
     skin_list: list[Skin], terrain: Mesh, origin_m: np.ndarray | tuple[float, float, float] = (X, Y, 0)
 ) -> tuple[np.ndarray, np.ndarray]:
     """All vertices and triangles in local coordinates, checked: equal places joined, they are closed."""
-    meshes = [(skin.vertex_m, skin.triangle) for skin in skin_list] + [(terrain.vertex_m, terrain.triangle)]
+    meshes = [(skin.mesh.vertex_m, skin.mesh.triangle) for skin in skin_list] + [
+        (terrain.vertex_m, terrain.triangle)
+    ]
     first = np.cumsum([0, *(len(vertex) for vertex, _ in meshes)])
     place, index = np.unique(np.concatenate([vertex for vertex, _ in meshes]), axis=0, return_inverse=True)
     triangle = index.reshape(-1)[np.concatenate([t + f for (_, t), f in zip(meshes, first, strict=False)])]
@@ -55,7 +58,9 @@ def together(
 
 
 def united_volume(solids: list[Solid], terrain: Mesh) -> float:
-    meshes = [(each.vertex_m, each.triangle) for each in solids] + [(terrain.vertex_m, terrain.triangle)]
+    meshes = [(each.mesh.vertex_m, each.mesh.triangle) for each in solids] + [
+        (terrain.vertex_m, terrain.triangle)
+    ]
     bodies = [
         manifold3d.Manifold(manifold3d.Mesh64(vertex - [X, Y, 0], triangle.astype(np.uint64)))
         for vertex, triangle in meshes
@@ -89,15 +94,15 @@ def test_with_the_terrain_it_is_one_closed_surface(
     solids = placed(
         [solid(f"{k}", shape, 22 + k, 0 if k == 2 else 30) for k, shape in enumerate(turned)], -12
     )
-    closed = skins(solids, step_m=0.0, max_lowering_m=np.inf)
+    closed = skins(dict(solids), step_m=0.0, max_lowering_m=np.inf)
     assert [len(skin.building_ids) for skin in closed] == [2, 1, 1]
     standing, ground = cut(closed, terrain)
-    assert all((skin.kind != FaceKind.GROUND).all() for skin in standing)
-    assert (ground.kind == TERRAIN).all() and len(ground.kind) == len(ground.triangle) == len(ground.building)
+    assert all((skin.mesh.kind != FaceKind.GROUND).all() for skin in standing)
+    assert (ground.kind == TERRAIN).all() and len(ground.kind) == len(ground.triangle) == len(ground.label)
     place, triangle = together(standing, ground)
     assert volume(place, triangle) == pytest.approx(united_volume(solids, terrain), rel=1e-6)
     for skin in standing:
-        assert skin.vertex_m[:, 2].min() > height.min() - 1
+        assert skin.mesh.vertex_m[:, 2].min() > height.min() - 1
     # in the courtyard there is land, in the house none
     corner = ground.vertex_m[ground.triangle] - [X + 20, Y + 20, 0]
     top = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2] > 1e-9
@@ -110,10 +115,10 @@ def test_with_the_terrain_it_is_one_closed_surface(
 
 def test_walls_end_at_the_foot_of_the_slope() -> None:
     terrain = block(np.tile(np.arange(80) * 0.1, (80, 1)))
-    standing, ground = cut(skins(placed([solid("a", shapely.box(0.3, 0.3, 10.3, 8.3), 20)])), terrain)
+    standing, ground = cut(skins(dict(placed([solid("a", shapely.box(0.3, 0.3, 10.3, 8.3), 20)]))), terrain)
     (house,) = standing
-    assert house.building_ids == ("a",) and set(house.kind.tolist()) == {FaceKind.WALL, FaceKind.FLAT}
-    local = house.vertex_m - [X + 20, Y + 20, 0]
+    assert house.building_ids == ("a",) and set(house.mesh.kind.tolist()) == {FaceKind.WALL, FaceKind.FLAT}
+    local = house.mesh.vertex_m - [X + 20, Y + 20, 0]
     foot = local[local[:, 2] < 9]
     # cell centres are half a metre from the border
     assert foot[:, 2] == pytest.approx((foot[:, 0] + 20 - 0.5) * 0.1, abs=1e-5)
@@ -124,9 +129,11 @@ def test_walls_end_at_the_foot_of_the_slope() -> None:
 
 def test_a_buried_house_stays_a_solid() -> None:
     terrain = block(np.tile(np.arange(80) * 0.3, (80, 1)))
-    closed = skins(placed([solid("a", shapely.box(0, 0, 20, 8), 10), gable("b", (0, 20, 8, 30), 26, 40)]))
+    closed = skins(
+        dict(placed([solid("a", shapely.box(0, 0, 20, 8), 10), gable("b", (0, 20, 8, 30), 26, 40)]))
+    )
     standing, ground = cut(closed, terrain)
-    assert standing[0] is closed[0] and (standing[1].kind != FaceKind.GROUND).all()
+    assert standing[0] is closed[0] and (standing[1].mesh.kind != FaceKind.GROUND).all()
     together(standing, ground)
 
 

@@ -11,7 +11,8 @@ from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from p2wss import skeleton
 from p2wss.data.terrain import Terrain
-from p2wss.formats.meshes import TERRAIN, Mesh
+from p2wss.formats.meshes import TERRAIN, Body
+from p2wss.mesh import Mesh
 from p2wss.reconstruct import terrain_mesh
 from p2wss.skeleton.types import Polygons
 
@@ -23,8 +24,9 @@ def terrain(height_m: np.ndarray, cell_m: float = 1.0) -> Terrain:
     return Terrain(height_m.astype(np.float32), X, Y + len(height_m) * cell_m, cell_m)
 
 
-def checked(mesh: Mesh) -> trimesh.Trimesh:
+def checked(body: Body) -> trimesh.Trimesh:
     """The mesh in local coordinates, once checked: closed, outwards, no triangle without area."""
+    mesh = body.mesh
     local = trimesh.Trimesh(mesh.vertex_m - [X, Y, 0], mesh.triangle, process=False)
     assert local.is_watertight and local.is_winding_consistent and local.volume > 0
     assert local.area_faces.min() > 1e-6 and (mesh.kind == TERRAIN).all()
@@ -68,7 +70,7 @@ def test_flat_land_needs_few_triangles_and_gaps_take_the_nearest_height() -> Non
     height[:, 30:] = np.nan
     mesh = terrain_mesh.block(terrain(height), (X - 20, Y + 5, X + 50, Y + 45), 0.1)
     local = checked(mesh)
-    assert len(mesh.triangle) == 14
+    assert len(mesh.mesh.triangle) == 14
     assert local.bounds[:, 2] == pytest.approx([10, 12])
     # also beyond the raster
     assert local.bounds[0, 0] <= -20 and local.bounds[1, 0] >= 50
@@ -92,9 +94,8 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
     )
     places, houses = ((15, 20), (35, 30)), []
     for i, (x, y) in enumerate(places):
-        vertex, triangle, kind, _ = meshes.mesh(i)
         position = np.array([X + x, Y + y, 20 + 0.3 * (x + 10)])
-        houses.append(Mesh.of_building(f"h{i}", vertex + position, triangle, kind))
+        houses.append(Body.of_building(f"h{i}", Mesh.of_kernel(meshes, i).translated(position)))
     block = terrain_mesh.block(land, (X + 5, Y + 10, X + 55, Y + 48), 0.1, 20.0)
     lowered = terrain_mesh.lowered_into(houses, land)
     draw = np.random.default_rng(0)
@@ -104,13 +105,16 @@ def test_no_gap_under_a_building_and_no_ray_that_sees_an_inside() -> None:
         above = np.column_stack([draw.uniform([x, y], [x + 10, y + 8], (500, 2)), np.full(500, 90.0)])
         hit = ground.intersects_location(above, np.tile([0, 0, -1.0], (500, 1)), multiple_hits=False)[0]
         assert len(hit) == 500
-        assert hit[:, 2].min() < before.vertex_m[:, 2].min() - 1
-        assert hit[:, 2].min() > after.vertex_m[:, 2].min()
-        moved = (before.vertex_m != after.vertex_m).any(axis=1)
-        assert moved.sum() == 4 and (after.vertex_m[~moved] == before.vertex_m[~moved]).all()
+        assert hit[:, 2].min() < before.mesh.vertex_m[:, 2].min() - 1
+        assert hit[:, 2].min() > after.mesh.vertex_m[:, 2].min()
+        moved = (before.mesh.vertex_m != after.mesh.vertex_m).any(axis=1)
+        assert moved.sum() == 4 and (after.mesh.vertex_m[~moved] == before.mesh.vertex_m[~moved]).all()
 
     scene = trimesh.util.concatenate(
-        [trimesh.Trimesh(m.vertex_m - [X, Y, 0], m.triangle, process=False) for m in (*lowered, block)]
+        [
+            trimesh.Trimesh(m.mesh.vertex_m - [X, Y, 0], m.mesh.triangle, process=False)
+            for m in (*lowered, block)
+        ]
     )
     assert scene.is_watertight and scene.is_winding_consistent
     away = draw.normal(size=(20_000, 3))

@@ -6,87 +6,84 @@ So the skin has no gap and no sliver that the buildings do not have, and every f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import groups
 from p2wss.reconstruct.skin.noding import node
 from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
 from p2wss.reconstruct.skin.solids import (
     MAX_LOWERING_M,
     Face,
-    Solid,
     faces_of,
-    groups,
     on_common_floors,
     opposite_walls,
     weld,
 )
-from p2wss.reconstruct.skin.triangles import sheets, triangulate
+from p2wss.reconstruct.skin.triangles import sheets, triangulated
 
-__all__ = ["Skin", "Solid", "skins"]
+__all__ = ["Skin", "skins"]
 
 
 @dataclass(frozen=True)
 class Skin:
     """A closed surface around one building, or around several that touch.
 
-    building_ids: of the buildings, sorted. vertex_m: float64 (v, 3), in the coordinates of the solids. triangle: int
-    (t, 3); every edge has exactly two triangles and every vertex one fan of them. kind: uint8 (t,), a ``FaceKind``.
-    building: int32 (t,), index into ``building_ids``. face: int32 (t,), the planar face that a triangle is part of.
+    building_ids: of the buildings, sorted. mesh: in the coordinates of theirs; every edge has exactly two triangles and
+    every vertex one fan of them; every face has a label of its own. building: int32 (t,), index into ``building_ids``.
     failure: why the buildings could not be joined, if this is a single building that touches others.
     """
 
     building_ids: tuple[str, ...]
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
+    mesh: Mesh
     building: np.ndarray
-    face: np.ndarray
     failure: str | None = None
 
 
-def skins(solids: Sequence[Solid], step_m: float = 0.1, max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
-    """One skin per block, in the order of the first building of each. Every solid with triangles is part of one.
+def skins(
+    solids: Mapping[str, Mesh], step_m: float = 0.1, max_lowering_m: float = MAX_LOWERING_M
+) -> list[Skin]:
+    """One skin per block, in the order of the first building of each. Every building is part of one.
 
-    step_m: where roofs of two buildings meet in points up to this far apart, they are joined; so is a roof's point and
+    solids: closed meshes by the ids of the buildings, with vertical walls and one roof height at every place. step_m:
+    where roofs of two buildings meet in points up to this far apart, they are joined; so is a roof's point and
     another's edge that passes above or below it. Roofs then leave their planes by up to ``step_m`` at the party wall.
     With 0 every step stays. max_lowering_m: floors of touching buildings are lowered by at most this to be level.
 
     A block whose walls do not fit each other is joined without that, or else stays in separate skins with their
     ``failure``: a skin is always closed.
     """
-    solids = [solid for solid in solids if len(solid.triangle)]
     if not solids:
         return []
-    origin = np.floor(np.min([solid.vertex_m.min(axis=0) for solid in solids], axis=0))
-    local = [replace(solid, vertex_m=np.asarray(solid.vertex_m, float) - origin) for solid in solids]
-    point, faces = faces_of(local)
+    origin = np.floor(np.min([mesh.vertex_m.min(axis=0) for mesh in solids.values()], axis=0))
+    local = {name: mesh.translated(-origin) for name, mesh in solids.items()}
+    point, faces = faces_of(list(local.values()))
     building_of = np.array([face.building for face in faces])
     touching = building_of[opposite_walls(point, faces)].reshape(-1, 2)
     local = on_common_floors(local, touching, max_lowering_m)
-    block_of = groups(len(local), touching)
+    names, block_of = np.array(list(local), object), groups(len(local), touching)
     result = []
     for block in dict.fromkeys(block_of.tolist()):
-        members = [local[m] for m in np.flatnonzero(block_of == block).tolist()]
-        result += _joined(sorted(members, key=lambda solid: solid.building_id), origin, step_m)
+        result += _joined({name: local[name] for name in sorted(names[block_of == block])}, origin, step_m)
     return result
 
 
-def _joined(solids: Sequence[Solid], origin: np.ndarray, step_m: float) -> list[Skin]:
+def _joined(solids: Mapping[str, Mesh], origin: np.ndarray, step_m: float) -> list[Skin]:
     """The skin around solids that touch, or one around each."""
     failure = None
     if len(solids) > 1:
         for step in dict.fromkeys((step_m, step_m / 2, step_m / 4, 0.0)):
             try:
-                return [_skin(solids, *_block(solids, step), origin)]
+                return [_skin(list(solids), *_block(list(solids.values()), step), origin)]
             except NotJoined as error:
                 failure = str(error)
-    return [_skin([solid], *faces_of([solid]), origin, failure) for solid in solids]
+    return [_skin([name], *faces_of([mesh]), origin, failure) for name, mesh in solids.items()]
 
 
-def _block(solids: Sequence[Solid], step_m: float) -> tuple[np.ndarray, list[Face]]:
+def _block(solids: Sequence[Mesh], step_m: float) -> tuple[np.ndarray, list[Face]]:
     """Points and faces of the skin around solids that touch."""
     point, faces = faces_of(solids)
     pairs = opposite_walls(point, faces)
@@ -104,22 +101,13 @@ def _block(solids: Sequence[Solid], step_m: float) -> tuple[np.ndarray, list[Fac
 
 
 def _skin(
-    solids: Sequence[Solid],
+    building_ids: Sequence[str],
     point: np.ndarray,
     faces: Sequence[Face],
     origin: np.ndarray,
     failure: str | None = None,
 ) -> Skin:
-    triangulate(point, faces)
-    parts = [face.triangles for face in faces if face.triangles is not None]
-    sizes = [len(part) for part in parts]
-    vertex, triangle = sheets(point, np.concatenate(parts))
-    return Skin(
-        tuple(solid.building_id for solid in solids),
-        vertex + origin,
-        triangle.astype(np.int32),
-        np.repeat(np.array([face.kind for face in faces], np.uint8), sizes),
-        np.repeat(np.array([face.building for face in faces], np.int32), sizes),
-        np.repeat(np.arange(len(faces), dtype=np.int32), sizes),
-        failure,
-    )
+    mesh, building = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
+    vertex_m, triangle = sheets(mesh.vertex_m, mesh.triangle)
+    mesh = replace(mesh, vertex_m=vertex_m + origin, triangle=triangle.astype(np.int32))
+    return Skin(tuple(building_ids), mesh, building, failure)

@@ -9,12 +9,12 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss import mesh as meshes
-from p2wss.formats.meshes import Mesh
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import border_rings, doubled_plan_areas, groups
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.noding import Edge, ring_edges, split_edges
-from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, groups, tidy
-from p2wss.reconstruct.skin.triangles import triangulate
+from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, faces_of, tidy
+from p2wss.reconstruct.skin.triangles import delaunay, numbered, triangulated
 from p2wss.skeleton.types import FaceKind
 
 # everything but the floor must be this far above the terrain, or the building is buried and stays a solid
@@ -42,11 +42,10 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     origin = np.floor(terrain.vertex_m.min(axis=0))
     ground = terrain.vertex_m - origin
     triangle = np.asarray(terrain.triangle, int)
-    corner = ground[triangle]
-    upwards = _doubled_area(corner[:, :, :2]) > 2 * _NO_AREA_M2
+    upwards = doubled_plan_areas(ground[triangle][:, :, :2]) > 2 * _NO_AREA_M2
     top = triangle[upwards]
     bodies = {
-        number: _body(replace(skin, vertex_m=skin.vertex_m - origin))
+        number: _body(replace(skin, mesh=skin.mesh.translated(-origin)))
         for number, skin in enumerate(skin_list)
         if skin.failure is None
     }
@@ -56,7 +55,7 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     first, point = {}, ground
     for number, body in bodies.items():
         first[number] = len(point)
-        point = np.vstack([point, body.skin.vertex_m])
+        point = np.vstack([point, body.skin.mesh.vertex_m])
     outlines = {
         number: [[v + first[number] for v in ring] for ring in body.outline]
         for number, body in bodies.items()
@@ -85,50 +84,24 @@ def cut(skin_list: Sequence[Skin], terrain: Mesh) -> tuple[list[Skin], Mesh]:
     for number, body in bodies.items():
         result[number] = _standing(body, skin_list[number], same, first[number], split, place, origin)
     whole = np.concatenate([untouched, pieces, triangle[~upwards]])
-    used, index = np.unique(whole, return_inverse=True)
-    count = len(whole)
-    with_holes = replace(
-        terrain,
-        vertex_m=place[used],
-        triangle=index.reshape(-1, 3).astype(np.int32),
-        kind=np.full(count, terrain.kind[0], np.uint8),
-        building=np.zeros(count, np.int32),
-    )
-    return result, with_holes
+    kind, label = np.full(len(whole), terrain.kind[0], np.uint8), np.zeros(len(whole), np.int32)
+    with_holes = Mesh(place, whole.astype(np.int32), kind, label)
+    return result, with_holes.part(np.arange(len(whole)))
 
 
 def _body(skin: Skin) -> _Body:
-    surfaces = meshes.Mesh(skin.vertex_m, skin.triangle, skin.kind, skin.face).surfaces
-    order = np.argsort(skin.face, kind="stable")
-    numbers, start = np.unique(skin.face[order], return_index=True)
-    rows = dict(zip(numbers.tolist(), np.split(order, start[1:]), strict=True))
-    faces = [
-        Face(
-            int(skin.building[rows[s.label][0]]),
-            s.kind,
-            s.label,
-            [np.asarray(ring).tolist() for ring in s.rings],
-            np.asarray(skin.triangle, int)[rows[s.label]],
-        )
-        for s in surfaces
-    ]
-    floor = np.asarray(skin.triangle, int)[skin.kind == FaceKind.GROUND]
-    sides = set(zip(floor.ravel().tolist(), np.roll(floor, -1, axis=1).ravel().tolist(), strict=True))
-    following = {a: b for a, b in sides if (b, a) not in sides}
-    outline = []
-    while following:
-        ring = [min(following)]
-        while (vertex := following.pop(ring[-1])) != ring[0]:
-            ring.append(vertex)
-        outline.append(ring)
+    mesh = skin.mesh
+    building_of = dict(zip(mesh.label.tolist(), skin.building.tolist(), strict=True))
+    faces = [replace(face, building=building_of[face.label]) for face in faces_of([mesh])[1]]
+    outline = border_rings(mesh.triangle[mesh.kind == FaceKind.GROUND])
     return _Body(skin, faces, outline)
 
 
 def _is_buried(body: _Body, ground: np.ndarray, top: np.ndarray) -> bool:
     """Whether a vertex besides those of the floor is below the terrain or hardly above it, or beyond its border."""
-    skin = body.skin
-    floor = np.unique(skin.triangle[skin.kind == FaceKind.GROUND])
-    vertex = skin.vertex_m[np.setdiff1d(np.arange(len(skin.vertex_m)), floor)]
+    mesh = body.skin.mesh
+    floor = np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND])
+    vertex = mesh.vertex_m[np.setdiff1d(np.arange(len(mesh.vertex_m)), floor)]
     return not (vertex[:, 2] > _heights(vertex[:, :2], ground, top) + _CLEAR_M).all()
 
 
@@ -140,17 +113,11 @@ def _heights(xy_m: np.ndarray, ground: np.ndarray, top: np.ndarray) -> np.ndarra
     result = np.full(len(xy_m), np.nan)
     a, b, c = (corner[t, k] for k in range(3))
     place = xy_m[at]
-    area = _doubled_area(corner[t][:, :, :2])
-    u = _doubled_area(np.stack([place, b[:, :2], c[:, :2]], axis=1)) / area
-    v = _doubled_area(np.stack([a[:, :2], place, c[:, :2]], axis=1)) / area
+    area = doubled_plan_areas(corner[t][:, :, :2])
+    u = doubled_plan_areas(np.stack([place, b[:, :2], c[:, :2]], axis=1)) / area
+    v = doubled_plan_areas(np.stack([a[:, :2], place, c[:, :2]], axis=1)) / area
     result[at] = u * a[:, 2] + v * b[:, 2] + (1 - u - v) * c[:, 2]
     return result
-
-
-def _doubled_area(corner: np.ndarray) -> np.ndarray:
-    """Twice the signed areas of triangles (t, 3, 2), positive if counter-clockwise."""
-    u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
 def _places(point: np.ndarray, on_top: np.ndarray, on_outline: np.ndarray) -> np.ndarray:
@@ -208,11 +175,8 @@ def _pieces(
     tree = shapely.STRtree(shapely.polygons(flat[top][:, :, :2]))
     of_top[tree.query(shapely.points(middle), predicate="intersects")[0]] = True
     cells = cells[of_top & ~_inside(middle, flat, outlines)]
-    corner = shapely.get_coordinates(shapely.constrained_delaunay_triangles(cells)).reshape(-1, 4, 2)[:, :3]
-    area = _doubled_area(corner)
-    corner = np.where((area < 0)[:, None, None], corner[:, ::-1], corner)
     of_place = {tuple(flat[v, :2].tolist()): v for v in np.unique(number).tolist()}
-    return np.array([[of_place[x, y] for x, y in rows] for rows in corner.tolist()], int).reshape(-1, 3)
+    return numbered(np.concatenate([np.zeros((0, 3, 2)), *delaunay(cells)]), of_place)
 
 
 def _standing(
@@ -225,7 +189,7 @@ def _standing(
     origin: np.ndarray,
 ) -> Skin:
     """The skin without its floor, whose walls end in the points ``place`` of the terrain."""
-    vertex = [*skin.vertex_m]
+    vertex = [*skin.mesh.vertex_m]
     chains: dict[tuple[int, int], list[int]] = {}
     for ring in body.outline:
         for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
@@ -249,15 +213,5 @@ def _standing(
         )
         faces.append(replace(face, rings=rings, triangles=None if changed else face.triangles))
     position = np.array(vertex)
-    triangulate(position - origin, faces)
-    parts = [face.triangles for face in faces if face.triangles is not None]
-    sizes = [len(part) for part in parts]
-    used, index = np.unique(np.concatenate(parts), return_inverse=True)
-    return replace(
-        skin,
-        vertex_m=position[used],
-        triangle=index.reshape(-1, 3).astype(np.int32),
-        kind=np.repeat(np.array([face.kind for face in faces], np.uint8), sizes),
-        building=np.repeat(np.array([face.building for face in faces], np.int32), sizes),
-        face=np.repeat(np.array([face.edge for face in faces], np.int32), sizes),
-    )
+    mesh, building = triangulated(position - origin, faces)
+    return replace(skin, mesh=mesh.moved(position).part(np.arange(len(building))), building=building)

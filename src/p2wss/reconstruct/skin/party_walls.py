@@ -76,7 +76,7 @@ def without_common(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int
         for piece in _polygons(_boundary(index_rings, plane), plane):
             if areas[number][:2] @ normal < 0:
                 piece = [[ring[0], *ring[:0:-1]] for ring in piece]
-            result.append(Face(faces[wall].building, faces[wall].kind, faces[wall].edge, piece))
+            result.append(Face(faces[wall].building, faces[wall].kind, faces[wall].label, piece))
     return result
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from p2wss.mesh import Mesh
+from p2wss.mesh.topology import groups
 from p2wss.skeleton.types import FaceKind
 
 # points this near, and points this near to a wall's line, are one place
@@ -22,63 +21,50 @@ _UPRIGHT_NZ = 0.05
 _OPPOSITE = -0.999
 
 
-@dataclass(frozen=True)
-class Solid:
-    """A closed building with vertical walls and one roof height at every place of its footprint.
-
-    vertex_m: float64 (v, 3). triangle: int (t, 3), counter-clockwise seen from outside. kind: (t,), a ``FaceKind``.
-    edge: (t,), the label that separates the faces of one kind.
-    """
-
-    building_id: str
-    vertex_m: np.ndarray
-    triangle: np.ndarray
-    kind: np.ndarray
-    edge: np.ndarray
-
-
 @dataclass
 class Face:
     """A planar polygon of a building.
 
-    building: number of its solid. rings: numbers of points, the exterior first, counter-clockwise seen from outside.
+    building: number of its mesh. rings: numbers of points, the exterior first, counter-clockwise seen from outside.
     triangles: int (t, 3), of points; None where the rings have changed since.
     """
 
     building: int
     kind: int
-    edge: int
+    label: int
     rings: list[list[int]]
     triangles: np.ndarray | None = None
 
 
-def faces_of(solids: Sequence[Solid]) -> tuple[np.ndarray, list[Face]]:
-    """All points, float64 (p, 3), and all faces; each solid has points of its own."""
+def faces_of(meshes: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
+    """All points, float64 (p, 3), and all faces; each mesh has points of its own."""
     faces: list[Face] = []
     first = 0
-    for number, solid in enumerate(solids):
-        mesh = Mesh(solid.vertex_m, solid.triangle, solid.kind, solid.edge)
+    for number, mesh in enumerate(meshes):
         for surface in mesh.surfaces:
             rings = [(np.asarray(ring) + first).tolist() for ring in surface.rings]
-            triangle = np.asarray(solid.triangle[mesh.face == surface.face], int) + first
+            triangle = np.asarray(mesh.triangle[mesh.face == surface.face], int) + first
             faces.append(Face(number, surface.kind, surface.label, rings, triangle))
-        first += len(solid.vertex_m)
-    points = [np.asarray(solid.vertex_m, float).reshape(-1, 3) for solid in solids]
-    return np.concatenate([np.zeros((0, 3)), *points]), faces
+        first += len(mesh.vertex_m)
+    return np.concatenate([mesh.vertex_m for mesh in meshes]), faces
 
 
 def on_common_floors(
-    solids: Sequence[Solid], pairs: np.ndarray, max_lowering_m: float = MAX_LOWERING_M
-) -> list[Solid]:
-    """The solids with their floors lowered to those of the solids that they touch.
+    solids: Mapping[str, Mesh], pairs: np.ndarray, max_lowering_m: float = MAX_LOWERING_M
+) -> dict[str, Mesh]:
+    """The solids, by their names, with their floors lowered to those of the solids that they touch.
 
     pairs: int (n, 2), solids that touch. Floors are joined, those of the smallest difference first, while no floor of a
     set is more than ``max_lowering_m`` above another.
     """
-    floor = [float(s.vertex_m[s.triangle[s.kind == FaceKind.GROUND], 2].min(initial=np.inf)) for s in solids]
-    members = {k: [k] for k in range(len(solids))}
-    root = list(range(len(solids)))
-    names = [solid.building_id for solid in solids]
+    names, meshes = list(solids), list(solids.values())
+    floors = [np.unique(mesh.triangle[mesh.kind == FaceKind.GROUND]) for mesh in meshes]
+    floor = [
+        float(mesh.vertex_m[ground, 2].min(initial=np.inf))
+        for mesh, ground in zip(meshes, floors, strict=True)
+    ]
+    members = {k: [k] for k in range(len(names))}
+    root = list(range(len(names)))
     distinct = {(int(a), int(b)) for a, b in np.sort(pairs, axis=1)}
     for a, b in sorted(
         distinct, key=lambda p: (abs(floor[p[0]] - floor[p[1]]), *sorted((names[p[0]], names[p[1]])))
@@ -90,13 +76,11 @@ def on_common_floors(
             members[a] = together
             for k in members.pop(b):
                 root[k] = a
-    result = []
-    for number, solid in enumerate(solids):
-        vertex_m = np.array(solid.vertex_m, float)
-        vertex_m[np.unique(solid.triangle[solid.kind == FaceKind.GROUND]), 2] = min(
-            floor[k] for k in members[root[number]]
-        )
-        result.append(replace(solid, vertex_m=vertex_m))
+    result = {}
+    for number, (mesh, ground) in enumerate(zip(meshes, floors, strict=True)):
+        vertex_m = mesh.vertex_m.copy()
+        vertex_m[ground, 2] = min(floor[k] for k in members[root[number]])
+        result[names[number]] = mesh.moved(vertex_m)
     return result
 
 
@@ -146,12 +130,6 @@ def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     near = [np.abs(apart + (place - start) * slope) <= TOLERANCE_M for place in (low, high)]
     facing = (high - low > 2 * TOLERANCE_M) & near[0] & near[1]
     return np.column_stack([wall[a[facing]], wall[b[facing]]])
-
-
-def groups(size: int, pairs: np.ndarray) -> np.ndarray:
-    """int (size,): equal numbers for what is linked by ``pairs`` (n, 2), directly or through others."""
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    return np.asarray(connected_components(links, directed=False)[1], int)
 
 
 def weld(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m: float = 0.0) -> np.ndarray:

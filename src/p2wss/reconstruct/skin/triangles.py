@@ -7,42 +7,57 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import NEXT, doubled_plan_areas, groups
 from p2wss.reconstruct.skin.party_walls import NotJoined
-from p2wss.reconstruct.skin.solids import Face, area_vector, groups
+from p2wss.reconstruct.skin.solids import Face, area_vector
 
 # areas of triangles may add up to this much less or more than their face
 _AREA_M2 = 1e-3
 
 
-def triangulate(point: np.ndarray, faces: Sequence[Face]) -> None:
-    """Give triangles to the faces that have none: constrained Delaunay, with every point of the rings as a corner.
+def triangulated(point: np.ndarray, faces: Sequence[Face]) -> tuple[Mesh, np.ndarray]:
+    """(the mesh of faces, with their labels, the building of each of its triangles).
 
-    Raises :class:`NotJoined` if a face is no polygon.
+    Faces without triangles get those of a constrained Delaunay triangulation, with every point of the rings as a
+    corner. Raises :class:`NotJoined` if a face is no polygon.
     """
     pending = [face for face in faces if face.triangles is None]
-    polygons, places = [], []
-    for face in pending:
-        plane = _in_plane(point, face)
-        polygons.append(shapely.Polygon(*_coordinates(plane, face)))
-        places.append({place: v for v, place in plane.items()})
-        if len(places[-1]) < len(plane):
-            raise NotJoined("two points at one place of a face")
-    if not pending:
-        return
+    planes = [_in_plane(point, face) for face in pending]
+    polygons = [shapely.Polygon(*_coordinates(p, face)) for p, face in zip(planes, pending, strict=True)]
     try:
-        pieces = shapely.constrained_delaunay_triangles(np.array(polygons))
+        pieces = delaunay(polygons)
     except shapely.errors.GEOSException as error:
         raise NotJoined(f"a face is no polygon: {error}") from error
-    for face, place, polygon, piece in zip(pending, places, polygons, pieces, strict=True):
-        corner = shapely.get_coordinates(piece).reshape(-1, 4, 2)[:, :3]
-        u, v = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
-        corner = np.where((area < 0)[:, None, None], corner[:, ::-1], corner)
-        if abs(np.abs(area).sum() / 2 - polygon.area) > _AREA_M2:
+    for face, plane, polygon, corner in zip(pending, planes, polygons, pieces, strict=True):
+        number = {place: v for v, place in plane.items()}
+        if len(number) < len(plane):
+            raise NotJoined("two points at one place of a face")
+        if abs(doubled_plan_areas(corner).sum() / 2 - polygon.area) > _AREA_M2:
             raise NotJoined("triangles do not make up their face")
-        face.triangles = np.array([[place[x, y] for x, y in rows] for rows in corner.tolist()], int).reshape(
-            -1, 3
-        )
+        face.triangles = numbered(corner, number)
+    parts = [np.zeros((0, 3), int) if face.triangles is None else face.triangles for face in faces]
+    sizes = [len(part) for part in parts]
+    kind, label, building = (
+        np.repeat(np.array([getattr(face, name) for face in faces], dtype), sizes)
+        for name, dtype in (("kind", np.uint8), ("label", np.int32), ("building", np.int32))
+    )
+    return Mesh(point, np.concatenate(parts).astype(np.int32), kind, label), building
+
+
+def delaunay(polygons: Sequence[shapely.Polygon]) -> list[np.ndarray]:
+    """The triangles of polygons, (t, 3, 2) each, counter-clockwise, by constrained Delaunay triangulation."""
+    result = []
+    for piece in shapely.constrained_delaunay_triangles(np.array(polygons, object)):
+        corner = shapely.get_coordinates(piece).reshape(-1, 4, 2)[:, :3]
+        is_turned = doubled_plan_areas(corner) < 0
+        result.append(np.where(is_turned[:, None, None], corner[:, ::-1], corner))
+    return result
+
+
+def numbered(corner: np.ndarray, number: dict[tuple[float, float], int]) -> np.ndarray:
+    """Triangles (t, 3, 2) as numbers of their corners, int (t, 3)."""
+    return np.array([[number[x, y] for x, y in rows] for rows in corner.tolist()], int).reshape(-1, 3)
 
 
 def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +67,8 @@ def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndar
     Where two bodies meet in an edge or a point only, each gets points of its own there, at the same place. Raises
     :class:`NotJoined` if the surface is not closed.
     """
-    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
+    triangle = triangle.astype(np.int64)
+    start, end = triangle.ravel(), triangle[:, NEXT].ravel()
     size = len(point)
     low, high = np.minimum(start, end), np.maximum(start, end)
     order = np.lexsort([start > end, low * size + high])
@@ -69,7 +85,7 @@ def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndar
         halves = order[begin : begin + number]
         _pair_around(point, triangle, halves, twin)
     # a corner is named like the half-edge that starts in it
-    following = np.arange(len(start)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    following = np.arange(len(start)).reshape(-1, 3)[:, NEXT].ravel()
     links = np.column_stack([np.arange(len(start)), following[twin]])
     fan = groups(len(start), links)
     fans, corner, renumbered = np.unique(fan, return_index=True, return_inverse=True)
@@ -78,7 +94,7 @@ def sheets(point: np.ndarray, triangle: np.ndarray) -> tuple[np.ndarray, np.ndar
     rank = np.empty(len(fans), int)
     rank[position] = np.arange(len(fans))
     result = rank[renumbered].reshape(-1, 3)
-    sides = np.column_stack([result.ravel(), np.roll(result, -1, axis=1).ravel()])
+    sides = np.column_stack([result.ravel(), result[:, NEXT].ravel()])
     if len(np.unique(sides, axis=0)) < len(sides):
         raise NotJoined("an edge with more than two faces")
     return point[start[corner[position]]], result

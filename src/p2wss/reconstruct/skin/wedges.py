@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from p2wss.mesh.topology import NEXT, groups
 from p2wss.reconstruct.skin import Skin
-from p2wss.reconstruct.skin.solids import groups
 
 # faces that turn by less are one surface
 _MIN_TURN_DEG = 1.0
@@ -20,8 +20,8 @@ class Wedges:
     """Convex edges of one skin.
 
     end_m: float64 (w, 2, 3). opening_angle_deg: (w,), the angle inside the buildings between the two faces, below 180.
-    face: int32 (w, 2), faces of the skin, the left one first, seen from outside in the direction from the first end to
-    the second.
+    face: int32 (w, 2), labels of the skin's faces, the left one first, seen from outside in the direction from the
+    first end to the second.
     """
 
     end_m: np.ndarray
@@ -31,24 +31,14 @@ class Wedges:
 
 def wedges(skin: Skin) -> Wedges:
     """The convex edges between faces of a skin; a straight edge between the same two faces is one wedge."""
-    triangle = np.asarray(skin.triangle, int)
-    origin = skin.vertex_m.min(axis=0)
-    vertex = skin.vertex_m - origin
-    corner = vertex[triangle]
-    doubled = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normal = np.zeros((int(skin.face.max()) + 1, 3))
-    np.add.at(normal, skin.face, doubled)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
-
-    start, end = triangle.ravel(), np.roll(triangle, -1, axis=1).ravel()
-    size = len(vertex)
-    order = np.argsort(start * size + end)
-    place = np.searchsorted((start * size + end)[order], end * size + start)
-    twin = order[np.minimum(place, len(order) - 1)]
-    left, right = np.repeat(skin.face, 3), np.repeat(skin.face, 3)[twin]
+    origin = skin.mesh.vertex_m.min(axis=0)
+    mesh = skin.mesh.translated(-origin)
+    vertex, normal, twin = mesh.vertex_m, mesh.planes.normal, mesh.twin.ravel()
+    start, end = mesh.triangle.ravel(), mesh.triangle[:, NEXT].ravel()
+    left = np.repeat(mesh.planes.number, 3)
     # a skin that ends on the terrain has edges without a second triangle there
-    once = (left != right) & (start < end) & (start[twin] == end) & (end[twin] == start)
-    start, end, left, right = start[once], end[once], left[once], right[once]
+    once = (left != left[twin]) & (start < end) & (twin >= 0)
+    start, end, left, right = start[once], end[once], left[once], left[twin[once]]
     along = vertex[end] - vertex[start]
     length = np.linalg.norm(along, axis=1)
     along /= np.maximum(length, 1e-12)[:, None]
@@ -61,6 +51,7 @@ def wedges(skin: Skin) -> Wedges:
         values[convex] for values in (start, end, left, right, along, turn_deg)
     )
     piece_of = _in_line(start, end, np.column_stack([left, right]), along)
+    label = np.unique(mesh.label)
     ends, faces, angles = [], [], []
     for piece in range(int(piece_of.max(initial=-1)) + 1):
         rows = np.flatnonzero(piece_of == piece)
@@ -68,7 +59,7 @@ def wedges(skin: Skin) -> Wedges:
         points = vertex[np.concatenate([start[rows], end[rows]])]
         along_edge = points @ along[first]
         ends.append(points[[along_edge.argmin(), along_edge.argmax()]] + origin)
-        faces.append((left[first], right[first]))
+        faces.append((label[left[first]], label[right[first]]))
         angles.append(180 - turn_deg[first])
     return Wedges(
         np.array(ends).reshape(-1, 2, 3), np.array(angles, float), np.array(faces, np.int32).reshape(-1, 2)
