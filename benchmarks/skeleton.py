@@ -33,7 +33,7 @@ from p2wss.scenes.roofs import FootprintEdges, draw_angles  # noqa: E402
 from p2wss.skeleton import Polygons, Status, build  # noqa: E402
 from p2wss.skeleton.footprint import load_footprint, set_angles  # noqa: E402
 from p2wss.skeleton.kinetic import simulate, skeleton_work  # noqa: E402
-from p2wss.skeleton.queries import assign, query_work  # noqa: E402
+from p2wss.skeleton.queries import QueryPoints, assign, query_work  # noqa: E402
 
 FIRST_USE = """
 import time, numpy as np
@@ -249,11 +249,8 @@ def _evaluate(repeats, num_edges, num_rings, angle_deg, work, query, x, y, face,
     status = 0
     for _ in range(repeats):
         status += set_angles(work.edge, num_edges, angle_deg)
-        status += simulate(
-            work.edge, num_edges, num_rings, np.inf, work.node, work.vertex, work.arc, work.cap_height,
-            work.counts,
-        )  # fmt: skip
-        status += assign(num_edges, num_rings, np.inf, work, query, x, y, face, distance)
+        status += simulate(work, num_edges, num_rings, np.inf)
+        status += assign(num_edges, num_rings, np.inf, work, query, QueryPoints(x, y, face, distance))
     return status
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.mesh import label_kind_and_edge, mesh_work, solid_mesh
-from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS
+from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, Batch
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.types import FloatArray, Meshes, Polygons, writable
 
@@ -31,18 +31,12 @@ class _Output(NamedTuple):
 
 
 @entry
-def _solids(
-    xy_m, ring_offset, polygon_offset, angle_deg, eave_height_m, base_height_m, max_roof_height_m,
-    skeleton, mesh, start, output,
-):  # fmt: skip
+def _solids(batch, skeleton, mesh, start, output):
     """Build the solids of the polygons from ``start`` on. Returns the first polygon for which there is no room,
     or the number of polygons."""
-    counts = skeleton.counts
+    counts, xy_m = skeleton.counts, batch.xy_m
     for p in range(start, len(output.status)):
-        code, num_edges, more_vertices, more_triangles = solid_mesh(
-            xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave_height_m[p],
-            base_height_m[p], max_roof_height_m[p], skeleton, mesh,
-        )  # fmt: skip
+        code, num_edges, more_vertices, more_triangles = solid_mesh(batch, p, skeleton, mesh)
         num_vertices, num_triangles = output.vertex_offset[p], output.triangle_offset[p]
         if code != _OK:
             more_vertices, more_triangles = 0, 0
@@ -57,7 +51,7 @@ def _solids(
         output.triangle_offset[p + 1] = num_triangles + more_triangles
         if code != _OK:
             continue
-        origin = ring_offset[polygon_offset[p]]
+        origin = batch.ring_offset[batch.polygon_offset[p]]
         for k in range(more_vertices):
             output.vertex[num_vertices + k, 0] = mesh.vertex[k, 0] + xy_m[origin, 0]
             output.vertex[num_vertices + k, 1] = mesh.vertex[k, 1] + xy_m[origin, 1]
@@ -103,13 +97,13 @@ def _run(
     base_height_m: float | FloatArray,
     max_roof_height_m: float | FloatArray,
 ) -> _Output:
-    arguments = kernel_arguments(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    batch = make_batch(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
     size = work_size(polygons)
     work = skeleton_work(size), mesh_work(size)
     output = _output(len(polygons), 4 * len(polygons.xy_m) + 64)
     done = 0
     while True:
-        done = _solids(*arguments, *work, done, output)
+        done = _solids(batch, *work, done, output)
         if done == len(polygons):
             return output
         output = _grow(output)
@@ -119,14 +113,14 @@ def _per_polygon(value: float | FloatArray, num_polygons: int) -> FloatArray:
     return writable(np.broadcast_to(np.asarray(value, np.float64), num_polygons), np.float64)
 
 
-def kernel_arguments(
+def make_batch(
     polygons: Polygons,
     angle_deg: FloatArray,
     eave_height_m: float | FloatArray,
     base_height_m: float | FloatArray,
     max_roof_height_m: float | FloatArray,
-) -> tuple[FloatArray, ...]:
-    """All arguments as contiguous arrays of the dtypes for which the code is compiled.
+) -> Batch:
+    """All arguments of :func:`build` as contiguous arrays of the dtypes for which the code is compiled.
 
     Raises ValueError if the number of angles is not that of the edges.
     """
@@ -135,7 +129,7 @@ def kernel_arguments(
     angle = writable(angle_deg, np.float64)
     if angle.shape != (len(xy_m),):
         raise ValueError(f"angle_deg has shape {angle.shape}, but there are {len(xy_m)} edges")
-    return (
+    return Batch(
         xy_m,
         writable(polygons.ring_offset, np.int64),
         writable(polygons.polygon_offset, np.int64),

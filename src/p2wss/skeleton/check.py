@@ -14,10 +14,8 @@ from p2wss.skeleton.records import NUM_CAPS
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
-_OVERFLOW = int(Status.OVERFLOW)
 _NON_FINITE = int(Status.NON_FINITE)
 _NOT_CLOSED = int(Status.NOT_CLOSED)
-_NOT_MANIFOLD = int(Status.NOT_MANIFOLD)
 _WRONG_GENUS = int(Status.WRONG_GENUS)
 _NOT_PLANAR = int(Status.NOT_PLANAR)
 _WRONG_AREA = int(Status.WRONG_AREA)
@@ -103,14 +101,15 @@ def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, n
 
 
 @inner
-def check_solid(
-    edge, num_edges, num_rings, plan_area, cap_height, counts, eave, base,
-    point, num_points, triangle, triangle_label, num_triangles, hash_key, hash_half, twin,
-):  # fmt: skip
-    """The ``Status`` of a finished solid, all of whose points 0..num_points-1 are in use."""
+def check_solid(walls, skeleton_work, mesh_work, num_points, num_triangles):
+    """The ``Status`` of a finished solid, all of whose vertices 0..num_points-1 are in use."""
+    num_edges, num_rings, plan_area, eave, base = walls
+    edge, cap_height, counts = skeleton_work.edge, skeleton_work.cap_height, skeleton_work.counts
+    point, triangle, triangle_label = mesh_work.vertex, mesh_work.triangle, mesh_work.triangle_label
     for k in range(num_points):
         if not (np.isfinite(point[k, 0]) and np.isfinite(point[k, 1]) and np.isfinite(point[k, 2])):
             return _NON_FINITE
+    hash_key, hash_half, twin = mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
     if not pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
         return _NOT_CLOSED
     # V - E + F = 2 - 2 g with E = 3 F / 2, and one handle per courtyard

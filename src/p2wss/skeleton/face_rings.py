@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from p2wss.skeleton.compiled import inner
-from p2wss.skeleton.labels import num_labels, plane_point
-from p2wss.skeleton.records import NUM_NODES
+from p2wss.skeleton.labels import ground_label, num_labels
+from p2wss.skeleton.records import NUM_CAPS, NUM_NODES
+from p2wss.skeleton.rings import is_inside, signed_area
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -14,8 +17,32 @@ _OVERFLOW = int(Status.OVERFLOW)
 _OPEN_FACE = int(Status.OPEN_FACE)
 
 
+class _Faces(NamedTuple):
+    """What the planes of the faces of a solid are computed from, and its points."""
+
+    edge: np.ndarray
+    num_edges: int
+    counts: np.ndarray
+    point: np.ndarray
+
+
 @inner
-def _next_half(half, out_head, edge, num_edges, counts, point, label, start, here):
+def _place(faces, label, k):
+    """Coordinates (u, v) of point k in the plane of a face, in which the face is counter-clockwise seen from
+    outside."""
+    edge, num_edges, counts, point = faces
+    first_wall = num_edges + counts[NUM_CAPS]
+    if first_wall <= label < first_wall + num_edges:
+        e = label - first_wall
+        u = (point[k, 0] - edge[e].x) * edge[e].dir_x + (point[k, 1] - edge[e].y) * edge[e].dir_y
+        return u, point[k, 2]
+    if label == ground_label(num_edges, counts):
+        return point[k, 0], -point[k, 1]
+    return point[k, 0], point[k, 1]
+
+
+@inner
+def _next_half(half, out_head, faces, label, start, here):
     """The unused half-edge that continues from ``here``; at a pinch, the one that keeps the face on the
     left. -1 if there is none."""
     best, best_turn = -1, 0.0
@@ -29,14 +56,14 @@ def _next_half(half, out_head, edge, num_edges, counts, point, label, start, her
         h = half[h].next_out
     if not several:
         return best
-    u0, v0 = plane_point(edge, num_edges, counts, point, label, here)
-    u1, v1 = plane_point(edge, num_edges, counts, point, label, start)
+    u0, v0 = _place(faces, label, here)
+    u1, v1 = _place(faces, label, start)
     back = np.arctan2(v1 - v0, u1 - u0)
     best = -1
     h = out_head[here]
     while h >= 0:
         if half[h].alive == 1:
-            u2, v2 = plane_point(edge, num_edges, counts, point, label, half[h].end)
+            u2, v2 = _place(faces, label, half[h].end)
             turn = back - np.arctan2(v2 - v0, u2 - u0)  # clockwise from the way back
             if turn <= 1e-12:
                 turn += 2.0 * np.pi
@@ -47,40 +74,15 @@ def _next_half(half, out_head, edge, num_edges, counts, point, label, start, her
 
 
 @inner
-def _ring_area(edge, num_edges, counts, point, label, ring_point, first, last):
-    area = 0.0
-    u0, v0 = plane_point(edge, num_edges, counts, point, label, ring_point[first])
-    a_u, a_v = 0.0, 0.0
-    for k in range(first + 1, last):
-        b_u, b_v = plane_point(edge, num_edges, counts, point, label, ring_point[k])
-        b_u -= u0
-        b_v -= v0
-        area += a_u * b_v - a_v * b_u
-        a_u, a_v = b_u, b_v
-    return 0.5 * area
-
-
-@inner
-def _inside(edge, num_edges, counts, point, label, ring_point, first, last, u, v):
-    inside = False
-    a_u, a_v = plane_point(edge, num_edges, counts, point, label, ring_point[last - 1])
-    for k in range(first, last):
-        b_u, b_v = plane_point(edge, num_edges, counts, point, label, ring_point[k])
-        if (a_v > v) != (b_v > v) and u < a_u + (v - a_v) / (b_v - a_v) * (b_u - a_u):
-            inside = not inside
-        a_u, a_v = b_u, b_v
-    return inside
-
-
-@inner
-def trace_faces(edge, num_edges, counts, num_half, point, mesh_work):
+def trace_faces(edge, num_edges, counts, num_half, mesh_work):
     """Trace the half-edges into faces, each an outer ring and its holes. Returns (status, number of faces).
 
-    Fills ``ring_point`` (points of all rings), ``ring_start`` (where ring r starts), ``ring_order`` and
+    Fills ``ring`` (corners of all rings), ``ring_start`` (where ring r starts), ``ring_order`` and
     ``face``: face f has the label ``face[f].label`` and the rings ``ring_order[first_ring:last_ring]``.
     """
     half, out_head, label_head = mesh_work.half, mesh_work.out_head, mesh_work.label_head
-    ring_point, ring_start = mesh_work.ring_point, mesh_work.ring_start
+    uv, ring_point = mesh_work.ring
+    ring_start, faces = mesh_work.ring_start, _Faces(edge, num_edges, counts, mesh_work.point)
     ring_order, ring_area, face = mesh_work.ring_order, mesh_work.ring_area, mesh_work.face
     num_points = counts[NUM_NODES] + num_edges
     for k in range(num_points):
@@ -107,19 +109,16 @@ def trace_faces(edge, num_edges, counts, num_half, point, mesh_work):
                 if num_ring_points + 1 > len(ring_point):
                     return _OVERFLOW, 0
                 ring_point[num_ring_points] = half[h].start
+                uv[num_ring_points, 0], uv[num_ring_points, 1] = _place(faces, label, half[h].start)
                 num_ring_points += 1
                 here = half[h].end
-                following = _next_half(
-                    half, out_head, edge, num_edges, counts, point, label, half[h].start, here
-                )
+                following = _next_half(half, out_head, faces, label, half[h].start, here)
                 if here == origin:
                     # at a pinch the ring may have to pass through its start once more
                     if following < 0:
                         break
                     half[first].alive = 1
-                    again = _next_half(
-                        half, out_head, edge, num_edges, counts, point, label, half[h].start, here
-                    )
+                    again = _next_half(half, out_head, faces, label, half[h].start, here)
                     half[first].alive = 2
                     if again == first:
                         break
@@ -132,9 +131,7 @@ def trace_faces(edge, num_edges, counts, num_half, point, mesh_work):
             ring_start[num_rings] = num_ring_points
             if ring_start[num_rings] - ring_start[num_rings - 1] < 3:
                 return _OPEN_FACE, 0
-            ring_area[num_rings - 1] = _ring_area(
-                edge, num_edges, counts, point, label, ring_point, ring_start[num_rings - 1], num_ring_points
-            )
+            ring_area[num_rings - 1] = signed_area(uv, ring_start[num_rings - 1], num_ring_points)
         h = label_head[label]
         while h >= 0:
             out_head[half[h].start] = -1
@@ -149,13 +146,12 @@ def trace_faces(edge, num_edges, counts, num_half, point, mesh_work):
             for hole in range(first_ring, num_rings):
                 if ring_area[hole] > 0.0:
                     continue
-                u, v = plane_point(edge, num_edges, counts, point, label, ring_point[ring_start[hole]])
+                u, v = uv[ring_start[hole], 0], uv[ring_start[hole], 1]
                 outer, outer_area = -1, np.inf
                 for other in range(first_ring, num_rings):
-                    if 0.0 < ring_area[other] < outer_area and _inside(
-                        edge, num_edges, counts, point, label, ring_point,
-                        ring_start[other], ring_start[other + 1], u, v,
-                    ):  # fmt: skip
+                    if 0.0 < ring_area[other] < outer_area and is_inside(
+                        uv, ring_start[other], ring_start[other + 1], u, v
+                    ):
                         outer, outer_area = other, ring_area[other]
                 if outer == ring:
                     ring_order[num_ordered] = hole

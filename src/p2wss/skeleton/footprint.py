@@ -6,6 +6,7 @@ import numpy as np
 
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.records import MAX_EDGES
+from p2wss.skeleton.rings import crosses
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -123,9 +124,8 @@ def _inside_ring(edge, first, last, x, y):
     inside = False
     for i in range(first, last):
         j = edge[i].next
-        if (edge[i].y > y) != (edge[j].y > y):  # noqa: SIM102
-            if x < edge[i].x + (y - edge[i].y) / (edge[j].y - edge[i].y) * (edge[j].x - edge[i].x):
-                inside = not inside
+        if crosses(edge[i].x, edge[i].y, edge[j].x, edge[j].y, x, y):
+            inside = not inside
     return inside
 
 

@@ -116,9 +116,11 @@ def _add(half, label_head, num_half, start, end, label):
 
 
 @inner
-def _add_subdivided(half, label_head, num_half, start, end, label, node, cut_node, num_cut, on_edge, on_at):
+def _add_subdivided(node, mesh_work, num_half, start, end, label, num_cut):
     """Add an edge, cut at those of the nodes ``cut_node[:num_cut]`` that lie on it. Returns the number of
     half-edges, or -1 if there is no room."""
+    half, label_head, cut_node = mesh_work.half, mesh_work.label_head, mesh_work.cut_node
+    on_edge, on_at = mesh_work.on_edge, mesh_work.on_at
     # the same order of computation in both directions, so that both are cut in the same way
     a, b = min(start, end), max(start, end)
     dx, dy, dz = node[b].x - node[a].x, node[b].y - node[a].y, node[b].z - node[a].z
@@ -169,7 +171,7 @@ def _cancel_label(half, label_head, label):
 
 
 @inner
-def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work, thorough):
+def collect_half_edges(num_edges, skeleton_work, mesh_work, thorough):
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
     Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is corner i on the ground.
@@ -177,6 +179,8 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
     Elsewhere that happens by coincidence only (two unrelated events at one place and height), so it is done
     only if ``thorough``.
     """
+    edge, node, arc = skeleton_work.edge, skeleton_work.node, skeleton_work.arc
+    cap_height, counts = skeleton_work.cap_height, skeleton_work.counts
     parent, label_parent, label_head = mesh_work.parent, mesh_work.label_parent, mesh_work.label_head
     half = mesh_work.half
     num_nodes = counts[NUM_NODES]
@@ -225,10 +229,7 @@ def collect_half_edges(edge, num_edges, node, arc, cap_height, counts, mesh_work
             if side == 1:
                 a, b, left = b, a, right
             if node[a].z <= cut_up_to and node[b].z <= cut_up_to:
-                num_half = _add_subdivided(
-                    half, label_head, num_half, a, b, left, node, mesh_work.cut_node, num_cut,
-                    mesh_work.on_edge, mesh_work.on_at,
-                )  # fmt: skip
+                num_half = _add_subdivided(node, mesh_work, num_half, a, b, left, num_cut)
             elif num_half < len(half):
                 num_half = _add(half, label_head, num_half, a, b, left)
             else:

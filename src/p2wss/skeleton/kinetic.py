@@ -45,6 +45,7 @@ from p2wss.skeleton.records import (
     SkeletonCode,
     SkeletonWork,
 )
+from p2wss.skeleton.rings import crosses
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -107,16 +108,17 @@ def _start_moving(edge, vertex, v, t):
 
 
 @inner
-def _add_vertex(edge, vertex, counts, left, right, before, after, at_node, loop, t):
+def _add_vertex(edge, vertex, counts, edges, neighbours, at_node, t):
+    """Add a vertex to the wavefront, in a loop that is yet to be named. edges: (left, right). neighbours: (previous,
+    next)."""
+    before, after = neighbours
     v = counts[NUM_VERTICES]
     counts[NUM_VERTICES] += 1
     counts[NUM_ALIVE] += 1
-    vertex[v].left = left
-    vertex[v].right = right
+    vertex[v].left, vertex[v].right = edges
     vertex[v].prev = before
     vertex[v].next = after
     vertex[v].node = at_node
-    vertex[v].loop = loop
     vertex[v].alive = 1
     vertex[before].next = v
     vertex[after].prev = v
@@ -297,7 +299,7 @@ def _inside_loop(node, vertex, v, x, y, t, limit):
     for _ in range(limit):
         w = vertex[w].next
         b_x, b_y = _position(node, vertex, w, t)
-        if (a_y > y) != (b_y > y) and x < a_x + (y - a_y) / (b_y - a_y) * (b_x - a_x):
+        if crosses(a_x, a_y, b_x, b_y, x, y):
             inside = not inside
         a_x, a_y = b_x, b_y
         if w == v:
@@ -335,8 +337,9 @@ def _is_first_of_loop(vertex, v, limit):
 
 
 @inner
-def _cap_loop(node, vertex, arc, counts, v, t, cap):
+def _cap_loop(work, v, t, cap):
     """End the loop of v at height t along the boundary of the horizontal face number ``cap``."""
+    node, vertex, arc, counts = work.node, work.vertex, work.arc, work.counts
     limit = counts[NUM_VERTICES]
     first, last = ZERO - 1, ZERO - 1
     w = v
@@ -381,8 +384,9 @@ def _name_loop(vertex, v, name, limit):
 
 
 @inner
-def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
+def _end_still_region(work, num_edges, v, phase, t):
     """The loop of v stands still: if its whole region does, freeze it (phase 0) or cap it (phase 1)."""
+    edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
     limit = counts[NUM_VERTICES]
     region = vertex[v].loop
     num_holes = 0
@@ -402,21 +406,22 @@ def _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v,
                     num_holes += 1
     cap = counts[NUM_CAPS]
     if phase == 1:
-        cap_height[cap] = t
+        work.cap_height[cap] = t
         counts[NUM_CAPS] += 1
         counts[NUM_HOLES] -= num_holes
     for w in range(limit):
         if vertex[w].alive == 1 and vertex[w].loop == region:
             if phase == 1:
-                _cap_loop(node, vertex, arc, counts, w, t, num_edges + cap)
+                _cap_loop(work, w, t, num_edges + cap)
             else:
                 _freeze_loop(vertex, w, limit)
 
 
 @inner
-def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
+def _settle(work, num_edges, v, phase, t):
     """End the loop of v if it has two vertices or nothing in its region moves. False if the links are
     broken."""
+    edge, vertex, counts = work.edge, work.vertex, work.counts
     if vertex[v].alive == 0:
         return True
     size, moves = _loop_moves(edge, vertex, v, counts[NUM_VERTICES])
@@ -425,40 +430,43 @@ def _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t)
     if size <= 2:
         w = vertex[v].next
         if size == 2 and vertex[v].node != vertex[w].node:
-            _add_arc(arc, counts, vertex[v].node, vertex[w].node, vertex[v].left, vertex[v].right)
+            _add_arc(work.arc, counts, vertex[v].node, vertex[w].node, vertex[v].left, vertex[v].right)
         _kill(vertex, counts, v)
         _kill(vertex, counts, w)
     elif not moves:
-        _end_still_region(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t)
+        _end_still_region(work, num_edges, v, phase, t)
     return True
 
 
 @inner
-def _cap_everything(num_edges, node, vertex, arc, cap_height, counts, t):
+def _cap_everything(work, num_edges, t):
+    vertex, counts = work.vertex, work.counts
     cap = counts[NUM_CAPS]
-    cap_height[cap] = t
+    work.cap_height[cap] = t
     counts[NUM_CAPS] += 1
     for v in range(counts[NUM_VERTICES]):
         if vertex[v].alive == 1:
-            _cap_loop(node, vertex, arc, counts, v, t, num_edges + cap)
+            _cap_loop(work, v, t, num_edges + cap)
 
 
 @inner
-def _merge(edge, node, vertex, arc, counts, v, w, x, y, t):
+def _merge(work, v, w, x, y, t):
     """The piece from v to its successor w vanishes at (x, y): one vertex replaces both."""
+    node, vertex, arc, counts = work.node, work.vertex, work.arc, work.counts
     here = _add_node(node, counts, x, y, t)
     _add_arc(arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
     _add_arc(arc, counts, vertex[w].node, here, vertex[w].left, vertex[w].right)
     _kill(vertex, counts, v)
     _kill(vertex, counts, w)
-    before, after = vertex[v].prev, vertex[w].next
-    return _add_vertex(
-        edge, vertex, counts, vertex[v].left, vertex[w].right, before, after, here, vertex[v].loop, t
-    )
+    edges, neighbours = (vertex[v].left, vertex[w].right), (vertex[v].prev, vertex[w].next)
+    merged = _add_vertex(work.edge, vertex, counts, edges, neighbours, here, t)
+    vertex[merged].loop = vertex[v].loop
+    return merged
 
 
 @embedded
-def _collapse(edge, node, vertex, arc, counts, v, t):
+def _collapse(work, v, t):
+    node, vertex = work.node, work.vertex
     w = vertex[v].next
     v_x, v_y = _position(node, vertex, v, t)
     w_x, w_y = _position(node, vertex, w, t)
@@ -470,12 +478,13 @@ def _collapse(edge, node, vertex, arc, counts, v, t):
         x, y = v_x, v_y
     elif w_speed2 < 1e-2 * v_speed2:
         x, y = w_x, w_y
-    return _merge(edge, node, vertex, arc, counts, v, w, x, y, t)
+    return _merge(work, v, w, x, y, t)
 
 
 @embedded
-def _close_degenerate(edge, node, vertex, arc, counts, v, t):
+def _close_degenerate(work, v, t):
     """A vertex between parallel edges of different speeds merges with a neighbour, at the neighbour's place."""
+    edge, node, vertex = work.edge, work.node, work.vertex
     a, b = vertex[v].prev, vertex[v].next
     a_x, a_y = _position(node, vertex, a, t)
     b_x, b_y = _position(node, vertex, b, t)
@@ -484,27 +493,29 @@ def _close_degenerate(edge, node, vertex, arc, counts, v, t):
         to_next = (b_x - x) ** 2 + (b_y - y) ** 2 <= (a_x - x) ** 2 + (a_y - y) ** 2
     else:
         to_next = edge[vertex[v].right].speed < edge[vertex[v].left].speed
-        counts[NUM_AMBIGUOUS] += 1
+        work.counts[NUM_AMBIGUOUS] += 1
     if to_next:
-        return _merge(edge, node, vertex, arc, counts, v, b, b_x, b_y, t)
-    return _merge(edge, node, vertex, arc, counts, a, v, a_x, a_y, t)
+        return _merge(work, v, b, b_x, b_y, t)
+    return _merge(work, a, v, a_x, a_y, t)
 
 
 @embedded
-def _split(edge, node, vertex, arc, counts, v, t):
+def _split(work, v, t):
     """v runs into a piece: its wavefront splits in two, or joins the other wavefront."""
+    node, vertex, counts = work.node, work.vertex, work.counts
     a = vertex[v].split_from
     b = vertex[a].next
     e = vertex[a].right
     x, y = _position(node, vertex, v, t)
     here = _add_node(node, counts, x, y, t)
-    _add_arc(arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
+    _add_arc(work.arc, counts, vertex[v].node, here, vertex[v].left, vertex[v].right)
     _kill(vertex, counts, v)
     before, after = vertex[v].prev, vertex[v].next
     left, right, loop = vertex[v].left, vertex[v].right, vertex[v].loop
     joins = vertex[a].loop != loop
-    first = _add_vertex(edge, vertex, counts, left, e, before, b, here, loop, t)
-    second = _add_vertex(edge, vertex, counts, e, right, a, after, here, loop, t)
+    first = _add_vertex(work.edge, vertex, counts, (left, e), (before, b), here, t)
+    second = _add_vertex(work.edge, vertex, counts, (e, right), (a, after), here, t)
+    vertex[first].loop = vertex[second].loop = loop
     limit = counts[NUM_VERTICES]
     if joins:
         counts[NUM_HOLES] -= 1
@@ -549,13 +560,14 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
 
 
 @embedded
-def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height):
+def _run_phase(work, num_edges, phase, max_roof_height):
+    edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
     _start_phase(edge, num_edges, vertex, counts, phase)
     t = 0.0
     num_start = counts[NUM_VERTICES]
     for v in range(num_start):
         if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):
-            if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, v, phase, t):
+            if not _settle(work, num_edges, v, phase, t):
                 return _BROKEN_WAVEFRONT
             if counts[NUM_LOOPS] == 1:
                 break
@@ -577,7 +589,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
         room = counts[NUM_ALIVE] + 4
         if counts[NUM_VERTICES] + 4 > len(vertex) or counts[NUM_NODES] + room > len(node):
             return _OVERFLOW
-        if counts[NUM_ARCS] + 2 * room > len(arc) or counts[NUM_CAPS] + 2 > len(cap_height):
+        if counts[NUM_ARCS] + 2 * room > len(work.arc) or counts[NUM_CAPS] + 2 > len(work.cap_height):
             return _OVERFLOW
         degenerate = ZERO - 1
         if num_degenerate > 0:
@@ -590,7 +602,7 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
                     num_degenerate += 1
         second = ZERO - 1
         if degenerate >= 0:
-            first = _close_degenerate(edge, node, vertex, arc, counts, degenerate, t)
+            first = _close_degenerate(work, degenerate, t)
         else:
             height, v, is_split = _next_event(vertex, counts)
             if v < 0:
@@ -598,23 +610,23 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
                     return _NO_EVENT
                 break
             if phase == 1 and height > max_roof_height:
-                _cap_everything(num_edges, node, vertex, arc, cap_height, counts, max_roof_height)
+                _cap_everything(work, num_edges, max_roof_height)
                 return _OK
             t = max(t, height)
             if is_split:
-                first, second = _split(edge, node, vertex, arc, counts, v, t)
+                first, second = _split(work, v, t)
             else:
-                first = _collapse(edge, node, vertex, arc, counts, v, t)
+                first = _collapse(work, v, t)
         if phase == 0:
             node[vertex[first].node].z = 0.0
         if vertex[first].kind != _ORDINARY:
             num_degenerate += 1
         if second >= 0 and vertex[second].kind != _ORDINARY:
             num_degenerate += 1
-        if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, first, phase, t):
+        if not _settle(work, num_edges, first, phase, t):
             return _BROKEN_WAVEFRONT
         if second >= 0:  # noqa: SIM102
-            if not _settle(edge, num_edges, node, vertex, arc, cap_height, counts, second, phase, t):
+            if not _settle(work, num_edges, second, phase, t):
                 return _BROKEN_WAVEFRONT
         _refresh_pieces(edge, node, vertex, counts, first, second, t)
     if phase == 0 and counts[NUM_ALIVE] > 0:
@@ -626,15 +638,15 @@ def _run_phase(edge, num_edges, node, vertex, arc, cap_height, counts, phase, ma
 
 
 @inner
-def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap_height, counts):
+def simulate(work, num_edges, num_rings, max_roof_height):
     """Process all events of one polygon. Returns a ``Status``; never raises and always ends.
 
-    edge: EDGE records, filled up to ``num_edges`` by :func:`p2wss.skeleton.footprint.load_footprint` and
-    :func:`p2wss.skeleton.footprint.set_angles`. max_roof_height: metres above the eave, infinity for none.
-    node, vertex, arc, cap_height, counts: arrays of :func:`skeleton_work`, overwritten. On return, ``counts``
-    has the numbers of nodes, arcs and caps. Face num_edges + c of an arc is the horizontal cap at
-    ``cap_height[c]`` above the eave.
+    work: of :func:`skeleton_work`; its ``edge`` filled up to ``num_edges`` by
+    :func:`p2wss.skeleton.footprint.load_footprint` and :func:`p2wss.skeleton.footprint.set_angles`, all else is
+    overwritten. max_roof_height: metres above the eave, infinity for none. On return, ``counts`` has the numbers of
+    nodes, arcs and caps. Face num_edges + c of an arc is the horizontal cap at ``cap_height[c]`` above the eave.
     """
+    edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
     for k in range(len(counts)):
         counts[k] = 0
     counts[NUM_NODES] = num_edges
@@ -658,9 +670,7 @@ def simulate(edge, num_edges, num_rings, max_roof_height, node, vertex, arc, cap
     status = _OK
     for phase in range(first_phase, 2):
         if status == _OK and counts[NUM_ALIVE] > 0:
-            status = _run_phase(
-                edge, num_edges, node, vertex, arc, cap_height, counts, phase, max_roof_height
-            )
+            status = _run_phase(work, num_edges, phase, max_roof_height)
     return status
 
 
@@ -669,13 +679,15 @@ simulate_at = by_address(simulate)
 
 @cache
 def _code() -> SkeletonCode:
-    node, vertex, arc, row = np.zeros(1, NODE), np.zeros(1, VERTEX), np.zeros(1, ARC), np.zeros(1)
-    counts = np.zeros(NUM_COUNTS, np.int64)
-    return SkeletonCode(address_of(simulate, np.zeros(1, EDGE), 1, 1, 1.0, node, vertex, arc, row, counts))
+    return SkeletonCode(address_of(simulate, _skeleton_work(1, SkeletonCode(0)), 1, 1, 1.0))
 
 
 def skeleton_work(max_edges: int) -> SkeletonWork:
     """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
+    return _skeleton_work(max_edges, _code())
+
+
+def _skeleton_work(max_edges: int, code: SkeletonCode) -> SkeletonWork:
     num_nodes = 8 * max_edges + 64
     return SkeletonWork(
         edge=np.zeros(max_edges, EDGE),
@@ -684,5 +696,5 @@ def skeleton_work(max_edges: int) -> SkeletonWork:
         arc=np.zeros(3 * num_nodes, ARC),
         cap_height=np.zeros(num_nodes),
         counts=np.zeros(NUM_COUNTS, np.int64),
-        code=_code(),
+        code=code,
     )

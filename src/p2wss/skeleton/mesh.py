@@ -12,10 +12,10 @@ from p2wss.skeleton.face_rings import trace_faces
 from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
 from p2wss.skeleton.half_edges import collect_half_edges, drop_straight_points
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
-from p2wss.skeleton.labels import flat_label, ground_label, plane_point
-from p2wss.skeleton.records import FACE, HALF, NUM_CAPS, NUM_NODES, MeshCode, MeshWork
+from p2wss.skeleton.labels import flat_label, ground_label
+from p2wss.skeleton.records import FACE, HALF, NUM_CAPS, NUM_NODES, Corners, Ears, MeshCode, MeshWork, Walls
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.triangulate import clip_ears, join_holes
+from p2wss.skeleton.triangulate import clip_ears, copy_corners, join_holes
 from p2wss.skeleton.types import FaceKind
 
 _OK = int(Status.OK)
@@ -44,90 +44,78 @@ def label_kind_and_edge(num_edges, counts, label):
 
 
 @inner
-def solid_skeleton(
-    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, work
-):  # fmt: skip
-    """Check the arguments of one polygon and compute its skeleton. Returns (status, number of edges)."""
-    edge = work.edge
-    status, num_edges = load_footprint(xy_m, ring_offset, first_ring, last_ring, edge)
+def solid_skeleton(batch, p, work):
+    """Check the arguments of polygon ``p`` of a batch and compute its skeleton. Returns (status, number of edges)."""
+    edge, ring_offset = work.edge, batch.ring_offset
+    first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
+    status, num_edges = load_footprint(batch.xy_m, ring_offset, first_ring, last_ring, edge)
     if status != _OK:
         return status, 0
+    eave, base = batch.eave_height_m[p], batch.base_height_m[p]
     if not (np.isfinite(eave) and np.isfinite(base) and eave - base >= _LOWEST_WALL_M):
         return _BAD_HEIGHT, 0
+    max_roof_height = batch.max_roof_height_m[p]
     if not max_roof_height >= 0.0:
         return _BAD_HEIGHT, 0
     first = ring_offset[first_ring]
-    status = set_angles(edge, num_edges, angle_deg[first : first + num_edges])
+    status = set_angles(edge, num_edges, batch.angle_deg[first : first + num_edges])
     if status == _OK:
         status = check_rings(edge, ring_offset, first_ring, last_ring)
     if status == _OK:
-        status = simulate_at(
-            work.code, edge, num_edges, last_ring - first_ring, max_roof_height, work.node, work.vertex, work.arc,
-            work.cap_height, work.counts,
-        )  # fmt: skip
+        status = simulate_at(work.code, work, num_edges, last_ring - first_ring, max_roof_height)
     return status, num_edges
 
 
 @inner
-def _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work):
+def _triangulate_faces(num_faces, mesh_work):
     """Cut all faces into triangles. Returns the number of triangles, or -1 if a face cannot be cut."""
-    uv, flat_point, first = mesh_work.flat_uv, mesh_work.flat_point, mesh_work.flat_first
+    flat, first = mesh_work.flat, mesh_work.flat_first
     num_triangles = ZERO
     for f in range(num_faces):
-        label = mesh_work.face[f].label
         num_rings = mesh_work.face[f].last_ring - mesh_work.face[f].first_ring
-        size = 0
+        size = ZERO
         for r in range(num_rings):
             ring = mesh_work.ring_order[mesh_work.face[f].first_ring + r]
+            start, end = mesh_work.ring_start[ring], mesh_work.ring_start[ring + 1]
             first[r] = size
-            for k in range(mesh_work.ring_start[ring], mesh_work.ring_start[ring + 1]):
-                p = mesh_work.ring_point[k]
-                u, v = plane_point(edge, num_edges, counts, mesh_work.point, label, p)
-                uv[0, size], uv[1, size], flat_point[0, size] = u, v, p
-                size += 1
+            copy_corners(mesh_work.ring, start, flat, size, end - start)
+            size += end - start
         first[num_rings] = size
-        row = 0
+        last = num_triangles
         if num_rings > 1:
-            size = join_holes(
-                uv[0], uv[1], flat_point[0], first, num_rings, uv[2], uv[3], flat_point[1],
-                uv[4], uv[5], flat_point[2], mesh_work.ear[0],
-            )  # fmt: skip
+            size = join_holes(flat, first, num_rings, mesh_work.loop, mesh_work.spare, mesh_work.joined)
             if size < 0:
                 return -1
-            row = 1
-        last = num_triangles
-        num_triangles = clip_ears(
-            uv[2 * row], uv[2 * row + 1], flat_point[row], size, mesh_work.ear[0], mesh_work.ear[1],
-            mesh_work.quality, mesh_work.triangle, num_triangles,
-        )  # fmt: skip
+            num_triangles = clip_ears(mesh_work.loop, size, mesh_work.ears, mesh_work.triangle, num_triangles)
+        else:
+            num_triangles = clip_ears(flat, size, mesh_work.ears, mesh_work.triangle, num_triangles)
         if num_triangles < 0:
             return -1
         for t in range(last, num_triangles):
-            mesh_work.triangle_label[t] = label
+            mesh_work.triangle_label[t] = mesh_work.face[f].label
     return num_triangles
 
 
 @inner
-def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough):
+def finish_solid(walls, skeleton_work, mesh_work, thorough):
     """From the skeleton to faces, triangles and checks. Returns (status, number of vertices, triangles)."""
+    num_edges = walls.num_edges
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
-    status, num_half = collect_half_edges(
-        edge, num_edges, node, skeleton_work.arc, skeleton_work.cap_height, counts, mesh_work, thorough
-    )
+    status, num_half = collect_half_edges(num_edges, skeleton_work, mesh_work, thorough)
     if status != _OK:
         return status, 0, 0
     point = mesh_work.point
     num_nodes = counts[NUM_NODES]
     for k in range(num_nodes):
-        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + eave
+        point[k, 0], point[k, 1], point[k, 2] = node[k].x, node[k].y, node[k].z + walls.eave_m
     for i in range(num_edges):
         k = num_nodes + i
-        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, base
+        point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, walls.base_m
     drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
-    status, num_faces = trace_faces(edge, num_edges, counts, num_half, point, mesh_work)
+    status, num_faces = trace_faces(edge, num_edges, counts, num_half, mesh_work)
     if status != _OK:
         return status, 0, 0
-    num_triangles = _triangulate_faces(edge, num_edges, counts, num_faces, mesh_work)
+    num_triangles = _triangulate_faces(num_faces, mesh_work)
     if num_triangles < 0:
         return _NOT_TRIANGULATED, 0, 0
     vertex = mesh_work.vertex
@@ -158,11 +146,7 @@ def finish_solid(num_edges, num_rings, plan_area, eave, base, skeleton_work, mes
     )
     if num_vertices < 0:
         return _OVERFLOW, 0, 0
-    status = check_solid(
-        edge, num_edges, num_rings, plan_area, skeleton_work.cap_height, counts, eave, base, vertex,
-        num_vertices, triangle, mesh_work.triangle_label, num_triangles,
-        mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin,
-    )  # fmt: skip
+    status = check_solid(walls, skeleton_work, mesh_work, num_vertices, num_triangles)
     return status, num_vertices, num_triangles
 
 
@@ -170,25 +154,25 @@ finish_solid_at = by_address(finish_solid)
 
 
 @inner
-def solid_mesh(
-    xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work, mesh_work
-):  # fmt: skip
-    """Build one mesh in ``mesh_work`` and check it. Returns (status, number of edges, vertices, triangles)."""
-    status, num_edges = solid_skeleton(
-        xy_m, ring_offset, first_ring, last_ring, angle_deg, eave, base, max_roof_height, skeleton_work
-    )
+def solid_mesh(batch, p, skeleton_work, mesh_work):
+    """Build the mesh of polygon ``p`` of a batch in ``mesh_work`` and check it. Returns (status, number of edges,
+    vertices, triangles)."""
+    status, num_edges = solid_skeleton(batch, p, skeleton_work)
     if status != _OK:
         return status, 0, 0, 0
-    first_vertex = ring_offset[first_ring]
+    first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
+    first_vertex = batch.ring_offset[first_ring]
     plan_area = 0.0
     for ring in range(first_ring, last_ring):
-        first, last = ring_offset[ring] - first_vertex, ring_offset[ring + 1] - first_vertex
+        first, last = batch.ring_offset[ring] - first_vertex, batch.ring_offset[ring + 1] - first_vertex
         plan_area += ring_area(skeleton_work.edge, first, last)
-    num_rings = last_ring - first_ring
+    walls = Walls(
+        num_edges, last_ring - first_ring, plan_area, batch.eave_height_m[p], batch.base_height_m[p]
+    )
     num_vertices, num_triangles = 0, 0
     for thorough in (False, True):
         status, num_vertices, num_triangles = finish_solid_at(
-            mesh_work.code, num_edges, num_rings, plan_area, eave, base, skeleton_work, mesh_work, thorough
+            mesh_work.code, walls, skeleton_work, mesh_work, thorough
         )
         if status == _OK:
             break
@@ -198,7 +182,7 @@ def solid_mesh(
 @cache
 def _code() -> MeshCode:
     skeleton, mesh = skeleton_work(1), _mesh_work(1, MeshCode(0))
-    return MeshCode(address_of(finish_solid, 1, 1, 1.0, 1.0, 1.0, skeleton, mesh, True))
+    return MeshCode(address_of(finish_solid, Walls(1, 1, 1.0, 1.0, 1.0), skeleton, mesh, True))
 
 
 def mesh_work(max_edges: int) -> MeshWork:
@@ -213,6 +197,7 @@ def _mesh_work(max_edges: int, code: MeshCode) -> MeshWork:
     hash_size = 1
     while hash_size < 6 * num_triangles:
         hash_size *= 2
+    corners = [Corners(np.zeros((num_halves, 2)), np.zeros(num_halves, np.int64)) for _ in range(4)]
     return MeshWork(
         point=np.zeros((num_points, 3)),
         parent=np.zeros(num_points, np.int64),
@@ -223,16 +208,17 @@ def _mesh_work(max_edges: int, code: MeshCode) -> MeshWork:
         on_edge=np.zeros(num_points, np.int64),
         on_at=np.zeros(num_points),
         half=np.zeros(num_halves, HALF),
-        ring_point=np.zeros(num_halves, np.int64),
+        ring=corners[0],
         ring_start=np.zeros(num_halves, np.int64),
         ring_order=np.zeros(num_halves, np.int64),
         ring_area=np.zeros(num_halves),
         face=np.zeros(num_halves, FACE),
-        flat_uv=np.zeros((6, num_halves)),
-        flat_point=np.zeros((3, num_halves), np.int64),
+        flat=corners[1],
         flat_first=np.zeros(num_halves, np.int64),
-        ear=np.zeros((2, num_halves), np.int64),
-        quality=np.zeros(num_halves),
+        loop=corners[2],
+        spare=corners[3],
+        joined=np.zeros(num_halves, np.int64),
+        ears=Ears(np.zeros(num_halves, np.int64), np.zeros(num_halves, np.int64), np.zeros(num_halves)),
         triangle=np.zeros((num_triangles, 3), np.int64),
         triangle_label=np.zeros(num_triangles, np.int64),
         new_index=np.zeros(2 * num_points, np.int64),

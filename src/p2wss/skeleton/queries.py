@@ -11,16 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.skeleton.batch import kernel_arguments, work_size
+from p2wss.skeleton.batch import make_batch, work_size
 from p2wss.skeleton.compiled import ZERO, embedded, entry, inner
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
 from p2wss.skeleton.mesh import solid_skeleton
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS
 from p2wss.skeleton.status import Status
-from p2wss.skeleton.types import FaceKind, FloatArray, IntArray, Polygons
+from p2wss.skeleton.types import FloatArray, IntArray, Polygons
 
 _OK = int(Status.OK)
-_ROOF, _FLAT_KIND, _GROUND = int(FaceKind.ROOF), int(FaceKind.FLAT), int(FaceKind.GROUND)
 
 # Values of `face` below 0
 OUTSIDE = -1  # no roof over the point
@@ -63,6 +62,16 @@ class QueryWork(NamedTuple):
     beside: np.ndarray
 
 
+class QueryPoints(NamedTuple):
+    """Points to look for the roof over, float64 (num_points,), relative to the first vertex of the polygon; and what
+    :func:`assign` writes for each: int64 face, float64 distance."""
+
+    x: np.ndarray
+    y: np.ndarray
+    face: np.ndarray
+    distance: np.ndarray
+
+
 def query_work(max_edges: int) -> QueryWork:
     """Work arrays for polygons of up to ``max_edges`` edges over all their rings."""
     skeleton = skeleton_work(max_edges)
@@ -77,8 +86,9 @@ def query_work(max_edges: int) -> QueryWork:
 
 
 @embedded
-def _put_segment(segment, k, a_x, a_y, b_x, b_y, left_face, right_face):
+def _put_segment(segment, k, a, b, left_face, right_face):
     """Store the piece from a to b with the faces on its left and right. Returns the number of segments."""
+    a_x, a_y, b_x, b_y = a.x, a.y, b.x, b.y
     if a_x == b_x:
         return k
     if a_x < b_x:
@@ -96,11 +106,9 @@ def _fill_segments(edge, num_edges, node, arc, counts, segment):
     outside = num_edges + counts[NUM_CAPS]
     k = ZERO
     for i in range(num_edges):
-        j = edge[i].next
-        k = _put_segment(segment, k, edge[i].x, edge[i].y, edge[j].x, edge[j].y, i, outside)
+        k = _put_segment(segment, k, edge[i], edge[edge[i].next], i, outside)
     for m in range(counts[NUM_ARCS]):
-        a, b = arc[m].start, arc[m].end
-        k = _put_segment(segment, k, node[a].x, node[a].y, node[b].x, node[b].y, arc[m].left, arc[m].right)
+        k = _put_segment(segment, k, node[arc[m].start], node[arc[m].end], arc[m].left, arc[m].right)
     return k
 
 
@@ -137,9 +145,10 @@ def _wind(segment, num_segments, num_faces, winding, x, y):
 
 
 @embedded
-def _fill_faces(edge, num_edges, num_faces, query, x, y, face, distance):
+def _fill_faces(edge, num_edges, num_faces, query, points):
     """Face and distance of each of the points, at most a block: of the first face whose boundary winds round it and
     that is not vertical. There is only one, however many boundaries coincide."""
+    x, y, face, distance = points
     num = len(x)
     for k in range(num):
         face[k], distance[k] = OUTSIDE, 0.0
@@ -174,12 +183,12 @@ def _face_beside(edge, num_edges, num_faces, num_segments, query, face, distance
     the block are overwritten."""
     x, y = query.beside[:1], query.beside[1:]
     _wind(query.segment, num_segments, num_faces, query.winding, x, y)
-    _fill_faces(edge, num_edges, num_faces, query, x, y, face, distance)
+    _fill_faces(edge, num_edges, num_faces, query, QueryPoints(x, y, face, distance))
     return face[0]
 
 
 @embedded
-def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face, distance):
+def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, points):
     """Find the face over every point for the angles set last, from compiled code. Returns a ``Status``.
 
     To be called before: once per polygon, ``load_footprint(xy_m, ring_offset, first_ring, last_ring,
@@ -187,18 +196,15 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face,
     in :mod:`p2wss.skeleton.footprint` and return a status.
 
     num_edges, num_rings: int64. max_roof_height_m: float64 above the eave, infinity for none. skeleton: a
-    ``SkeletonWork``. query: a :class:`QueryWork`. x, y: float64 (num_points,), relative to the first vertex
-    of the polygon. face: int64 (num_points,), written: the edge that owns the roof over the point, or
-    OUTSIDE, FLAT, CAP or CUT. distance: float64 (num_points,), written: metres from the line of that edge,
+    ``SkeletonWork``. query: a :class:`QueryWork`. points: :class:`QueryPoints`; written are ``face``, the edge that
+    owns the roof over the point, or OUTSIDE, FLAT, CAP or CUT, and ``distance``, metres from the line of that edge,
     so that z = eave + tan(angle) * distance; for CAP and CUT the height above the eave; else 0.
 
     Nothing is allocated. A point exactly on the boundary of the polygon may count as outside.
     """
     edge, counts = skeleton.edge, skeleton.counts
-    status = simulate_at(
-        skeleton.code, edge, num_edges, num_rings, max_roof_height_m, skeleton.node, skeleton.vertex, skeleton.arc,
-        skeleton.cap_height, counts,
-    )  # fmt: skip
+    x, y, face, distance = points
+    status = simulate_at(skeleton.code, skeleton, num_edges, num_rings, max_roof_height_m)
     if status != _OK:
         return status
     num_segments = _fill_segments(edge, num_edges, skeleton.node, skeleton.arc, counts, query.segment)
@@ -207,10 +213,9 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face,
     winding = query.winding
     for first in range(0, len(x), _BLOCK):
         last = min(first + _BLOCK, len(x))
-        _wind(query.segment, num_segments, num_faces, winding, x[first:last], y[first:last])
-        _fill_faces(
-            edge, num_edges, num_faces, query, x[first:last], y[first:last], face[first:last], distance[first:last]
-        )  # fmt: skip
+        block = QueryPoints(x[first:last], y[first:last], face[first:last], distance[first:last])
+        _wind(query.segment, num_segments, num_faces, winding, block.x, block.y)
+        _fill_faces(edge, num_edges, num_faces, query, block)
         for k in range(first, last):
             vertical = _vertical_face(edge, num_edges, winding, k - first) if face[k] == OUTSIDE else -1
             if vertical >= 0:
@@ -226,25 +231,21 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, x, y, face,
 
 
 @entry
-def _assign_all(
-    xy_m, ring_offset, polygon_offset, angle_deg, eave, base, max_roof_height_m, skeleton, query,
-    x, y, point_offset, face, distance, status,
-):  # fmt: skip
+def _assign_all(batch, skeleton, query, points, point_offset, status):
     """Assign the points of all polygons: those of polygon p are ``point_offset[p]:point_offset[p + 1]``."""
-    for p in range(len(polygon_offset) - 1):
+    x, y, face, distance = points
+    for p in range(len(batch.polygon_offset) - 1):
         first, last = point_offset[p], point_offset[p + 1]
-        code, num_edges = solid_skeleton(
-            xy_m, ring_offset, polygon_offset[p], polygon_offset[p + 1], angle_deg, eave[p], base[p],
-            max_roof_height_m[p], skeleton,
-        )  # fmt: skip
+        code, num_edges = solid_skeleton(batch, p, skeleton)
         if code == _OK and last > first:
-            origin = ring_offset[polygon_offset[p]]
+            first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
+            origin = batch.ring_offset[first_ring]
             for k in range(first, last):
-                x[k] -= xy_m[origin, 0]
-                y[k] -= xy_m[origin, 1]
+                x[k] -= batch.xy_m[origin, 0]
+                y[k] -= batch.xy_m[origin, 1]
             code = assign(
-                num_edges, polygon_offset[p + 1] - polygon_offset[p], max_roof_height_m[p], skeleton, query,
-                x[first:last], y[first:last], face[first:last], distance[first:last],
+                num_edges, last_ring - first_ring, batch.max_roof_height_m[p], skeleton, query,
+                QueryPoints(x[first:last], y[first:last], face[first:last], distance[first:last]),
             )  # fmt: skip
         if code != _OK:
             for k in range(first, last):
@@ -258,24 +259,12 @@ class RoofPoints:
     """The roof over points, one row per point.
 
     * z_m: float64, height, NaN where there is no roof.
-    * kind: uint8, ROOF or FLAT; GROUND where there is no roof.
-    * edge: int32, the edge of the polygon (counted over all its rings) that owns the face, or -1.
-    * face: int64, the same edge, or OUTSIDE, FLAT, CAP or CUT.
-    * distance_m: float64, plan distance to the line of ``edge``; for CAP and CUT the height above the eave;
-      else 0.
-    * dz_dangle_m_per_deg: float64, derivative of z_m by the angle of ``edge``; 0 where edge is -1.
+    * edge: int32, the edge of the polygon (counted over all its rings) that owns the sloped face, or -1.
     * status: int32 (num_polygons,), a ``Status``.
-
-    Derivatives hold every point's face fixed. The one by the eave height is 1 wherever there is a roof; the one
-    by the tangent of the angle of ``edge`` is ``distance_m`` where edge is not -1.
     """
 
     z_m: FloatArray
-    kind: IntArray
     edge: IntArray
-    face: IntArray
-    distance_m: FloatArray
-    dz_dangle_m_per_deg: FloatArray
     status: IntArray
 
 
@@ -288,7 +277,7 @@ def roof_points(
     *,
     max_roof_height_m: float | FloatArray = np.inf,
 ) -> RoofPoints:
-    """Heights, faces and derivatives at points. polygons, angle_deg, eave_height_m: as for ``build``.
+    """Heights and faces at points. polygons, angle_deg, eave_height_m: as for ``build``.
 
     xy: (num_points, 2), the frame of the polygons. polygon_index: int (num_points,), the polygon of
     the point. The result is exact: it comes from the skeleton, not from triangles.
@@ -306,32 +295,26 @@ def roof_points(
         )
     eave = np.broadcast_to(np.asarray(eave_height_m, np.float64), num_polygons)
     # the height of the wall has no influence here, so any base below the eave will do
-    arguments = kernel_arguments(polygons, angle_deg, eave, eave - 1.0, max_roof_height_m)
+    batch = make_batch(polygons, angle_deg, eave, eave - 1.0, max_roof_height_m)
     size = work_size(polygons)
     order = np.argsort(index, kind="stable")
     face, distance = np.full(len(points), OUTSIDE, np.int64), np.zeros(len(points))
     status = np.zeros(num_polygons, np.int32)
     _assign_all(
-        *arguments,
+        batch,
         skeleton_work(size),
         query_work(size),
-        points[order, 0],
-        points[order, 1],
+        QueryPoints(points[order, 0], points[order, 1], face, distance),
         np.searchsorted(index[order], np.arange(num_polygons + 1)).astype(np.int64),
-        face,
-        distance,
         status,
     )
     back = np.empty(len(order), np.int64)
     back[order] = np.arange(len(order))
     face, distance = face[back], distance[back]
     owned = face >= 0
-    edge = np.where(owned, face, -1).astype(np.int32)
-    tangent = np.zeros(len(points))
-    first_edge = arguments[1][arguments[2][:-1]] if num_polygons else np.zeros(0, np.int64)
-    tangent[owned] = np.tan(np.radians(arguments[3][first_edge[index[owned]] + face[owned]]))
-    z = eave[index] + np.where(owned, tangent, 1.0) * distance
+    slope = np.ones(len(points))
+    first_edge = polygons.vertex_offset[:-1]
+    slope[owned] = np.tan(np.radians(batch.angle_deg[first_edge[index[owned]] + face[owned]]))
+    z = eave[index] + slope * distance
     z[face == OUTSIDE] = np.nan
-    kind = np.where(owned, _ROOF, np.where(face == OUTSIDE, _GROUND, _FLAT_KIND)).astype(np.uint8)
-    slope = np.where(owned, distance * (1.0 + tangent**2) * np.pi / 180.0, 0.0)
-    return RoofPoints(z, kind, edge, face, distance, slope, status)
+    return RoofPoints(z, np.where(owned, face, -1).astype(np.int32), status)

@@ -100,6 +100,44 @@ HALF = np.dtype(
 FACE = np.dtype([("label", "i8"), ("first_ring", "i8"), ("last_ring", "i8")], align=True)
 
 
+class Batch(NamedTuple):
+    """Ragged polygons as in :class:`p2wss.skeleton.types.Polygons`, the angle of each edge, and per polygon the heights
+    of eave and base and the greatest height of the roof above the eave; as compiled code takes them."""
+
+    xy_m: np.ndarray
+    ring_offset: np.ndarray
+    polygon_offset: np.ndarray
+    angle_deg: np.ndarray
+    eave_height_m: np.ndarray
+    base_height_m: np.ndarray
+    max_roof_height_m: np.ndarray
+
+
+class Walls(NamedTuple):
+    """What is below a roof: numbers of edges and rings and area of the footprint, heights of eave and base."""
+
+    num_edges: int
+    num_rings: int
+    plan_area_m2: float
+    eave_m: float
+    base_m: float
+
+
+class Corners(NamedTuple):
+    """Corners of the rings of a face: uv, float64 (n, 2), in the plane of the face, and the numbers of the points."""
+
+    uv: np.ndarray
+    point: np.ndarray
+
+
+class Ears(NamedTuple):
+    """The corners before and after each corner of a ring that is cut into triangles, and the quality of its ear."""
+
+    before: np.ndarray
+    after: np.ndarray
+    quality: np.ndarray
+
+
 class MeshCode(NamedTuple):
     """The same as :class:`SkeletonCode`, for :class:`MeshWork`."""
 
@@ -118,16 +156,17 @@ class MeshWork(NamedTuple):
     on_edge: np.ndarray
     on_at: np.ndarray
     half: np.ndarray
-    ring_point: np.ndarray
+    ring: Corners
     ring_start: np.ndarray
     ring_order: np.ndarray
     ring_area: np.ndarray
     face: np.ndarray
-    flat_uv: np.ndarray
-    flat_point: np.ndarray
+    flat: Corners
     flat_first: np.ndarray
-    ear: np.ndarray
-    quality: np.ndarray
+    loop: Corners
+    spare: Corners
+    joined: np.ndarray
+    ears: Ears
     triangle: np.ndarray
     triangle_label: np.ndarray
     new_index: np.ndarray

@@ -17,53 +17,63 @@ def _turn(a_u, a_v, b_u, b_v, c_u, c_v):
 
 
 @inner
-def _cross(u, v, a, b, c):
-    return (u[b] - u[a]) * (v[c] - v[a]) - (v[b] - v[a]) * (u[c] - u[a])
+def _cross(uv, a, b, c):
+    return (uv[b, 0] - uv[a, 0]) * (uv[c, 1] - uv[a, 1]) - (uv[b, 1] - uv[a, 1]) * (uv[c, 0] - uv[a, 0])
 
 
 @inner
-def _ring_blocks(u, v, first, last, p_u, p_v, q_u, q_v):
-    """Whether an edge of the ring ``first:last`` crosses or touches segment p-q, other than at its ends."""
+def _ring_blocks(uv, first, last, p, q):
+    """Whether an edge of the ring ``first:last`` crosses or touches the segment from p to q, other than at its ends."""
+    p_u, p_v = p
+    q_u, q_v = q
     for a in range(first, last):
         b = a + 1 if a + 1 < last else first
-        if (u[a] == p_u and v[a] == p_v) or (u[a] == q_u and v[a] == q_v):
+        a_u, a_v, b_u, b_v = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1]
+        if (a_u == p_u and a_v == p_v) or (a_u == q_u and a_v == q_v):
             continue
-        if (u[b] == p_u and v[b] == p_v) or (u[b] == q_u and v[b] == q_v):
+        if (b_u == p_u and b_v == p_v) or (b_u == q_u and b_v == q_v):
             continue
-        p_side = _turn(u[a], v[a], u[b], v[b], p_u, p_v)
-        q_side = _turn(u[a], v[a], u[b], v[b], q_u, q_v)
-        a_side = _turn(p_u, p_v, q_u, q_v, u[a], v[a])
-        b_side = _turn(p_u, p_v, q_u, q_v, u[b], v[b])
+        p_side = _turn(a_u, a_v, b_u, b_v, p_u, p_v)
+        q_side = _turn(a_u, a_v, b_u, b_v, q_u, q_v)
+        a_side = _turn(p_u, p_v, q_u, q_v, a_u, a_v)
+        b_side = _turn(p_u, p_v, q_u, q_v, b_u, b_v)
         if p_side * q_side <= 0.0 and a_side * b_side <= 0.0:
             return True
     return False
 
 
 @inner
-def _in_cone(u, v, before, here, after, to_u, to_v):
-    """Whether the segment from corner ``here`` to a point starts inside the ring."""
-    left_of_first = _turn(u[here], v[here], to_u, to_v, u[before], v[before])
-    left_of_second = _turn(to_u, to_v, u[here], v[here], u[after], v[after])
-    if _cross(u, v, before, here, after) > 0.0:
+def _in_cone(uv, before, here, after, to):
+    """Whether the segment from corner ``here`` to a place starts inside the ring."""
+    u, v = uv[here, 0], uv[here, 1]
+    left_of_first = _turn(u, v, to[0], to[1], uv[before, 0], uv[before, 1])
+    left_of_second = _turn(to[0], to[1], u, v, uv[after, 0], uv[after, 1])
+    if _cross(uv, before, here, after) > 0.0:
         return left_of_first > 0.0 and left_of_second > 0.0
     return not (left_of_second <= 0.0 and left_of_first <= 0.0)
 
 
 @inner
-def join_holes(
-    u, v, point, ring_first, num_rings, loop_u, loop_v, loop_point, spare_u, spare_v, spare_point, joined
-):  # fmt: skip
+def copy_corners(corners, first, to, at, count):
+    """Copy ``count`` corners from ``first`` on to the place ``at`` of others."""
+    for k in range(count):
+        to.uv[at + k, 0], to.uv[at + k, 1] = corners.uv[first + k, 0], corners.uv[first + k, 1]
+        to.point[at + k] = corners.point[first + k]
+
+
+@inner
+def join_holes(rings, ring_first, num_rings, loop, spare, joined):
     """Join an outer ring and its holes into one ring, by bridges between the nearest visible corners.
 
-    u, v, point: corners ring after ring, ring r at ``ring_first[r]:ring_first[r + 1]``, the outer ring first.
-    Writes the joined ring into ``loop_*``. Returns its length, or -1.
+    rings, loop, spare: ``Corners``; ring r is at ``ring_first[r]:ring_first[r + 1]``, the outer ring first.
+    Writes the joined ring into ``loop``. Returns its length, or -1.
     """
+    uv, loop_uv = rings.uv, loop.uv
     size = ring_first[1]
-    for k in range(size):
-        loop_u[k], loop_v[k], loop_point[k] = u[k], v[k], point[k]
     total = ring_first[num_rings]
-    if total + 2 * (num_rings - 1) > len(loop_u):
+    if total + 2 * (num_rings - 1) > len(loop_uv):
         return -1
+    copy_corners(rings, ZERO, loop, ZERO, size)
     zero = ZERO
     for ring in range(num_rings):
         joined[ring] = 0
@@ -78,53 +88,47 @@ def join_holes(
                 q_before = q - 1 if q > first else last - 1
                 q_after = q + 1 if q + 1 < last else first
                 for p in range(size):
-                    distance = (loop_u[p] - u[q]) ** 2 + (loop_v[p] - v[q]) ** 2
+                    distance = (loop_uv[p, 0] - uv[q, 0]) ** 2 + (loop_uv[p, 1] - uv[q, 1]) ** 2
                     if distance >= best:
                         continue
-                    p_u, p_v = loop_u[p], loop_v[p]
+                    at_p, at_q = (loop_uv[p, 0], loop_uv[p, 1]), (uv[q, 0], uv[q, 1])
                     p_before, p_after = p - 1 if p > 0 else size - 1, p + 1 if p + 1 < size else 0
-                    if not _in_cone(loop_u, loop_v, p_before, p, p_after, u[q], v[q]):
+                    if not _in_cone(loop_uv, p_before, p, p_after, at_q):
                         continue
-                    if not _in_cone(u, v, q_before, q, q_after, p_u, p_v):
+                    if not _in_cone(uv, q_before, q, q_after, at_p):
                         continue
-                    blocked = _ring_blocks(loop_u, loop_v, zero, size, p_u, p_v, u[q], v[q])
+                    blocked = _ring_blocks(loop_uv, zero, size, at_p, at_q)
                     for other in range(1, num_rings):
                         if not blocked and joined[other] == 0:
                             start, end = ring_first[other], ring_first[other + 1]
-                            blocked = _ring_blocks(u, v, start, end, p_u, p_v, u[q], v[q])
+                            blocked = _ring_blocks(uv, start, end, at_p, at_q)
                     if not blocked:
                         best, best_p, best_q, best_ring = distance, p, q, ring
         if best_ring < 0:
             return -1
         # ... p, then the hole from q all the way round to q, then p again ...
         first, last = ring_first[best_ring], ring_first[best_ring + 1]
-        tail = size - best_p
-        for k in range(tail):
-            at = best_p + k
-            spare_u[k], spare_v[k], spare_point[k] = loop_u[at], loop_v[at], loop_point[at]
-        at = best_p + 1
-        for k in range(last - first + 1):
-            m = best_q + k
-            if m >= last:
-                m -= last - first
-            loop_u[at], loop_v[at], loop_point[at] = u[m], v[m], point[m]
-            at += 1
-        for k in range(tail):
-            loop_u[at], loop_v[at], loop_point[at] = spare_u[k], spare_v[k], spare_point[k]
-            at += 1
-        size = at
+        tail, at = size - best_p, best_p + 1
+        copy_corners(loop, best_p, spare, zero, tail)
+        copy_corners(rings, best_q, loop, at, last - best_q)
+        at += last - best_q
+        copy_corners(rings, first, loop, at, best_q + 1 - first)
+        at += best_q + 1 - first
+        copy_corners(spare, zero, loop, at, tail)
+        size = at + tail
         joined[best_ring] = 1
     return size
 
 
 @inner
-def _ear_quality(u, v, point, before, after, i):
+def _ear_quality(corners, ears, i):
     """Area of the ear at i over its longest side squared, or 0 if there is no ear."""
-    a, c = before[i], after[i]
-    area = _cross(u, v, a, i, c)
-    ab_u, ab_v = u[i] - u[a], v[i] - v[a]
-    bc_u, bc_v = u[c] - u[i], v[c] - v[i]
-    ca_u, ca_v = u[a] - u[c], v[a] - v[c]
+    uv, point, after = corners.uv, corners.point, ears.after
+    a, c = ears.before[i], after[i]
+    area = _cross(uv, a, i, c)
+    ab_u, ab_v = uv[i, 0] - uv[a, 0], uv[i, 1] - uv[a, 1]
+    bc_u, bc_v = uv[c, 0] - uv[i, 0], uv[c, 1] - uv[i, 1]
+    ca_u, ca_v = uv[a, 0] - uv[c, 0], uv[a, 1] - uv[c, 1]
     longest2 = max(ab_u * ab_u + ab_v * ab_v, bc_u * bc_u + bc_v * bc_v, ca_u * ca_u + ca_v * ca_v)
     if longest2 == 0.0 or area <= _SMALLEST_QUALITY * longest2:
         return 0.0
@@ -136,9 +140,9 @@ def _ear_quality(u, v, point, before, after, i):
             and point[q] != point[i]
             and point[q] != point[c]
             and (
-                ab_u * (v[q] - v[a]) - ab_v * (u[q] - u[a]) >= near
-                and bc_u * (v[q] - v[i]) - bc_v * (u[q] - u[i]) >= near
-                and ca_u * (v[q] - v[c]) - ca_v * (u[q] - u[c]) >= near
+                ab_u * (uv[q, 1] - uv[a, 1]) - ab_v * (uv[q, 0] - uv[a, 0]) >= near
+                and bc_u * (uv[q, 1] - uv[i, 1]) - bc_v * (uv[q, 0] - uv[i, 0]) >= near
+                and ca_u * (uv[q, 1] - uv[c, 1]) - ca_v * (uv[q, 0] - uv[c, 0]) >= near
             )
         ):
             return 0.0
@@ -147,20 +151,22 @@ def _ear_quality(u, v, point, before, after, i):
 
 
 @inner
-def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles):
-    """Triangulate a counter-clockwise ring of ``size`` corners; the best-shaped ear is clipped first.
+def clip_ears(corners, size, ears, triangle, num_triangles):
+    """Triangulate a counter-clockwise ring, the first ``size`` of ``corners``; the best-shaped ear is clipped first.
 
-    Appends rows of ``point`` numbers to ``triangle`` from row ``num_triangles`` on. Returns the new number of
+    Appends rows of numbers of points to ``triangle`` from row ``num_triangles`` on. Returns the new number of
     rows, or -1 if the ring cannot be cut into triangles of positive area.
     """
     if size < 3 or num_triangles + size - 2 > len(triangle):
         return -1
+    point = corners.point
+    before, after, quality = ears
     for i in range(size):
         before[i] = i - 1 if i > 0 else size - 1
         after[i] = i + 1 if i + 1 < size else 0
     if size > 4:
         for i in range(size):
-            quality[i] = _ear_quality(u, v, point, before, after, i)
+            quality[i] = _ear_quality(corners, ears, i)
     here = ZERO
     while size > 3:
         best = 0.0
@@ -168,8 +174,8 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
         if size == 4:
             for _ in range(4):  # both halves of the last quadrilateral must be good
                 i = here
-                quality_1 = _ear_quality(u, v, point, before, after, i)
-                quality_2 = _ear_quality(u, v, point, before, after, after[after[i]])
+                quality_1 = _ear_quality(corners, ears, i)
+                quality_2 = _ear_quality(corners, ears, after[after[i]])
                 if min(quality_1, quality_2) > best:
                     best, ear = min(quality_1, quality_2), i
                 here = after[here]
@@ -181,7 +187,7 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
                 i = after[i]
             if ear < 0:  # clipping may have opened other ears
                 for _ in range(size):
-                    quality[i] = _ear_quality(u, v, point, before, after, i)
+                    quality[i] = _ear_quality(corners, ears, i)
                     if quality[i] > best:
                         best, ear = quality[i], i
                     i = after[i]
@@ -197,10 +203,10 @@ def clip_ears(u, v, point, size, before, after, quality, triangle, num_triangles
         here = a
         size -= 1
         if size > 4:
-            quality[a] = _ear_quality(u, v, point, before, after, a)
-            quality[c] = _ear_quality(u, v, point, before, after, c)
+            quality[a] = _ear_quality(corners, ears, a)
+            quality[c] = _ear_quality(corners, ears, c)
     a, b, c = before[here], here, after[here]
-    if _cross(u, v, a, b, c) <= 0.0:
+    if _cross(corners.uv, a, b, c) <= 0.0:
         return -1
     triangle[num_triangles, 0] = point[a]
     triangle[num_triangles, 1] = point[b]

@@ -68,11 +68,10 @@ def test_heights_on_the_roof_equal_the_mesh(regime):
     shuffle = rng.permutation(len(points))
     roof = roof_points(polygons, angle, eave, points[shuffle, :2], index[shuffle], max_roof_height_m=4.0)
     np.testing.assert_allclose(roof.z_m, points[shuffle, 2], atol=1e-6)
-    assert (roof.kind == np.concatenate(kinds)[shuffle]).all()
-    assert ((roof.edge >= 0) == (roof.kind == FaceKind.ROOF)).all()
+    assert ((roof.edge >= 0) == (np.concatenate(kinds)[shuffle] == FaceKind.ROOF)).all()
 
 
-def test_derivatives_match_finite_differences():
+def test_a_higher_eave_raises_the_roof_and_nothing_else():
     polygons = clean(sample_footprints(150, 8, 0.3))
     angle = sample_angles(polygons, "one", 9) + np.random.default_rng(1).uniform(-4, 4, len(polygons.xy_m))
     rng = np.random.default_rng(2)
@@ -80,22 +79,9 @@ def test_derivatives_match_finite_differences():
     centre = np.array([polygons.rings(k)[0].mean(0) for k in range(150)])
     xy = centre[index] + rng.uniform(-4, 4, (600, 2))
     roof = roof_points(polygons, angle, 5.0, xy, index)
-    step = 1e-5
-    edge = polygons.vertex_offset[index] + roof.edge
-    checked = 0
-    for k in np.flatnonzero(roof.edge >= 0)[:100]:
-        steeper = angle.copy()
-        steeper[edge[k]] += step
-        steeper_roof = roof_points(polygons, steeper, 5.0, xy[k : k + 1], index[k : k + 1])
-        if steeper_roof.edge[0] == roof.edge[k]:
-            assert (steeper_roof.z_m[0] - roof.z_m[k]) / step == pytest.approx(
-                roof.dz_dangle_m_per_deg[k], abs=1e-4
-            )
-            checked += 1
-    assert checked > 80
     raised = roof_points(polygons, angle, 5.5, xy, index)
     np.testing.assert_allclose(raised.z_m, roof.z_m + 0.5)
-    assert np.isnan(roof.z_m[roof.face == -1]).all() and (roof.face == -1).any()
+    assert (raised.edge == roof.edge).all() and np.isnan(roof.z_m).any()
 
 
 def test_faces_by_the_labels_are_planar_and_enclose_the_mesh_volume():

@@ -193,10 +193,7 @@ def is_sound(polygon: Polygon, min_clearance_m: float, work_at: int):
     for e in range(n):
         work.solution_deg[e] = 45.0
     set_angles(edge, n, work.solution_deg)
-    status = simulate_at(
-        skeleton.code, edge, n, num_rings, np.inf, skeleton.node, skeleton.vertex, skeleton.arc, skeleton.cap_height,
-        skeleton.counts,
-    )  # fmt: skip
+    status = simulate_at(skeleton.code, skeleton, n, num_rings, np.inf)
     if status != _OK:
         return False
     for k in range(n, skeleton.counts[NUM_NODES]):  # noqa: SIM110 - compiled

@@ -14,7 +14,7 @@ from p2wss.fit.settings import SOLVING
 from p2wss.skeleton.compiled import ZERO, by_address, embedded, inner
 from p2wss.skeleton.footprint import load_footprint, set_angles
 from p2wss.skeleton.ordering import select
-from p2wss.skeleton.queries import OUTSIDE, assign
+from p2wss.skeleton.queries import OUTSIDE, QueryPoints, assign
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -66,10 +66,9 @@ def _evaluate(problem: Problem, work: FitWork, angle_deg: np.ndarray, eave_m: fl
     else:
         if set_angles(work.skeleton.edge, problem.num_edges, angle_deg) != _OK:
             return IMPOSSIBLE
-        status = assign(
-            problem.num_edges, problem.num_rings, problem.max_roof_height_m, work.skeleton, work.query, problem.x,
-            problem.y, face, distance,
-        )  # fmt: skip
+        points = QueryPoints(problem.x, problem.y, face, distance)
+        top = problem.max_roof_height_m
+        status = assign(problem.num_edges, problem.num_rings, top, work.skeleton, work.query, points)
         if status != _OK:
             return IMPOSSIBLE
         for k in range(m):
