@@ -8,15 +8,44 @@ included.
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, entry, inlined, inner
 from p2wss.skeleton.ordering import median
+from p2wss.skeleton.rings import crosses, is_inside
 from p2wss.skeleton.types import Polygons
 
 _CELL_M = 4.0
 _MAX_CELLS = 1 << 24
+
+
+class _Grid(NamedTuple):
+    """Square cells from (low_x_m, low_y_m) on."""
+
+    low_x_m: float
+    low_y_m: float
+    cell_m: float
+    columns: int
+    rows: int
+
+
+class _Sorted(NamedTuple):
+    """Points by cell, row by row: cell c has ``start[c]:start[c + 1]``. order: int32, their indices. x, y: float64."""
+
+    start: np.ndarray
+    order: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+
+
+class _Rings(NamedTuple):
+    """The arrays of :class:`Polygons`."""
+
+    xy: np.ndarray
+    ring_offset: np.ndarray
+    polygon_offset: np.ndarray
 
 
 def crop_points(
@@ -42,36 +71,16 @@ def crop_points(
     extent = polygons.xy_m.max(axis=0) + buffer_m - low
     cell_m = max(_CELL_M, sqrt(float(extent[0] * extent[1]) / _MAX_CELLS))
     columns, rows = (int(length / cell_m) + 1 for length in extent)
-    boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, low, cell_m, float(buffer_m), columns, rows)
-    start, order, x_sorted, y_sorted = _sort_points(
-        x_m, y_m, low, cell_m, columns, rows, boxes, np.zeros(0, bool) if among is None else among
-    )
-    return _crop(
-        x_sorted,
-        y_sorted,
-        order,
-        start,
-        columns,
-        low[1],
-        cell_m,
-        boxes,
-        polygons.xy_m,
-        polygons.ring_offset,
-        polygons.polygon_offset,
-        float(buffer_m),
-    )
+    grid = _Grid(float(low[0]), float(low[1]), cell_m, columns, rows)
+    boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, grid, float(buffer_m))
+    cells = _sort_points(x_m, y_m, grid, boxes, np.zeros(0, bool) if among is None else among)
+    rings = _Rings(polygons.xy_m, polygons.ring_offset, polygons.polygon_offset)
+    cropped: tuple[np.ndarray, np.ndarray, np.ndarray] = _crop(cells, grid, boxes, rings, float(buffer_m))
+    return cropped
 
 
 @entry
-def _cell_boxes(
-    xy: np.ndarray,
-    vertex_offset: np.ndarray,
-    low: np.ndarray,
-    cell_m: float,
-    buffer_m: float,
-    columns: int,
-    rows: int,
-) -> np.ndarray:
+def _cell_boxes(xy: np.ndarray, vertex_offset: np.ndarray, grid: _Grid, buffer_m: float) -> np.ndarray:
     """First and last column and row of the cells around each polygon, int64 (num_polygons, 4).
 
     (0, -1, 0, -1) for a polygon without vertices.
@@ -85,28 +94,20 @@ def _cell_boxes(
         for k in range(vertex_offset[p], vertex_offset[p + 1]):
             x_min, x_max = min(x_min, xy[k, 0]), max(x_max, xy[k, 0])
             y_min, y_max = min(y_min, xy[k, 1]), max(y_max, xy[k, 1])
-        boxes[p, 0] = max(0, int((x_min - buffer_m - low[0]) / cell_m))
-        boxes[p, 1] = min(columns - 1, int((x_max + buffer_m - low[0]) / cell_m))
-        boxes[p, 2] = max(0, int((y_min - buffer_m - low[1]) / cell_m))
-        boxes[p, 3] = min(rows - 1, int((y_max + buffer_m - low[1]) / cell_m))
+        boxes[p, 0] = max(0, int((x_min - buffer_m - grid.low_x_m) / grid.cell_m))
+        boxes[p, 1] = min(grid.columns - 1, int((x_max + buffer_m - grid.low_x_m) / grid.cell_m))
+        boxes[p, 2] = max(0, int((y_min - buffer_m - grid.low_y_m) / grid.cell_m))
+        boxes[p, 3] = min(grid.rows - 1, int((y_max + buffer_m - grid.low_y_m) / grid.cell_m))
     return boxes
 
 
 @entry
-def _sort_points(
-    x: np.ndarray,
-    y: np.ndarray,
-    low: np.ndarray,
-    cell_m: float,
-    columns: int,
-    rows: int,
-    boxes: np.ndarray,
-    among: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, among: np.ndarray) -> _Sorted:
     """Counting sort of the points by cell, row by row, without those in cells that no polygon needs.
 
     among: bool (num_points,), mask of the points to consider; empty for all.
     """
+    rows, columns = grid.rows, grid.columns
     is_needed = np.zeros((rows, columns), np.bool_)
     for p in range(len(boxes)):
         is_needed[boxes[p, 2] : boxes[p, 3] + 1, boxes[p, 0] : boxes[p, 1] + 1] = True
@@ -116,7 +117,7 @@ def _sort_points(
         cell[i] = -1
         if len(among) and not among[i]:
             continue
-        u, v = (x[i] - low[0]) / cell_m, (y[i] - low[1]) / cell_m
+        u, v = (x[i] - grid.low_x_m) / grid.cell_m, (y[i] - grid.low_y_m) / grid.cell_m
         if 0 <= u < columns and 0 <= v < rows and is_needed[int(v), int(u)]:
             cell[i] = int(v) * columns + int(u)
             start[cell[i] + 1] += 1
@@ -130,24 +131,16 @@ def _sort_points(
             k = free[cell[i]]
             free[cell[i]] += 1
             order[k], x_sorted[k], y_sorted[k] = i, x[i], y[i]
-    return start, order, x_sorted, y_sorted
+    return _Sorted(start, order, x_sorted, y_sorted)
 
 
 @entry
 def _crop(
-    x: np.ndarray,
-    y: np.ndarray,
-    order: np.ndarray,
-    start: np.ndarray,
-    columns: int,
-    low_y: float,
-    cell_m: float,
-    boxes: np.ndarray,
-    xy: np.ndarray,
-    ring_offset: np.ndarray,
-    polygon_offset: np.ndarray,
-    buffer_m: float,
+    cells: _Sorted, grid: _Grid, boxes: np.ndarray, rings: _Rings, buffer_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    start, order, x, y = cells
+    xy, ring_offset, polygon_offset = rings
+    columns = grid.columns
     num_polygons = len(polygon_offset) - 1
     room, most_edges = 0, 1
     for p in range(num_polygons):
@@ -164,8 +157,8 @@ def _crop(
             if first == last:
                 continue
             # one cell more than needed on each side, in case of rounding at the borders of cells
-            y_min = low_y + (row - 1) * cell_m - buffer_m
-            y_max = low_y + (row + 2) * cell_m + buffer_m
+            y_min = grid.low_y_m + (row - 1) * grid.cell_m - buffer_m
+            y_max = grid.low_y_m + (row + 2) * grid.cell_m + buffer_m
             num_edges = 0
             for ring in range(polygon_offset[p], polygon_offset[p + 1]):
                 before = ring_offset[ring + 1] - 1
@@ -191,7 +184,7 @@ def _locate(px: float, py: float, edge: np.ndarray, num_edges: int, buffer_m: fl
     inside, near = False, False
     for i in range(num_edges):
         ax, ay, bx, by = edge[i, 0], edge[i, 1], edge[i, 2], edge[i, 3]
-        if (ay > py) != (by > py) and px < ax + (py - ay) * (bx - ax) / (by - ay):
+        if crosses(ax, ay, bx, by, px, py):
             inside = not inside
         if (
             not near
@@ -282,12 +275,7 @@ def seen_share(
                 px, py = column0 + column + 0.5, row0 + row + 0.5
                 inside = False
                 for ring in range(polygon_offset[p], polygon_offset[p + 1]):
-                    before = ring_offset[ring + 1] - 1
-                    for here in range(ring_offset[ring], ring_offset[ring + 1]):
-                        ax, ay, bx, by = xy[before, 0], xy[before, 1], xy[here, 0], xy[here, 1]
-                        if (ay > py) != (by > py) and px < ax + (py - ay) * (bx - ax) / (by - ay):
-                            inside = not inside
-                        before = here
+                    inside ^= is_inside(xy, ring_offset[ring], ring_offset[ring + 1], px, py)
                 if inside:
                     num_cells += 1
                     num_seen += seen[row, column]

@@ -5,33 +5,33 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, entry, inner
+from p2wss.skeleton.rings import is_inside, signed_area
 
 # nearer than this, edges and faces touch; files store coordinates in steps of a tenth of a millimetre
 TOUCH_M = 1e-5
 
 
 @inner
-def segment_distance_m2(ax, ay, bx, by, cx, cy, dx, dy):
-    """Squared distance of the segments from a to b and from c to d in a plane; 0 where they cross."""
-    ux, uy, vx, vy = bx - ax, by - ay, dx - cx, dy - cy
-    c_side, d_side = ux * (cy - ay) - uy * (cx - ax), ux * (dy - ay) - uy * (dx - ax)
-    a_side, b_side = vx * (ay - cy) - vy * (ax - cx), vx * (by - cy) - vy * (bx - cx)
+def segment_distance_m2(a, b, c, d):
+    """Squared distance of the segments from a to b and from c to d, all (x, y); 0 where they cross."""
+    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], d[0] - c[0], d[1] - c[1]
+    c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
+    a_side, b_side = vx * (a[1] - c[1]) - vy * (a[0] - c[0]), vx * (b[1] - c[1]) - vy * (b[0] - c[0])
     if c_side * d_side < 0.0 and a_side * b_side < 0.0:
         return 0.0
-    near = to_segment_m2(ax, ay, cx, cy, dx, dy)
-    near = min(near, to_segment_m2(bx, by, cx, cy, dx, dy))
-    near = min(near, to_segment_m2(cx, cy, ax, ay, bx, by))
-    return min(near, to_segment_m2(dx, dy, ax, ay, bx, by))
+    near = min(to_segment_m2(a, c, d), to_segment_m2(b, c, d))
+    return min(near, min(to_segment_m2(c, a, b), to_segment_m2(d, a, b)))
 
 
 @inner
-def to_segment_m2(px, py, ax, ay, bx, by):
-    ux, uy = bx - ax, by - ay
+def to_segment_m2(p, a, b):
+    """Squared distance of p from the segment from a to b."""
+    ux, uy = b[0] - a[0], b[1] - a[1]
     length2 = ux * ux + uy * uy
     share = 0.0
     if length2 > 0.0:
-        share = min(max(((px - ax) * ux + (py - ay) * uy) / length2, 0.0), 1.0)
-    dx, dy = px - ax - share * ux, py - ay - share * uy
+        share = min(max(((p[0] - a[0]) * ux + (p[1] - a[1]) * uy) / length2, 0.0), 1.0)
+    dx, dy = p[0] - a[0] - share * ux, p[1] - a[1] - share * uy
     return dx * dx + dy * dy
 
 
@@ -133,42 +133,24 @@ def project(vertex_m, corner, ring_offset, face_ring, normal_m, off_plane_m):
 
 
 @inner
-def _ring_area(plane_m, first, last):
-    area = 0.0
-    for k in range(first, last):
-        m = k + 1 if k + 1 < last else first
-        area += 0.5 * (plane_m[k, 0] * plane_m[m, 1] - plane_m[m, 0] * plane_m[k, 1])
-    return area
-
-
-@inner
-def _is_inside(plane_m, first, last, x, y):
-    inside = False
-    for k in range(first, last):
-        m = k + 1 if k + 1 < last else first
-        ax, ay, bx, by = plane_m[k, 0], plane_m[k, 1], plane_m[m, 0], plane_m[m, 1]
-        if (ay > y) != (by > y) and x < ax + (y - ay) / (by - ay) * (bx - ax):
-            inside = not inside
-    return inside
+def _are_apart(a, b, c, d):
+    """Whether the intervals from a to b and from c to d do not touch."""
+    return min(a, b) > max(c, d) + TOUCH_M or min(c, d) > max(a, b) + TOUCH_M
 
 
 @inner
 def _edges_touch(plane_m, corner, a, b, c, d):
     """Whether the edges a b and c d of rings, which may have a vertex in common, have more than it in common."""
     touch2 = TOUCH_M * TOUCH_M
-    ax, ay, bx, by = plane_m[a, 0], plane_m[a, 1], plane_m[b, 0], plane_m[b, 1]
-    cx, cy, dx, dy = plane_m[c, 0], plane_m[c, 1], plane_m[d, 0], plane_m[d, 1]
+    at_a, at_b = (plane_m[a, 0], plane_m[a, 1]), (plane_m[b, 0], plane_m[b, 1])
+    at_c, at_d = (plane_m[c, 0], plane_m[c, 1]), (plane_m[d, 0], plane_m[d, 1])
     if corner[a] == corner[c] or corner[a] == corner[d] or corner[b] == corner[c] or corner[b] == corner[d]:
-        far = c if corner[d] == corner[a] or corner[d] == corner[b] else d
-        other = a if corner[b] == corner[c] or corner[b] == corner[d] else b
-        if to_segment_m2(plane_m[far, 0], plane_m[far, 1], ax, ay, bx, by) < touch2:
-            return True
-        return to_segment_m2(plane_m[other, 0], plane_m[other, 1], cx, cy, dx, dy) < touch2
-    if min(ax, bx) > max(cx, dx) + TOUCH_M or min(cx, dx) > max(ax, bx) + TOUCH_M:
+        far = at_c if corner[d] == corner[a] or corner[d] == corner[b] else at_d
+        other = at_a if corner[b] == corner[c] or corner[b] == corner[d] else at_b
+        return to_segment_m2(far, at_a, at_b) < touch2 or to_segment_m2(other, at_c, at_d) < touch2
+    if _are_apart(at_a[0], at_b[0], at_c[0], at_d[0]) or _are_apart(at_a[1], at_b[1], at_c[1], at_d[1]):
         return False
-    if min(ay, by) > max(cy, dy) + TOUCH_M or min(cy, dy) > max(ay, by) + TOUCH_M:
-        return False
-    return segment_distance_m2(ax, ay, bx, by, cx, cy, dx, dy) < touch2
+    return segment_distance_m2(at_a, at_b, at_c, at_d) < touch2
 
 
 @entry
@@ -183,75 +165,100 @@ def broken_ring_rules(plane_m, corner, ring_offset, face_ring):
 
 @allocating
 def _broken_ring_rule(plane_m, corner, ring_offset, first_ring, last_ring):
+    """The first broken rule of a face whose rings are ``first_ring:last_ring``, or 0."""
     if last_ring <= first_ring:
         return 101
     for r in range(first_ring, last_ring):
-        first, last = ring_offset[r], ring_offset[r + 1]
-        if last - first < 3:
-            return 101
-        for k in range(first, last):
-            if corner[k] == corner[k + 1 if k + 1 < last else first]:
-                return 102
-        for k in range(first, last):
-            for m in range(k + 1, last):
-                if corner[k] == corner[m]:
-                    return 104
-                if _edges_touch(
-                    plane_m, corner, k, k + 1 if k + 1 < last else first, m, m + 1 if m + 1 < last else first
-                ):
-                    return 104
-        if abs(_ring_area(plane_m, first, last)) < TOUCH_M * TOUCH_M:
-            return 104
-    outer_first, outer_last = ring_offset[first_ring], ring_offset[first_ring + 1]
-    turn = _ring_area(plane_m, outer_first, outer_last)
+        rule = _rule_of_ring(plane_m, corner, ring_offset[r], ring_offset[r + 1])
+        if rule:
+            return rule
+    turn = signed_area(plane_m, ring_offset[first_ring], ring_offset[first_ring + 1])
     for r in range(first_ring + 1, last_ring):
-        if _ring_area(plane_m, ring_offset[r], ring_offset[r + 1]) * turn > 0.0:
+        if signed_area(plane_m, ring_offset[r], ring_offset[r + 1]) * turn > 0.0:
             return 208
     for r in range(first_ring, last_ring):
         for s in range(r + 1, last_ring):
-            num_common = 0
+            rule = _rule_of_two_rings(plane_m, corner, ring_offset, r, s)
+            if rule:
+                return rule
+    if _touch_in_a_circle(corner, ring_offset, first_ring, last_ring):
+        return 205
+    return _rule_of_holes(plane_m, corner, ring_offset, first_ring, last_ring)
+
+
+@inner
+def _rule_of_ring(plane_m, corner, first, last):
+    """The first rule that the ring of corners ``first:last`` breaks by itself, or 0."""
+    if last - first < 3:
+        return 101
+    for k in range(first, last):
+        if corner[k] == corner[k + 1 if k + 1 < last else first]:
+            return 102
+    for k in range(first, last):
+        after_k = k + 1 if k + 1 < last else first
+        for m in range(k + 1, last):
+            after_m = m + 1 if m + 1 < last else first
+            if corner[k] == corner[m] or _edges_touch(plane_m, corner, k, after_k, m, after_m):
+                return 104
+    return 104 if abs(signed_area(plane_m, first, last)) < TOUCH_M * TOUCH_M else 0
+
+
+@inner
+def _rule_of_two_rings(plane_m, corner, ring_offset, r, s):
+    """The first rule that two rings of a face break together, or 0: they may touch in one vertex."""
+    first_r, last_r, first_s, last_s = ring_offset[r], ring_offset[r + 1], ring_offset[s], ring_offset[s + 1]
+    num_common = 0
+    for k in range(first_r, last_r):
+        num_common += _has_vertex(corner, first_s, last_s, corner[k])
+    if num_common > 1:
+        return 202 if num_common == last_s - first_s == last_r - first_r else 205
+    for k in range(first_r, last_r):
+        after_k = k + 1 if k + 1 < last_r else first_r
+        for m in range(first_s, last_s):
+            after_m = m + 1 if m + 1 < last_s else first_s
+            if _edges_touch(plane_m, corner, k, after_k, m, after_m):
+                return 201
+    return 0
+
+
+@inner
+def _has_vertex(corner, first, last, vertex):
+    """Whether the ring of corners ``first:last`` has a vertex."""
+    for k in range(first, last):  # noqa: SIM110 - compiled
+        if corner[k] == vertex:
+            return True
+    return False
+
+
+@allocating
+def _touch_in_a_circle(corner, ring_offset, first_ring, last_ring):
+    """Whether rings that touch one after the other in a circle divide the interior of a face. Two rings have at most
+    one vertex in common."""
+    group = np.arange(last_ring - first_ring)
+    for r in range(first_ring, last_ring):
+        for s in range(r + 1, last_ring):
             for k in range(ring_offset[r], ring_offset[r + 1]):
-                for m in range(ring_offset[s], ring_offset[s + 1]):
-                    if corner[k] == corner[m]:
-                        num_common += 1
-            if num_common > 1:
-                same = num_common == ring_offset[s + 1] - ring_offset[s]
-                return 202 if same and num_common == ring_offset[r + 1] - ring_offset[r] else 205
-            for k in range(ring_offset[r], ring_offset[r + 1]):
-                after_k = k + 1 if k + 1 < ring_offset[r + 1] else ring_offset[r]
-                for m in range(ring_offset[s], ring_offset[s + 1]):
-                    after_m = m + 1 if m + 1 < ring_offset[s + 1] else ring_offset[s]
-                    if _edges_touch(plane_m, corner, k, after_k, m, after_m):
-                        return 201
-    # rings that touch one after the other in a circle divide the interior
-    if last_ring - first_ring > 2:
-        group = np.arange(last_ring - first_ring)
-        for r in range(first_ring, last_ring):
-            for s in range(r + 1, last_ring):
-                for k in range(ring_offset[r], ring_offset[r + 1]):
-                    for m in range(ring_offset[s], ring_offset[s + 1]):
-                        if corner[k] == corner[m]:
-                            one, two = group[r - first_ring], group[s - first_ring]
-                            if one == two:
-                                return 205
-                            for i in range(len(group)):
-                                if group[i] == two:
-                                    group[i] = one
+                if _has_vertex(corner, ring_offset[s], ring_offset[s + 1], corner[k]):
+                    one, two = group[r - first_ring], group[s - first_ring]
+                    if one == two:
+                        return True
+                    group[group == two] = one
+    return False
+
+
+@inner
+def _rule_of_holes(plane_m, corner, ring_offset, first_ring, last_ring):
+    """206 if a hole is outside the exterior, 207 if it is inside another hole, or 0."""
     for r in range(first_ring + 1, last_ring):
         for k in range(ring_offset[r], ring_offset[r + 1]):
-            x, y = plane_m[k, 0], plane_m[k, 1]
-            is_common = False
-            for m in range(outer_first, outer_last):
-                if corner[k] == corner[m]:
-                    is_common = True
-            if not is_common and not _is_inside(plane_m, outer_first, outer_last, x, y):
-                return 206
-            for s in range(first_ring + 1, last_ring):
-                is_common = s == r
-                for m in range(ring_offset[s], ring_offset[s + 1]):
-                    if corner[k] == corner[m]:
-                        is_common = True
-                if not is_common and _is_inside(plane_m, ring_offset[s], ring_offset[s + 1], x, y):
+            for s in range(first_ring, last_ring):
+                first, last = ring_offset[s], ring_offset[s + 1]
+                if s == r or _has_vertex(corner, first, last, corner[k]):
+                    continue
+                inside = is_inside(plane_m, first, last, plane_m[k, 0], plane_m[k, 1])
+                if s == first_ring and not inside:
+                    return 206
+                if s > first_ring and inside:
                     return 207
     return 0
 

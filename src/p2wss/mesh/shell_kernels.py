@@ -126,18 +126,17 @@ def _edge_meets(vertex_m, triangle, normal, s, i, t):
         one = (p_height - TOUCH_M) / (p_height - q_height)
         two = (p_height + TOUCH_M) / (p_height - q_height)
         from_share, to_share = max(min(one, two), 0.0), min(max(one, two), 1.0)
-    ax = vertex_m[p, x] + from_share * (vertex_m[q, x] - vertex_m[p, x])
-    ay = vertex_m[p, y] + from_share * (vertex_m[q, y] - vertex_m[p, y])
-    bx = vertex_m[p, x] + to_share * (vertex_m[q, x] - vertex_m[p, x])
-    by = vertex_m[p, y] + to_share * (vertex_m[q, y] - vertex_m[p, y])
+    along_x, along_y = vertex_m[q, x] - vertex_m[p, x], vertex_m[q, y] - vertex_m[p, y]
+    a = vertex_m[p, x] + from_share * along_x, vertex_m[p, y] + from_share * along_y
+    b = vertex_m[p, x] + to_share * along_x, vertex_m[p, y] + to_share * along_y
     near2 = TOUCH_M * TOUCH_M
     num_left, num_right = 0, 0
     for k in range(3):
-        c, d = triangle[t, k], triangle[t, (k + 1) % 3]
-        cx, cy, dx, dy = vertex_m[c, x], vertex_m[c, y], vertex_m[d, x], vertex_m[d, y]
-        if segment_distance_m2(ax, ay, bx, by, cx, cy, dx, dy) < near2:
+        start, end = triangle[t, k], triangle[t, (k + 1) % 3]
+        c, d = (vertex_m[start, x], vertex_m[start, y]), (vertex_m[end, x], vertex_m[end, y])
+        if segment_distance_m2(a, b, c, d) < near2:
             return True
-        side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
+        side = (d[0] - c[0]) * (a[1] - c[1]) - (d[1] - c[1]) * (a[0] - c[0])
         if side > 0.0:
             num_left += 1
         else:
