@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -117,17 +118,10 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
 
 def common_header(headers: Sequence[CloudHeader]) -> CloudHeader | None:
     """The first header that states a CRS. Raises :class:`InputError` if another header states another CRS."""
-    first = None
-    for header in headers:
-        if header.crs is None:
-            continue
-        first = first or header
-        if first.crs is not None and not same_crs(first.crs, header.crs):
-            raise InputError(
-                f"{header.path}: is in {header.crs.name}, but {first.path} is in {first.crs.name}; "
-                "reproject one of them"
-            )
-    return first
+    stated = [header for header in headers if header.crs is not None]
+    for header in stated[1:]:
+        check_crs(header.crs, stated[0].crs, header.path, f"{stated[0].path} is", "reproject one of them")
+    return stated[0] if stated else None
 
 
 def read_clouds(
@@ -240,3 +234,16 @@ def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
         return True
     codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
     return codes[0] is not None and codes[0] == codes[1]
+
+
+def check_crs(
+    found: pyproj.CRS | None,
+    expected: Any,
+    path: str | Path,
+    other: str = "the region is",
+    remedy: str = "reproject the file or change region.crs",
+) -> None:
+    """Raise :class:`InputError` if a file states another CRS than ``expected``. other: what is in that."""
+    expected = pyproj.CRS.from_user_input(expected)
+    if found is not None and not same_crs(found, expected):
+        raise InputError(f"{path}: is in {found.name}, but {other} in {expected.name}; {remedy}")

@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import Cloud, horizontal, same_crs
+from p2wss.clouds.reading import Cloud, check_crs, horizontal, same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 
@@ -67,11 +67,9 @@ class MetricCrs:
 
         Raises :class:`InputError` for one in another CRS.
         """
-        from p2wss.data.terrain import check_terrain_crs
-
         if same_crs(terrain_crs, self.crs) and self.horizontal_m != 1.0:
             return terrain
-        check_terrain_crs(terrain_crs, self.source, path)
+        check_crs(terrain_crs, self.source, path, "the clouds are", "reproject it")
         if self.is_source or self.horizontal_m is None:
             return terrain
         # heights have the unit that the raster states, else that of the clouds

@@ -15,7 +15,6 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 from scipy.ndimage import map_coordinates
 
-from p2wss.clouds.reading import same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
@@ -98,12 +97,6 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
     if stated is None:
         log.info("note: %s does not state its CRS; assuming %s", path, terrain_crs.name)
     return Terrain(heights, transform.c, transform.f, transform.a), terrain_crs
-
-
-def check_terrain_crs(terrain_crs: pyproj.CRS, crs: pyproj.CRS, path: str | Path) -> None:
-    """Raise :class:`InputError` if terrain and clouds are in different CRSs."""
-    if not same_crs(terrain_crs, crs):
-        raise InputError(f"{path} is in {terrain_crs.name}, but the clouds are in {crs.name}; reproject it")
 
 
 def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ import pyogrio
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import same_crs
+from p2wss.clouds.reading import check_crs
 from p2wss.errors import InputError
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.storage import files
@@ -46,12 +46,7 @@ def normalise(frame: gpd.GeoDataFrame, crs: str, name: str, schema: str = "bdtop
     """
     if frame.crs is None:
         raise InputError(f"{name}: has no CRS; set one with ogr2ogr -a_srs {crs}")
-    region_crs = pyproj.CRS.from_user_input(crs)
-    if not same_crs(pyproj.CRS.from_user_input(frame.crs), region_crs):
-        raise InputError(
-            f"{name}: is in {frame.crs.name}, but the region is in {region_crs.name}; "
-            "reproject the file or change region.crs"
-        )
+    check_crs(pyproj.CRS.from_user_input(frame.crs), crs, name)
     if schema != "bdtopo":
         frame = _as_in_bdtopo(frame, schema, name)
     file_columns = {column.lower(): column for column in frame.columns if column != frame.geometry.name}

@@ -13,9 +13,8 @@ import numpy as np
 import pyproj
 
 from p2wss.clouds.las_files import open_cloud
-from p2wss.clouds.reading import same_crs
+from p2wss.clouds.reading import check_crs
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
 from p2wss.storage import files, integrity
 
 _CHUNK_POINTS = 2_000_000
@@ -30,14 +29,7 @@ def read_header(path: Path) -> laspy.LasHeader:
 
 def check_cloud(path: Path, crs: str) -> None:
     """Raise :class:`InputError` if the file is truncated or states a CRS that differs from ``crs``."""
-    header = read_header(path)
-    cloud_crs = header.parse_crs()
-    region_crs = pyproj.CRS.from_user_input(crs)
-    if cloud_crs is not None and not same_crs(cloud_crs, region_crs):
-        raise InputError(
-            f"{path}: is in {cloud_crs.name}, but the region is in {region_crs.name}; "
-            "reproject the file or change region.crs"
-        )
+    check_crs(read_header(path).parse_crs(), crs, path)
 
 
 def write_cloud(

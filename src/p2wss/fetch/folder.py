@@ -20,7 +20,7 @@ import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
-from p2wss.clouds.reading import horizontal, same_crs
+from p2wss.clouds.reading import check_crs, horizontal, same_crs
 from p2wss.config import Folder
 from p2wss.data.metric_crs import reprojected
 from p2wss.data.terrain import Terrain
@@ -167,7 +167,6 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
     Raises :class:`InputError` if no file covers ``bounds``, or if one that does is unreadable or in another
     CRS than ``crs``.
     """
-    region_crs = pyproj.CRS.from_user_input(crs)
     rasters: list[DatasetReader] = []
     with ExitStack() as stack:
         for path in files:
@@ -177,12 +176,7 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
                 continue
             rasters.append(raster)
             # .asc files do not state a CRS
-            raster_crs = pyproj.CRS.from_user_input(raster.crs) if raster.crs else region_crs
-            if not same_crs(raster_crs, region_crs):
-                raise InputError(
-                    f"{path}: is in {raster_crs.name}, but the region is in {region_crs.name}; "
-                    "reproject the file or change region.crs"
-                )
+            check_crs(pyproj.CRS.from_user_input(raster.crs) if raster.crs else None, crs, path)
         if not rasters:
             x_min, y_min, x_max, y_max = bounds
             raise InputError(

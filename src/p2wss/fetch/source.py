@@ -22,15 +22,12 @@ class Source(Protocol):
 
     def footprints(self, bounds: Bounds) -> gpd.GeoDataFrame:
         """Buildings that intersect ``bounds``, with the columns of BD TOPO in either spelling."""
-        ...
 
     def dtm(self, bounds: Bounds) -> Terrain:
         """Terrain heights over ``bounds``, NaN where there are no data."""
-        ...
 
     def lidar(self, bounds: Bounds) -> list[Path]:
         """Paths of LAS, LAZ or COPC files that hold the points in ``bounds``."""
-        ...
 
 
 def open_source(region: Region, config: Fetch, downloads: Path) -> Source:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Generic, TypeVar, overload
+from typing import Any, Generic, TypeVar
 
 from p2wss.storage.temporary import Closeable, Scratch
 
@@ -22,51 +22,33 @@ class Lazy(Sequence[T], Generic[S, T]):
     def __len__(self) -> int:
         return len(self._source)
 
-    def __iter__(self) -> Iterator[T]:
-        return map(self._function, self._source)
-
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-    @overload
-    def __getitem__(self, index: slice) -> Lazy[S, T]: ...
-    def __getitem__(self, index: int | slice) -> T | Lazy[S, T]:
-        if isinstance(index, slice):
-            return Lazy(self._function, self._source[index])
-        return self._function(self._source[index])
+    def __getitem__(self, index: Any) -> Any:
+        element = self._source[index]
+        return Lazy(self._function, element) if isinstance(index, slice) else self._function(element)
 
 
-class Spool(Sequence[T], Closeable):
+class Spool(Lazy[int, T], Closeable):
     """``count`` values in a :class:`~p2wss.storage.temporary.Scratch` file of ``folder``.
 
     A value may be replaced; its place in the file is then not used again. Reading one that was not set is a KeyError.
     """
 
     def __init__(self, count: int, folder: Path) -> None:
-        self._place: list[tuple[int, int] | None] = [None] * count
+        super().__init__(self._read, range(count))
+        self._place: dict[int, tuple[int, int]] = {}
         self._scratch = Scratch(folder, "results")
 
     def close(self) -> None:
         """Remove the file."""
         self._scratch.close()
 
-    def __len__(self) -> int:
-        return len(self._place)
-
     def __setitem__(self, index: int, value: T) -> None:
         content = pickle.dumps(value, pickle.HIGHEST_PROTOCOL)
         self._place[index] = (self._scratch.num_bytes, len(content))
         self._scratch.append(content)
 
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[T]: ...
-    def __getitem__(self, index: int | slice) -> T | Sequence[T]:
-        if isinstance(index, slice):
-            return Lazy(self.__getitem__, range(len(self))[index])
+    def _read(self, index: int) -> T:
         place = self._place[index]
-        if place is None:
-            raise KeyError(index)
         # what this process wrote, into a file that no other can open
         value: T = pickle.loads(self._scratch.read(*place))  # nosec B301
         return value

@@ -81,7 +81,7 @@ WRONG = [
     ("cloud.laz", "footprints.gpkg", ["--model", "none", "--no-fit"], "without the fit"),
     ("cloud.laz", "footprints.gpkg", ["--terrain", "gone.tif"], "gone.tif: no such file"),
     ("cloud.laz", "footprints.gpkg", ["--terrain", "text.laz"], "text.laz: not a readable raster"),
-    ("cloud.laz", "footprints.gpkg", ["--terrain", "rd.tif"], "rd.tif is in Amersfoort / RD New"),
+    ("cloud.laz", "footprints.gpkg", ["--terrain", "rd.tif"], "rd.tif: is in Amersfoort / RD New"),
     (
         "cloud.laz",
         "footprints.gpkg",

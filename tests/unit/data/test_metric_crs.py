@@ -91,7 +91,7 @@ def test_terrain_in_feet_or_metres() -> None:
     )
     assert scaled.height_m[0, 0] == pytest.approx(100 * FOOT)
     assert metric.terrain(terrain, NEW_YORK, "t.tif") is terrain
-    with pytest.raises(InputError, match=r"t\.tif is in RGF93"):
+    with pytest.raises(InputError, match=r"t\.tif: is in RGF93"):
         metric.terrain(terrain, LAMBERT, "t.tif")
 
 

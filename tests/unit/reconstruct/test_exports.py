@@ -19,7 +19,8 @@ from toy_clouds import LAMBERT, cleaned, cloud_over
 
 from p2wss.cli import inspection
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
-from p2wss.data.terrain import Terrain, check_terrain_crs
+from p2wss.data.metric_crs import MetricCrs
+from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.reconstruct import block_skins, exports
 from p2wss.reconstruct.pipeline import Result, run
@@ -231,8 +232,8 @@ def test_terrain_of_another_place_is_refused(results: list[Result], tmp_path: Pa
     with pytest.raises(InputError, match="no height around the buildings"):
         exports.write(tmp_path, "out", results, LAMBERT, {}, Reconstruct(), away)
     assert not list(tmp_path.iterdir())
-    with pytest.raises(InputError, match=r"dtm\.tif is in Amersfoort / RD New, but the clouds are in RGF93"):
-        check_terrain_crs(pyproj.CRS.from_epsg(28992), LAMBERT, Path("dtm.tif"))
+    with pytest.raises(InputError, match=r"dtm\.tif: is in Amersfoort / RD New, but the clouds are in RGF93"):
+        MetricCrs(LAMBERT, LAMBERT).terrain(away, pyproj.CRS.from_epsg(28992), Path("dtm.tif"))
     other = Terrain(np.full((99, 200), 50, np.float32), X - 80, Y + 50, 1.0)
     assert "+48.0 m" in (exports.terrain_note(results, other) or "")
     same = Terrain(np.full((99, 200), 2, np.float32), X - 80, Y + 50, 1.0)
