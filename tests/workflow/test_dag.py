@@ -117,7 +117,7 @@ def test_a_damaged_index_of_the_scenes_is_one_clear_line(project):
     index.write_text(f"place\ttile\tnum_buildings\n\t0652_6861\t7\n# p2wss-sha256:{'5' * 64}\n")
     run = project.dry_run("--config", "region={tiles: []}", check=False)
     assert run.returncode != 0
-    message = f"{index.relative_to(project.folder)}: damaged; delete it, and the next run makes it again"
+    message = f"{index.relative_to(project.folder)}: damaged or changed: its content does not have"
     assert message in run.stdout + run.stderr and "InputFunctionException" not in run.stdout + run.stderr
     project.dry_run()  # the tiles are pinned: nobody reads it
     index.unlink()
