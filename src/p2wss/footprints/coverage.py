@@ -13,13 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from p2wss import skeleton
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
 from p2wss.footprints.directions import Edges, straightened
+from p2wss.mesh.topology import groups
 from p2wss.skeleton.types import Polygons
 
 # a vertex that is nearer to the line between its neighbours is within an edge
@@ -52,8 +51,7 @@ def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
     """The number of the block of each polygon, int64 (n,). Polygons at most ``snap_m`` apart are of one block; an empty
     one is a block of its own."""
     a, b = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=snap_m)
-    graph = coo_array((np.ones(len(a)), (a, b)), (len(shapes), len(shapes)))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return groups(len(shapes), np.column_stack([a, b]))
 
 
 def clean_coverage(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
@@ -145,8 +143,7 @@ def _straighten(xy_m: np.ndarray, rings: _Rings, cleaning: Cleaning) -> np.ndarr
     # the blocks that are still invalid stay as they are
     broken = np.zeros(len(xy_m), bool)
     broken[rings.node[~is_whole[rings.polygon_of_vertex]]] = True
-    graph = coo_array((np.ones(len(segment)), segment.T), (len(xy_m), len(xy_m)))
-    block = connected_components(graph, directed=False)[1]
+    block = groups(len(xy_m), segment)
     return np.where(np.isin(block, block[broken])[:, None], xy_m, place_m)
 
 

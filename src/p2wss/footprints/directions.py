@@ -8,8 +8,8 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from p2wss.mesh.topology import groups
 
 # two lines at a node that meet at a smaller angle do not fix its place
 _MIN_SINE = 0.2
@@ -178,8 +178,7 @@ def _lines(segment: np.ndarray, group: np.ndarray) -> np.ndarray:
     _, meeting = np.unique(half_edges, axis=0, return_inverse=True)
     meeting = meeting.reshape(-1)
     size = count + meeting.max() + 1
-    graph = coo_array((np.ones(2 * count), (np.repeat(np.arange(count), 2), count + meeting)), (size, size))
-    label = connected_components(graph, directed=False)[1][:count]
+    label = groups(size, np.column_stack([np.repeat(np.arange(count), 2), count + meeting]))[:count]
     return np.unique(label, return_inverse=True)[1].reshape(-1)
 
 

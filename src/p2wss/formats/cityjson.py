@@ -73,6 +73,12 @@ def lines(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[
 
     metadata: of the header; a number is the EPSG code alone.
     """
+    for city in _objects(solids, metadata):
+        yield _compact(city)
+
+
+def _objects(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[dict[str, Any]]:
+    """The objects of :func:`lines`."""
     if not isinstance(metadata, Metadata):
         metadata = Metadata(metadata)
     translate = np.zeros(3)
@@ -81,11 +87,11 @@ def lines(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[
         if not has_header:
             if len(solid.vertex_m):
                 translate = np.floor(np.asarray(solid.vertex_m).min(axis=0))
-            yield _compact(_header(translate, metadata))
+            yield _header(translate, metadata)
             has_header = True
-        yield _compact(_feature(solid, translate, metadata))
+        yield _feature(solid, translate, metadata)
     if not has_header:
-        yield _compact(_header(translate, metadata))
+        yield _header(translate, metadata)
 
 
 def document(solids: Iterable[Solid], metadata: Metadata | int | None) -> str:
@@ -95,16 +101,15 @@ def document(solids: Iterable[Solid], metadata: Metadata | int | None) -> str:
 
 def document_pieces(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[str]:
     """The text of :func:`document`, building by building. In memory are only the coordinates, as text."""
-    texts = lines(solids, metadata)
-    city = json.loads(next(texts))
+    objects = _objects(solids, metadata)
+    city = next(objects)
     stated = city.pop("metadata", None)
     del city["CityObjects"], city["vertices"]
     yield _compact(city)[:-1] + ',"CityObjects":{'
     vertices: list[str] = []
     num_vertices, separator = 0, ""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for text in texts:
-        feature = json.loads(text)
+    for feature in objects:
         for city_object in feature["CityObjects"].values():
             for geometry in city_object.get("geometry", []):
                 geometry["boundaries"] = [

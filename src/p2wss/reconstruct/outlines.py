@@ -17,8 +17,6 @@ import rasterio.features
 import shapely
 from rasterio.transform import Affine
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
@@ -26,6 +24,7 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.errors import InputError
+from p2wss.mesh.topology import groups
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, mean_directions, regularised, seam_lines
 
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
@@ -169,10 +168,7 @@ def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: 
     while True:
         connects = (label[first] == label[second]) & (label[first] > 0)
         connects &= ~is_large[label[first]] | (jump_m <= least_m)
-        graph = coo_array(
-            (np.ones(connects.sum()), (first[connects], second[connects])), (flat.size, flat.size)
-        )
-        parts = connected_components(graph, directed=False)[1]
+        parts = groups(flat.size, np.column_stack([first[connects], second[connects]]))
         parts = np.unique(np.where(flat > 0, parts, -1), return_inverse=True)[1]
         label = _joined(parts, first, second, settings.min_part_m2 / cell_m**2)
         is_large = np.bincount(label) * cell_m**2 > settings.max_area_m2

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from p2wss.data import polygon_arrays
+from p2wss.mesh.topology import groups
 from p2wss.skeleton.types import Polygons
 
 # footprints closer than this share a wall, if they are so over at least the length
@@ -78,10 +77,7 @@ def connected(shapes: np.ndarray) -> np.ndarray:
     length = shapely.length(contact) / 2
     width = shapely.area(contact) / np.maximum(length, 1e-9)
     is_wall = (length >= _WALL_LENGTH_M + WALL_GAP_M) & (width <= WALL_GAP_M + _MAX_OVERLAP_M)
-    pairs = (np.ones(int(is_wall.sum())), (first[is_wall], second[is_wall]))
-    return connected_components(coo_matrix(pairs, (len(shapes), len(shapes))), directed=False)[1].astype(
-        np.int64
-    )
+    return groups(len(shapes), np.column_stack([first[is_wall], second[is_wall]]))
 
 
 def _outline(shapes: np.ndarray) -> np.ndarray:
