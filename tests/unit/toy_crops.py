@@ -101,8 +101,5 @@ def _building(rng: np.random.Generator, split: str, name: str) -> dict[str, obje
         "roof_type": "toy",
         "num_roof_points": int((~np.isnan(roof)).sum()),
         "num_wall_points": 0,
-        "num_walls_seen": 0,
-        "num_strips": 1,
         "visible_roof_share": 1.0,
-        "is_truncated": False,
     }

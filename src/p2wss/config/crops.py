@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -16,19 +16,7 @@ class Crops(Section):
     buffer_m: float = Field(
         1, gt=0, le=20, description="distance from the footprint within which points belong to a building"
     )
-    footprint_error_m: tuple[Annotated[float, Field(ge=0, le=5)], Annotated[float, Field(ge=0, le=5)]] = (
-        Field(
-            (0, 0),
-            description="simulated map errors of footprints: standard deviations, along each axis, of the "
-            "shift of each block and of the noise of each vertex; labels stay exact",
-        )
-    )
     min_points: int = Field(20, ge=1, description="buildings with fewer points are excluded")
-    max_points: int = Field(
-        2048,
-        ge=1,
-        description="buildings with more points are marked is_truncated; all their points are stored",
-    )
     split: Literal["blocks", "train", "val", "test"] = Field(
         "blocks",
         description="blocks = split by location, see below; otherwise all buildings are in the named split",

@@ -11,7 +11,6 @@ from p2wss.clouds.cropping import seen_share
 from p2wss.clouds.crops import CloudCrops
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Crops
-from p2wss.crops.kernels import count_distinct, count_true, gather_cm, medians
 from p2wss.data import polygon_arrays, reasons
 from p2wss.skeleton.types import Polygons
 from p2wss.storage import files
@@ -36,15 +35,22 @@ def crop_columns(
     points are excluded, and added to ``num_excluded``.
     """
     offset = cropped.offset
+    num_pairs = np.diff(offset)
     local = Polygons(
         polygons.xy_m - repeat_per_vertex(polygons, origin_xy_m),
         polygons.ring_offset,
         polygons.polygon_offset,
     )
-    origin_z_m = np.round(medians(cloud.z_m, cropped.point, offset))
-    x_cm = gather_cm(cloud.x_m, cropped.point, offset, origin_xy_m[:, 0].copy())
-    y_cm = gather_cm(cloud.y_m, cropped.point, offset, origin_xy_m[:, 1].copy())
-    z_cm = gather_cm(cloud.z_m, cropped.point, offset, origin_z_m)
+    heights = np.split(cloud.z_m[cropped.point], offset[1:-1])
+    origin_z_m = np.round([np.median(z) if len(z) else np.nan for z in heights[: len(polygons)]])
+
+    def relative_cm(value_m: np.ndarray, origin_m: np.ndarray) -> np.ndarray:
+        value_cm = np.rint(100 * (value_m[cropped.point] - np.repeat(origin_m, num_pairs)))
+        return np.where(np.abs(value_cm) <= 32767, value_cm, _OUT_OF_RANGE).astype(np.int16)
+
+    x_cm = relative_cm(cloud.x_m, origin_xy_m[:, 0])
+    y_cm = relative_cm(cloud.y_m, origin_xy_m[:, 1])
+    z_cm = relative_cm(cloud.z_m, origin_z_m)
     in_range = z_cm != _OUT_OF_RANGE  # points 300 m above or below the others do not belong to the building
 
     reach_m = np.abs(local.xy_m).max(axis=1) + settings.buffer_m
@@ -54,8 +60,7 @@ def crop_columns(
     num_excluded[reasons.TOO_FEW_POINTS] += int(has_few.sum())
     is_row = ~(is_large | has_few)
     selection = np.flatnonzero(is_row)
-    strip = np.zeros(len(cloud), np.uint16) if cloud.strip is None else cloud.strip
-    mask = in_range & np.repeat(is_row, np.diff(offset))
+    mask = in_range & np.repeat(is_row, num_pairs)
     pairs = slice(None) if mask.all() else mask  # mostly all pairs are used, and none need be copied
     num_points = count_true(in_range, offset)[selection]
     point_offset = np.concatenate([[0], np.cumsum(num_points)])
@@ -72,8 +77,6 @@ def crop_columns(
         **polygon_arrays.to_columns(footprints, np.zeros((len(selection), 2))),
         "ground_z_m": cropped.ground_z_m[selection],
         "num_roof_points": count_true(on_roof & in_range, offset)[selection].astype(np.int32),
-        "num_strips": count_distinct(strip, cropped.point, offset)[selection],
-        "is_truncated": num_points > settings.max_points,
         "visible_roof_share": seen_share(
             x_cm[pairs],
             y_cm[pairs],
@@ -85,6 +88,11 @@ def crop_columns(
         ),
     }
     return selection, columns
+
+
+def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Number of true values of ``mask`` in each slice ``offset[i]:offset[i + 1]``, int64 (len(offset) - 1,)."""
+    return np.diff(np.concatenate([[0], np.cumsum(mask)])[offset])
 
 
 def repeat_per_vertex(polygons: Polygons, values: np.ndarray) -> np.ndarray:

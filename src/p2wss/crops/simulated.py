@@ -11,14 +11,11 @@ import pyarrow as pa
 from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Crops
-from p2wss.crops.footprint_errors import with_errors
-from p2wss.crops.kernels import count_true, face_kinds, walls_seen
-from p2wss.crops.rows import crop_columns, repeat_per_vertex
+from p2wss.crops.rows import count_true, crop_columns, repeat_per_vertex
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
 from p2wss.skeleton.types import FaceKind, Polygons
 
-_MIN_POINTS_OF_WALL = 10  # a wall with fewer points does not count in num_walls_seen
 _LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
 
 
@@ -40,24 +37,21 @@ def crop_simulated(
     num_excluded.update(status[status != "ok"].tolist())
     rows = tile_rows[status == "ok"]
 
-    names = buildings["building_id"].to_pylist()
-    in_map = with_errors(polygons, names, settings.footprint_error_m, settings.seed)
-    footprints = polygon_arrays.take(in_map, rows)
+    footprints = polygon_arrays.take(polygons, rows)
     cropped = crop_cloud(cloud, footprints, settings.buffer_m)
-    kind = face_kinds(building_of_point, face_of_point, cropped.point, cropped.offset, rows)
+    is_own = building_of_point[cropped.point] == np.repeat(rows, np.diff(cropped.offset))
+    kind = np.where(is_own, face_of_point[cropped.point] & 3, 0)
     on_roof = (kind == FaceKind.ROOF) | (kind == FaceKind.FLAT)
     on_wall = kind == FaceKind.WALL
     selection, columns = crop_columns(
         cloud, cropped, footprints, _origins(buildings)[rows], on_roof, settings, num_excluded
     )
     labels = buildings.take(rows[selection])
-    num_walls = walls_seen(face_of_point, cropped.point, on_wall, cropped.offset, _MIN_POINTS_OF_WALL)
     columns |= {name: labels[name].combine_chunks() for name in _LABELS}
     columns |= {
         "label_terrain_z_m": labels["terrain_z_m"].combine_chunks(),
         "split": split[rows[selection]],
         "num_wall_points": count_true(on_wall, cropped.offset)[selection].astype(np.int32),
-        "num_walls_seen": num_walls[selection],
     }
     return columns, num_excluded
 

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from p2wss.clouds.cropping import crop_points, seen_share
-from p2wss.crops.kernels import gather_cm, medians
 from p2wss.data.polygon_arrays import to_polygons
 
 
@@ -105,13 +104,6 @@ def test_empty_polygons_and_no_points():
     assert dict(zip(point.tolist(), inside.tolist(), strict=True)) == {0: True, 1: False}
     assert crop_points(np.zeros(0), np.zeros(0), polygons, 1.0)[2].tolist() == [0, 0, 0, 0]
     assert crop_points(np.ones(1), np.ones(1), to_polygons([]), 1.0)[2].tolist() == [0]
-
-
-def test_gathering():
-    value = np.array([1.0, 2.006, 3.0, 900.0])
-    point, offset = np.array([0, 1, 3, 2], np.int32), np.array([0, 0, 3, 4])
-    assert gather_cm(value, point, offset, np.array([0.0, 1.0, 4.0])).tolist() == [0, 101, -32768, -100]
-    np.testing.assert_array_equal(medians(value, point, offset), [np.nan, 2.006, 3.0])
 
 
 def test_seen_share_counts_cells_of_one_metre():

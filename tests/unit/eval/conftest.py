@@ -62,10 +62,7 @@ def crop_columns(num_buildings: int, tile: str, labelled: bool, seed: int, split
             "roof_type": roof_type if labelled else None,
             "num_roof_points": 600,
             "num_wall_points": 0 if labelled else None,
-            "num_walls_seen": 0 if labelled else None,
-            "num_strips": 1,
             "visible_roof_share": 0.5 + 0.5 * draw.random(),
-            "is_truncated": False,
         }.items():
             rows[name].append(value)
     return rows

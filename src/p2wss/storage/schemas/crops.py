@@ -50,14 +50,6 @@ CROPS = pa.schema(
             "points on the roof; of real LiDAR: points on the building (p2wss.clouds.points)",
         ),
         field("num_wall_points", pa.int32(), "points on the walls; null for real LiDAR", True),
-        field(
-            "num_walls_seen",
-            pa.int32(),
-            "footprint edges whose walls have at least 10 points; null for real LiDAR",
-            True,
-        ),
-        field("num_strips", pa.int32(), "number of flight lines among the points"),
         field("visible_roof_share", pa.float32(), "share of the 1 m cells of the roof that have a point"),
-        field("is_truncated", pa.bool_(), "more points than crops.max_points, of which networks use a part"),
     ]
 )
