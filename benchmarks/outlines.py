@@ -36,9 +36,10 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.footprints.cleaning import clean_footprints
 from p2wss.reconstruct import unclassified
-from p2wss.reconstruct.inputs import footprint_settings
+from p2wss.reconstruct.area import footprint_settings
 from p2wss.reconstruct.outlines import outline_frame
-from p2wss.reconstruct.pipeline import Result, run
+from p2wss.reconstruct.pipeline import run
+from p2wss.reconstruct.result import Result
 
 MIN_AREA_M2 = 30.0
 # houses at most this far apart touch

@@ -14,7 +14,7 @@ from typing import Any
 import pyproj
 
 from p2wss.reconstruct.city import city_json as reconstruct_city_json
-from p2wss.reconstruct.pipeline import Result
+from p2wss.reconstruct.result import Result
 
 
 @dataclass(frozen=True)

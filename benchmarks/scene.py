@@ -29,7 +29,7 @@ from p2wss.config import Config
 from p2wss.data.building import Reconstruction
 from p2wss.footprints import cleaning as footprints
 from p2wss.nets.weights_file import weights_to_use
-from p2wss.reconstruct.inputs import footprint_settings, window
+from p2wss.reconstruct.area import footprint_settings, window
 from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.registration import register
 from p2wss.skeleton import FaceKind
@@ -66,7 +66,7 @@ def read(data: Path, model: Path | None) -> Scene:
         from p2wss.nets.predictor import load_predictor
 
         predictor = load_predictor(weights)
-    if config.reconstruct.registration:
+    if config.reconstruct.registration != "never":
         frame, _ = register(frame, cloud)
     results = run(frame, cloud, predictor, "delft", config.reconstruct)
     rows = [result.reconstruction for result in results]

@@ -1,3 +1,223 @@
-"""p2wss: building footprints and aerial LiDAR to clean, watertight, low-polygon LoD2 buildings."""
+"""Closed buildings from building footprints and airborne LiDAR, for radar and radio-propagation simulation.
+
+    >>> import p2wss
+    >>> house = p2wss.roof([[0, 0], [10, 0], [10, 6], [0, 6]], eave_height_m=5, angle_deg=[45, 90, 45, 90])
+    >>> house.is_watertight, round(house.volume), round(house.bounds[1, 2])
+    (True, 390, 8)
+
+The names here are the public interface; docs/manual/python.md shows them at work. Each imports what it needs when it is
+called, so ``import p2wss`` is fast. A wrong input raises :class:`InputError`, whose message is one line: what is wrong,
+where, and what to do.
+
+``reconstruct`` and ``fetch`` are functions here and the packages of the stages, too: import from these as in
+``from p2wss.reconstruct.scene import Scene``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+# before the functions of the same names: the first import of a package would replace them
+import p2wss.fetch  # noqa: F401
+import p2wss.reconstruct  # noqa: F401
+from p2wss.errors import InputError
+
+if TYPE_CHECKING:
+    import geopandas as gpd
+    import laspy
+    import pandas as pd
+    import pyproj
+    import shapely
+    import trimesh
+    from numpy.typing import ArrayLike
+
+    from p2wss.config import Config
+    from p2wss.fetch.area import Fetched
+    from p2wss.formats.validity import Validity
+    from p2wss.reconstruct.inputs import CloudInput, FootprintInput
+    from p2wss.reconstruct.scene import Scene
 
 __version__ = "0.1.0"
+__all__ = [
+    "InputError",
+    "check",
+    "evaluate",
+    "fetch",
+    "outlines",
+    "read",
+    "reconstruct",
+    "roof",
+    "scan",
+]
+
+
+def reconstruct(
+    cloud: CloudInput,
+    footprints: FootprintInput | None = None,
+    *,
+    crs: str | None = None,
+    ids: Sequence[str] | None = None,
+    bbox: tuple[float, float, float, float] | None = None,
+    terrain: str | Path | None = None,
+    detail: str | None = None,
+    model: str | Path | None = None,
+    config: Config | str | Path | dict[str, Any] | None = None,
+    threads: int = 1,
+    progress: bool | Callable[[int, int], object] = True,
+) -> Scene:
+    """Reconstruct buildings: one closed solid per footprint, or the reason why there is none.
+
+    cloud: LAS, LAZ or COPC files or folders of them, points as an array (n, 3), or (n, 4) with LAS classes, or what
+    laspy has read. footprints: a vector file or a table with polygons, in any CRS; None for outlines that are derived
+    from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only the buildings of
+    these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run. terrain: a raster of
+    heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model: weights of a network,
+    or ``"none"`` for the fit alone; by default the weights that come with the package. config: a file, or sections such
+    as ``{"reconstruct": {"max_parts": 4}}``; docs/manual and config/default.yaml describe every setting. threads: of
+    the network. progress: whether to show a bar, or a function that is called with (number done, number in all).
+
+    Raises :class:`InputError` for inputs that cannot work. A building that cannot be reconstructed raises nothing: its
+    ``status`` and ``reason`` tell.
+
+    >>> import geopandas, numpy, shapely
+    >>> x, y = numpy.meshgrid(numpy.arange(-4, 14, 0.4), numpy.arange(-4, 10, 0.4))
+    >>> inside = (x > 0) & (x < 10) & (y > 0) & (y < 6)
+    >>> z = numpy.where(inside, 5 + numpy.minimum(y, 6 - y), 0)  # a gable roof of 45 degrees
+    >>> points = numpy.column_stack([v.ravel() for v in (x, y, z, numpy.where(inside, 6, 2))])
+    >>> footprints = geopandas.GeoDataFrame({"id": ["a"]}, geometry=[shapely.box(0, 0, 10, 6)], crs=2154)
+    >>> scene = reconstruct(points, footprints, model="none", progress=False)
+    >>> scene["a"].status, scene["a"].mesh.is_watertight, round(scene["a"].mesh.volume)
+    ('ok', True, 390)
+    """
+    from p2wss.config import as_config
+    from p2wss.reconstruct.inputs import check_inputs
+
+    settings = as_config(config, detail)
+    inputs = check_inputs(cloud, footprints, settings, crs, terrain, model)
+    from p2wss.reconstruct import scene  # only now, as it takes a second
+
+    return scene.reconstruct(
+        inputs, settings, scene.Selection(ids, bbox), scene.Machine(threads=threads), progress
+    )
+
+
+def read(path: str | Path) -> Scene:
+    """The buildings of a CityJSON file or text sequence, by this package or another program, at the highest level of
+    detail that each has.
+
+    Raises :class:`InputError` if the file is missing or broken.
+    """
+    from p2wss.reconstruct import scene
+
+    return scene.read(path)
+
+
+def evaluate(
+    buildings: Scene | str | Path,
+    footprints: FootprintInput,
+    clouds: CloudInput,
+    *,
+    crs: str | None = None,
+    id_field: str | None = None,
+) -> pd.DataFrame:
+    """How far the points of each building are from its mesh, with one row per footprint.
+
+    buildings: a scene, or a CityJSON file of any program. id_field: column of the footprints with the ids of the
+    buildings. Columns: see :func:`p2wss.eval.files.evaluate`.
+    """
+    from p2wss.eval import files
+
+    return files.evaluate(buildings, footprints, clouds, crs=crs, id_field=id_field)
+
+
+def outlines(
+    cloud: CloudInput,
+    *,
+    crs: str | None = None,
+    config: Config | str | Path | dict[str, Any] | None = None,
+) -> gpd.GeoDataFrame:
+    """Outlines of buildings from points alone, for places without footprints (docs/manual/outlines.md)."""
+    from p2wss.config import as_config
+    from p2wss.reconstruct.inputs import check_inputs, read_outlines
+
+    settings = as_config(config)
+    return read_outlines(check_inputs(cloud, None, settings, crs), settings)[1]
+
+
+def check(path: str | Path) -> Validity:
+    """Whether the solids of a CityJSON file follow the rules of ISO 19107, with the default tolerances of val3dity.
+
+    ``check(path).invalid`` has the errors of each invalid solid, and is empty if all are valid.
+    """
+    from p2wss.formats.validity import check_file
+
+    return check_file(path)
+
+
+def fetch(
+    bbox: tuple[float, float, float, float],
+    crs: str = "EPSG:4326",
+    *,
+    folder: str | Path = "p2wss-data",
+    config: Config | str | Path | dict[str, Any] | None = None,
+) -> Fetched:
+    """Footprints, terrain and LiDAR of a place in France from IGN's services, or from the folders of the config.
+
+    bbox: (x_min, y_min, x_max, y_max) in ``crs``: by default longitude and latitude in degrees. folder: where the files
+    are written, and kept for the next call. The result has the paths, which :func:`reconstruct` takes:
+
+        data = p2wss.fetch((2.350, 48.853, 2.354, 48.856))
+        scene = p2wss.reconstruct(data.clouds, data.footprints, terrain=data.terrain)
+
+    Raises :class:`InputError` for a box that is not in ``crs``, and if a service does not answer.
+    """
+    from p2wss.config import as_config
+    from p2wss.fetch.area import fetch_area
+
+    return fetch_area(bbox, crs, Path(folder), as_config(config))
+
+
+def roof(
+    footprint: shapely.Polygon | ArrayLike, eave_height_m: float, angle_deg: float | ArrayLike
+) -> trimesh.Trimesh:
+    """The building of the paper (section 3): a footprint, a height and an angle per edge make a closed mesh.
+
+    footprint: a polygon, or its vertices (n, 2); metres. eave_height_m: above the ground, z = 0. angle_deg: 0, 90 or 5
+    to 85, one for all edges or one per edge over all rings: edge i begins at vertex i, and 90 is a gable.
+
+    Raises :class:`InputError` for a footprint or angles without a roof.
+
+    >>> pyramid = roof([[0, 0], [8, 0], [8, 8], [0, 8]], 3, 45)
+    >>> len(pyramid.faces), pyramid.bounds[1].round(6).tolist()
+    (14, [8.0, 8.0, 7.0])
+    """
+    from p2wss.buildings.build import roof_mesh
+
+    return roof_mesh(footprint, eave_height_m, angle_deg)
+
+
+def scan(
+    meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh] | Scene,
+    terrain: str | Path | None = None,
+    *,
+    crs: str | pyproj.CRS | None = None,
+    config: Config | str | Path | dict[str, Any] | None = None,
+    seed: int = 0,
+    threads: int = 1,
+) -> laspy.LasData:
+    """An airborne LiDAR survey over meshes, simulated by ray casting (section 5.1 of the paper).
+
+    meshes: closed, z up, metres. terrain: a raster of heights; by default level ground at the lowest vertex. config:
+    its section ``scans`` describes the scanner and the flight. Points have LAS classes (2 ground, 6 building) and the
+    extra dimensions ``building_id``, the number of the mesh, and ``face_id``; ``scan(..).write("a.laz")`` writes them.
+
+    >>> points = scan([roof([[0, 0], [10, 0], [10, 6], [0, 6]], 5, [45, 90, 45, 90])])
+    >>> bool((points.classification == 6).any()), round(float(points.z.max()))
+    (True, 8)
+    """
+    from p2wss.config import as_config
+    from p2wss.scans.meshes import scan_meshes
+
+    return scan_meshes(meshes, terrain, crs, as_config(config).scans, seed, threads)

@@ -64,7 +64,7 @@ eval:
   max_num_points: 256
   num_resamples: 20
 reconstruct:
-  registration: false
+  registration: never
   dormers: false
   max_parts: 1
 """

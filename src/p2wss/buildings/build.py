@@ -6,10 +6,14 @@ from typing import Any
 
 import geopandas as gpd
 import numpy as np
+import shapely
+import trimesh
+from numpy.typing import ArrayLike
 
 from p2wss import skeleton
 from p2wss.config import Buildings
 from p2wss.data import polygon_arrays
+from p2wss.errors import InputError
 from p2wss.storage import files
 
 
@@ -55,6 +59,27 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
         **polygon_arrays.to_columns(polygons, origin_xy_m),
         **mesh_columns(meshes, usable, num_buildings),
     }
+
+
+def roof_mesh(
+    footprint: shapely.Polygon | ArrayLike, eave_height_m: float, angle_deg: float | ArrayLike
+) -> trimesh.Trimesh:
+    """See :func:`p2wss.roof`."""
+    if not isinstance(footprint, shapely.Polygon):
+        footprint = shapely.Polygon(np.asarray(footprint, float))
+    polygons = polygon_arrays.to_polygons(np.array([footprint], dtype=object))
+    num_edges = len(polygons.xy_m)
+    angle = np.broadcast_to(
+        np.asarray(angle_deg, float), num_edges if np.ndim(angle_deg) == 0 else np.shape(angle_deg)
+    )
+    if len(angle) != num_edges:
+        raise InputError(f"the footprint has {num_edges} edges, but there are {len(angle)} angles")
+    meshes = skeleton.build(polygons, angle.copy(), np.array([float(eave_height_m)]))
+    status = skeleton.Status(int(meshes.status[0]))
+    if status != skeleton.Status.OK:
+        raise InputError(f"no roof over this footprint: {status.reason}")
+    vertex_m, triangle, kind, _ = meshes.mesh(0)
+    return trimesh.Trimesh(vertex_m, triangle, face_attributes={"kind": kind}, process=False)
 
 
 def mesh_columns(meshes: skeleton.Meshes, rows: np.ndarray, num_rows: int) -> dict[str, Any]:

@@ -44,7 +44,7 @@ COMMANDS = {
     },
 }
 RENAMED = {
-    "--register": "--registration or --no-registration",
+    "--register": "--registration auto, always or never",
     "--schema": "--footprint-schema",
     "--attributes": "--attribute-names",
     "--lod": "--lods",

@@ -155,6 +155,11 @@ def read_in_chunks(
                 yield _cloud(points, header, bounds, classes, crs)
 
 
+def cloud_of(data: laspy.LasData, classes: ClassSet = LAS) -> Cloud:
+    """The points of a cloud that laspy has read, as :func:`read_clouds` returns those of a file."""
+    return _cloud(data.points, data.header, None, classes, data.header.parse_crs())
+
+
 def _chunks(
     path: str | Path, bounds: Bounds | None
 ) -> Iterator[tuple[laspy.LasHeader, laspy.ScaleAwarePointRecord]]:

@@ -12,7 +12,7 @@ from p2wss.config.dataset import Dataset, Member
 from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import Fetch, Folder, Geoplateforme, Prepare
-from p2wss.config.load import load, section_json
+from p2wss.config.load import as_config, load, section_json
 from p2wss.config.model import Augmentation, Decoding, LossWeights, Masking, Model, ModelOptimiser
 from p2wss.config.places import (
     PLACE_PATTERN,
@@ -81,6 +81,7 @@ __all__ = [
     "SchemaName",
     "Section",
     "ablated",
+    "as_config",
     "dataset_name",
     "draw_places",
     "load",

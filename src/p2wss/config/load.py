@@ -33,6 +33,20 @@ def load(*documents: str | Path | dict[str, Any]) -> Config:
         raise InputError(f"config: {key}: {reason}{_suggestion(first)}") from error
 
 
+def as_config(config: Config | str | Path | dict[str, Any] | None, detail: str | None = None) -> Config:
+    """A config from what a user gives: a file, a mapping of sections, or nothing; with this ``reconstruct.detail``.
+
+    Raises :class:`InputError` for an unknown key or value.
+    """
+    if not isinstance(config, Config):
+        config = load(config or {})
+    if detail is None:
+        return config
+    checked = load({"reconstruct": {"detail": detail}}).reconstruct.detail
+    section = config.reconstruct.model_copy(update={"detail": checked})
+    return config.model_copy(update={"reconstruct": section})
+
+
 def section_json(config: Config, *names: str, without: Collection[str] = ()) -> str:
     """The named sections as one line of JSON, readable by :func:`load`. without: keys to omit, ``a.b`` in a
     nested section, ``a.*.b`` in each item of a list."""

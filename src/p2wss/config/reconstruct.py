@@ -141,10 +141,10 @@ class Reconstruct(Section):
         False,
         description="also write one file per building, for the formats glb, obj, ply and stl among outputs",
     )
-    registration: bool = Field(
-        True,
-        description="move blocks of footprints, by at most 3 m, to where the points clearly show the "
-        "buildings",
+    registration: Literal["auto", "always", "never"] = Field(
+        "auto",
+        description="move blocks of footprints, by at most 3 m, to where the points clearly show the buildings; auto = "
+        "where the clouds have points of class building, always = also where p2wss has classified the points",
     )
     buffer_m: float = Field(
         1, ge=0, le=20, description="distance from the footprint within which points belong to a building"

@@ -6,7 +6,7 @@ The footprints decide which points are of which building, so that files of sever
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,6 @@ from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.las_classes import BUILDING_CLASS
-from p2wss.clouds.reading import list_clouds, read_clouds
 from p2wss.data import polygon_arrays
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
@@ -30,6 +29,8 @@ from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas
+from p2wss.reconstruct.inputs import CloudInput, open_clouds, read_cloud
+from p2wss.reconstruct.scene import Scene
 from p2wss.skeleton.types import FaceKind
 
 # points up to this distance from the footprint are of the building
@@ -44,9 +45,9 @@ MEASURES = ("cd_m", "roof_cd_m", "points_to_mesh_m", "num_triangles")
 
 
 def evaluate(
-    buildings: str | Path | Iterable[ReadSolid],
+    buildings: str | Path | Scene,
     footprints: str | Path | gpd.GeoDataFrame,
-    clouds: Sequence[str | Path],
+    clouds: CloudInput,
     *,
     id_field: str | None = None,
     crs: str | None = None,
@@ -54,7 +55,7 @@ def evaluate(
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
 
-    buildings: a CityJSON file or text sequence, or solids, in the CRS of the clouds. A building is that of the
+    buildings: a CityJSON file or text sequence, or a scene, in the CRS of the clouds. A building is that of the
     footprint whose id is its name or its attribute ``id_field``, or else of the one that it overlaps most. id_field:
     column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none.
 
@@ -64,9 +65,9 @@ def evaluate(
     ``points_to_mesh_m``, the mean distance of the latter points to 40,000 samples of the mesh; ``num_triangles``;
     ``is_watertight``. Raises :class:`InputError` for a file that is missing or broken.
     """
-    cloud = read_clouds(list_clouds([Path(path) for path in clouds]))
+    cloud = read_cloud(*open_clouds(clouds))
     frame = _footprints(footprints, id_field, cloud.crs or (crs and pyproj.CRS.from_user_input(crs)))
-    solids = cityjson_read.read(buildings) if isinstance(buildings, str | Path) else list(buildings)
+    solids = cityjson_read.read(buildings) if isinstance(buildings, str | Path) else _solids(buildings)
     by_id = _matched(solids, frame.geometry, id_field)
     parts = frame.geometry.explode()
     point, inside, offset = crop_points(
@@ -104,6 +105,10 @@ def _footprints(
         frame = frame.to_crs(crs)
     frame = frame.set_index(names.rename("building_id"))
     return frame[~frame.geometry.is_empty & frame.geom_type.isin(("Polygon", "MultiPolygon"))]
+
+
+def _solids(scene: Scene) -> list[ReadSolid]:
+    return [ReadSolid(each.building_id, each.solid, {}) for each in scene.values() if each.solid is not None]
 
 
 def _matched(

@@ -35,7 +35,7 @@ _TOO_SMALL = skeleton.Status.TOO_SMALL.reason
 
 
 def read_footprints(
-    path: str | Path,
+    path: str | Path | gpd.GeoDataFrame,
     id_field: str | None = None,
     bounds: Bounds | None = None,
     needs_crs: bool = True,
@@ -43,8 +43,8 @@ def read_footprints(
     height_field: str | None = None,
     metric: MetricCrs | None = None,
 ) -> gpd.GeoDataFrame:
-    """Read a vector file with polygons, in the order of the file, and add the columns ``building_id`` (text),
-    ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
+    """Read a vector file with polygons, in the order of the file, or take those of a table, and add the columns
+    ``building_id`` (text), ``stated_height_m`` (NaN if unknown) and one that :func:`split_parts` uses up.
 
     id_field, schema: where the ids come from (:func:`p2wss.footprints.schemas.building_ids`); they do not depend on
     ``bounds``. height_field, schema: columns with the height of a building (:func:`~p2wss.footprints.schemas.
@@ -55,7 +55,10 @@ def read_footprints(
     Raises :class:`InputError` if the file is missing or broken, has no polygons or no CRS, or one in degrees without
     ``metric``, or if ``id_field`` or ``height_field`` is missing.
     """
-    frame = read_vector(path, bounds)
+    if isinstance(path, gpd.GeoDataFrame):
+        frame, path = path.reset_index(drop=True), "footprints"
+    else:
+        frame = read_vector(path, bounds)
     types = shapely.get_type_id(frame.geometry.to_numpy())
     if len(frame) and not np.isin(types, _TYPES_WITH_POLYGONS).any():
         raise InputError(f"{path}: has no polygons; footprints must be polygons")

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import struct
+import warnings
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pyogrio
 import pyproj
@@ -48,6 +52,38 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
     if not isinstance(frame, gpd.GeoDataFrame):
         raise InputError(f"{path}: has no geometry")
     return frame
+
+
+def layer_info(path: Path) -> dict[str, Any]:
+    """What a file states of its first layer, without reading the features: ``features`` (their number),
+    ``geometry_type`` (None without geometry), ``fields`` and ``crs``. Raises :class:`InputError` if it is broken."""
+    if path.suffix.lower() == ".parquet":  # GDAL may come without its driver for Parquet
+        return _geoparquet_info(path)
+    try:
+        with warnings.catch_warnings():
+            # several layers are reported when the file is read
+            warnings.simplefilter("ignore")
+            return dict(pyogrio.read_info(path))
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+
+
+def _geoparquet_info(path: Path) -> dict[str, Any]:
+    """The same of a GeoParquet file (specification 1.1)."""
+    try:
+        stored = pq.read_metadata(path)
+        geo = json.loads((stored.metadata or {}).get(b"geo", b"{}"))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+    primary = geo.get("primary_column")
+    column = geo.get("columns", {}).get(primary)
+    names = [name for name in stored.schema.to_arrow_schema().names if name != primary]
+    return {
+        "features": stored.num_rows,
+        "geometry_type": None if column is None else " ".join(column["geometry_types"]) or "Unknown",
+        "fields": names,
+        "crs": None if column is None else column.get("crs", "OGC:CRS84"),
+    }
 
 
 def read_attributes(path: str | Path, columns: tuple[str, ...]) -> pd.DataFrame:

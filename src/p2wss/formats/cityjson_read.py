@@ -10,6 +10,7 @@ from typing import Any
 
 import mapbox_earcut
 import numpy as np
+import pyproj
 
 from p2wss.errors import InputError, reading
 from p2wss.mesh import Mesh
@@ -48,6 +49,14 @@ def read(path: str | Path) -> list[ReadSolid]:
         for document in documents:
             solids += _buildings(document.get("CityObjects", {}), _vertices(document, scale, translate))
     return solids
+
+
+def crs_of(path: str | Path) -> pyproj.CRS | None:
+    """The CRS that a file states, if any. Raises :class:`InputError` if it is missing or not CityJSON."""
+    header = _documents(path)[0][0]
+    with reading(path, "CityJSON"):
+        stated = header.get("metadata", {}).get("referenceSystem")
+        return None if stated is None else pyproj.CRS.from_user_input(stated)
 
 
 @dataclass(frozen=True)

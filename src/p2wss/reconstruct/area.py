@@ -6,8 +6,9 @@ both, so that a building is the same in any batch, in any tile, and alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
@@ -16,8 +17,10 @@ import shapely
 from p2wss.clouds.crops import GROUND_RINGS_M
 from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.clouds.reading import Cloud
-from p2wss.config import Reconstruct
+from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data.terrain import Terrain
+from p2wss.data.tiling import Bounds, tiles_of_points
+from p2wss.errors import InputError
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.pipeline import Rows, Store
@@ -46,7 +49,7 @@ class Area:
         self.frame, self.is_chosen = frame, is_chosen
         shapes = frame.geometry.to_numpy()
         self._box = shapely.bounds(shapes)
-        self._surroundings = Surroundings(shapes) if config.registration else None
+        self._surroundings = None if config.registration == "never" else Surroundings(shapes)
         self.is_built = is_chosen | self._beside(is_chosen)
         self._is_around = self._around(self.is_built)
 
@@ -177,3 +180,55 @@ def _report(progress: Callable[[int], object], num_before: int, num_done: int) -
 
 def _grown(box: np.ndarray, margin_m: float) -> np.ndarray:
     return box + margin_m * np.array([-1, -1, 1, 1])
+
+
+def footprint_settings(config: Config) -> Scenes:
+    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints: those of
+    the section scenes, but with ``reconstruct.simplify_m``."""
+    return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
+
+
+def window(frame: gpd.GeoDataFrame) -> Bounds:
+    """The bounds that a cloud must cover: the footprints and the ground around them."""
+    if not len(frame):
+        return 0.0, 0.0, 0.0, 0.0
+    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
+    margin_m = GROUND_RINGS_M[-1]
+    return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
+
+
+def in_tile(frame: gpd.GeoDataFrame, tile: str | None, tile_size_m: float) -> np.ndarray:
+    """Whether the centre of each footprint is in the tile, bool (footprints,); all are without a tile."""
+    if tile is None:
+        return np.ones(len(frame), bool)
+    result = np.zeros(len(frame), bool)
+    is_known = np.isfinite(frame["centre_x_m"]).to_numpy()
+    centre = frame.loc[is_known, ["centre_x_m", "centre_y_m"]].to_numpy()
+    result[is_known] = tiles_of_points(centre[:, 0], centre[:, 1], tile_size_m) == tile
+    return result
+
+
+def chosen(
+    frame: gpd.GeoDataFrame, ids: Sequence[str] | None, bbox: Bounds | None, name: str | Path
+) -> np.ndarray:
+    """The footprints with one of these ids and the centre in ``bbox``, bool (footprints,). A part of a split footprint
+    is chosen by the id of the footprint, too.
+
+    bbox: (x_min, y_min, x_max, y_max) in the CRS of the run. Raises :class:`InputError` if there are none, or if an
+    id is missing.
+    """
+    result = np.ones(len(frame), bool)
+    if ids is not None:
+        known = frame["building_id"].astype(str)
+        whole = known.str.replace(r"-\d+$", "", regex=True)
+        missing = [each for each in map(str, ids) if not ((known == each) | (whole == each)).any()]
+        if missing:
+            raise InputError(f"{name}: has no building {missing[0]}")
+        result &= (known.isin(list(map(str, ids))) | whole.isin(list(map(str, ids)))).to_numpy()
+    if bbox is not None:
+        x_m, y_m = frame["centre_x_m"].to_numpy(float), frame["centre_y_m"].to_numpy(float)
+        result &= (x_m >= bbox[0]) & (x_m <= bbox[2]) & (y_m >= bbox[1]) & (y_m <= bbox[3])
+        if not result.any():
+            numbers = ", ".join(f"{value:g}" for value in bbox)
+            raise InputError(f"{name}: no footprint in {numbers}: is that in the CRS of the run, in metres?")
+    return result

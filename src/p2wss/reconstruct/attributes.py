@@ -18,8 +18,8 @@ import shapely
 from p2wss.clouds.reading import horizontal
 from p2wss.data import reasons
 from p2wss.reconstruct import measures
-from p2wss.reconstruct.pipeline import Result
 from p2wss.reconstruct.registration import Registration
+from p2wss.reconstruct.result import Result
 
 P2WSS, NAMES_3DBAG = "p2wss", "3dbag"
 # names of 3DBAG (https://docs.3dbag.nl/en/schema/attributes) for ours
@@ -134,9 +134,9 @@ _MESH_ATTRIBUTES = (
 
 
 def _mesh_attributes(result: Result) -> dict[str, Any]:
-    if not result.reconstruction.has_mesh:
+    measured = result.measures
+    if measured is None:
         return dict.fromkeys(_MESH_ATTRIBUTES)
-    measured = result.mesh_measures
     values = vars(measured) | {
         "party_wall_area_m2": result.party_wall_area_m2,
         "outer_wall_area_m2": max(measured.wall_area_m2 - result.party_wall_area_m2, 0.0),

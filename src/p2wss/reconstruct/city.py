@@ -18,7 +18,7 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.mesh.repair import repaired, surfaces_to_write
 from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
-from p2wss.reconstruct.pipeline import Result
+from p2wss.reconstruct.result import Result
 from p2wss.skeleton.types import Polygons
 
 # as many clouds are named in the title
@@ -112,7 +112,8 @@ def _block(result: Result) -> tuple[Mesh, list[Surface]] | None:
     """The footprint as a block whose flat roof is as high as 70 % of the building's, and its surfaces; None if that is
     not valid."""
     reconstruction = result.reconstruction
-    height_m = result.mesh_measures.roof_z_p70_m - reconstruction.ground_z_m
+    assert result.measures is not None  # it has a mesh
+    height_m = result.measures.roof_z_p70_m - reconstruction.ground_z_m
     rings = list(reconstruction.rings)
     meshes = skeleton.build(
         Polygons.from_rings([rings]), np.zeros(sum(map(len, rings))), np.array([height_m])

@@ -22,7 +22,8 @@ from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
-from p2wss.reconstruct.pipeline import Result, input_columns
+from p2wss.reconstruct.pipeline import input_columns
+from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.shift_page import shift_page
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
@@ -172,7 +173,7 @@ def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> B
     return replace(result, buildings=(BuildingRef(result.name, {"terrain": config.materials.ground}),))
 
 
-def check_coverage(terrain: Terrain, frame: gpd.GeoDataFrame, name: Path) -> None:
+def check_coverage(terrain: Terrain, name: Path, frame: gpd.GeoDataFrame) -> None:
     """Raise :class:`InputError` if the terrain has no height at any of the footprints."""
     heights_m = terrain.interpolated(frame["centre_x_m"].to_numpy(), frame["centre_y_m"].to_numpy())
     if len(frame) and not np.isfinite(heights_m).any():

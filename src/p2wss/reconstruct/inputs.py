@@ -1,41 +1,153 @@
-"""Inputs of ``p2wss reconstruct``: the footprints of a tile, the window to read, the name of the outputs."""
+"""Inputs of a reconstruction: what can be wrong with them is reported before anything slow is read, from names,
+signatures and headers of the files."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import geopandas as gpd
+import laspy
 import numpy as np
+import pyproj
 
-from p2wss.clouds.crops import GROUND_RINGS_M
-from p2wss.config import Config, Scenes
-from p2wss.data.tiling import Bounds, tiles_of_points
+from p2wss.clouds import reading
+from p2wss.clouds.las_classes import LAS, ClassSet, class_set
+from p2wss.clouds.reading import Cloud, CloudHeader
+from p2wss.config import Config
+from p2wss.data.metric_crs import MetricCrs, common_crs, metric_crs
+from p2wss.data.terrain import Terrain, read_terrain
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+from p2wss.footprints import vector_files
+from p2wss.nets.weights_file import read_metadata, weights_to_use
+
+log = logging.getLogger("p2wss")
+CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.LasData | Cloud"
+FootprintInput: TypeAlias = "str | Path | gpd.GeoDataFrame"
+# what messages and outputs call data without a file
+_CLOUD, _FOOTPRINTS = Path("cloud"), Path("footprints")
 
 
-def footprint_settings(config: Config) -> Scenes:
-    """The settings with which :func:`p2wss.footprints.cleaning.clean_footprints` cleans the user's footprints:
-    those of the section scenes, but with ``reconstruct.simplify_m``."""
-    return config.scenes.model_copy(update={"simplify_m": config.reconstruct.simplify_m})
+@dataclass(frozen=True)
+class Inputs:
+    """The checked inputs of a run.
+
+    name: of the outputs, after the first cloud. headers: of the clouds, files of folders included. points: the cloud if
+    it is in memory. footprints: None where they are derived from the points. metric: the CRS of the run, ``crs``, and
+    that of the clouds. terrain: in the CRS of the run, and its file. weights: of the network, None for none.
+    """
+
+    name: str
+
+    headers: Sequence[CloudHeader]
+    points: Cloud | None
+    footprints: Path | gpd.GeoDataFrame | None
+    metric: MetricCrs
+    terrain: tuple[Terrain, Path] | None
+    weights: Path | None
+
+    @property
+    def crs(self) -> pyproj.CRS:
+        """The CRS of the run, in metres."""
+        return self.metric.crs
+
+    @property
+    def cloud_name(self) -> Path:
+        """The first cloud, for messages."""
+        return self.headers[0].path
+
+    @property
+    def footprints_name(self) -> Path:
+        """The file of the footprints, for messages."""
+        return self.footprints if isinstance(self.footprints, Path) else _FOOTPRINTS
+
+    def chunks(self, window: Bounds, classes: ClassSet) -> Iterator[Cloud]:
+        """The points in a window of the run, in its CRS, about half a million at a time."""
+        if self.points is not None:
+            yield self.metric.cloud(self.points)
+            return
+        window = self.metric.window_of_clouds(window)
+        near = [header.path for header in self.headers if header.overlaps(window)]
+        for chunk in reading.read_in_chunks(near, window, classes):
+            yield self.metric.cloud(chunk)
+
+    def overlap(self, window: Bounds) -> bool:
+        """Whether a cloud may have points in a window of the run."""
+        window = self.metric.window_of_clouds(window)
+        return any(header.overlaps(window) for header in self.headers)
 
 
-def window(frame: gpd.GeoDataFrame) -> Bounds:
-    """The bounds that a cloud must cover: the footprints and the ground around them."""
-    if not len(frame):
-        return 0.0, 0.0, 0.0, 0.0
-    x_min, y_min, x_max, y_max = map(float, frame.total_bounds)
-    margin_m = GROUND_RINGS_M[-1]
-    return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
+def check_inputs(
+    cloud: CloudInput,
+    footprints: FootprintInput | None,
+    config: Config,
+    crs: str | None = None,
+    terrain: str | Path | None = None,
+    model: str | Path | None = None,
+    may_be_empty: bool = False,
+) -> Inputs:
+    """The inputs of a run, cheap checks first.
+
+    crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of the network, "none" for
+    none; by default the weights that come with the package. may_be_empty: whether clouds and footprints
+    may be without content, as in a tile.
+
+    Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
+    """
+    weights = weights_to_use(None if model is None else Path(model), config.reconstruct)
+    if weights is not None:
+        read_metadata(weights, "model")
+    if footprints is not None and not isinstance(footprints, gpd.GeoDataFrame):
+        footprints = Path(footprints)
+    for path in (footprints, terrain):
+        if isinstance(path, str | Path) and not Path(path).exists():
+            raise InputError(f"{path}: no such file")
+    headers, points = open_clouds(cloud)
+    header = reading.common_header(headers) or headers[0]
+    footprints_crs = None
+    if footprints is None:
+        if header.crs is None and crs is None:
+            raise InputError(f"{header.path} does not state its CRS; state it with --crs, such as EPSG:28992")
+        names = (str(header.path), "")
+    else:
+        settings = config.reconstruct
+        columns = [settings.id_field, settings.height_field]
+        columns += [name for name in settings.keep_columns if name != "all"]
+        footprints_crs = _check_footprints(footprints, columns, may_be_empty)
+        names = (str(header.path), str(footprints if isinstance(footprints, Path) else _FOOTPRINTS))
+    source, note = common_crs(header.crs, footprints_crs, crs, names)
+    metric, note_of_units = metric_crs(source, header.bounds, names[0])
+    for text in filter(None, (note, note_of_units)):
+        log.info("note: %s", text)
+    if not may_be_empty and not any(each.num_points for each in headers):
+        raise InputError(f"{headers[0].path}: has no points")
+    raster = None
+    if terrain is not None:
+        heights, heights_crs = read_terrain(terrain, metric.source.to_wkt())
+        raster = (metric.terrain(heights, heights_crs, terrain), Path(terrain))
+    return Inputs(_name(cloud), headers, points, footprints, metric, raster, weights)
 
 
-def in_tile(frame: gpd.GeoDataFrame, tile: str | None, tile_size_m: float) -> np.ndarray:
-    """Whether the centre of each footprint is in the tile, bool (footprints,); all are without a tile."""
-    if tile is None:
-        return np.ones(len(frame), bool)
-    result = np.zeros(len(frame), bool)
-    is_known = np.isfinite(frame["centre_x_m"]).to_numpy()
-    centre = frame.loc[is_known, ["centre_x_m", "centre_y_m"]].to_numpy()
-    result[is_known] = tiles_of_points(centre[:, 0], centre[:, 1], tile_size_m) == tile
-    return result
+def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: ClassSet = LAS) -> Cloud:
+    """All points, in the CRS of the clouds. The arguments are those that :func:`open_clouds` returns."""
+    return points or reading.read_clouds([header.path for header in headers], None, classes)
+
+
+def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, gpd.GeoDataFrame]:
+    """The whole cloud, and the outlines of its buildings as footprints."""
+    # compiled code, which is slow to load
+    from p2wss.reconstruct import unclassified
+    from p2wss.reconstruct.outlines import outline_frame
+
+    cloud = read_cloud(inputs.headers, inputs.points, class_set(config.region.classes))
+    cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
+    for warning in warnings:
+        log.warning("warning: %s", warning)
+    return cloud, outline_frame(cloud, config.reconstruct.outlines, inputs.crs)
 
 
 def output_stem(cloud: Path) -> str:
@@ -45,3 +157,68 @@ def output_stem(cloud: Path) -> str:
     'Semis_2021'
     """
     return cloud.resolve().name if cloud.is_dir() else cloud.stem.removesuffix(".copc")
+
+
+def _name(cloud: CloudInput) -> str:
+    if isinstance(cloud, np.ndarray | laspy.LasData | Cloud):
+        return _CLOUD.name
+    return output_stem(Path(cloud if isinstance(cloud, str | Path) else cloud[0]))
+
+
+def open_clouds(cloud: CloudInput) -> tuple[Sequence[CloudHeader], Cloud | None]:
+    """The headers of files, or that of points in memory and these."""
+    if isinstance(cloud, str | Path):
+        cloud = [cloud]
+    if not isinstance(cloud, np.ndarray | laspy.LasData | Cloud):
+        return reading.read_headers(reading.list_clouds([Path(path) for path in cloud])), None
+    points = _in_memory(cloud)
+    bounds = None
+    if len(points):
+        x_m, y_m = points.x_m, points.y_m
+        bounds = (float(x_m.min()), float(y_m.min()), float(x_m.max()), float(y_m.max()))
+    return [CloudHeader(_CLOUD, len(points), points.crs, bounds)], points
+
+
+def _in_memory(cloud: np.ndarray | laspy.LasData | Cloud) -> Cloud:
+    if isinstance(cloud, Cloud):
+        return cloud
+    if isinstance(cloud, laspy.LasData):
+        return reading.cloud_of(cloud)
+    if cloud.ndim != 2 or cloud.shape[1] not in (3, 4):
+        raise InputError(
+            f"the cloud has shape {cloud.shape}; give points as (n, 3), or (n, 4) with LAS classes"
+        )
+    # 1: unclassified
+    classes = cloud[:, 3] if cloud.shape[1] == 4 else np.ones(len(cloud))
+    x_m, y_m, z_m = np.ascontiguousarray(cloud[:, :3].T, dtype=float)
+    return Cloud(x_m, y_m, z_m, classes.astype(np.uint8), None)
+
+
+def _check_footprints(
+    footprints: Path | gpd.GeoDataFrame, columns: Sequence[str], may_be_empty: bool
+) -> pyproj.CRS | None:
+    """The CRS of the footprints, if it is stated. Raises :class:`InputError` if these cannot be footprints."""
+    if isinstance(footprints, gpd.GeoDataFrame):
+        name: str | Path = _FOOTPRINTS
+        info: dict[str, Any] = {
+            "features": len(footprints),
+            "geometry_type": " ".join(footprints.geom_type.dropna().unique()) or "Unknown",
+            "fields": [each for each in footprints.columns if each != footprints.geometry.name],
+            "crs": footprints.crs,
+        }
+    else:
+        name, info = footprints, vector_files.layer_info(footprints)
+    if not info["features"] and not may_be_empty:
+        raise InputError(f"{name}: has no features")
+    geometry = info["geometry_type"]
+    if geometry is None:
+        raise InputError(f"{name}: has no geometry")
+    if info["features"] and not any(
+        kind in geometry for kind in ("Polygon", "Surface", "Collection", "Unknown")
+    ):
+        raise InputError(f"{name}: has no polygons; footprints must be polygons")
+    fields = list(map(str, info["fields"]))
+    for column in filter(None, columns):
+        if column not in fields:
+            raise InputError(f"{name}: has no column {column}; its columns are {', '.join(fields) or 'none'}")
+    return None if info["crs"] is None else pyproj.CRS.from_user_input(info["crs"])

@@ -1,13 +1,10 @@
-"""Stage 9, reconstruct: from the user's own footprints and LiDAR to closed buildings, each with a status."""
+"""Stage reconstruct: from the user's own footprints and LiDAR to closed buildings, each with a status."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from datetime import date, timedelta
-from functools import cached_property
-from pathlib import Path
 from typing import Any, Protocol
 
 import geopandas as gpd
@@ -15,72 +12,28 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from p2wss.clouds.cropping import seen_share
 from p2wss.clouds.crops import CloudCrops, crop_cloud
 from p2wss.clouds.points import on_millimetres
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
-from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.building import Building, no_mesh
 from p2wss.data.terrain import Terrain
-from p2wss.errors import InputError
-from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh import Mesh
-from p2wss.mesh.surface import distance_to_mesh
-from p2wss.reconstruct.measures import MeshMeasures, measure, party_wall_areas_m2
+from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
-from p2wss.reconstruct.product import FIT, method_name, reconstruct_buildings
+from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
+from p2wss.reconstruct.result import Result, Row, result_of
 from p2wss.reconstruct.spool import Lazy
 from p2wss.skeleton.types import Polygons
 
-# a residual is the mean over at most this many points
-_MAX_RESIDUAL_POINTS = 2048
-# of the share of points near the mesh
-_NEAR_M = 0.2
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress
 _BATCH = 256
 # whose ground is that of a building without points
 _NUM_NEIGHBOURS = 5
-
-
-@dataclass(frozen=True)
-class Result:
-    """A building of the output: its reconstruction, its points and how well the mesh fits them.
-
-    status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
-    residual_m: mean distance of the points on the building to the mesh; NaN without any. visible_share: share of the
-    footprint's 1 m cells that have a point on the building. not_representable: the building was fitted, but the
-    residual is more than ``not_representable_m``. columns: values of the footprint's input columns by their names, None
-    where there is no value. registration: how the footprint was moved, None without a registration. rmse_m,
-    share_within_20cm: of the same distances as the residual. is_reliable: a reconstruction that the points support.
-    party_wall_area_m2: of the walls that stand against other buildings of the run. dates: the first and the last day of
-    its points; None if unknown. overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the
-    length of those where points show it, negative where they end within; NaN where none shows it.
-    """
-
-    reconstruction: Reconstruction
-    status: str
-    reason: str | None
-    num_points: int
-    residual_m: float
-    visible_share: float
-    not_representable: bool
-    columns: Mapping[str, Any] = field(default_factory=dict)
-    registration: Registration | None = None
-    rmse_m: float = float("nan")
-    share_within_20cm: float = float("nan")
-    is_reliable: bool = False
-    party_wall_area_m2: float = 0.0
-    dates: tuple[date, date] | None = None
-    overhang_m: float = float("nan")
-
-    @cached_property
-    def mesh_measures(self) -> MeshMeasures:
-        """Of the mesh, which must exist: several outputs ask for them."""
-        return measure(self.reconstruction.placed_mesh)
 
 
 def run(
@@ -138,7 +91,7 @@ class Rows:
         # of buildings with points
         self._ground_z_m = np.full(num_rows, np.nan)
         # buildings without points whose ground is that of others
-        self._pending: list[tuple[int, Building, str, dict[str, Any]]] = []
+        self._pending: list[Row] = []
 
     def reconstruct(
         self,
@@ -153,36 +106,32 @@ class Rows:
         what moved it."""
         polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
-        origin_xy_m = polygon_arrays.origins(polygons)
-        stated_height_m = frame.get("stated_height_m", pd.Series(np.nan, index=frame.index)).to_numpy(
-            np.float64
-        )
         ground_z_m, is_pending = _ground_z_m(cropped, polygons, self._terrain)
+        origin_xy_m = polygon_arrays.origins(polygons)
         self._origin_xy_m[numbers] = origin_xy_m
         self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
-        names, status = frame["building_id"].to_numpy(), frame["status"].to_numpy()
+        columns = input_columns(frame)
         registrations = [None] * len(frame) if registrations is None else registrations
-        facts: list[dict[str, Any]] = [
-            {"columns": columns, "registration": registration}
-            for columns, registration in zip(input_columns(frame), registrations, strict=True)
-        ]
+        names, status = frame["building_id"].astype(str).to_list(), frame["status"].astype(str).to_list()
+        unknown = pd.Series(np.nan, index=frame.index)
+        stated_height_m = frame.get("stated_height_m", unknown).astype(float).to_list()
         for first in range(0, len(frame), _BATCH):
-            batch: list[tuple[int, Building, str, dict[str, Any]]] = []
+            batch: list[Row] = []
             for i in range(first, min(first + _BATCH, len(frame))):
-                point = _in_order(cloud, cropped.of(i))
-                facts[i]["dates"] = _dates(cloud, point)
+                point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
                 xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
                 building = Building(
-                    str(names[i]),
+                    names[i],
                     self._tile,
-                    (float(origin_xy_m[i, 0]), float(origin_xy_m[i, 1])),
-                    [ring - origin_xy_m[i] for ring in polygons.rings(i)],
-                    on_millimetres(xyz_m, origin_xy_m[i]),
+                    (float(origin[0]), float(origin[1])),
+                    [ring - origin for ring in polygons.rings(i)],
+                    on_millimetres(xyz_m, origin),
                     cloud.classification[point],
                     float(ground_z_m[i]),
-                    float(stated_height_m[i]),
+                    stated_height_m[i],
                 )
-                row = (int(numbers[i]), building, str(status[i]), facts[i])
+                dates = _dates(cloud, point)
+                row = Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates)
                 (self._pending if is_pending[i] else batch).append(row)
             self._store(batch)
             progress(min(first + _BATCH, len(frame)))
@@ -192,34 +141,35 @@ class Rows:
         walls."""
         known = np.flatnonzero(np.isfinite(self._ground_z_m))
         tree = cKDTree(self._origin_xy_m[known]) if len(known) else None
-        for k, (number, building, status, facts) in enumerate(self._pending):
+        for k, row in enumerate(self._pending):
             if tree is not None:
                 nearest = tree.query(
-                    building.origin_xy_m, np.arange(1, min(_NUM_NEIGHBOURS, len(known)) + 1)
+                    row.building.origin_xy_m, np.arange(1, min(_NUM_NEIGHBOURS, len(known)) + 1)
                 )[1]
                 ground_z_m = float(np.median(self._ground_z_m[known][nearest]))
-                self._pending[k] = (number, replace(building, ground_z_m=ground_z_m), status, facts)
+                self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
         for first in range(0, len(self._pending), _BATCH):
             self._store(self._pending[first : first + _BATCH])
         meshes = Lazy(self._placed_mesh, range(self._num_rows))
         area_m2 = party_wall_areas_m2(meshes)
         for number in np.flatnonzero(area_m2).tolist():
-            self._set(number, replace(self._results[number], party_wall_area_m2=float(area_m2[number])))
+            self._results[number] = replace(self._results[number], party_wall_area_m2=float(area_m2[number]))
 
     def _placed_mesh(self, number: int) -> Mesh | None:
         reconstruction = self._results[number].reconstruction
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
-    def _store(self, rows: Sequence[tuple[int, Building, str, dict[str, Any]]]) -> None:
-        buildings = [building for _, building, _, _ in rows]
-        results = _results(buildings, [status for _, _, status, _ in rows], self._predictor, self._config)
-        for (number, _, _, facts), result in zip(rows, results, strict=True):
-            self._set(number, replace(result, **facts))
-
-    def _set(self, number: int, result: Result) -> None:
-        if result.reconstruction.has_mesh:
-            _ = result.mesh_measures  # stored with the result, as several outputs ask for them
-        self._results[number] = result
+    def _store(self, rows: Sequence[Row]) -> None:
+        """Reconstruct these rows. One whose footprint has another status than "ok" gets no mesh."""
+        usable = [row for row in rows if row.status == "ok"]
+        done = reconstruct_buildings([row.building for row in usable], self._predictor, self._config)
+        reconstructions = {row.number: each for row, each in zip(usable, done, strict=True)}
+        method = method_name(self._predictor, self._config)
+        for row in rows:
+            rejected = no_mesh(row.building, method, row.status)
+            self._results[row.number] = result_of(
+                row, reconstructions.get(row.number, rejected), self._config
+            )
 
 
 def _ground_z_m(
@@ -263,112 +213,3 @@ def _in_order(cloud: Cloud, point: np.ndarray) -> np.ndarray:
     else is in the cloud."""
     keys = (cloud.classification, cloud.z_m, cloud.x_m, cloud.y_m)
     return point[np.lexsort([values[point] for values in keys])]
-
-
-def _results(
-    buildings: Sequence[Building], status: Sequence[str], predictor: Predictor | None, config: Reconstruct
-) -> list[Result]:
-    """One result per building, in order. A building whose footprint has another status than "ok" is not
-    reconstructed."""
-    usable = [i for i, value in enumerate(status) if value == "ok"]
-    reconstructions = reconstruct_buildings([buildings[i] for i in usable], predictor, config)
-    by_row = dict(zip(usable, reconstructions, strict=True))
-    results = []
-    for i, building in enumerate(buildings):
-        if i in by_row:
-            results.append(_result(building, by_row[i], config))
-        else:
-            rejected = no_mesh(building, method_name(predictor, config), status[i])
-            results.append(
-                Result(rejected, "none", status[i], len(building.point_m), float("nan"), float("nan"), False)
-            )
-    return results
-
-
-def check_overlap(results: Sequence[Result], cloud: Path, footprint_file: Path) -> None:
-    """Raise :class:`InputError` if not one building has a point."""
-    if not any(result.num_points for result in results):
-        raise InputError(no_overlap(len(results), cloud, footprint_file))
-
-
-def no_overlap(num_footprints: int, cloud: Path, footprint_file: Path) -> str:
-    """The message where clouds and footprints do not overlap."""
-    return (
-        f"{cloud}: no point near any of the {num_footprints} footprints of {footprint_file}: do they cover"
-        " the same place, in the same CRS?"
-    )
-
-
-def _result(building: Building, reconstruction: Reconstruction, config: Reconstruct) -> Result:
-    reason = None if reconstruction.status == "ok" else reconstruction.status
-    status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
-    on_building = building.is_on_building
-    distance_m = _distances_m(building.point_m[on_building], reconstruction)
-    residual_m = rmse_m = share_within_20cm = float("nan")
-    if len(distance_m):
-        residual_m, rmse_m = float(distance_m.mean()), float(np.sqrt((distance_m**2).mean()))
-        share_within_20cm = float((distance_m <= _NEAR_M).mean())
-    is_fitted = config.fit or reconstruction.method == FIT
-    is_far = residual_m > config.not_representable_m
-    visible_share = _visible_share(building, on_building)
-    overhang_m = float("nan")
-    if building.rings:
-        overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
-    return Result(
-        reconstruction,
-        status,
-        reason,
-        len(building.point_m),
-        residual_m,
-        visible_share,
-        is_fitted and status == "ok" and is_far,
-        rmse_m=rmse_m,
-        share_within_20cm=share_within_20cm,
-        overhang_m=overhang_m,
-        is_reliable=status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5,
-    )
-
-
-def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
-    """Distances of points on the building to its mesh; none without both."""
-    mesh = reconstruction.mesh
-    if mesh is None or not len(point_m):
-        return np.zeros(0)
-    # every k-th point, so that no random draw is needed
-    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array(
-        [0, 0, reconstruction.ground_z_m]
-    )
-    return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
-
-
-def _visible_share(building: Building, on_building: np.ndarray) -> float:
-    """Share of the cells with a point on the building, as ``visible_roof_share`` of the crops."""
-    x_cm, y_cm = np.ascontiguousarray(np.round(building.point_m[on_building, :2].T * 100))
-    rings = [np.asarray(ring, float) for ring in building.rings]
-    ends = np.cumsum([0, *map(len, rings)])
-    offset = np.array([0, len(x_cm)])
-    share = seen_share(
-        x_cm, y_cm, np.ones(len(x_cm), bool), offset, np.concatenate(rings), ends, np.array([0, len(rings)])
-    )
-    return float(share[0])
-
-
-def summary(results: Sequence[Result]) -> str:
-    """One line: how many of each status, and why.
-
-    ``74 buildings: 72 ok, 1 flat (too-few-points: 1), 1 none (no-points: 1); 2 of them not representable``
-    """
-    reasons: dict[str, Counter[str]] = {status: Counter() for status in ("ok", "flat", "none")}
-    num_with_status: Counter[str] = Counter()
-    num_flagged = 0
-    for result in results:
-        num_with_status[result.status] += 1
-        reasons[result.status].update(filter(None, [result.reason]))
-        num_flagged += result.not_representable
-    parts = []
-    for status, of_status in reasons.items():
-        text = ", ".join(f"{reason}: {count}" for reason, count in sorted(of_status.items()))
-        if num_with_status[status] or status == "ok":
-            parts.append(f"{num_with_status[status]} {status}" + (f" ({text})" if text else ""))
-    flagged = f"; {num_flagged} of them not representable" if num_flagged else ""
-    return f"{len(results)} buildings: " + ", ".join(parts) + flagged

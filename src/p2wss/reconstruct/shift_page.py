@@ -10,9 +10,9 @@ import shapely
 from p2wss.clouds.reading import horizontal
 from p2wss.formats import shift_map
 from p2wss.formats.shift_map import Block, Footprint
-from p2wss.reconstruct.pipeline import Result, summary
 from p2wss.reconstruct.registration import NEIGHBOURS, NOTHING, Registration
 from p2wss.reconstruct.registration import summary as registration_summary
+from p2wss.reconstruct.result import Result, summary
 
 
 def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:

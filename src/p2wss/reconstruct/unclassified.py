@@ -42,7 +42,7 @@ _WITHOUT_GROUND = (
 )
 _WITHOUT_BUILDINGS = (
     "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than ten of"
-    " them, all points 2 m above the ground), and footprints are not moved (--registration moves them nevertheless)"
+    " them, all points 2 m above the ground), and footprints are not moved (--registration always: moved)"
 )
 
 

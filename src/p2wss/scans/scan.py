@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -23,7 +23,7 @@ from p2wss.scans.clutter import add_clutter
 from p2wss.scans.pulses import Box
 from p2wss.scans.returns import Points
 from p2wss.scans.scene import build_surface, buildings_without_terrain, local_buildings, scan_bounds
-from p2wss.scans.surface import CLUTTER_KIND, is_tree, las_classes
+from p2wss.scans.surface import CLUTTER_KIND, Surface, is_tree, las_classes
 from p2wss.scans.survey import Survey, plan
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.schemas import scan as schema
@@ -80,15 +80,9 @@ def simulate(
     if settings.preset == "hd":
         with_clutter = local_buildings(buildings, origin, settings.seed)
         surface, num_clutter = add_clutter(surface, with_clutter, settings.clutter)
-    low, high = surface.z_range_m()
-    if high + _CLEARANCE_M > settings.altitude_m[0]:
-        raise InputError(
-            f"tile {tile}: its highest surface is {high:.0f} m above the median ground; "
-            f"set scans.altitude_m above {high + _CLEARANCE_M:.0f} m"
-        )
-    box = _box(scan_bounds(buildings, bounds, settings.keep_margin_m), origin, low, high)
-    survey = plan(settings, seed, box, _box(bounds, origin, low, high))
-    points, num_pulses = cast(surface, survey.strips, box, threads, chunk_pulses)
+    around = scan_bounds(buildings, bounds, settings.keep_margin_m)
+    place = Place(f"tile {tile}", origin, bounds, around)
+    survey, points, num_pulses = fly(surface, place, settings, seed, threads, chunk_pulses)
     facts = {
         "seed": seed,
         "survey": survey.parameters,
@@ -98,6 +92,40 @@ def simulate(
         "clutter": num_clutter,
     }
     return Scan(origin, points, survey, facts)
+
+
+class Place(NamedTuple):
+    """Where a survey flies. name: for messages. origin_m: (3,), the zero of the local frame. bounds: over which the
+    flight is planned. around: within which points are kept. Both in the CRS."""
+
+    name: str
+    origin_m: np.ndarray
+    bounds: Bounds
+    around: Bounds
+
+
+def fly(
+    surface: Surface,
+    place: Place,
+    settings: Scans,
+    seed: int,
+    threads: int = 1,
+    chunk_pulses: int = CHUNK_PULSES,
+) -> tuple[Survey, Points, dict[str, int]]:
+    """(the survey of a surface, its points, the numbers of pulses).
+
+    Raises :class:`InputError` if the surface rises to the altitude of the flight.
+    """
+    low, high = surface.z_range_m()
+    if high + _CLEARANCE_M > settings.altitude_m[0]:
+        raise InputError(
+            f"{place.name}: its highest surface is {high:.0f} m above the median ground; "
+            f"set scans.altitude_m above {high + _CLEARANCE_M:.0f} m"
+        )
+    box = _box(place.around, place.origin_m, low, high)
+    survey = plan(settings, seed, box, _box(place.bounds, place.origin_m, low, high))
+    points, num_pulses = cast(surface, survey.strips, box, threads, chunk_pulses)
+    return survey, points, num_pulses
 
 
 def _box(bounds: Bounds, origin: np.ndarray, low: float, high: float) -> Box:
@@ -134,21 +162,26 @@ def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) 
 
 def _las_chunks(scan: Scan) -> Iterator[dict[str, np.ndarray]]:
     """The points by LAS dimension, some at a time."""
-    start_s = np.array([strip.start_s for strip in scan.survey.strips])
     for first in range(0, len(scan.points.pulse), _WRITTEN_AT_ONCE):
-        points = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in scan.points))
-        x_mm, y_mm, z_mm = points.xyz_mm.T
-        yield {
-            "X": x_mm,
-            "Y": y_mm,
-            "Z": z_mm,
-            "intensity": points.intensity,
-            "scan_angle": points.scan_angle,
-            "classification": las_classes(points.face),
-            "return_number": np.ones(len(x_mm), np.uint8),
-            "number_of_returns": np.ones(len(x_mm), np.uint8),
-            "point_source_id": points.strip,
-            "gps_time": start_s[points.strip] + points.pulse / scan.survey.parameters["pulse_rate_hz"],
-            "building_id": points.building,
-            "face_id": points.face,
-        }
+        columns = Points(*(column[first : first + _WRITTEN_AT_ONCE] for column in scan.points))
+        yield las_dimensions(columns, scan.survey)
+
+
+def las_dimensions(points: Points, survey: Survey) -> dict[str, np.ndarray]:
+    """Points by LAS dimension."""
+    start_s = np.array([strip.start_s for strip in survey.strips])
+    x_mm, y_mm, z_mm = points.xyz_mm.T
+    return {
+        "X": x_mm,
+        "Y": y_mm,
+        "Z": z_mm,
+        "intensity": points.intensity,
+        "scan_angle": points.scan_angle,
+        "classification": las_classes(points.face),
+        "return_number": np.ones(len(x_mm), np.uint8),
+        "number_of_returns": np.ones(len(x_mm), np.uint8),
+        "point_source_id": points.strip,
+        "gps_time": start_s[points.strip] + points.pulse / survey.parameters["pulse_rate_hz"],
+        "building_id": points.building,
+        "face_id": points.face,
+    }

@@ -43,7 +43,7 @@ def test_footprints_are_still_required(place: Path, capsys: pytest.CaptureFixtur
     [
         (["--tile", "0652_6862"], "--tile: has no effect with --no-footprints"),
         (["--id-field", "id"], "--id-field: has no effect"),
-        (["--registration"], "--registration: has no effect"),
+        (["--registration", "always"], "--registration: has no effect"),
     ],
 )
 def test_options_that_need_footprints(

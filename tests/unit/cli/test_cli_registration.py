@@ -76,9 +76,9 @@ def test_moved_by_default_and_kept_beside(place: Path, caplog: pytest.LogCapture
 
 def test_off_leaves_footprints_where_they_are(place: Path) -> None:
     # walls that do not move to where the roofs begin either
-    off = '{"reconstruct": {"registration": false, "max_wall_shift_m": 0}}'
+    off = '{"reconstruct": {"registration": "never", "max_wall_shift_m": 0}}'
     on = '{"reconstruct": {"max_wall_shift_m": 0}}'
-    for options in (["--no-registration", "--config", on], ["--config", off]):
+    for options in (["--registration", "never", "--config", on], ["--config", off]):
         rows = reconstructed(place, *options)
         for shape, true in zip(rows.geometry, TRUE, strict=True):
             assert shapely.hausdorff_distance(shape, affinity.translate(true, *SHIFT)) < 1e-6

@@ -20,7 +20,7 @@ from p2wss.reconstruct import area as areas
 from p2wss.reconstruct.area import Area, run_area
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.measures import party_wall_areas_m2
-from p2wss.reconstruct.pipeline import Result
+from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.spool import Spool
 
 CONFIG = Reconstruct()

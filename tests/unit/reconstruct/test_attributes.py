@@ -27,7 +27,7 @@ from p2wss.mesh import Mesh
 from p2wss.reconstruct import measures
 from p2wss.reconstruct.attributes import TO_3DBAG, attributes
 from p2wss.reconstruct.city import city_json, epsg_of
-from p2wss.reconstruct.pipeline import Result
+from p2wss.reconstruct.result import Result
 from p2wss.skeleton.types import Polygons
 
 BOX = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
@@ -47,6 +47,8 @@ def building(
 
 
 def result(reconstruction: Reconstruction, **values: Any) -> Result:
+    if reconstruction.has_mesh:
+        values.setdefault("measures", measures.measure(reconstruction.placed_mesh))
     return Result(reconstruction, "ok", None, 50, 0.05, 1.0, False, **values)
 
 

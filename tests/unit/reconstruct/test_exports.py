@@ -23,7 +23,8 @@ from p2wss.data.metric_crs import MetricCrs
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.reconstruct import block_skins, exports
-from p2wss.reconstruct.pipeline import Result, run
+from p2wss.reconstruct.pipeline import run
+from p2wss.reconstruct.result import Result
 from p2wss.storage import files
 from p2wss.storage.schemas.wedges import WEDGES
 

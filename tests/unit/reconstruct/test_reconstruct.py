@@ -17,6 +17,7 @@ from oracle_network import Oracle
 from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
 
+import p2wss
 from p2wss import scenes
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Reconstruct
@@ -26,11 +27,11 @@ from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import frame_around
 from p2wss.reconstruct import exports
+from p2wss.reconstruct.area import window
 from p2wss.reconstruct.attributes import table
 from p2wss.reconstruct.city import city_json
-from p2wss.reconstruct.inputs import window
-from p2wss.reconstruct.pipeline import check_overlap, run
-from p2wss.reconstruct.pipeline import summary as reconstruct_summary
+from p2wss.reconstruct.pipeline import run
+from p2wss.reconstruct.result import summary as reconstruct_summary
 
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)
@@ -132,9 +133,8 @@ def test_nothing_at_all_can_be_written() -> None:
 
 def test_no_overlap_is_one_clear_line() -> None:
     frame = gpd.GeoDataFrame({"building_id": ["a"]}, geometry=[shapely.box(900, 0, 910, 10)], crs=LAMBERT)
-    results = run(cleaned(frame), cloud_over(SQUARE), Oracle(), "tile", NETWORK_ALONE)
-    with pytest.raises(InputError, match=r"no point near any of the 1 footprints of b\.gpkg"):
-        check_overlap(results, Path("a.laz"), Path("b.gpkg"))
+    with pytest.raises(InputError, match=r"cloud: no point near any of the 1 footprints of footprints"):
+        p2wss.reconstruct(cloud_over(SQUARE), frame, model="none")
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="no shared data")

@@ -14,8 +14,9 @@ from p2wss.config import Config, Reconstruct
 from p2wss.data.terrain import Terrain
 from p2wss.footprints import cleaning as footprints
 from p2wss.reconstruct import block_skins, exports, terrain_mesh
-from p2wss.reconstruct.inputs import footprint_settings, window
-from p2wss.reconstruct.pipeline import Result, run
+from p2wss.reconstruct.area import footprint_settings, window
+from p2wss.reconstruct.pipeline import run
+from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.skin import skins
 from p2wss.skeleton.types import FaceKind
 

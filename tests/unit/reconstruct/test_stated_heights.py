@@ -13,7 +13,8 @@ from p2wss.config import Reconstruct
 from p2wss.data.terrain import Terrain
 from p2wss.reconstruct.attributes import attributes
 from p2wss.reconstruct.exports import with_columns
-from p2wss.reconstruct.pipeline import Result, run
+from p2wss.reconstruct.pipeline import run
+from p2wss.reconstruct.result import Result
 
 SQUARE, NEAR, FAR, UNKNOWN = (shapely.box(x, 0, x + 10, 10) for x in (0, 30, 500, 800))
 
@@ -24,7 +25,7 @@ def results(terrain: Terrain | None = None, cloud: Cloud | None = None) -> list[
         geometry=[SQUARE, NEAR, FAR, UNKNOWN],
         crs=LAMBERT,
     )
-    config = Reconstruct(registration=False)
+    config = Reconstruct(registration="never")
     return run(cleaned(frame), cloud or cloud_over(SQUARE), None, "t", config, terrain=terrain)
 
 
@@ -68,7 +69,7 @@ def test_chosen_columns_are_passed_through() -> None:
     frame = gpd.GeoDataFrame(
         {"building_id": ["a"], "usage": ["x"], "floors": [2]}, geometry=[SQUARE], crs=LAMBERT
     )
-    (result,) = run(cleaned(frame), cloud_over(SQUARE), None, "t", Reconstruct(registration=False))
+    (result,) = run(cleaned(frame), cloud_over(SQUARE), None, "t", Reconstruct(registration="never"))
     assert with_columns(result, ["all"]).columns == {"usage": "x", "floors": 2}
     assert with_columns(result, ["floors", "none"]).columns == {"floors": 2}
     assert with_columns(result, []).columns == {}

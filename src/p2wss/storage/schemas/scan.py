@@ -47,29 +47,47 @@ def write_scan(
     chunks: arrays of shape (n,) by LAS dimension, ``X``, ``Y`` and ``Z`` int32 in millimetres from ``origin_m``
     (float64 (3,), whole metres), ``building_id`` and ``face_id`` among them.
     """
+    header = _header(origin_m, crs)
+    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
+    with files.atomic(path, seal=True) as temporary:
+        try:
+            with laspy.open(temporary, "w", header=header, laz_backend=backend, do_compress=True) as writer:
+                for chunk in chunks:
+                    writer.write_points(_record(chunk, header))
+        except lazrs.LazrsError as error:  # a full disk, which files.atomic turns into a message
+            raise OSError(str(error)) from error
+
+
+def as_las(points: Mapping[str, np.ndarray], origin_m: np.ndarray, crs: pyproj.CRS | None) -> laspy.LasData:
+    """The points in memory, as they would be written; see :func:`write_scan`."""
+    header = _header(origin_m, crs)
+    result = laspy.LasData(header, _record(points, header))
+    result.update_header()
+    return result
+
+
+def _header(origin_m: np.ndarray, crs: pyproj.CRS | None) -> laspy.LasHeader:
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.scales, header.offsets = np.full(3, MM), origin_m
     header.system_identifier, header.generating_software = "p2wss simulated survey", "p2wss"
     header.creation_date = None  # the same points make the same file on any day
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.WEEK_TIME
-    header.add_crs(crs)
+    if crs is not None:
+        header.add_crs(crs)
     header.add_extra_dims(
         [
             laspy.ExtraBytesParams("building_id", "int32", "row in buildings, -1 none"),
             laspy.ExtraBytesParams("face_id", "int32", "4 (edge + 1) + kind, -1 none"),
         ]
     )
-    backend = laspy.LazBackend.LazrsParallel if threads > 1 else laspy.LazBackend.Lazrs
-    with files.atomic(path, seal=True) as temporary:
-        try:
-            with laspy.open(temporary, "w", header=header, laz_backend=backend, do_compress=True) as writer:
-                for chunk in chunks:
-                    record = laspy.ScaleAwarePointRecord.zeros(len(chunk["X"]), header=header)
-                    for dimension, values in chunk.items():
-                        record[dimension] = values
-                    writer.write_points(record)
-        except lazrs.LazrsError as error:  # a full disk, which files.atomic turns into a message
-            raise OSError(str(error)) from error
+    return header
+
+
+def _record(chunk: Mapping[str, np.ndarray], header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
+    record = laspy.ScaleAwarePointRecord.zeros(len(chunk["X"]), header=header)
+    for dimension, values in chunk.items():
+        record[dimension] = values
+    return record
 
 
 def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:

@@ -1,0 +1,75 @@
+"""Fetch footprints, terrain and LiDAR of a place into a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import pyproj
+
+from p2wss.config import Config
+from p2wss.data.terrain import write_terrain
+from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
+from p2wss.errors import InputError
+from p2wss.fetch.bdtopo import normalise, write_footprints
+from p2wss.fetch.cloud import write_cloud
+from p2wss.fetch.source import delivery_window, known_height_share, open_source
+from p2wss.storage import files
+
+# points and heights around the buildings at the border
+_MARGIN_M = 32.0
+
+
+class Fetched(NamedTuple):
+    """The files of a place: footprints (GeoPackage), terrain (GeoTIFF) and clouds (LAZ); in the CRS of the region."""
+
+    footprints: Path
+    terrain: Path
+    clouds: list[Path]
+
+
+def fetch_area(bbox: Bounds, crs: str, folder: Path, config: Config) -> Fetched:
+    """See :func:`p2wss.fetch`."""
+    bounds = bounds_in_region(bbox, crs, config.region.crs)
+    region = config.region.model_copy(update={"bounds_m": bounds})
+    source = open_source(region, config.fetch, folder / "downloads")
+    around = grown(bounds, _MARGIN_M)
+    schema = config.fetch.folder.footprints_schema if config.fetch.source == "folder" else "bdtopo"
+    frame = normalise(source.footprints(bounds), region.crs, source.name, schema)
+    if not len(frame):
+        raise InputError(f"{source.name}: no building in {_text(bounds)} of {region.crs}")
+    facts = files.provenance(crs=region.crs, bounds_m=list(bounds))
+    result = Fetched(folder / "footprints.gpkg", folder / "terrain.tif", [])
+    write_footprints(result.footprints, frame, facts)
+    terrain = source.dtm(around)
+    known_height_share(terrain, bounds, f"terrain of {_text(bounds)}")
+    write_terrain(result.terrain, terrain, region.crs, facts)
+    cloud_crs, window = delivery_window(region, config.fetch, around)
+    for tile in tiles_of_bounds(bounds, region.tile_size_m):
+        paths = source.lidar(tile_bounds(tile, region.tile_size_m))
+        path = folder / f"lidar_{tile}.laz"
+        write_cloud(path, paths, window, cloud_crs, link=False)
+        result.clouds.append(path)
+    return result
+
+
+def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
+    """A box in the CRS of the region. Raises :class:`InputError` for one that cannot be in ``crs``."""
+    try:
+        stated = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(f"crs {crs}: no such CRS; state one such as EPSG:4326") from error
+    x_min, y_min, x_max, y_max = bbox
+    if x_min >= x_max or y_min >= y_max:
+        raise InputError(f"bbox {_text(bbox)}: is empty; state x_min, y_min, x_max, y_max")
+    in_degrees = x_min >= -180 and x_max <= 180 and y_min >= -90 and y_max <= 90
+    if stated.is_geographic != in_degrees:
+        unit = "degrees" if stated.is_geographic else "metres"
+        raise InputError(f"bbox {_text(bbox)}: not in {unit}, as {stated.name} requires; state its CRS")
+    transformer = pyproj.Transformer.from_crs(stated, pyproj.CRS.from_user_input(region_crs), always_xy=True)
+    low_x, low_y, high_x, high_y = transformer.transform_bounds(x_min, y_min, x_max, y_max)
+    return low_x, low_y, high_x, high_y
+
+
+def _text(bounds: Bounds) -> str:
+    return ", ".join(f"{value:.10g}" for value in bounds)

@@ -1,0 +1,421 @@
+"""A scene: the buildings of a run or of a CityJSON file, to be looked at, measured and written.
+
+The results of a run stay in temporary files until the scene is closed or forgotten: a scene of a large area needs no
+more memory than its points of one batch.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyproj
+import shapely
+import trimesh
+
+from p2wss.clouds.crops import crop_cloud
+from p2wss.clouds.las_classes import class_set
+from p2wss.config import CLASSES_ALONE, Config, load, section_json
+from p2wss.data import polygon_arrays
+from p2wss.data.tiling import Bounds
+from p2wss.errors import InputError
+from p2wss.footprints.cleaning import clean_footprints, read_footprints
+from p2wss.formats import cityjson_read
+from p2wss.formats.cityjson import SURFACE_TYPE
+from p2wss.formats.meshes import Body, frame_around
+from p2wss.formats.outputs import MESH_WRITERS, FileOptions
+from p2wss.mesh import Mesh, faces
+from p2wss.provenance import fingerprint
+from p2wss.reconstruct import block_skins, exports, registration, unclassified
+from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, in_tile, run_area, window
+from p2wss.reconstruct.attributes import attributes, table
+from p2wss.reconstruct.cloud_index import CloudIndex
+from p2wss.reconstruct.inputs import Inputs, read_outlines
+from p2wss.reconstruct.result import Result, summary
+from p2wss.reconstruct.spool import Spool
+from p2wss.skeleton.types import FaceKind
+from p2wss.storage import files
+from p2wss.storage.progress import Progress
+from p2wss.storage.temporary import Closeable
+
+if TYPE_CHECKING:
+    from p2wss.nets.compute import DeviceName
+    from p2wss.reconstruct.network import Predictor
+
+log = logging.getLogger("p2wss")
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A planar polygon of a building. kind: ``RoofSurface``, ``WallSurface``, ``GroundSurface`` or
+    ``OuterFloorSurface``. rings_m: each (n, 3) in the CRS of the scene, the exterior first, counter-clockwise seen from
+    outside."""
+
+    kind: str
+    rings_m: Sequence[np.ndarray]
+
+    @property
+    def normal(self) -> np.ndarray:
+        """The unit normal (3,), outwards (Newell's formula)."""
+        total = np.zeros(3)
+        for ring in self.rings_m:
+            local = ring - ring[0]
+            total += np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0)
+        return total / np.linalg.norm(total)
+
+
+@dataclass(frozen=True)
+class SceneBuilding:
+    """A building of a scene.
+
+    status: ``ok``, ``flat`` (a flat roof instead, for ``reason``) or ``none`` (no mesh, for ``reason``).
+    attributes: as in the files, see docs/manual/attributes.md. footprint: as it was used, in the CRS of the scene; None
+    if the file has none. solid: the mesh in the CRS of the scene; None without one.
+    """
+
+    building_id: str
+    status: str
+    reason: str | None
+    attributes: Mapping[str, Any]
+    footprint: shapely.Polygon | None
+    solid: Mesh | None = field(repr=False)
+    _polygons: Sequence[faces.Surface] = field(default=(), repr=False)
+
+    @property
+    def not_representable(self) -> bool:
+        """Whether the points are far from the mesh, which may lack parts of the building."""
+        return bool(self.attributes.get("not_representable"))
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The closed mesh, vertices in the CRS of the scene; without faces if there is none. The ``kind`` of each face
+        (:class:`p2wss.skeleton.FaceKind`) is among its ``face_attributes``."""
+        return trimesh.Trimesh() if self.solid is None else self.solid.to_trimesh()
+
+    @cached_property
+    def surfaces(self) -> Sequence[Surface]:
+        """The planar polygons of the mesh, as CityJSON has them."""
+        if self.solid is None:
+            return []
+        return [
+            Surface(SURFACE_TYPE[FaceKind(each.kind)], [self.solid.vertex_m[ring] for ring in each.rings])
+            for each in self._polygons or self.solid.surfaces
+        ]
+
+
+class Scene(Mapping[str, SceneBuilding], Closeable):
+    """The buildings of a run or of a file, by their ids in the order of the footprints.
+
+    crs: of all coordinates; None for a file that states none. table: a row per building.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[str],
+        building: Callable[[int], SceneBuilding],
+        crs: pyproj.CRS | None,
+        config: Config,
+        name: str,
+        run: Run | None = None,
+    ) -> None:
+        self._number = {each: number for number, each in enumerate(ids)}
+        self._building, self._run = building, run
+        self.crs, self.config, self.name = crs, config, name
+
+    def __getitem__(self, building_id: str) -> SceneBuilding:
+        return self._building(self._number[building_id])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._number)
+
+    def __len__(self) -> int:
+        return len(self._number)
+
+    def __repr__(self) -> str:
+        return f"<Scene {self.name}: {len(self)} buildings, {'unknown CRS' if self.crs is None else self.crs.name}>"
+
+    def close(self) -> None:
+        """Remove the temporary files of the run; the scene cannot be used afterwards."""
+        if self._run is not None:
+            self._run.resources.close()
+
+    @property
+    def summary(self) -> str:
+        """One line: how many buildings of each status, and why."""
+        return summary(self.values() if self._run is None else self._run.results)
+
+    @property
+    def table(self) -> gpd.GeoDataFrame:
+        """A row per building, by its id: footprint and attributes."""
+        if self._run is not None:
+            rows = table(self._run.results, self._run.inputs.crs, self._run.facts)
+            return rows.set_index("building_id")
+        rows = [{"building_id": each.building_id, **each.attributes} for each in self.values()]
+        shapes = [each.footprint for each in self.values()]
+        frame = gpd.GeoDataFrame(pd.DataFrame(rows), geometry=shapes, crs=self.crs)
+        return frame.set_index("building_id")
+
+    def points(self, building_id: str) -> np.ndarray:
+        """The points (n, 3) within ``reconstruct.buffer_m`` of a building's footprint, in the CRS of the scene.
+
+        Raises :class:`InputError` for a scene that was read from a file, which has no points."""
+        if self._run is None:
+            raise InputError(f"{self.name}: has no points, as it was read from a file")
+        footprint = self[building_id].footprint
+        if footprint is None:
+            return np.zeros((0, 3))
+        low_x, low_y, high_x, high_y = footprint.bounds
+        near = np.array([[low_x - MARGIN_M, low_y - MARGIN_M, high_x + MARGIN_M, high_y + MARGIN_M]])
+        cloud = self._run.points.near(near)
+        polygons = polygon_arrays.to_polygons(np.array([footprint], dtype=object))
+        point = crop_cloud(cloud, polygons, self.config.reconstruct.buffer_m).of(0)
+        return np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
+
+    def to_trimesh(self, skin: bool = False) -> trimesh.Scene:
+        """All meshes, each under the id of its building; with ``skin``, those of touching buildings as one closed mesh
+        without the walls between them, under the id of its first building. Vertices are in the CRS of the scene."""
+        result = trimesh.Scene(metadata={"crs": None if self.crs is None else self.crs.to_string()})
+        for body in self._bodies(skin):
+            result.add_geometry(body.mesh.to_trimesh(), node_name=body.name, geom_name=body.name)
+        return result
+
+    def write(
+        self, folder: str | Path, formats: Iterable[str] | None = None, name: str | None = None
+    ) -> list[Path]:
+        """Write files into a folder, and return their paths.
+
+        formats: from ``reconstruct.outputs`` of the config, which is the default; of a scene that was read from a file
+        only mesh formats. name: of the files, without ending. Raises :class:`InputError` if a file cannot be written.
+        """
+        settings = self.config.reconstruct
+        if formats is not None:
+            checked = load({"reconstruct": {"outputs": list(formats)}}).reconstruct.outputs
+            settings = settings.model_copy(update={"outputs": checked})
+        folder, name = Path(folder), name or self.name
+        if self._run is not None:
+            run = self._run
+            terrain = run.inputs.terrain and run.inputs.terrain[0]
+            written = exports.write(folder, name, run.results, run.inputs.crs, run.facts, settings, terrain)
+            return [folder / each for each in written]
+        others = [each for each in settings.outputs if each not in MESH_WRITERS]
+        if others and formats is not None:
+            raise InputError(
+                f"{self.name}: {others[0]} needs a reconstruction; choose from {', '.join(MESH_WRITERS)}"
+            )
+        bodies = self._bodies(settings.skin)
+        frame = frame_around(bodies, "" if self.crs is None else self.crs.to_string())
+        options = FileOptions(name, {}, settings.frequency_ghz, settings.split_materials, settings.map_cell_m)
+        paths: list[Path] = []
+        for each in settings.outputs:
+            if each in MESH_WRITERS:
+                paths += exports.write_meshes(folder, each, bodies, frame, options)
+        return paths
+
+    def show(self) -> Any:
+        """Show the meshes: within a notebook in a cell, else in a window (which needs ``pyglet<2``)."""
+        scene = self.to_trimesh()
+        scene.apply_translation(
+            -scene.bounds.mean(axis=0)
+        )  # 32 bits of a graphics card are not enough for a CRS
+        return scene.show()
+
+    def _bodies(self, skin: bool) -> list[Body]:
+        bodies = [
+            Body.of_building(each.building_id, each.solid) for each in self.values() if each.solid is not None
+        ]
+        if not skin:
+            return bodies
+        return block_skins.skin_bodies(
+            block_skins.joined(bodies, self.config.reconstruct.skin_step_m), bodies
+        )
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a scene keeps of its run. results: in a temporary file. points: the cloud, in another. facts: of the
+    provenance. resources: what is closed with the scene."""
+
+    inputs: Inputs
+    results: Sequence[Result]
+    points: CloudIndex
+    facts: dict[str, Any]
+    resources: ExitStack
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which buildings are reconstructed: those of these ids, with their centre in ``bbox`` (in the CRS of the run), and
+    with it in the tile of this name, which may have none. None of the three limits nothing."""
+
+    ids: Sequence[str] | None = None
+    bbox: Bounds | None = None
+    tile: str | None = None
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Where a run computes. device: of the network. threads: of the network. scratch: folder of temporary files."""
+
+    device: DeviceName = "auto"
+    threads: int = 1
+    scratch: Path | None = None
+
+
+def reconstruct(
+    inputs: Inputs,
+    config: Config,
+    selection: Selection = Selection(),
+    machine: Machine = Machine(),
+    progress: bool | Callable[[int, int], object] = True,
+) -> Scene:
+    """See :func:`p2wss.reconstruct`."""
+    settings, tile = config.reconstruct, selection.tile
+    predictor = load_network(inputs.weights, machine.device, machine.threads)
+    terrain = None if inputs.terrain is None else inputs.terrain[0]
+    outline_cloud = None
+    if inputs.footprints is None:
+        outline_cloud, features = read_outlines(inputs, config)
+    else:
+        features = read_footprints(
+            inputs.footprints,
+            settings.id_field or None,
+            needs_crs=False,
+            schema=settings.footprint_schema,
+            height_field=settings.height_field or None,
+            metric=inputs.metric,
+        )
+    frame = clean_footprints(features, footprint_settings(config))
+    is_chosen = in_tile(frame, tile, config.region.tile_size_m)
+    is_chosen &= chosen(frame, selection.ids, selection.bbox, inputs.footprints_name)
+    area = Area(frame, is_chosen, settings)
+    folder = machine.scratch or Path(tempfile.gettempdir())
+    with ExitStack() as resources:
+        points = resources.enter_context(CloudIndex(area.boxes, folder, adds_classes=outline_cloud is None))
+        store = resources.enter_context(Spool[Result](len(area.numbers), folder))
+        if outline_cloud is None:
+            if tile is None and not inputs.overlap(window(frame)):
+                raise InputError(_no_overlap(len(frame), inputs))
+            for chunk in inputs.chunks(points.bounds, class_set(config.region.classes)):
+                points.append(chunk)
+            for warning in unclassified.warnings(*area.missing_classes(points)):
+                log.warning("warning: %s", warning)
+        else:
+            points.append(outline_cloud)
+            outline_cloud = None
+        registers = area.may_move(points) & (inputs.footprints is not None)
+        if settings.registration == "always":
+            registers |= inputs.footprints is not None
+        rows = frame[area.is_chosen]
+        if inputs.terrain is not None:
+            exports.check_coverage(*inputs.terrain, rows)
+        for note in exports.notes(settings, rows, terrain is not None):
+            log.info("note: %s", note)
+        method = f"model {inputs.weights}" if inputs.weights else "fit to the points without a network"
+        log.info("%d footprints, %d points around them; %s", len(rows), points.num_points, method)
+        stem = tile or inputs.name
+        with _reporting(progress, len(area.numbers)) as report:
+            run_area(area, points, predictor, stem, settings, store, registers, report, terrain)
+        results = store[: len(rows)]
+        if registers[area.is_chosen].any():
+            log.info("%s", registration.summary(result.registration for result in results))
+        if tile is None and inputs.footprints is not None and not any(r.num_points for r in results):
+            raise InputError(_no_overlap(len(results), inputs))
+        if terrain is not None and (difference := exports.terrain_note(results, terrain)):
+            log.info("note: %s", difference)
+        facts = files.provenance(
+            config=section_json(config, "region", "scenes", "reconstruct", without=CLASSES_ALONE),
+            code=fingerprint("reconstruct"),
+            crs=inputs.crs.to_string(),
+            model=inputs.weights and inputs.weights.name,
+        )
+        facts["clouds"] = [header.path.name for header in inputs.headers]
+        run = Run(inputs, results, points, facts, resources.pop_all())
+
+    def building(number: int) -> SceneBuilding:
+        return _of_result(results[number], config)
+
+    return Scene([str(each) for each in rows["building_id"]], building, inputs.crs, config, stem, run)
+
+
+def read(path: str | Path) -> Scene:
+    """See :func:`p2wss.read`."""
+    path = Path(path)
+    solids = cityjson_read.read(path)
+    crs = cityjson_read.crs_of(path)
+    config = Config()
+    name = path.name.split(".")[0]
+    return Scene([each.building_id for each in solids], lambda k: _of_file(solids[k]), crs, config, name)
+
+
+def load_network(weights: Path | None, device: DeviceName = "auto", threads: int = 1) -> Predictor | None:
+    """The network of a file of weights, with so many threads; None for none. torch is imported here and not before."""
+    if weights is None:
+        return None
+    # on shared cores, threads of OpenMP that spin while they wait make small operations 40 times slower
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ.setdefault("GOMP_SPINCOUNT", "0")
+    import torch
+
+    from p2wss.nets.predictor import load_predictor
+
+    torch.set_num_threads(threads)
+    return load_predictor(weights, device)
+
+
+@contextmanager
+def _reporting(
+    progress: bool | Callable[[int, int], object], total: int
+) -> Iterator[Callable[[int], object]]:
+    """What is called with the number of buildings that are done."""
+    if progress is True:
+        with Progress("reconstruct", total, "buildings") as bar:
+            yield bar.update
+    elif callable(progress):
+        yield lambda num_done: progress(num_done, total)
+    else:
+        yield lambda num_done: None
+
+
+def _no_overlap(num_footprints: int, inputs: Inputs) -> str:
+    return (
+        f"{inputs.cloud_name}: no point near any of the {num_footprints} footprints of {inputs.footprints_name}:"
+        " do they cover the same place, in the same CRS?"
+    )
+
+
+def _of_result(result: Result, config: Config) -> SceneBuilding:
+    reconstruction = result.reconstruction
+    rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
+    return SceneBuilding(
+        reconstruction.building_id,
+        result.status,
+        result.reason,
+        attributes(result, names=config.reconstruct.attribute_names),
+        shapely.Polygon(rings[0], rings[1:]) if rings else None,
+        reconstruction.placed_mesh if reconstruction.has_mesh else None,
+        reconstruction.surfaces,
+    )
+
+
+def _of_file(solid: cityjson_read.ReadSolid) -> SceneBuilding:
+    mesh = solid.mesh if len(solid.mesh.triangle) else None
+    ground = np.zeros((0, 3, 3)) if mesh is None else mesh.corner_m[mesh.kind == FaceKind.GROUND]
+    footprint = shapely.union_all(shapely.polygons(ground[:, :, :2]))
+    return SceneBuilding(
+        solid.building_id,
+        str(solid.attributes.get("status", "ok" if mesh is not None else "none")),
+        solid.attributes.get("reason"),
+        solid.attributes,
+        footprint if isinstance(footprint, shapely.Polygon) and len(ground) else None,
+        mesh,
+    )

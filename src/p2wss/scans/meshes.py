@@ -1,0 +1,89 @@
+"""A survey over any meshes, without a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+import pyproj
+import trimesh
+
+from p2wss.config import Scans
+from p2wss.data.terrain import Terrain, read_terrain
+from p2wss.errors import InputError
+from p2wss.scans.scan import Place, fly, las_dimensions
+from p2wss.scans.surface import Surface, encode_face
+from p2wss.scans.terrain import local_grid
+from p2wss.skeleton.types import FaceKind
+from p2wss.storage.schemas.scan import as_las
+
+# ground around the meshes
+_MARGIN_M = 20.0
+# faces with a steeper normal are roofs, or floors
+_UPRIGHT_NZ = 0.05
+_ROOF_REFLECTANCE, _WALL_REFLECTANCE = 0.3, 0.3
+
+
+def scan_meshes(
+    meshes: trimesh.Trimesh | Sequence[trimesh.Trimesh] | Mapping[str, Any],
+    terrain: str | Path | None,
+    crs: str | pyproj.CRS | None,
+    settings: Scans,
+    seed: int = 0,
+    threads: int = 1,
+) -> laspy.LasData:
+    """See :func:`p2wss.scan`."""
+    if isinstance(meshes, Mapping):
+        crs = crs or getattr(meshes, "crs", None)
+        meshes = [each.mesh for each in meshes.values()]
+    meshes = [
+        each for each in ([meshes] if isinstance(meshes, trimesh.Trimesh) else meshes) if len(each.faces)
+    ]
+    if not meshes:
+        raise InputError("no mesh to scan")
+    low = np.min([mesh.bounds[0] for mesh in meshes], axis=0)
+    high = np.max([mesh.bounds[1] for mesh in meshes], axis=0)
+    bounds = (
+        float(low[0]) - _MARGIN_M,
+        float(low[1]) - _MARGIN_M,
+        float(high[0]) + _MARGIN_M,
+        float(high[1]) + _MARGIN_M,
+    )
+    origin = np.floor([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    ground = _level(bounds, float(low[2])) if terrain is None else read_terrain(terrain)[0].cut(bounds)
+    if not np.isfinite(ground.height_m).any():
+        raise InputError(f"{terrain}: has no height around the meshes")
+    grid = local_grid(ground.height_m, ground.x_min_m, ground.y_max_m, ground.cell_m, origin)
+    place = Place("the meshes", origin, bounds, bounds)
+    survey, points, _ = fly(_surface(meshes, grid, origin), place, settings, seed, threads)
+    stated = None if crs is None else pyproj.CRS.from_user_input(crs)
+    return as_las(las_dimensions(points, survey), origin, stated)
+
+
+def _level(bounds: tuple[float, float, float, float], z_m: float) -> Terrain:
+    x_min, y_min, x_max, y_max = bounds
+    rows, columns = int(np.ceil(y_max - y_min)) + 2, int(np.ceil(x_max - x_min)) + 2
+    return Terrain(np.full((rows, columns), z_m, np.float32), x_min - 1, y_max + 1, 1.0)
+
+
+def _surface(meshes: Sequence[trimesh.Trimesh], terrain: Any, origin: np.ndarray) -> Surface:
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    triangle = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
+    building = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
+    up = np.concatenate([mesh.face_normals[:, 2] for mesh in meshes])
+    kind = np.where(up > _UPRIGHT_NZ, FaceKind.ROOF, FaceKind.WALL)
+    reachable = up > -_UPRIGHT_NZ  # no pulse reaches the floor
+    face = encode_face(kind, np.full(len(kind), -1))[reachable]
+    is_roof = kind[reachable] == FaceKind.ROOF
+    return Surface(
+        terrain=terrain,
+        vertex_m=np.concatenate([mesh.vertices for mesh in meshes]) - origin,
+        triangle=triangle[reachable].astype(np.int32),
+        building=building[reachable].astype(np.int32),
+        face=face,
+        reflectance=np.where(is_roof, _ROOF_REFLECTANCE, _WALL_REFLECTANCE).astype(np.float32),
+        loss=np.zeros(len(face), np.float32),
+    )
