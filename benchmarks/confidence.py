@@ -23,14 +23,14 @@ from typing import Any
 import labelled
 import numpy as np
 import real
+from calibration import calibration
 from scipy import stats
 from scipy.special import expit
 
 from p2wss.config import Config
 from p2wss.data.building import Building, Reconstruction
-from p2wss.eval import cases, measure
+from p2wss.eval import cases
 from p2wss.eval.cases import Case
-from p2wss.eval.metrics.calibration import calibration
 from p2wss.fit import fitting
 from p2wss.fit.points import roof_points
 from p2wss.fit.roof import confidence
@@ -44,6 +44,8 @@ from p2wss.storage.schemas.crops import CROPS, SIMULATED
 from p2wss.storage.schemas.manifest import read_manifest
 
 FEW = (None, 200, 80, 20)
+# a value within these of the label counts as correct
+CORRECT_M, CORRECT_DEG = 0.5, 5.0
 
 
 @dataclass(frozen=True)
@@ -148,8 +150,8 @@ def _row(
         return []
     eave_m = case.eave_height_m + (case.label_terrain_z_m or 0.0) - reconstruction.ground_z_m
     is_correct = np.append(
-        abs(eave_height_m - eave_m) <= measure.CORRECT_M,
-        np.abs(angle_deg - case.angle_deg) <= measure.CORRECT_DEG,
+        abs(eave_height_m - eave_m) <= CORRECT_M,
+        np.abs(angle_deg - case.angle_deg) <= CORRECT_DEG,
     )
     return [Row(method, count, number % 2 == 0, is_correct, reconstruction.confidence, evidence)]
 

@@ -43,11 +43,11 @@ STAGES = [
     ("model", "model tflop", "model/train", "model/*"),
     ("eval/point2wss", "test tflop", "eval/*/point2wss", "eval/parts/*/point2wss.parquet"),
     ("eval/point2wss+fit", "test building", "eval/*/point2wss+fit", "eval/parts/*/point2wss+fit.parquet"),
+    ("eval/masked", "test tflop", "eval/*/masked", "eval/parts/*/masked.parquet"),
     ("eval/fit", "test building", "eval/*/fit", "eval/parts/*/fit.parquet"),
     ("eval/lod1", "test building", "eval/*/lod1", "eval/parts/*/lod1.parquet"),
     ("eval/constant", "test building", "eval/*/constant", "eval/parts/*/constant.parquet"),
     ("eval/measure", "test building", "eval/*/measure", "eval/parts/*/measures.parquet"),
-    ("eval/merge", "test building", "eval/merge", "eval/measures.parquet"),
     ("eval/report", "run", "eval/report", "eval/*.html"),
     ("reconstruct", "real building", "reconstruct/**/*", "reconstruct/**/*"),
 ]

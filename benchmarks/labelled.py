@@ -14,7 +14,7 @@ import numpy as np
 from p2wss import skeleton
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction
-from p2wss.eval import cases, parameters, predict
+from p2wss.eval import cases, methods, parameters
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
 from p2wss.reconstruct.network import reconstruct_with_network
@@ -51,7 +51,7 @@ def read(manifest: Path) -> list[Case]:
 
 def config() -> Reconstruct:
     """The settings of the evaluation: footprints as labelled, a single eave height."""
-    return predict.for_dataset(Config().reconstruct, SIMULATED).model_copy(update={"max_parts": 1})
+    return methods.for_dataset(Config().reconstruct, SIMULATED).model_copy(update={"max_parts": 1})
 
 
 def errors(labelled: list[Case], reconstructions: list[Reconstruction]) -> list[Error]:

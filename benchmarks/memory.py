@@ -31,7 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 WEIGHTS = ROOT / "models/point2wss.safetensors"
 NUM_COPIES, NUM_PER_GROUP, NUM_BUILDINGS, NUM_POINTS = 20, 4, 430_000, 40
 MAX_RATIO, MAX_MIB = 1.5, 4096
-METHODS = ("point2wss", "point2wss+fit", "fit", "lod1", "constant")
+WITH_NETWORK = ("point2wss", "point2wss+fit", "masked")
+METHODS = (*WITH_NETWORK, "fit", "lod1", "constant")
 # the least that has any meaning: memory is that of the points and meshes, not of the samples on them
 CONFIG = json.dumps({"eval": {"baselines": ["lod1", "constant"], "num_samples": 256, "max_num_points": 256}})
 # getrusage is of no use: its figure begins with the memory of the parent
@@ -65,34 +66,26 @@ class Evaluation:
     def evaluate(self, manifest: Path, shards: list[Path], part: Path) -> None:
         """All that the jobs of one group do."""
         group: list[object] = ["--manifest", manifest, "--shards", *shards]
-        medians = ["--medians", self.folder / "medians.json"]
-
-        def outputs(method: str) -> list[object]:
-            return ["--out", part / f"{method}.parquet", "--out-cpu", part / "cpu" / f"{method}.json"]
-
-        errors = ["--out-errors", part / "masked_errors.json"]
-        self.run("medians", "eval", "medians", "--manifest", manifest, "--out", medians[1])
-        self.run(
-            "predict", "eval", "predict", *group, *medians, "--model", WEIGHTS, *outputs(METHODS[0]), *errors
-        )
-        self.run("fit", "eval", "fit", *group, "--model", WEIGHTS, *outputs(METHODS[1]))
-        self.run("fit", "eval", "fit", *group, *outputs(METHODS[2]))
-        for name in METHODS[3:]:
-            self.run("baseline", "eval", "baseline", "--name", name, *group, *medians, *outputs(name))
+        self.run("medians", "eval", "medians", "--manifest", manifest, "--out", self.folder / "medians.json")
+        for method in METHODS:
+            words: list[object] = ["--method", method, *group, "--out", part / f"{method}.parquet"]
+            if method in WITH_NETWORK:
+                words += ["--model", WEIGHTS]
+            if method == "constant":
+                words += ["--medians", self.folder / "medians.json"]
+            self.run(method, "eval", "reconstruct", *words)
         rows = [part / f"{method}.parquet" for method in METHODS]
-        errors = ["--out-errors", part / "variant_errors.json"]
-        out = ["--out", part / "measures.parquet"]
-        self.run("measure", "eval", "measure", *group, "--reconstructions", *rows, *out, *errors)
+        out = part / "measures.parquet"
+        self.run("measure", "eval", "measure", *group, "--reconstructions", *rows, "--out", out)
 
     def report(self, manifest: Path, parts: list[Path]) -> int:
-        """Merge and report; returns the number of rows of the measures."""
-        names = {name: self.folder / name for name in ("measures.parquet", "parameters.json", "methods.json")}
-        outputs = [word for name, path in names.items() for word in (f"--out-{name.split('.')[0]}", path)]
-        inputs = [word for name, path in names.items() for word in (f"--{name.split('.')[0]}", path)]
-        self.run("merge", "eval", "merge", "--parts", *parts, "--methods", *METHODS, *outputs)
-        place = ["--out", self.folder / "report", "--manifest", manifest, "--parts", *parts]
-        self.run("report", "eval", "report", *place, *inputs, "--metrics")
-        return int(pq.read_metadata(names["measures.parquet"]).num_rows)
+        """Report; returns the number of rows of the measures."""
+        measures = [part / "measures.parquet" for part in parts]
+        rows = [part / f"{method}.parquet" for part in parts for method in METHODS]
+        place = ["--out", self.folder / "report", "--manifest", manifest]
+        inputs = ["--measures", *measures, "--reconstructions", *rows, "--metrics"]
+        self.run("report", "eval", "report", *place, *inputs)
+        return sum(int(pq.read_metadata(path).num_rows) for path in measures)
 
 
 def copied(table: pa.Table, copy: int) -> pa.Table:
@@ -169,6 +162,7 @@ def main() -> int:
         part = one.folder / "parts/0000"
         one.evaluate(options.manifest, paths, part)
         num_rows = one.report(options.manifest, [part])
+        num_buildings = int(pq.read_metadata(part / "lod1.parquet").num_rows)
 
         shards = copy_shards(miniature, range(NUM_COPIES), twenty.folder, thin=False)
         manifest = write_manifest(twenty, shards, {})
@@ -181,7 +175,7 @@ def main() -> int:
         if twenty.report(manifest, parts) != NUM_COPIES * num_rows:
             raise SystemExit("the merged measures lack rows")
 
-        num_copies = -(-options.buildings * len(METHODS) // num_rows)
+        num_copies = -(-options.buildings // num_buildings)
         shards = copy_shards(miniature, range(num_copies), paper.folder, thin=True)
         counts = {"num_lidar_test": int(1e6), "num_lidar_dvae": 1, "num_pairs": int(1e7)}
         manifest = write_manifest(paper, shards, counts)
@@ -189,11 +183,11 @@ def main() -> int:
         parts = [paper.folder / f"parts/{i:04d}" for i in range(len(ranges))]
         for copies_of_group, other in zip(ranges, parts, strict=True):
             copy_part(part, range(copies_of_group[0], copies_of_group[-1] + 1), other)
-        num_paper_rows = paper.report(manifest, parts)
+        paper.report(manifest, parts)
 
     for evaluation in (one, twenty, paper):
         figures.row(f"{evaluation.folder.name}_peak_mib", evaluation.peak_mib)
-    figures.row("buildings", {"miniature": num_rows // len(METHODS), "paper": num_paper_rows // len(METHODS)})
+    figures.row("buildings", {"miniature": num_buildings, "paper": num_buildings * num_copies})
     for stage, mib in one.peak_mib.items():
         figures.at_most(f"twenty_times_{stage}", twenty.peak_mib[stage] / mib, MAX_RATIO)
     figures.at_most("twenty_times", max(twenty.peak_mib.values()) / max(one.peak_mib.values()), MAX_RATIO)

@@ -19,13 +19,15 @@ from pathlib import Path
 from typing import Any
 
 import labelled
+import numpy as np
 
 from p2wss.config import Config
 from p2wss.crops.simulated import crop_simulated
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
 from p2wss.eval.masked import MaskedParameters, fit_all_masked, read_all_masked
-from p2wss.eval.parameters import errors_of_masked
+from p2wss.eval.methods import for_dataset
+from p2wss.eval.parameters import target_height_m
 from p2wss.nets.predictor import load_predictor
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS
@@ -53,6 +55,18 @@ def cropped_again(labelled_cases: list[Case], scans: Path, buildings: Path, buff
     return result
 
 
+def errors_of(rows: list[Case], values: MaskedParameters) -> dict[str, np.ndarray]:
+    """Absolute errors of the parameters, over all values."""
+    offset_m = np.concatenate(values.xy_m) - np.concatenate([case.building.rings[0] for case in rows])
+    truth_deg = np.concatenate([case.angle_deg for case in rows if case.angle_deg is not None])
+    return {
+        "height_m": np.abs(values.eave_height_m - [target_height_m(case) for case in rows]),
+        "angle_deg": np.abs(np.concatenate(values.angle_deg) - truth_deg),
+        "coordinate_m": np.abs(offset_m).ravel(),
+        "vertex_m": np.linalg.norm(offset_m, axis=1),
+    }
+
+
 def figures(rows: list[Case], predictor: Any, title: str) -> dict[str, dict[str, float]]:
     """Errors of both settings; prints them."""
     rows = [
@@ -64,21 +78,21 @@ def figures(rows: list[Case], predictor: Any, title: str) -> dict[str, dict[str,
     start = time.process_time()
     reading = read_all_masked(buildings, predictor, signs_visible=True)
     network_s = time.process_time() - start
-    fitted = fit_all_masked(buildings, reading, predictor, Config().reconstruct)
+    fitted = fit_all_masked(buildings, reading, predictor, for_dataset(Config().reconstruct, SIMULATED))
     both_s = time.process_time() - start
     result = {}
     for name, values, seconds in ((NETWORK, reading, network_s), (TWO_PASSES, fitted, both_s)):
-        errors = errors_of_masked(rows, values)
-        result[f"{title}, {name}"] = {key: error["mean"] for key, error in errors.items()}
-        text = ", ".join(f"{key} {error['mean']:.3f} ± {error['std']:.2f}" for key, error in errors.items())
+        errors = errors_of(rows, values)
+        result[f"{title}, {name}"] = {key: float(error.mean()) for key, error in errors.items()}
+        text = ", ".join(f"{key} {error.mean():.3f} ± {error.std():.2f}" for key, error in errors.items())
         print(f"{title}, {name}: {len(rows)} buildings, {text}, {1000 * seconds / len(rows):.0f} ms CPU")
     for count in sorted({len(case.building.rings[0]) for case in rows}):
         index = [i for i, case in enumerate(rows) if len(case.building.rings[0]) == count]
         part = MaskedParameters(
             fitted.eave_height_m[index], [fitted.xy_m[i] for i in index], [fitted.angle_deg[i] for i in index]
         )
-        errors = errors_of_masked([rows[i] for i in index], part)
-        text = ", ".join(f"{key} {errors[key]['mean']:.3f}" for key in BARS)
+        errors = errors_of([rows[i] for i in index], part)
+        text = ", ".join(f"{key} {errors[key].mean():.3f}" for key in BARS)
         print(f"    {len(index)} with {count} vertices: {text}", flush=True)
     return result
 

@@ -43,7 +43,7 @@ from p2wss.clouds.reading import list_clouds, read_clouds, read_headers
 from p2wss.config import Scenes, load
 from p2wss.data.terrain import read_terrain
 from p2wss.errors import InputError
-from p2wss.eval import cases, parameters, parts, report
+from p2wss.eval import cases, report, tables
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.nets import weights_file
@@ -225,10 +225,9 @@ def read_crops(path: Path) -> None:
 
 
 def read_measures(path: Path) -> None:
-    from p2wss.config import Eval
-    from p2wss.eval import tables
-
-    tables.details(files.read_table(path, MEASURES), Eval(num_resamples=10))
+    measures, runs = files.read_table(path, MEASURES), [tables.Run("fit", "ok")]
+    tables.table_1(measures)
+    tables.ranked(tables.frame_of(measures, runs), runs)
 
 
 def read_city(path: Path) -> None:
@@ -256,8 +255,6 @@ def read_points(path: Path) -> None:
 READERS: dict[str, tuple[Callable[[Path], Any], Callable[[Draw, Path], None]]] = {
     "manifest.json": (read_manifest_file, change_json),
     "medians.json": (cases.read_medians, change_json),
-    "errors.json": (lambda path: parameters.merged([files.read_json(path, parameters.MergedErrors)]), change_json),
-    "methods.json": (lambda path: files.read_json(path, parts.Methods), change_json),
     "metrics.jsonl": (report.read_training, change_json_lines),
     "config.yaml": (load, change_yaml),
     "crops.parquet": (read_crops, damage_own_table),

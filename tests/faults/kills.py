@@ -90,8 +90,6 @@ SIGNALS = {
 }
 # jobs that go on may write after those that follow: a third run would then not be content
 CHECKED_BY_A_THIRD_RUN = ("KILL snakemake", "none")
-# what changes from run to run, beside checksums: CPU times in these files
-TIMED = re.compile(r"results/mini/eval/(parts/\d+/cpu/.*\.json|methods\.json|report\.html|table2.*)")
 LONGEST_S = 600.0
 STARTED = re.compile(r"^(?:local)?(?:rule|checkpoint) (\w+):$")
 TRAININGS = ("dvae", "model")
@@ -238,26 +236,8 @@ def contents(folder: Path) -> dict[str, str]:
         for path in sorted((folder / part).rglob("*")):
             name = path.relative_to(folder).as_posix()
             if path.is_file():
-                hashes[name] = hashlib.sha256(
-                    without_times(path.read_bytes()) if TIMED.fullmatch(name) else path.read_bytes()
-                ).hexdigest()
+                hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return hashes
-
-
-def without_times(content: bytes) -> bytes:
-    """A file without its CPU times, and thus without its checksum."""
-    if content.startswith(b"{"):
-        return json.dumps(_without(json.loads(content), {"checksum", "seconds", "cpu_ms"})).encode()
-    lines = content.splitlines()
-    return b"\n".join(re.sub(rb"[0-9]+(\.[0-9]+)?", b"#", line) if b"CPU" in line else line for line in lines)
-
-
-def _without(value: Any, names: set[str]) -> Any:
-    if isinstance(value, list):
-        return [_without(each, names) for each in value]
-    if not isinstance(value, dict):
-        return value
-    return {name: _without(each, names) for name, each in value.items() if name not in names}
 
 
 def leftovers(folder: Path) -> list[str]:

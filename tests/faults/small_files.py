@@ -35,11 +35,6 @@ def write(folder: Path) -> None:
     ranges = {"simulated": {"test": {"from": 0, "below": 2**62}}}
     files.write_json(folder / "manifest.json", manifest | {"selection": {"ranges": ranges, "seed": 1}})
     files.write_json(folder / "medians.json", {"eave_height_m": 4.5, "angle_deg": 35.0})
-    error = {"mean": 0.5, "std": 0.1, "count": 7}
-    settings = {"all_masked": {"height_m": error, "angle_deg": error}}
-    files.write_json(folder / "errors.json", {"settings": settings, "num_buildings": 7, "num_left_out": 0})
-    methods = [{"method": "fit", "status": "ok", "cpu_ms": {"simulated": 4.0}, "model": {"version": "0"}}]
-    files.write_json(folder / "methods.json", {"methods": methods})
     lines = [{"step": i, "loss": 1.0 / (i + 1), "val_loss": 2.0} for i in range(4)]
     files.write_text(folder / "metrics.jsonl", "".join(json.dumps(line) + "\n" for line in lines))
     files.write_text(
@@ -102,7 +97,6 @@ def _tables(folder: Path, rows: list[dict]) -> None:
                 np.array(row["triangle_edge"], np.int32),
             ),
             num_parts=1,
-            class_probability=np.full((4, 3), 1 / 3),
         )
         for row in rows
     ]
@@ -117,7 +111,9 @@ def _tables(folder: Path, rows: list[dict]) -> None:
 def _value(field: files.pa.Field) -> object:
     kind = str(field.type)
     return (
-        {"string": "ok", "bool": True, "int32": 7, "float": 0.5}[kind] if field.name != "dataset" else "real"
+        {"string": "ok", "bool": True, "int32": 7, "float": 0.5}.get(kind, [])
+        if field.name != "dataset"
+        else "real"
     )
 
 

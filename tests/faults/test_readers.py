@@ -16,10 +16,8 @@ import pytest
 
 from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.errors import InputError, reading
-from p2wss.eval import parts, report
-from p2wss.eval.parameters import StoredErrors
+from p2wss.eval import report
 from p2wss.formats import cityjson_read
-from p2wss.storage import files
 
 ROOT = Path(__file__).parents[2]
 
@@ -52,28 +50,6 @@ def test_a_failed_assertion_of_a_library_in_rust_is_an_error_of_the_file() -> No
         raise PanicException("z")
     with pytest.raises(KeyboardInterrupt), reading("x", "a y"):
         raise KeyboardInterrupt
-
-
-@pytest.mark.parametrize(
-    "content", [b"\xff\xfe{}", b"{}", b"[1]", b'{"seconds": 1, "num_buildings": {}}', b"[" * 100_000]
-)
-def test_cpu_times_and_errors_that_are_none_are_one_line(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "cpu").mkdir()
-    for name in ("cpu/fit.json", "masked_errors.json"):
-        (tmp_path / name).write_bytes(content)
-    part = parts.Part(tmp_path)
-    for read in (lambda: parts.merge_methods([part], ["fit"]), lambda: parts.merge_errors([part])):
-        with pytest.raises(InputError, match=r"\.json: not "):
-            read()
-
-
-@pytest.mark.parametrize("value", [-6e34, 1e6, -1.0])
-def test_errors_that_no_building_has_reach_no_table(value: float, tmp_path: Path) -> None:
-    path = tmp_path / "parameters.json"
-    error = {"mean": value, "std": 0.0, "count": 1}
-    files.write_json(path, {"settings": {"all_masked": {"height_m": error}}})
-    with pytest.raises(InputError, match="is not a plausible error of a building"):
-        files.read_json(path, StoredErrors)
 
 
 def test_metrics_that_a_kill_cut_off_are_one_line_and_a_resumed_training_drops_them(tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def test_every_job_asks_for_more_memory_on_a_retry():
 
 def test_what_a_config_names_is_local_where_results_are_in_storage():
     text = "\n".join(path.read_text() for path in ROOT.glob("workflow/rules/*.smk"))
-    for name in ("settings.fetch.sources", "settings.model.weights", "recorded_files(", "with_companions("):
+    for name in ("settings.model.weights", "recorded_files(", "with_companions("):
         uses = re.findall(rf".*{re.escape(name)}.*", text)
         assert any("local(" in line for line in uses), name
 

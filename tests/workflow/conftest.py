@@ -1,8 +1,6 @@
 """Fixtures: the project in a folder of its own, and the finished reduced miniature."""
 
-import csv
 import shutil
-from pathlib import Path
 
 import pytest
 import yaml
@@ -39,15 +37,6 @@ def done(tmp_path_factory):
         }
     }
     config.write_text(yaml.safe_dump(settings, allow_unicode=True))
-    _say_what_is_in(inputs.name, project.folder / "config/sources.csv")
     project.snakemake(*REDUCED)
     assert not (project.folder / "executed").exists(), "a command in the name of a folder was run"
     return project
-
-
-def _say_what_is_in(folder: str, sources: Path) -> None:
-    """The products of the miniature, copied to another folder, in the table of sources."""
-    with sources.open(encoding="utf-8", newline="") as file:
-        rows = [[value.replace("tests/mini", folder) for value in row] for row in csv.reader(file)]
-    with sources.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows(rows)

@@ -10,17 +10,12 @@ from checkout import ROOT, rules_to_run
 
 from p2wss import cli
 
-
-def recorded_by(project):
-    """The setting of recorded outputs of Roofer, with a file that exists."""
-    path = project.folder / "recorded.city.jsonl"
-    path.touch()
-    return f"eval={{roofer_recorded: {path}, roofer_command: no-such-program-as-roofer, shards_per_job: 2}}"
+NETWORK = ["eval", "reconstruct", "--method", "point2wss"]
 
 
 def test_the_miniature_plans_every_rule(fresh):
     town = "resources/towns/1/bdtopo/BDTOPO_mini.gpkg"
-    jobs = rules_to_run(fresh.dry_run("all", "ablation", town, "--config", recorded_by(fresh)))
+    jobs = rules_to_run(fresh.dry_run("all", "ablation", town))
     text = "".join(path.read_text() for path in (ROOT / "workflow/rules").glob("*.smk"))
     with_output = re.findall(r"^(?:rule|checkpoint) (\w+):\n(?:    .*\n|\n)*?    output:", text, re.M)
     assert len(with_output) > 12
@@ -65,7 +60,7 @@ def test_every_printed_command_can_be_run_by_hand(fresh):
     commands = [command for run in runs for command in commands_of(run)]
     assert {str(model) for command in commands if (model := parsed(command).get("model"))} == {str(weights)}
     names = {" ".join(command[:2]) for command in commands}
-    assert {"eval fit", "eval predict", "crops simulated", "crops real", "towns --seed"} <= names
+    assert {"eval reconstruct", "eval measure", "crops simulated", "crops real", "towns --seed"} <= names
 
 
 def test_the_ablation_is_no_part_of_the_report(fresh):
@@ -75,29 +70,20 @@ def test_the_ablation_is_no_part_of_the_report(fresh):
 def test_trained_weights_are_used_as_they_are_and_the_town_of_the_config_is_drawn(fresh):
     jobs = rules_to_run(fresh.dry_run("eval_report", "--configfile", "config/shipped.yaml"))
     assert not {"dvae", "model"} & set(jobs)
-    assert (jobs["draw_town"], jobs["cut_scene"], jobs["predict"]) == (1, 2, 1)
+    assert (jobs["draw_town"], jobs["cut_scene"], jobs["eval_reconstruct"]) == (1, 2, 7)
 
 
 def test_shards_are_evaluated_in_groups(project):
     """Four shards: by default in one group, or three and one."""
     jobs = rules_to_run(project.snakemake("-n", "eval_report"))
-    assert [jobs[rule] for rule in ("predict", "fit", "measure", "merge")] == [1, 2, 1, 1]
+    assert [jobs[rule] for rule in ("eval_reconstruct", "measure")] == [7, 1]
     dry_run = project.snakemake("-n", "eval_report", "--config", "eval={shards_per_job: 3}")
     jobs = rules_to_run(dry_run)
-    assert [jobs[rule] for rule in ("predict", "fit", "baseline", "measure", "merge")] == [2, 4, 6, 2, 1]
-    groups = [parsed(words) for words in commands_of(dry_run) if words[:2] == ["eval", "predict"]]
+    assert [jobs[rule] for rule in ("eval_reconstruct", "measure")] == [14, 2]
+    groups = [parsed(words) for words in commands_of(dry_run) if words[:4] == NETWORK]
     shards = sorted((group["out"].parent.name, [shard.stem for shard in group["shards"]]) for group in groups)
     simulated = ["0652_6862", "0653_6862", "0652_6861"]
     assert shards == [("0000", simulated), ("0001", ["0653_6861"])]
-
-
-def test_recorded_outputs_are_read_once_for_all_groups(fresh):
-    dry_run = fresh.dry_run("eval_report", "--config", recorded_by(fresh))
-    jobs = rules_to_run(dry_run)
-    assert (jobs["recording"], jobs["measure"]) == (1, 2)
-    baselines = [words for words in commands_of(dry_run) if words[:2] == ["eval", "baseline"]]
-    assert [("--recording" in words) == ("roofer" in words) for words in baselines] == [True] * 6
-    assert "recording" not in rules_to_run(fresh.dry_run("eval_report"))
 
 
 def test_a_stage_is_a_target(fresh):
@@ -159,7 +145,7 @@ def test_no_command_grows_with_the_number_of_tiles(fresh):
         return lengths
 
     few, many = longest(3), longest(6)
-    assert {"scenes index", "scenes cut", "crops manifest", "eval merge", "eval report"} <= set(few)
+    assert {"scenes index", "scenes cut", "crops manifest", "eval report"} <= set(few)
     assert many == few
 
 
@@ -195,11 +181,11 @@ def test_plan_counts_the_jobs_that_snakemake_plans(fresh, config):
 
 def test_settings_of_roofer_change_the_command_of_its_baseline_only(fresh):
     """Snakemake runs a rule again whose parameters have changed, and they are all in the command."""
-    other = json.dumps({"roofer_command": "roofer --rerun", "roofer_keep": "kept", "roofer_timeout_s": 7})
+    other = json.dumps({"roofer_command": "roofer --rerun", "roofer_timeout_s": 7})
     before = commands_of(fresh.dry_run())
     after = commands_of(fresh.dry_run("--config", f"eval={other}"))
     changed = [command for command in after if command not in before]
-    roofer = ["eval", "baseline", "--name", "roofer"]
+    roofer = ["eval", "reconstruct", "--method", "roofer"]
     assert [command[:4] == roofer for command in changed if command[:2] != ["eval", "report"]] == [True]
 
 

@@ -101,7 +101,7 @@ def test_the_profile_for_kubernetes_plans_to_the_report(s3, project, config):
         *("--default-storage-prefix", "s3://p2wss/plan", "--configfile", config),
     )
     jobs = rules_to_run(run)
-    assert {"cut_scene", "cast_scan", "predict", "eval_report"} <= set(jobs)
+    assert {"cut_scene", "cast_scan", "eval_reconstruct", "eval_report"} <= set(jobs)
     log = run.stdout + run.stderr
     assert "Group job tile" in log and "gpu_manufacturer=nvidia" in log and "scale=0" in log
     assert "s3://p2wss/plan/results/" in log and "s3://p2wss/plan/config/" not in log

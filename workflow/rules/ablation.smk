@@ -2,7 +2,7 @@
 
 In:  the crops, <results>/dvae/model.safetensors.
 Out: <results>/ablation/{variant}/model.safetensors and metrics.jsonl for each of ablation.variants, and the table of
-     their errors: <results>/ablation/table.csv and table.md.
+     their errors: <results>/ablation/table.csv.
 """
 
 
@@ -43,8 +43,7 @@ rule ablation:
             "<results>/ablation/{variant}/model.safetensors", variant=list(settings.ablation.variants)
         ),
     output:
-        csv="<results>/ablation/table.csv",
-        markdown="<results>/ablation/table.md",
+        table="<results>/ablation/table.csv",
     log:
         "<logs>/ablation/table.log",
     benchmark:
@@ -59,5 +58,5 @@ rule ablation:
         config=section("ablation"),
         code=fingerprint("eval.ablation"),
     shell:
-        "p2wss eval ablation --manifest {input.manifest:q} --models {input.models:q} --out-csv {output.csv:q} --out-markdown {output.markdown:q}"
+        "p2wss eval ablation --manifest {input.manifest:q} --models {input.models:q} --out {output.table:q}"
         " --threads {threads} 2> {log:q}"

@@ -28,8 +28,7 @@ wildcard_constraints:
     tile=TILE_PATTERN,
     vintage=r"[A-Za-z0-9_.-]+",
     group=r"\d+",
-    method=r"(point2wss\+)?fit",
-    baseline="lod1|constant|roofer",
+    method=r"point2wss|(point2wss\+)?fit|masked|lod1|constant|roofer",
 
 
 def cancel_timers():
@@ -76,20 +75,20 @@ EVERY_TILE_LIST = (*TILE_LISTS, *(f"members.*.region.{name}" for name in TILE_LI
 # what only readers of real clouds depend on: neither footprints, terrain and downloads nor scenes
 OF_CLOUDS = ("classes", "members.*.region.classes")
 # settings that only the report or the rules read: no mesh depends on them
-REPORT_ONLY = ("attribution", "lidar_name", "num_pictures", "num_resamples", "num_worst", "shards_per_job")
+REPORT_ONLY = ("attribution", "lidar_name", "num_resamples", "num_worst", "shards_per_job")
 # settings that only the baseline roofer reads
-ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_keep", "roofer_timeout_s")
+ROOFER_ONLY = ("roofer_command", "roofer_recorded", "roofer_timeout_s")
 
 
-def baseline_section(wildcards):
-    """The settings of a baseline: those of Roofer are of one baseline only."""
-    without = REPORT_ONLY if wildcards.baseline == "roofer" else REPORT_ONLY + ROOFER_ONLY
+def method_section(wildcards):
+    """The settings of a method: those of Roofer are of one only."""
+    without = REPORT_ONLY if wildcards.method == "roofer" else REPORT_ONLY + ROOFER_ONLY
     return section("eval", "reconstruct", without=without)(wildcards)
 
 
-def baseline_state(wildcards):
-    """What a baseline depends on beside the code: another version of Roofer runs it again."""
-    return roofer_command.state(settings.eval) if wildcards.baseline == "roofer" else ""
+def roofer_state(wildcards):
+    """What a method depends on beside the code: another version of Roofer runs it again."""
+    return roofer_command.state(settings.eval) if wildcards.method == "roofer" else ""
 
 
 weights = local(settings.model.weights) if settings.model.weights else "<results>/model/model.safetensors"

@@ -35,7 +35,7 @@ rule fetch_footprints:
         ign_requests=1,
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare", "sources")),
+        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare")),
         code=fingerprint("fetch"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
         sizes=source_sizes("footprints"),
@@ -109,7 +109,7 @@ rule prepare_lidar:
     resources:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme", "sources")),
+        config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme")),
         code=fingerprint("fetch"),
     shell:
         "p2wss fetch prepare --tile {wildcards.tile:q} --clouds {input.clouds:q} --out {output.lidar:q} --config {params.config:q} 2> {log:q}"

@@ -105,7 +105,7 @@ def source_of_tile(wildcards):
 
 def source_section(wildcards):
     """Sections of the config that say where the data of a tile come from."""
-    without = (*TILE_LISTS, *OF_CLOUDS, "prepare", "sources")
+    without = (*TILE_LISTS, *OF_CLOUDS, "prepare")
     return configs.section_json(at(source_of_tile(wildcards)), "region", "fetch", without=without)
 
 
@@ -179,8 +179,3 @@ def every_group(path):
     return lambda wildcards: expand(
         path, group=[f"{number:04d}" for number in range(len(evaluated_shards()))], allow_missing=True
     )
-
-
-def folders_of(name):
-    """The folders of the parts, from the paths of an input with this name."""
-    return lambda wildcards, input: list(dict.fromkeys(os.path.dirname(path) for path in input[name]))

@@ -1,4 +1,4 @@
-"""Section eval: metrics, tables, figures and the report."""
+"""Section eval: metrics, tables and the report."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ class Eval(Section):
     )
     lidar_name: str = Field(
         "",
-        description="name of the clouds of region.lidar_tiles in the report; '' = the product stated in "
-        "fetch.sources",
+        description="name of the clouds of region.lidar_tiles in the report; '' = LiDAR HD, or the path of the clouds",
     )
     attribution: list[str] = Field(
-        [], description="additional lines in the footer of the report, besides those of fetch.sources"
+        [], description="lines in the footer of the report: sources of the data other than IGN's services"
     )
     num_samples: int = Field(
         2048, gt=0, description="number of points sampled on each mesh for the Chamfer distance"
@@ -40,18 +39,7 @@ class Eval(Section):
     num_resamples: int = Field(
         1000, ge=10, description="number of bootstrap resamples for each 95 % interval"
     )
-    num_worst: int = Field(
-        20,
-        ge=0,
-        le=100,
-        description="number of worst buildings shown per dataset, each with its likely cause",
-    )
-    num_pictures: int = Field(
-        2,
-        ge=0,
-        le=20,
-        description="number of buildings shown for each counterpart of the paper's Figures 7 to 14",
-    )
+    num_worst: int = Field(20, ge=0, le=100, description="number of worst buildings shown per dataset")
     roofer_command: str = Field(
         "roofer",
         description="command and options of Roofer ({folder} = the folder with its files, for containers); "
@@ -60,11 +48,6 @@ class Eval(Section):
     roofer_recorded: str = Field(
         "",
         description="recorded outputs of Roofer (a folder of CityJSON), used if it is not installed; '' = "
-        "none",
-    )
-    roofer_keep: str = Field(
-        "",
-        description="folder in which to store the output of Roofer, for later use as roofer_recorded; '' = "
         "none",
     )
     roofer_timeout_s: float = Field(3600, gt=0, description="time limit of Roofer for one tile")

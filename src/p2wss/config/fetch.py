@@ -134,10 +134,6 @@ class Fetch(Section):
         "folder",
         description="where the data come from: folder = files on disk, geoplateforme = IGN's services",
     )
-    sources: str = Field(
-        "config/sources.csv",
-        description="table of data products, licences and attributions, for the footer of the report",
-    )
     margin_m: float = Field(
         100,
         ge=0,

@@ -18,12 +18,10 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines, Reconstruct
 from p2wss.data.building import Building
 from p2wss.errors import InputError
-from p2wss.eval.predict import for_dataset
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.outlines import outlines
 from p2wss.reconstruct.product import reconstruct_buildings
 from p2wss.reconstruct.shifts import edge_steps, point_weights
-from p2wss.storage.schemas.crops import SIMULATED
 
 # one outline without seams around all points; from outlines of more and more short edges to ever coarser ones
 _OUTLINES = [
@@ -88,7 +86,7 @@ def fit_all_masked(
         for building, reading_m, height_m in zip(buildings, reading.xy_m, reading.eave_height_m, strict=True)
     ]
     fitted = [replace(building, rings=[outline]) for building, outline in zip(buildings, xy_m, strict=True)]
-    rows = reconstruct_buildings(fitted, predictor, for_dataset(config, SIMULATED))
+    rows = reconstruct_buildings(fitted, predictor, config)
     height, angle = reading.eave_height_m.copy(), list(reading.angle_deg)
     for i, row in enumerate(rows):
         if (

@@ -1,22 +1,103 @@
-"""Our methods among those of an evaluation."""
+"""Reconstructions of the buildings of the evaluation by each of its methods."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
-from p2wss.data.building import Reconstruction
-from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
+import numpy as np
+
+from p2wss.config import Config, Reconstruct
+from p2wss.data.building import Reconstruction, no_mesh
+from p2wss.errors import InputError
+from p2wss.eval import roofer
+from p2wss.eval.cases import Case, Medians
+from p2wss.eval.masked import MaskedPredictor, fit_all_masked, read_all_masked
+from p2wss.reconstruct.flat import constant, lod1
+from p2wss.reconstruct.network import reconstruct_with_network
+from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT, reconstruct_buildings
+from p2wss.storage.schemas.crops import SIMULATED
+
+# the settings of Table 1 with the footprint hidden from the network, written by the method "masked": as in the paper
+# (signs visible), in two passes with a fit (p2wss.eval.masked), with the signs masked too
+MASKED = ("all_masked", "all_masked_fit", "all_masked_signs")
+WITH_NETWORK = (NETWORK, NETWORK_AND_FIT, "masked")
+NAMES = (NETWORK, NETWORK_AND_FIT, FIT, "masked", "lod1", "constant", roofer.METHOD)
 
 
-def main_method(methods: Sequence[str]) -> str:
-    """Our best variant: the network with the fit if it was run, else the network, else the fit alone."""
-    return next((name for name in (NETWORK_AND_FIT, NETWORK, FIT) if name in methods), NETWORK)
+class Inputs(NamedTuple):
+    """What methods need beside the buildings. predictor: of those of :data:`WITH_NETWORK`. medians: of the constant
+    predictor. crs: of the buildings, for Roofer."""
+
+    config: Config
+    predictor: MaskedPredictor | None = None
+    medians: Medians | None = None
+    crs: str | None = None
 
 
-def fit_parts(reconstructions: Mapping[str, Reconstruction | None]) -> int:
-    """Number of parts of a building by the fit, 1 where it was not run. reconstructions: of the building, by method."""
-    for method in (NETWORK_AND_FIT, FIT):
-        reconstruction = reconstructions.get(method)
-        if reconstruction is not None and reconstruction.has_mesh:
-            return reconstruction.num_parts
-    return 1
+def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reconstruction]:
+    """The reconstructions of a method for the cases of one shard, in order.
+
+    Cases for which it was not run are left out: all of them for a Roofer that cannot be run, those without labels for
+    the masked settings. ``point2wss`` is the paper's method, the network with the views of its training; a building
+    that it cannot reconstruct has no mesh. ``point2wss+fit`` and ``fit`` are the results of ``p2wss reconstruct``; a
+    flat roof that it falls back to counts as the method's, with the reason as its status. ``constant``: all buildings
+    with the median height and angle. Raises :class:`InputError` for an unknown name.
+    """
+    if not cases:
+        return []
+    config = for_dataset(inputs.config.reconstruct, cases[0].dataset)
+    buildings = [case.building for case in cases]
+    if method == "lod1":
+        return lod1(buildings, config)
+    if method == "constant" and inputs.medians is not None:
+        height_m = np.full(len(buildings), inputs.medians.eave_height_m)
+        return constant(buildings, height_m, inputs.medians.angle_deg, config)
+    if method == roofer.METHOD:
+        return roofer.reconstruct(cases, inputs.crs, inputs.config.eval)
+    if method == FIT or (method == NETWORK_AND_FIT and inputs.predictor is not None):
+        predictor = None if method == FIT else inputs.predictor
+        rows = reconstruct_buildings(buildings, predictor, config.model_copy(update={"fit": True}))
+        return [replace(row, method=method) for row in rows]
+    if method == NETWORK and inputs.predictor is not None:
+        return reconstruct_with_network(buildings, inputs.predictor, config)
+    if method == "masked" and inputs.predictor is not None:
+        return _masked(cases, inputs.predictor, config)
+    raise InputError(f"cannot reconstruct by {method}: choose one of {', '.join(NAMES)}, with what it needs")
+
+
+def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
+    """The settings for a data set.
+
+    Simulated buildings have a single eave height and no dormers. For real buildings the settings of the product are
+    used as they are.
+    """
+    if dataset != SIMULATED:
+        return config
+    return config.model_copy(update={"max_parts": 1, "dormers": False})
+
+
+def _masked(cases: Sequence[Case], predictor: MaskedPredictor, config: Reconstruct) -> list[Reconstruction]:
+    """Parameters without meshes, of labelled buildings that the network can take."""
+    buildings = [
+        case.building
+        for case in cases
+        if case.is_labelled
+        and len(case.building.point_m) >= config.min_num_points
+        and len(case.building.rings) == 1
+        and len(case.building.rings[0]) <= predictor.max_num_vertices
+    ]
+    reading = read_all_masked(buildings, predictor, signs_visible=True)
+    fitted = fit_all_masked(buildings, reading, predictor, config)
+    without_signs = read_all_masked(buildings, predictor, signs_visible=False)
+    return [
+        replace(
+            no_mesh(building, method, "ok"),
+            rings=[parameters.xy_m[i]],
+            eave_height_m=float(parameters.eave_height_m[i]),
+            angle_deg=parameters.angle_deg[i],
+        )
+        for method, parameters in zip(MASKED, (reading, fitted, without_signs), strict=True)
+        for i, building in enumerate(buildings)
+    ]

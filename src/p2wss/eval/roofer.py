@@ -1,14 +1,15 @@
 """Roofer (Peters et al. 2022), the baseline of Table 2: a separate program that the user installs.
 
-No part of it belongs to this package. It reads LAZ and GeoPackage and writes CityJSON, which is read back.
+No part of it belongs to this package. It reads LAZ and GeoPackage and writes CityJSON, which is read back. Where it
+cannot be run, CityJSON of an earlier run may replace it.
 """
 
 from __future__ import annotations
 
 import logging
+import shlex
 import subprocess
-from collections.abc import Sequence
-from itertools import groupby
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import geopandas as gpd
@@ -20,144 +21,84 @@ import shapely.affinity
 from p2wss.config import Eval
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction, no_mesh
+from p2wss.eval import roofer_command
 from p2wss.eval.cases import Case
-from p2wss.eval.clock import CpuClock
-from p2wss.eval.recording import ID_FIELD, Recording
-from p2wss.eval.roofer_command import Roofer
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
-from p2wss.storage import files
 from p2wss.storage.schemas.crops import REAL
 from p2wss.storage.temporary import temporary_folder
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"
+_ID_FIELD = "building_id"
 
 
-def run(
-    roofer: Roofer,
-    cases: Sequence[Case],
-    crs: dict[str, str | None],
-    config: Eval,
-    clock: CpuClock | None = None,
-) -> list[Reconstruction]:
-    """One reconstruction per case, in order; Roofer runs once per data set and tile.
+def reconstruct(cases: Sequence[Case], crs: str | None, config: Eval) -> list[Reconstruction]:
+    """The solids of Roofer for the cases of one shard, in order.
 
-    Buildings of a run that fails, and buildings that Roofer skips, get a row without a mesh, with the reason.
+    It is run on their points or, if it cannot be run, replaced by recorded outputs for real LiDAR; empty if there are
+    none. Without a solid the status states the reason.
     """
-    by_key: dict[tuple[str, str, str], Reconstruction] = {}
-    clock = clock or CpuClock()
-    for (dataset, tile), group in groupby(sorted(cases, key=_run_key), key=_run_key):
-        members = list(group)
-        with temporary_folder("roofer") as folder:
-            write_inputs(members, crs.get(dataset), folder)
-            with clock.timed(dataset, len(members)):
-                solids, reason = _run_tile(roofer, members, folder, config)
-            if config.roofer_keep:
-                _keep(_outputs(folder), dataset, tile, Path(config.roofer_keep))
-        for case in members:
-            solid = solids.get(case.building.building_id)
-            by_key[case.key] = (
-                reconstruction(case, solid)
-                if solid is not None and len(solid.mesh.triangle)
-                else no_mesh(case.building, METHOD, reason or reasons.NO_ROOFER_MESH)
-            )
-    return [by_key[case.key] for case in cases]
+    if roofer_command.version(config) is not None:
+        solids, missing = _run(cases, crs, config)
+    else:
+        recorded = roofer_command.recorded_files(config)
+        if not recorded or cases[0].dataset != REAL:
+            return []
+        solids, missing = _read(recorded), reasons.NOT_RECORDED
+    return [_reconstruction(case, solids.get(case.building.building_id), missing) for case in cases]
 
 
-def recorded(recording: Recording, cases: Sequence[Case]) -> dict[tuple[str, str, str], Reconstruction]:
-    """Outputs of an earlier run of Roofer for the cases of real LiDAR, by their keys.
-
-    A building that is missing gets a row without a mesh; if all of the data set are missing, the files are of other
-    buildings and the result is empty.
-    """
-    real = [case for case in cases if case.dataset == REAL]
-    if not recording.num_evaluated:
-        return {}
-    solids = recording.solids([case.building.building_id for case in real])
-    by_key = {}
-    for case in real:
-        solid = solids.get(case.building.building_id)
-        if solid is None:
-            by_key[case.key] = no_mesh(case.building, METHOD, reasons.NOT_RECORDED)
-        elif len(solid.mesh.triangle):
-            by_key[case.key] = reconstruction(case, solid)
-        else:
-            by_key[case.key] = no_mesh(case.building, METHOD, reasons.NO_ROOFER_MESH)
-    return by_key
+def _read(paths: Iterable[Path]) -> dict[str, ReadSolid]:
+    """The solids by the attribute ``building_id``, or else by their names."""
+    solids = (solid for path in paths for solid in cityjson_read.read(path))
+    return {str(solid.attributes.get(_ID_FIELD, solid.building_id)): solid for solid in solids}
 
 
-def reconstruction(case: Case, solid: ReadSolid) -> Reconstruction:
-    """A solid of Roofer in the frame of the case."""
+def _reconstruction(case: Case, solid: ReadSolid | None, missing: str) -> Reconstruction:
     building = case.building
-    # the ground face of Roofer's solid is at its own estimate of the ground
-    ground = building.ground_z_m
+    if solid is None or not len(solid.mesh.triangle):
+        return no_mesh(building, METHOD, missing if solid is None else reasons.NO_ROOFER_MESH)
     return Reconstruction(
-        building.building_id,
-        building.tile,
-        METHOD,
-        "ok",
-        building.origin_xy_m,
-        ground,
-        building.rings,
-        None,
-        None,
-        None,
-        solid.mesh.translated([-building.origin_xy_m[0], -building.origin_xy_m[1], -ground]),
+        building_id=building.building_id,
+        tile=building.tile,
+        method=METHOD,
+        status="ok",
+        origin_xy_m=building.origin_xy_m,
+        # the ground face of Roofer's solid is at its own estimate of the ground
+        ground_z_m=building.ground_z_m,
+        rings=building.rings,
+        eave_height_m=None,
+        angle_deg=None,
+        confidence=None,
+        mesh=solid.mesh.translated(
+            [-building.origin_xy_m[0], -building.origin_xy_m[1], -building.ground_z_m]
+        ),
     )
 
 
-def _run_key(case: Case) -> tuple[str, str]:
-    return case.dataset, case.building.tile
-
-
-def _run_tile(
-    roofer: Roofer, cases: Sequence[Case], folder: Path, config: Eval
-) -> tuple[dict[str, ReadSolid], str | None]:
-    """Solids by building id, and the reason if the run failed."""
-    command = [word.replace("{folder}", str(folder)) for word in roofer.command]
-    command += ["--id-attribute", ID_FIELD, "--lod22"]
-    command += [str(folder / "points.laz"), str(folder / "footprints.gpkg"), str(folder / "out")]
-    try:
-        completed = subprocess.run(
-            command, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
-        )
-    except subprocess.TimeoutExpired:
-        name, limit_s = cases[0].building.tile, config.roofer_timeout_s
-        log.warning("Roofer took more than %g s on tile %s", limit_s, name)
-        return {}, reasons.ROOFER_TIMEOUT
-    if completed.returncode != 0:
-        message = (completed.stderr or completed.stdout).strip().splitlines()
-        log.warning(
-            "Roofer failed with exit status %d on tile %s: %s",
-            completed.returncode,
-            cases[0].building.tile,
-            message[-1] if message else "",
-        )
-        return {}, reasons.ROOFER_FAILED
-    solids = {}
-    for path in _outputs(folder):
-        for solid in cityjson_read.read(path):
-            solids[str(solid.attributes.get(ID_FIELD, solid.building_id))] = solid
-    return solids, None
-
-
-def _outputs(folder: Path) -> list[Path]:
-    return sorted((folder / "out").rglob("*.jsonl"))
-
-
-def _keep(paths: Sequence[Path], dataset: str, tile: str, folder: Path) -> None:
-    """Copy the output of a run: of real LiDAR into ``folder``, of other data sets into a folder of their name in it.
-
-    ``eval.roofer_recorded`` reads the files of a folder, but not those of the folders in it.
-    """
-    folder = folder if dataset == REAL else folder / dataset
-    # the name of a tile may begin with its place
-    name = tile.replace("/", "_")
-    for old in folder.glob(f"{name}.*.city.jsonl"):
-        old.unlink()
-    for number, path in enumerate(paths):
-        files.write_bytes(folder / f"{name}.{number}.city.jsonl", path.read_bytes())
+def _run(cases: Sequence[Case], crs: str | None, config: Eval) -> tuple[dict[str, ReadSolid], str]:
+    """Solids by building id, and why others have none."""
+    tile = cases[0].building.tile
+    with temporary_folder("roofer") as folder:
+        write_inputs(cases, crs, folder)
+        words = [word.replace("{folder}", str(folder)) for word in shlex.split(config.roofer_command)]
+        words += ["--id-attribute", _ID_FIELD, "--lod22"]
+        words += [str(folder / name) for name in ("points.laz", "footprints.gpkg", "out")]
+        try:
+            completed = subprocess.run(
+                words, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
+            )
+        except subprocess.TimeoutExpired:
+            log.warning("Roofer took more than %g s on tile %s", config.roofer_timeout_s, tile)
+            return {}, reasons.ROOFER_TIMEOUT
+        if completed.returncode != 0:
+            message = (completed.stderr or completed.stdout).strip()
+            log.warning(
+                "Roofer failed with exit status %d on tile %s: %s", completed.returncode, tile, message
+            )
+            return {}, reasons.ROOFER_FAILED
+        return _read(sorted((folder / "out").rglob("*.jsonl"))), reasons.NO_ROOFER_MESH
 
 
 def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
@@ -179,7 +120,7 @@ def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
     las.write(folder / "points.laz")
     shapes = [shapely.affinity.translate(case.building.polygon, *case.building.origin_xy_m) for case in cases]
     frame = gpd.GeoDataFrame(
-        {ID_FIELD: [case.building.building_id for case in cases]}, geometry=shapes, crs=crs
+        {_ID_FIELD: [case.building.building_id for case in cases]}, geometry=shapes, crs=crs
     )
     # Roofer 1.1 built with GDAL 3.6 aborts on version 1.4 without a CRS
     frame.to_file(folder / "footprints.gpkg", driver="GPKG", engine="pyogrio", VERSION="1.2")

@@ -9,8 +9,6 @@ from __future__ import annotations
 import shlex
 import shutil
 import subprocess
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -20,36 +18,23 @@ from p2wss.errors import InputError
 _RECORDED_SUFFIXES = (".city.jsonl", ".jsonl", ".city.json", ".json")
 
 
-@dataclass(frozen=True)
-class Roofer:
-    """A command that can be run, and the version that it reports."""
-
-    command: Sequence[str]
-    version: str
-
-
-def find(command: str) -> Roofer | str:
-    """The configured command if it can be run, or else the reason: ``"not run: <reason>"``."""
-    words = shlex.split(command)
-    if not words:
-        return "not run: eval.roofer_command is empty"
-    path = shutil.which(words[0])
-    if path is None:
-        return f"not run: program {words[0]} not found"
-    try:
-        return Roofer(words, _version(path, Path(path).stat().st_mtime_ns))
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return f"not run: {words[0]} --version: {error}"
+def version(config: Eval) -> str | None:
+    """The version that the configured command reports; None if it cannot be run."""
+    words = shlex.split(config.roofer_command)
+    path = shutil.which(words[0]) if words else None
+    return None if path is None else _version(path, Path(path).stat().st_mtime_ns)
 
 
 @cache
-def _version(program: str, modified_ns: int) -> str:
-    """The version that the program reports; asked once per process, unless the file at ``program`` changes."""
-    completed = subprocess.run(
-        [program, "--version"], capture_output=True, text=True, timeout=60, check=False
-    )
-    text = (completed.stdout or completed.stderr).strip().splitlines()
-    return text[0] if text else "unknown version"
+def _version(program: str, modified_ns: int) -> str | None:
+    """Asked once per process, unless the file at ``program`` changes."""
+    try:
+        completed = subprocess.run(
+            [program, "--version"], capture_output=True, text=True, timeout=60, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return (completed.stdout or completed.stderr or "unknown version").strip().splitlines()[0]
 
 
 def recorded_files(config: Eval) -> list[Path]:
@@ -57,7 +42,7 @@ def recorded_files(config: Eval) -> list[Path]:
 
     Raises :class:`InputError` if it is set but there is no such file or folder.
     """
-    if not config.roofer_recorded or isinstance(find(config.roofer_command), Roofer):
+    if not config.roofer_recorded or version(config) is not None:
         return []
     path = Path(config.roofer_recorded)
     if path.is_file():
@@ -69,9 +54,14 @@ def recorded_files(config: Eval) -> list[Path]:
 
 
 def state(config: Eval) -> str:
-    """What the baseline depends on: the version, the names of recorded files, or the reason why it is not run."""
-    command = find(config.roofer_command)
-    if isinstance(command, Roofer):
-        return command.version
-    recorded = recorded_files(config)
-    return "recorded: " + ", ".join(file.name for file in recorded) if recorded else command
+    """What the baseline depends on: the version, the names of recorded files, or that it is not run."""
+    recorded = ", ".join(file.name for file in recorded_files(config))
+    return version(config) or (
+        f"recorded: {recorded}" if recorded else f"not run: cannot start {config.roofer_command!r}"
+    )
+
+
+def facts(config: Eval) -> dict[str, str]:
+    """``status`` (``ok``, ``recorded``, ``not run: <reason>``) and ``note``, for the report."""
+    status = "ok" if version(config) is not None else state(config)
+    return {"status": "recorded" if status.startswith("recorded") else status, "note": state(config)}

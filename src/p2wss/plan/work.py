@@ -123,9 +123,8 @@ def _num_jobs(config: Config, num_drawn_tiles: int, num_lidar_tiles: int) -> int
         4 * num_drawn_tiles  # cut_scene, build_roofs, cast_scan, crop_simulated
         + 3 * num_lidar_tiles  # prepare_lidar, crop_real, reconstruct_tile
         + 2 * (not config.model.weights)  # dvae, model
-        + num_groups * (4 + len(config.eval.baselines))  # predict, fit with and without the network, measure
-        + (bool(config.eval.roofer_recorded) and "roofer" in config.eval.baselines)  # recording
-        + 6  # index_scenes, crops, medians, merge, eval_report, all
+        + num_groups * (5 + len(config.eval.baselines))  # four methods of ours, measure
+        + 5  # index_scenes, crops, medians, eval_report, all
     )
 
 

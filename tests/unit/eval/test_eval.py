@@ -3,44 +3,30 @@
 from __future__ import annotations
 
 import csv
-import io as text_io
 import json
 import re
 import stat
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import trimesh
-from all_cases import all_test_cases
+from all_cases import all_test_cases, reconstructed
 from truth_network import TruthNetwork
 
 from p2wss import cli
-from p2wss.config import Eval, Reconstruct
+from p2wss.config import Config, Eval, load
 from p2wss.data.building import no_mesh
 from p2wss.errors import InputError
-from p2wss.eval import (
-    baselines,
-    cases,
-    measure,
-    parameters,
-    predict,
-    report,
-    roofer,
-    roofer_command,
-    tables,
-    texts,
-)
-from p2wss.eval.recording import write_recording
+from p2wss.eval import cases, measure, methods, report, roofer_command, tables
 from p2wss.nets import predictor as predictor_module
 from p2wss.nets import weights
-from p2wss.reconstruct.flat import lod1
 from p2wss.storage import files
-from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
+from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.manifest import Manifest, Shard, read_manifest
 from p2wss.storage.schemas.measures import MEASURES
 from p2wss.storage.schemas.reconstructions import (
@@ -50,7 +36,14 @@ from p2wss.storage.schemas.reconstructions import (
 )
 
 ROOFER = Path(__file__).with_name("toy_roofer.py")
-CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_pictures=1), Reconstruct()
+CONFIG = Eval(num_resamples=50)
+INPUTS = methods.Inputs(Config())
+TITLES = {"simulated": "Simulated", "real": "Real"}
+
+
+def measured(every: list[cases.Case], rows: dict, config: Eval = CONFIG) -> pa.Table:
+    """The measures of reconstructions by method."""
+    return pa.Table.from_pylist(list(measure.measure(every, rows, config)), MEASURES)
 
 
 @pytest.fixture(scope="module")
@@ -91,108 +84,128 @@ def test_without_a_train_split_medians_are_of_all_labels(hamlet: Path, tmp_path:
 def test_table_1_is_the_error_of_the_predictor(hamlet: Path, hamlet_cases: list[cases.Case]) -> None:
     medians = cases.train_medians(read_manifest(hamlet))
     # only upwards and from slopes: 0 and 90 would be clipped
-    predictor = TruthNetwork(hamlet_cases, wrong_m=0.25)
-    rows = predict.predict(hamlet_cases, predictor, RECONSTRUCT)
-    errors = parameters.masked_errors(hamlet_cases, rows, predictor, medians, RECONSTRUCT)
-    fixed, masked = errors["settings"]["footprint_given"], errors["settings"]["all_masked"]
-    assert (errors["num_buildings"], errors["num_left_out"]) == (16, 0)
-    assert fixed["height_m"]["mean"] == pytest.approx(0.25) and fixed["height_m"]["std"] < 1e-5
-    assert fixed["height_m"]["count"] == 16 and fixed["angle_deg"]["mean"] == pytest.approx(0, abs=1e-5)
-    assert masked["coordinate_m"]["mean"] == pytest.approx(0.15)  # 0.3 in x, 0 in y
-    assert masked["vertex_m"]["mean"] == pytest.approx(0.3)
-    assert errors["settings"]["all_masked_signs"]["vertex_m"]["mean"] == pytest.approx(0.6)
-    fitted = errors["settings"]["all_masked_fit"]
-    assert (
-        fitted["coordinate_m"]["mean"] < 0.2
-        and fitted["coordinate_m"]["count"] == masked["coordinate_m"]["count"]
+    inputs = INPUTS._replace(predictor=TruthNetwork(hamlet_cases, wrong_m=0.25), medians=medians)
+    rows = {}
+    for method in ("point2wss", "masked", "constant"):
+        rows |= reconstructed(method, hamlet_cases, inputs)
+    measures = measured(hamlet_cases, rows)
+    assert tables.num_left_out(measures) == 0
+    table = tables.table_1(measures).set_index("Parameter")
+    fixed, masked, signs, fitted = (
+        {name: table[f"{setting} {name}"] for name in ("MAE", "std", "count")}
+        for setting in (
+            "Point2WSS, footprint given",
+            "Point2WSS, all masked",
+            "Point2WSS, signs masked too",
+            "Point2WSS + fit, all masked",
+        )
     )
-    assert fitted["height_m"]["mean"] < 0.05 and fitted["angle_deg"]["mean"] < 3
-    truth = [case.eave_height_m for case in hamlet_cases[:16]]
-    assert errors["settings"]["constant"]["height_m"]["mean"] == pytest.approx(
-        np.abs(np.array(truth) - medians.eave_height_m).mean()
-    )
-    table = tables.table_1(errors)
-    assert table[1][:4] == ["Height (m)", 0.23, 0.9, pytest.approx(0.25)]
+    assert fixed["MAE"]["Height (m)"] == pytest.approx(0.25) and fixed["std"]["Height (m)"] < 1e-5
+    assert fixed["count"]["Height (m)"] == 16 and fixed["MAE"]["Angles (°)"] == pytest.approx(0, abs=1e-5)
+    assert fixed["count"]["Footprint (m)"] == 0 and np.isnan(fixed["MAE"]["Footprint (m)"])
+    assert masked["MAE"]["Footprint (m)"] == pytest.approx(0.15)  # 0.3 in x, 0 in y
+    assert masked["MAE"]["Footprint, Euclidean (m)"] == pytest.approx(0.3)
+    assert signs["MAE"]["Footprint, Euclidean (m)"] == pytest.approx(0.6)
+    assert fitted["MAE"]["Footprint (m)"] < 0.2
+    assert fitted["count"]["Footprint (m)"] == masked["count"]["Footprint (m)"] > 0
+    assert fitted["MAE"]["Height (m)"] < 0.05 and fitted["MAE"]["Angles (°)"] < 3
+    truth = np.array([case.eave_height_m for case in hamlet_cases[:16]], float)
+    constant = np.abs(truth - medians.eave_height_m).mean()
+    assert table["Constant predictor MAE"]["Height (m)"] == pytest.approx(constant)
+    assert table.loc["Height (m)", ["Paper MAE", "Paper std"]].tolist() == [0.23, 0.9]
 
 
 def test_the_truth_measures_better_than_a_flat_roof(hamlet_cases: list[cases.Case]) -> None:
-    ours = predict.predict(hamlet_cases[:16], TruthNetwork(hamlet_cases), RECONSTRUCT)
-    flat = predict.by_dataset(hamlet_cases[:16], lod1, RECONSTRUCT)
-    for case, good, bad in zip(hamlet_cases, ours, flat, strict=False):
-        a, b = (measure.measure_building(case, reconstruction, CONFIG) for reconstruction in (good, bad))
+    some = hamlet_cases[:16]
+    rows = reconstructed("point2wss", some, INPUTS._replace(predictor=TruthNetwork(hamlet_cases)))
+    rows |= reconstructed("lod1", some, INPUTS)
+    table = measured(some, rows).to_pylist()
+    for case, a, b in zip(some, table[:16], table[16:], strict=True):
         assert a["points_to_mesh_m"] < 0.04  # the noise is 0.03 m
-        assert a["roof_chamfer_m"] < 0.4 and a["watertight"] and a["oriented"]
+        assert a["roof_chamfer_m"] < 0.4 and a["watertight"] and a["manifold"]
         assert a["height_error_m"] == pytest.approx(0, abs=1e-4)
         if case.roof_type != "flat":
             assert b["points_to_mesh_m"] > a["points_to_mesh_m"] and b["chamfer_m"] > a["chamfer_m"]
 
 
 def test_measures_do_not_depend_on_order_or_on_the_rest(hamlet_cases: list[cases.Case]) -> None:
-    flat = predict.by_dataset(hamlet_cases, lod1, RECONSTRUCT)
-    methods = {"lod1": {case.key: row for case, row in zip(hamlet_cases, flat, strict=True)}}
-    forth = list(measure.measure(hamlet_cases, methods, CONFIG))
-    back = list(measure.measure(hamlet_cases[::-1][:9], methods, CONFIG))
+    rows = reconstructed("lod1", hamlet_cases, INPUTS)
+    forth = measured(hamlet_cases, rows).to_pylist()
+    back = measured(hamlet_cases[::-1][:9], rows).to_pylist()
     assert back == forth[::-1][:9]
     few = measure.subset(hamlet_cases[0], hamlet_cases[0].building.point_m, Eval(max_num_points=100))
     assert len(np.unique(few, axis=0)) == 100
 
 
 def test_reconstructions_survive_the_file(hamlet_cases: list[cases.Case], tmp_path: Path) -> None:
-    reconstructions = predict.by_dataset(hamlet_cases, lod1, RECONSTRUCT)
-    reconstructions[3] = no_mesh(hamlet_cases[3].building, "lod1", "no-height")
-    probability = np.random.default_rng(0).dirichlet([1, 1, 1], sum(map(len, reconstructions[4].rings)))
-    reconstructions[4] = replace(reconstructions[4], class_probability=probability)
+    some = hamlet_cases[:16]
+    rows = methods.reconstruct("lod1", some, INPUTS)
+    rows[3] = no_mesh(some[3].building, "lod1", "no-height")
     path = tmp_path / "r.parquet"
-    files.write_table(
-        path, reconstruction_columns(reconstructions, [c.dataset for c in hamlet_cases]), RECONSTRUCTIONS, {}
-    )
-    back = read_reconstructions(path)
-    for case, before in zip(hamlet_cases, reconstructions, strict=True):
+    files.write_table(path, reconstruction_columns(rows, "simulated"), RECONSTRUCTIONS, {})
+    back = read_reconstructions(path)["lod1"]
+    for case, before in zip(some, rows, strict=True):
         after = back[case.key]
         assert before.has_mesh == after.has_mesh
         for name in ("vertex_m", "triangle", "kind", "label") if before.has_mesh else ():
             assert np.array_equal(getattr(before.mesh, name), getattr(after.mesh, name))
         assert (before.status, before.ground_z_m) == (after.status, after.ground_z_m)
+        assert (before.eave_height_m is None) == (after.eave_height_m is None)
         assert all(map(np.array_equal, before.rings, after.rings))
-        if before.class_probability is None:
-            assert after.class_probability is None
-        else:
-            assert np.allclose(before.class_probability, after.class_probability, atol=1e-6)
-    row = measure.measure_building(hamlet_cases[3], back[hamlet_cases[3].key], CONFIG)
+    (row,) = measured(some[3:4], {"lod1": back}).to_pylist()
     assert row["status"] == "no-height" and row["chamfer_m"] is None and row["watertight"] is None
+    (one,) = read_reconstructions(path, [some[5].key])["lod1"].values()
+    assert one.building_id == some[5].building.building_id
 
 
-def measures(rows: list[dict[str, object]]) -> pa.Table:
+def test_an_unknown_method_and_one_without_its_weights_are_refused(hamlet_cases: list[cases.Case]) -> None:
+    for name in ("lod2", "point2wss", "constant"):
+        with pytest.raises(InputError, match=f"cannot reconstruct by {name}: choose one of point2wss"):
+            methods.reconstruct(name, hamlet_cases[:2], INPUTS)
+
+
+def measures_of(rows: list[dict[str, object]]) -> pa.Table:
     base = {field.name: None for field in MEASURES}
-    return pa.Table.from_pylist([base | row for row in rows], schema=MEASURES)
+    named = [base | {"tile": "t", "building_id": str(i)} | row for i, row in enumerate(rows)]
+    return pa.Table.from_pylist(named, schema=MEASURES)
 
 
 def test_table_2_has_the_papers_rows_and_figures() -> None:
+    base = {"dataset": "simulated", "method": "point2wss", "status": "ok"}
     rows = [
-        {
-            "dataset": "simulated",
-            "method": "point2wss",
-            "chamfer_m": cd,
-            "num_triangles": t,
-            "watertight": True,
-        }
+        base | {"chamfer_m": cd, "num_triangles": t, "watertight": True}
         for cd, t in ((1.0, 10), (2.0, 20), (4.0, 60))
     ]
-    rows.append({"dataset": "simulated", "method": "point2wss", "status": "no height"})
-    details = tables.details(measures(rows), CONFIG)
-    runs = [tables.Run("point2wss", "ok"), tables.Run("roofer", "not run: program roofer not found")]
-    table = tables.table_2(tables.columns_2(details, runs), report.dataset_names(CONFIG))
-    assert (details[0].num_buildings, details[0].num_without_mesh) == (4, 1)
-    assert [row[0] for row in table] == ["Statistic", *tables.ROWS_2]
-    ours = [row[table[0].index("Simulated / Point2WSS")] for row in table[1:]]
+    rows.append(base | {"status": "no height"})
+    rows.append(base | {"method": "fit", "status": "too-few-points", "chamfer_m": 1.0, "num_triangles": 10})
+    runs = [tables.Run(name, "ok") for name in ("point2wss", "fit")]
+    runs.append(tables.Run("roofer", "not run: program roofer not found"))
+    frame = tables.frame_of(measures_of(rows), runs)
+    table = tables.table_2(frame, runs, TITLES)
+    assert list(table["Statistic"]) == list(tables.ROWS_2)
     expected = [7 / 3, 1.5, 2.0, 3.0, np.std([1, 2, 4]), 30, np.std([10, 20, 60])]
-    assert ours == pytest.approx(expected)
-    paper = [row[table[0].index("HD LiDAR / paper: Ours")] for row in table[1:]]
-    assert paper == [2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2]
-    not_run = next(i for i, name in enumerate(table[0]) if "not run" in name)
-    assert all(row[not_run] is None for row in table[1:])
-    read = list(csv.reader(text_io.StringIO(texts.to_csv(table))))
-    assert len({len(row) for row in read}) == 1 and read[1][not_run] == ""
+    assert list(table["Simulated / Point2WSS"]) == pytest.approx(expected)
+    assert list(table["HD LiDAR / paper: Ours"]) == [2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2]
+    assert table["Simulated / Roofer (not run: program roofer not found)"].isna().all()
+    more = tables.table_2_more(frame, runs, TITLES, CONFIG)
+    assert list(more) == ["Measure", "Simulated / Point2WSS", "Simulated / Fit alone"]
+    ours, fit = (dict(zip(more["Measure"], more[name], strict=True)) for name in list(more)[1:])
+    assert (ours["Buildings"], ours["Without a mesh"]) == (4, 1) and fit["Buildings"] == 1
+    assert ours["CD (m), 95 % low"] < ours["CD (m)"] < ours["CD (m), 95 % high"]
+    assert ours["Watertight (%)"] == 100
+    assert tables.without_mesh(frame, runs, TITLES).to_numpy().tolist() == [
+        ["Simulated", "Point2WSS", "no mesh", "no height", 1],
+        ["Simulated", "Fit alone", "flat roof", "too-few-points", 1],
+    ]
+
+
+def test_the_interval_of_a_mean_covers_it() -> None:
+    draw = np.random.default_rng(0)
+    covered = 0
+    for _ in range(100):
+        low, high = tables.interval(draw.normal(3, 1, 30), draw, 200)
+        covered += low < 3 < high
+    assert covered > 85 and np.isnan(tables.interval(np.ones(1), draw, 10)).all()
 
 
 def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: Path) -> None:
@@ -200,10 +213,12 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
     program = tmp_path / "roofer"
     program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
     program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    tool = roofer_command.find(str(program))
-    assert isinstance(tool, roofer_command.Roofer) and tool.version == "toy 1.0"
-    reconstructions = roofer.run(tool, hamlet_cases, {"simulated": "EPSG:2154", "real": "EPSG:2154"}, CONFIG)
-    for case, reconstruction in zip(hamlet_cases, reconstructions, strict=True):
+    config = load({"eval": {"roofer_command": str(program)}})
+    assert roofer_command.state(config.eval) == "toy 1.0"
+    assert roofer_command.facts(config.eval) == {"status": "ok", "note": "toy 1.0"}
+    rows = reconstructed("roofer", hamlet_cases, methods.Inputs(config, crs="EPSG:2154"))["roofer"]
+    for case in hamlet_cases:
+        reconstruction = rows[case.key]
         mesh = trimesh.Trimesh(reconstruction.mesh.vertex_m, reconstruction.mesh.triangle)
         top = case.building.point_m[:, 2].max() - case.building.ground_z_m
         assert reconstruction.status == "ok" and mesh.is_watertight and mesh.volume > 0
@@ -212,63 +227,26 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
         assert mesh.bounds[0, :2] == pytest.approx(case.building.rings[0].min(axis=0), abs=0.011)
 
 
-def test_kept_outputs_of_roofer_can_be_read_as_recorded(
-    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path
-) -> None:
-    program = tmp_path / "roofer"
-    program.write_text(f"#!{sys.executable}\n{ROOFER.read_text()}")
-    program.chmod(program.stat().st_mode | stat.S_IXUSR)
-    folder = tmp_path / "kept"
-    config = CONFIG.model_copy(update={"roofer_command": str(program), "roofer_keep": str(folder)})
-    crs = {"simulated": "EPSG:2154", "real": "EPSG:2154"}
-    tool = roofer_command.find(str(program))
-    assert isinstance(tool, roofer_command.Roofer)
-    runs = [roofer.run(tool, hamlet_cases, crs, config) for _ in range(2)]
-    without_program = Eval(roofer_command="no-such-program-as-roofer", roofer_recorded=str(folder))
-    paths = roofer_command.recorded_files(without_program)
-    assert len(paths) == 1  # a second run replaces the output of the first
-    real = [case for case in hamlet_cases if case.dataset == REAL]
-    recording = write_recording(paths, read_manifest(hamlet), tmp_path / "recording.parquet")
-    assert recording.num_evaluated == len(real) and recording.names == paths[0].name
-    assert not recording.solids(["no such building"])
-    # parsed and judged once for all groups of shards: one of them without any recorded building is no other place
-    recorded = roofer.recorded(recording, hamlet_cases)
-    assert real and set(recorded) == {case.key for case in real}
-    for case, reconstruction in zip(hamlet_cases, runs[1], strict=True):
-        if case.dataset == REAL:
-            np.testing.assert_array_equal(recorded[case.key].mesh.vertex_m, reconstruction.mesh.vertex_m)
-            np.testing.assert_array_equal(recorded[case.key].mesh.triangle, reconstruction.mesh.triangle)
-    # those of simulated buildings, which may have the same ids, are in a folder of their own
-    assert len(list((folder / SIMULATED).glob("*.city.jsonl"))) == 1
-
-
 def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
-    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path, caplog: pytest.LogCaptureFixture
+    hamlet_cases: list[cases.Case], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     program = tmp_path / "roofer"
     program.write_text("#!/bin/sh\necho no memory >&2\nexit 3\n")
     program.chmod(0o755)
-    manifest = read_manifest(hamlet)
-    tool = roofer_command.Roofer([str(program)], "x")
-    reconstructions = roofer.run(tool, hamlet_cases[:2], manifest.crs(), CONFIG)
-    assert [row.status for row in reconstructions] == ["roofer-failed"] * 2
-    assert not reconstructions[0].has_mesh
+    failing = load({"eval": {"roofer_command": str(program)}})
+    rows = methods.reconstruct("roofer", hamlet_cases[:2], methods.Inputs(failing))
+    assert [row.status for row in rows] == ["roofer-failed"] * 2 and not rows[0].has_mesh
     assert "failed with exit status 3 on tile" in caplog.text and "no memory" in caplog.text
-    absent = Eval(roofer_command=str(tmp_path / "nothing"))
-    rows, facts = baselines.baseline("roofer", hamlet_cases, manifest, absent, RECONSTRUCT)
-    assert rows == {} and facts["status"].startswith("not run: program")
-    assert roofer_command.find("") == "not run: eval.roofer_command is empty"
-    with pytest.raises(InputError, match="choose lod1"):
-        baselines.baseline("lod2", hamlet_cases, manifest, CONFIG, RECONSTRUCT)
+    absent = load({"eval": {"roofer_command": str(tmp_path / "nothing")}})
+    assert methods.reconstruct("roofer", hamlet_cases, methods.Inputs(absent)) == []
+    assert roofer_command.facts(absent.eval)["status"].startswith("not run: cannot start")
 
 
 WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}}
 
 
-NAMES = ("point2wss", "point2wss+fit", "fit", "lod1", "constant", "roofer")
-SETTINGS = json.dumps(
-    {"eval": {"roofer_command": "", "num_pictures": 1, "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
-)
+NAMES = ("point2wss", "point2wss+fit", "masked", "fit", "lod1", "constant", "roofer")
+SETTINGS = json.dumps({"eval": {"roofer_command": "", "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}})
 
 
 def run(*arguments: object) -> None:
@@ -277,35 +255,25 @@ def run(*arguments: object) -> None:
 
 
 def evaluate(manifest: Path, groups: list[list[Path]], folder: Path) -> list[Path]:
-    """The commands as the rules run them, per group of shards, and their merge into ``folder``."""
+    """The commands as the rules run them, per group of shards."""
     run("medians", "--manifest", manifest, "--out", folder / "medians.json")
-    medians, model = ["--medians", folder / "medians.json"], ["--model", folder / "model.safetensors"]
+    options = {name: ["--model", folder / "model.safetensors"] for name in NAMES[:3]}
+    options["constant"] = ["--medians", folder / "medians.json"]
     parts = [folder / "parts" / f"{number:04d}" for number in range(len(groups))]
     for part, shards in zip(parts, groups, strict=True):
         of_group = ["--manifest", manifest, "--shards", *shards]
-
-        def outputs(name: str, part: Path = part) -> list[object]:
-            return ["--out", part / f"{name}.parquet", "--out-cpu", part / "cpu" / f"{name}.json"]
-
-        errors = ["--out-errors", part / "masked_errors.json"]
-        run("predict", *of_group, *model, *medians, *outputs("point2wss"), *errors)
-        run("fit", *of_group, *model, *outputs("point2wss+fit"))
-        run("fit", *of_group, *outputs("fit"))
-        for name in ("lod1", "constant", "roofer"):
-            run("baseline", "--name", name, *of_group, *medians, *outputs(name))
+        for name in NAMES:
+            out = ["--out", part / f"{name}.parquet"]
+            run("reconstruct", "--method", name, *of_group, *options.get(name, []), *out)
         rows = [part / f"{name}.parquet" for name in NAMES]
-        errors = ["--out-errors", part / "variant_errors.json"]
-        run("measure", *of_group, "--reconstructions", *rows, "--out", part / "measures.parquet", *errors)
-    merged = [f(name) for name in ("measures.parquet", "parameters.json", "methods.json")
-              for f in (lambda name: f"--out-{name.split('.')[0]}", lambda name: folder / name)]  # fmt: skip
-    run("merge", "--parts", *parts, "--methods", *NAMES, *merged)
+        run("measure", *of_group, "--reconstructions", *rows, "--out", part / "measures.parquet")
     return parts
 
 
 def report_of(manifest: Path, folder: Path, parts: list[Path], *others: object) -> None:
-    merged = ["--measures", folder / "measures.parquet", "--parameters", folder / "parameters.json"]
-    merged += ["--methods", folder / "methods.json"]
-    run("report", "--out", folder, "--manifest", manifest, *merged, "--parts", *parts, *others)
+    measures = ["--measures", *(part / "measures.parquet" for part in parts)]
+    rows = ["--reconstructions", *(part / f"{name}.parquet" for part in parts for name in NAMES)]
+    run("report", "--out", folder, "--manifest", manifest, *measures, *rows, *others)
 
 
 @pytest.fixture
@@ -323,17 +291,10 @@ def test_groups_of_shards_give_the_same_tables_as_all_shards_at_once(hamlet: Pat
     for folder, groups in zip(folders, ([shards], [[shard] for shard in shards]), strict=True):
         parts = evaluate(hamlet, groups, folder)
         report_of(hamlet, folder, parts, "--metrics")
-    whole, split = (pq.read_table(folder / "measures.parquet") for folder in folders)
-    assert whole.equals(split) and len(whole) == 5 * 28
-    whole, split = (files.read_json(folder / "parameters.json") for folder in folders)
-    assert whole["num_buildings"] == split["num_buildings"] == 16
-    for setting, errors in whole["settings"].items():
-        for name, error in errors.items():
-            assert split["settings"][setting][name] == pytest.approx(error)
+    assert pq.read_metadata(folders[0] / "parts/0000/measures.parquet").num_rows == 5 * 28 + 3 * 16
     for name in report.CAPTIONS:
         whole, split = ((folder / f"{name}.csv").read_text() for folder in folders)
-        timeless = [[line for line in text.splitlines() if "CPU" not in line] for text in (whole, split)]
-        assert timeless[0] == timeless[1], name
+        assert whole == split, name
 
 
 @pytest.mark.usefixtures("true_weights")
@@ -348,13 +309,11 @@ def test_a_group_without_a_test_building_changes_nothing(hamlet: Path, tmp_path:
     groups = [[tmp_path / "a.parquet"], [tmp_path / "c.parquet"]]
     parts = evaluate(tmp_path / "manifest.json", groups, tmp_path / "with")
     report_of(tmp_path / "manifest.json", tmp_path / "with", parts, "--metrics")
-    measured = pq.read_table(tmp_path / "with" / "measures.parquet")
-    assert measured["dataset"].unique().to_pylist() == ["simulated"] and len(measured) == 5 * 16
-    methods = {m["method"]: m for m in files.read_json(tmp_path / "with" / "methods.json")["methods"]}
-    assert {name: m["status"] for name, m in methods.items() if name != "roofer"} == dict.fromkeys(
+    assert [pq.read_metadata(part / "measures.parquet").num_rows for part in parts] == [8 * 16, 0]
+    facts = files.read_metadata(parts[1] / "measures.parquet")["methods"]
+    assert {name: of["status"] for name, of in facts.items() if name != "roofer"} == dict.fromkeys(
         NAMES[:-1], "ok"
     )
-    assert list(methods["fit"]["cpu_ms"]) == ["simulated"]
 
 
 def test_a_shard_that_the_manifest_does_not_list_is_one_clear_line(hamlet: Path) -> None:
@@ -380,11 +339,49 @@ def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Pa
     sources = re.findall(r'src="([^"]{0,30})', page)
     assert sources and all(source.startswith("data:image/png;base64,") for source in sources)
     assert "stand-in &lt;LiDAR&gt;" in page and "stand-in <LiDAR>" not in page
-    assert "not run: eval.roofer_command is empty" in page
+    assert "not run: cannot start" in page
     assert page.count("Simulated scan of tile 0652_6862") == 1
-    assert "no real data" in page and "4567" in page
+    assert "4567" in page and "Training curves of model" in page
     assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
     assert "mu_CD" in (tmp_path / "table2.csv").read_text()
+    for name in report.CAPTIONS:
+        lines = (tmp_path / f"{name}.tex").read_text().splitlines()
+        rows = list(csv.reader((tmp_path / f"{name}.csv").open()))
+        body = [line for line in lines if line.endswith(r"\\")]
+        assert len(body) == len(rows), name
+        assert {len(re.findall(r"(?<!\\)&", line)) for line in body} == {len(rows[0]) - 1}
+
+
+HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b>"
+
+
+def test_latex_is_balanced_and_escaped() -> None:
+    frame = pd.DataFrame({"Name": [HOSTILE, "x"], "A_b": [1.23456, None], "n": [7, 8]})
+    text = report._latex(frame, "A caption", "tab:x")
+    body = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert len(body) == 3 and all(len(re.findall(r"(?<!\\)&", line)) == 2 for line in body)
+    assert r"1.23 & 7 \\" in body[1] and body[2] == r"x & -- & 8 \\" and r"A\_b" in body[0]
+    rules = [line for line in text.splitlines() if "rule" in line]
+    assert rules == [r"\toprule", r"\midrule", r"\bottomrule"]
+    bare = re.sub(r"\\[{}]", "", text)
+    assert bare.count("{") == bare.count("}")
+    assert not [c for c in "#%_" if re.search(rf"(?<!\\){re.escape(c)}", "\n".join(body))]
+
+
+def test_real_clouds_and_sources_have_names() -> None:
+    named = {
+        "LiDAR of tests/mini/lidar": {},
+        "LiDAR HD": {"fetch": {"source": "geoplateforme"}},
+        "LiDAR of my/ahn3.laz": {"fetch": {"folder": {"lidar": "my/ahn3.laz"}}},
+        "AHN3": {"fetch": {"source": "geoplateforme"}, "eval": {"lidar_name": "AHN3"}},
+    }
+    for title, config in named.items():
+        assert report.titles(load(config))["real"] == title
+    assert report.attribution(load({"eval": {"attribution": ["mine"]}})) == ["mine"]
+    member = {"name": "city", "region": {"vintage": "2026"}, "fetch": {"source": "geoplateforme"}}
+    config = load({"dataset": {"members": [member, {"name": "mini"}]}})
+    (line,) = report.attribution(config)
+    assert "IGN" in line and "(2026)" in line and "Licence Ouverte" in line
 
 
 def test_manifest_that_names_a_missing_shard_is_one_clear_line(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import yaml
 from p2wss import cli
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS
+from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 HOSTILE = (
@@ -39,31 +40,25 @@ def hostile_page(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     settings = {"eval": {"lidar_name": HOSTILE[0], "attribution": list(HOSTILE)}}
     files.write_text(folder / "config.yaml", yaml.safe_dump(settings))
     manifest = ["--manifest", folder / "manifest.json"]
-    part, methods = folder / "part", ["fit", "lod1"]
     config = ["--config", folder / "config.yaml"]
 
     def run(*arguments: object) -> None:
         assert cli.main(["eval", *map(str, [*arguments, *config])]) == 0
 
-    for name in methods:
-        outputs = ["--out", part / f"{name}.parquet", "--out-cpu", part / "cpu" / f"{name}.json"]
-        command = ["fit"] if name == "fit" else ["baseline", "--name", name]
-        run(*command, *manifest, *outputs)
-    tables = [part / f"{name}.parquet" for name in methods]
-    errors = ["--out-errors", part / "variant_errors.json"]
-    run("measure", *manifest, "--reconstructions", *tables, "--out", part / "measures.parquet", *errors)
-    files.write_json(part / "masked_errors.json", {"settings": {}, "num_buildings": 16, "num_left_out": 0})
-    merged = {name: folder / f"{name}.{'parquet' if name == 'measures' else 'json'}" for name in
-              ("measures", "parameters", "methods")}  # fmt: skip
-    outputs = [each for name, path in merged.items() for each in (f"--out-{name}", path)]
-    run("merge", "--parts", part, "--methods", *methods, *outputs)
-    content = files.read_json(merged["methods"])
-    content["methods"][0]["roofer"] = HOSTILE[1]
-    files.write_json(merged["methods"], content)
+    rows = [folder / f"{name}.parquet" for name in ("fit", "lod1")]
+    for path in rows:
+        run("reconstruct", "--method", path.stem, *manifest, "--out", path)
+    facts = files.read_metadata(rows[0]) | {"note": HOSTILE[1]}
+    table = files.read_table(rows[0], RECONSTRUCTIONS)
+    with files.table_writer(rows[0], RECONSTRUCTIONS) as writer:
+        writer.append_table(table)
+        writer.metadata = facts
+    measures = folder / "measures.parquet"
+    run("measure", *manifest, "--reconstructions", *rows, "--out", measures)
     metrics = folder / HOSTILE[2].replace("/", "") / "metrics.jsonl"
     files.write_text(metrics, "".join(json.dumps({"step": i, HOSTILE[3]: 9.0}) + "\n" for i in range(3)))
-    inputs = [each for name, path in merged.items() for each in (f"--{name}", path)]
-    run("report", "--out", folder, *manifest, *inputs, "--parts", part, "--metrics", metrics)
+    inputs = ["--measures", measures, "--reconstructions", *rows, "--metrics", metrics]
+    run("report", "--out", folder, *manifest, *inputs)
     return folder / "report.html"
 
 

@@ -99,11 +99,11 @@ def test_the_report_measures_the_product(
     model = ["--model", tmp_path / "m.safetensors"] if method == "point2wss+fit" else []
     out = tmp_path / "out.parquet"
     shutil.copy(ROOT / "models/point2wss.safetensors", tmp_path / "m.safetensors")
-    files = ["--manifest", tmp_path / "manifest.json", "--out", out, "--out-cpu", tmp_path / "cpu.json"]
-    run("eval", "fit", *files, *model)
+    files = ["--manifest", tmp_path / "manifest.json", "--out", out]
+    run("eval", "reconstruct", "--method", method, *files, *model)
     run("reconstruct", cloud, footprints, tmp_path / "out", *(model or ["--model", "none"]), "--tile", TILE)
 
-    measured = {key[2]: row for key, row in read_reconstructions(out).items()}
+    measured = {key[2]: row for key, row in read_reconstructions(out)[method].items()}
     assert len(measured) == len(HOUSES) + 2 == len(products)
     assert [oracle.num_views for oracle in oracles] == ([2, 2] if model else [])
     for product in products:

@@ -13,15 +13,15 @@ from typing import Any
 
 import jinja2
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from all_cases import all_test_cases
 from matplotlib.image import imread
 
 from p2wss.config import Eval, Reconstruct
-from p2wss.eval import cases, measure
-from p2wss.eval.samples import Samples, rows_by_key
-from p2wss.eval.viewer import MAX_POINTS, Viewer, choices, choose, viewer
+from p2wss.eval import measure, tables
+from p2wss.eval.viewer import MAX_POINTS, Viewer, choices, viewer
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
 
@@ -38,17 +38,14 @@ def view(hamlet: Path) -> Viewer:
     config = Reconstruct()
     ours = constant(buildings, np.full(len(test_cases), 5.0), 35.0, config, "point2wss")
     ours[-1] = replace(ours[-1], mesh=None, status="no height")
-    tables = {"point2wss": ours, "lod1": lod1(buildings, config), "constant": ours}
     by_key = {
         name: {case.key: row for case, row in zip(test_cases, rows, strict=True)}
-        for name, rows in tables.items()
+        for name, rows in {"point2wss": ours, "lod1": lod1(buildings, config)}.items()
     }
-    measured = {name: by_key[name] for name in ("point2wss", "lod1")}
-    columns = cases.columns_of(measure.measure(test_cases, measured, Eval(num_samples=64)), MEASURES.names)
-    table = pa.table(columns, schema=MEASURES)
-    keys = {case.key: case for case in test_cases}
-    chosen = choices(table, TITLES, "point2wss")
-    view = viewer(Samples(keys, by_key, rows_by_key(table, keys)), chosen, NAMES, "point2wss")
+    table = pa.Table.from_pylist(list(measure.measure(test_cases, by_key, Eval(num_samples=64))), MEASURES)
+    runs = [tables.Run(name, "ok") for name in by_key]
+    chosen = choices(tables.ranked(tables.frame_of(table, runs), runs), TITLES, 20)
+    view = viewer(chosen, {case.key: case for case in test_cases}, by_key, NAMES, "point2wss")
     assert view is not None
     return view
 
@@ -84,17 +81,20 @@ def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) ->
         assert (point_m >= low - 0.01).all() and (vertex_m <= high + 0.01).all()
 
 
-def test_choose_shows_no_building_twice() -> None:
-    for count in range(70):
-        ranks_shown = [rank for ranks in choose(count).values() for rank in ranks]
-        assert len(ranks_shown) == len(set(ranks_shown))
-        assert len(ranks_shown) == count if count <= 25 else 25 <= len(ranks_shown) <= 30
-        assert all(0 <= rank < count for rank in ranks_shown)
-
-
-def test_nothing_to_show() -> None:
-    assert choices(MEASURES.empty_table(), TITLES, "point2wss") == []
-    assert viewer(Samples({}, {"point2wss": {}}, {}), [], NAMES, "point2wss") is None
+def test_no_building_is_shown_twice() -> None:
+    for count in range(0, 70, 3):
+        rows = pd.DataFrame(
+            {
+                "dataset": "real",
+                "tile": "t",
+                "building_id": list(map(str, range(count))),
+                "points_to_mesh_m": 0.1,
+            }
+        )
+        views = choices(rows, TITLES, 20)
+        assert len({view.key for view in views}) == len(views)
+        assert len(views) == count if count <= 20 else 20 < len(views) <= 30
+    assert viewer([], {}, {}, NAMES, "point2wss") is None
 
 
 class Page:

@@ -13,7 +13,7 @@ MEASURES = pa.schema(
     [
         field("dataset", pa.string(), "simulated (the test split) or real"),
         *IDENTITY,
-        field("method", pa.string(), "point2wss, point2wss+fit, fit, lod1, constant or roofer"),
+        field("method", pa.string(), "as in the reconstructions"),
         field(
             "status",
             pa.string(),
@@ -30,25 +30,15 @@ MEASURES = pa.schema(
             True,
         ),
         field("visible_roof_share", pa.float32(), "as in the crop"),
-        field("confidence", pa.float32(), "expected share of correct values; null if unknown", True),
-        field(
-            "cause",
-            pa.string(),
-            "why the mesh is far from the points (p2wss.eval.causes), where it is determined: of our best variant "
-            "and, of real LiDAR, of the network",
-            True,
-        ),
         field("num_parts", pa.int32(), "parts with their own eave height; null without a mesh", True),
         field(
             "num_triangles", pa.int32(), "triangles of the mesh, ground included; null without a mesh", True
         ),
-        field("num_mesh_vertices", pa.int32(), "distinct vertices of the mesh; null without a mesh", True),
         field("watertight", pa.bool_(), "every edge has two triangles; null without a mesh", True),
-        field("oriented", pa.bool_(), "watertight, with consistent orientation; null without a mesh", True),
         field(
             "manifold",
             pa.bool_(),
-            "oriented, and the triangles at each vertex form one fan; null without a mesh",
+            "watertight, consistently oriented, and the triangles at each vertex form one fan; null without a mesh",
             True,
         ),
         field(
@@ -57,7 +47,6 @@ MEASURES = pa.schema(
             "the vertices of each face are within 1 cm of a plane; null without a mesh",
             True,
         ),
-        field("num_small_faces", pa.int32(), "roof faces and walls below 0.25 m2; null without a mesh", True),
         field("chamfer_m", pa.float32(), "Chamfer distance of the paper: cloud to whole mesh", True),
         field(
             "roof_chamfer_m",
@@ -69,31 +58,31 @@ MEASURES = pa.schema(
             "points_to_mesh_m", pa.float32(), "mean distance of the points on the building to the mesh", True
         ),
         field(
-            "far_share", pa.float32(), "share of the points on the building over 0.5 m from the mesh", True
-        ),
-        field(
             "height_rmse_m",
             pa.float32(),
             "root mean square height above the roof of the points 0.5 m or more inside the footprint",
             True,
         ),
-        field("height_bias_m", pa.float32(), "median of these heights: positive = roof too low", True),
-        field(
-            "overshoot_m",
-            pa.float32(),
-            "height of the top of the mesh above the highest point on the building, negative below it",
-            True,
-        ),
         field(
             "height_error_m", pa.float32(), "absolute error of the z of the eave; null without label", True
         ),
+        field("is_height_seen", pa.bool_(), "ten points or more are on the building"),
         field(
-            "angle_error_deg", pa.float32(), "mean absolute error over the edges; null without label", True
+            "angle_error_deg",
+            pa.list_(pa.float32()),
+            "absolute error per edge; null without label, or with other edges than the label",
+            True,
         ),
         field(
-            "right_share",
-            pa.float32(),
-            "share of height and angles with errors below 0.5 m and 5 degrees; null without label",
+            "is_angle_seen",
+            pa.list_(pa.bool_()),
+            "per edge: ten points or more show its angle (p2wss.eval.parameters.seen_edges)",
+            True,
+        ),
+        field(
+            "coordinate_error_m",
+            pa.list_(pa.float32()),
+            "absolute errors of the vertices, alternating x and y; null where the footprint is given",
             True,
         ),
     ]

@@ -10,12 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from scipy.stats import kstest
 
-from p2wss.eval.metrics.absolute_error import absolute_error, vertex_error
-from p2wss.eval.metrics.calibration import calibration, calibration_error, rank_auc, reliability
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m, surface_height_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
-from p2wss.eval.metrics.summary import summarize
 from p2wss.mesh.surface import distance_to_mesh, sample_surface
 from p2wss.mesh.topology import face_numbers
 
@@ -89,29 +86,6 @@ def test_mesh_facts_of_a_box_its_inside_out_and_a_box_with_a_hole() -> None:
 def test_mesh_facts_weld_vertices_that_are_listed_twice() -> None:
     soup = BOX.vertices[BOX.faces].reshape(-1, 3)
     assert mesh_facts(soup, np.arange(36).reshape(-1, 3)).watertight
-
-
-def test_absolute_errors() -> None:
-    error = absolute_error(np.array([1.0, np.nan, 5.0]), np.array([2.0, 7.0, 2.0]))
-    assert (error.mean, error.std, error.count) == (2, 1, 2)
-    assert vertex_error(np.array([[0.0, 0], [1, 1]]), np.array([[3.0, 4], [1, 1]])).mean == 2.5
-    assert np.isnan(absolute_error(np.zeros(0), np.zeros(0)).mean)
-    with pytest.raises(ValueError, match="predicted"):
-        absolute_error(np.zeros(2), np.zeros(3))
-
-
-def test_summary_is_that_of_numpy_and_its_interval_covers() -> None:
-    draw = np.random.default_rng(1)
-    sample = draw.exponential(2.0, 200)
-    summary = summarize(np.append(sample, np.nan), np.random.default_rng(2), 400)
-    assert summary.count == 200
-    assert (summary.q1, summary.median, summary.q3) == tuple(np.percentile(sample, [25, 50, 75]))
-    assert summary.std == pytest.approx(sample.std())
-    # the bootstrap's width is near that of the normal approximation
-    width = 2 * 1.96 * sample.std() / np.sqrt(200)
-    assert summary.low < summary.mean < summary.high
-    assert summary.high - summary.low == pytest.approx(width, rel=0.25)
-    assert summarize(np.array([np.nan]), draw).count == 0
 
 
 def test_two_boxes_that_touch_in_a_vertex_or_an_edge_are_no_manifold() -> None:
@@ -188,33 +162,3 @@ def test_height_over_a_mesh_is_that_of_a_ray_from_above() -> None:
     assert 50 < np.isnan(expected).sum() < 250
     assert np.allclose(height, expected, atol=1e-5, equal_nan=True)
     assert np.isnan(height_rmse_m(np.array([np.nan])))
-
-
-def test_reliability_recovers_the_distribution_of_the_sample() -> None:
-    draw = np.random.default_rng(5)
-    confidence = draw.random(20000)
-    honest = draw.random(20000) < confidence
-    bins = reliability(confidence, honest.astype(float))
-    assert len(bins) == 10 and sum(b.count for b in bins) == 20000
-    for b in bins:
-        mask = (confidence >= b.low) & (confidence < b.high)
-        assert (b.count, b.observed) == (mask.sum(), pytest.approx(honest[mask].mean()))
-    assert calibration_error(bins) < 0.02
-    modest = draw.random(20000) < np.sqrt(confidence)
-    # the mean of sqrt(c) - c over [0, 1] is 1/6
-    assert calibration_error(reliability(confidence, modest.astype(float))) == pytest.approx(1 / 6, abs=0.02)
-    assert reliability(np.array([1.0, np.nan]), np.array([1.0, 1.0]))[0].count == 1
-    assert np.isnan(calibration_error([]))
-
-
-def test_ranking_is_the_share_of_pairs_in_order() -> None:
-    draw = np.random.default_rng(6)
-    score, good = draw.integers(0, 9, 60) / 9, draw.random(60) < 0.4
-    pairs = [(a > b) + 0.5 * (a == b) for a in score[good] for b in score[~good]]
-    assert rank_auc(score, good) == pytest.approx(np.mean(pairs))
-    assert np.isnan(rank_auc(score, np.ones(60, bool)))
-    scores = calibration(np.append(score, np.nan), np.append(good, 1.0))
-    assert (scores.count, scores.auc) == (60, pytest.approx(np.mean(pairs)))
-    assert scores.stated == pytest.approx(score.mean()) and scores.observed == pytest.approx(good.mean())
-    assert np.isnan(calibration(np.full(3, 0.5), np.array([0.0, 0.5, 1])).correlation)
-    assert calibration(np.zeros(0), np.zeros(0)).count == 0
