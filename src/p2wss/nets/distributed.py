@@ -11,11 +11,11 @@ import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import torch
 import torch.distributed as dist
-import torch.distributed.nn.functional as dist_nn
 from torch import Tensor, nn
 
 log = logging.getLogger("p2wss")
@@ -96,9 +96,26 @@ def average_gradients(module: nn.Module) -> None:
 
 def average(x: Tensor) -> Tensor:
     """The differentiable mean over the processes."""
-    return x if num_processes() == 1 else dist_nn.all_reduce(x) / num_processes()
+    return x if num_processes() == 1 else _Sum.apply(x) / num_processes()
 
 
 def gather(x: Tensor) -> Tensor:
     """The rows (b, ...) of all processes; each gradient goes back to the process of its row."""
-    return x if num_processes() == 1 else torch.cat(dist_nn.all_gather(x.contiguous()))
+    if num_processes() == 1:
+        return x
+    parts = [x if number == rank() else torch.zeros_like(x) for number in range(num_processes())]
+    return _Sum.apply(torch.cat(parts))
+
+
+class _Sum(torch.autograd.Function):
+    """The sum over the processes. Torch's own is deprecated or private."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        total = x.clone(memory_format=torch.contiguous_format)
+        dist.all_reduce(total)
+        return total
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        return _Sum.forward(ctx, gradient)
