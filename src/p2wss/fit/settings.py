@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-# metres: residuals below this are noise of airborne LiDAR, which no better roof lowers
+# metres: the mean residual that noise of airborne LiDAR leaves, which no better roof lowers
 NOISE_M = 0.03
 # degrees: the slope of a roof of which nothing is known
 USUAL_SLOPE_DEG = 38.0
@@ -59,6 +59,7 @@ class Settings(NamedTuple):
 class Solving(NamedTuple):
     """The least squares of height and slopes (`roof/solve.py`, `roof/eaves.py`)."""
 
+    # metres: smaller residuals have full weight; larger than the mean residual of noise, whose largest are near it
     noise_m: float = 0.05
     # degrees: slopes are between these; the kernel takes up to 85
     min_angle_deg: float = 5.0
@@ -88,6 +89,7 @@ class Solving(NamedTuple):
 class Searching(NamedTuple):
     """The search for the class of every edge (`roof/search.py`, `roof/rounds.py`)."""
 
+    # metres: what a better roof leaves of the residual of one point, where the search decides whether to try it
     noise_m: float = 0.04
     # degrees of the hip and gable roofs that a search starts from, and of slopes in place of a guess's flat edges
     hip_deg: float = 42.0
