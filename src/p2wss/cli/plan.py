@@ -49,7 +49,7 @@ def plan(documents: tuple[str, ...], as_json: bool, pin: Path | None, costs: Pat
     config = load(*documents)
     regions, downloads = _regions_and_downloads(config)
     result = estimate.estimate(config, regions, read_costs(costs), downloads)
-    print(json.dumps(estimate.to_json(result), indent=1) if as_json else estimate.to_text(result))
+    print(json.dumps(result, indent=1) if as_json else estimate.to_text(result))
     if pin is not None:
         names = " ".join(documents)
         head = f"# the tiles of {names or 'the miniature'}, as p2wss plan counts them\n"

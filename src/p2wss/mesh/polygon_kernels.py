@@ -35,103 +35,6 @@ def to_segment_m2(p, a, b):
     return dx * dx + dy * dy
 
 
-@allocating
-def _least_squares_normal(vertex_m, corner, first, last, normal):
-    """The centre of corners; ``normal`` becomes the unit normal of the plane with the least squared distances to them,
-    by Jacobi's rotations."""
-    a, axes = np.zeros((3, 3)), np.zeros((3, 3))
-    centre = np.zeros(3)
-    for k in range(first, last):
-        for i in range(3):
-            centre[i] += vertex_m[corner[k], i] / (last - first)
-    for k in range(first, last):
-        for i in range(3):
-            for j in range(3):
-                a[i, j] += (vertex_m[corner[k], i] - centre[i]) * (vertex_m[corner[k], j] - centre[j])
-    for i in range(3):
-        axes[i, i] = 1.0
-    for _ in range(60):
-        p, q = 0, 1
-        if abs(a[0, 2]) > abs(a[p, q]):
-            p, q = 0, 2
-        if abs(a[1, 2]) > abs(a[p, q]):
-            p, q = 1, 2
-        if abs(a[p, q]) <= 1e-18 * (a[0, 0] + a[1, 1] + a[2, 2]):
-            break
-        angle = 0.5 * np.arctan2(2.0 * a[p, q], a[q, q] - a[p, p])
-        cosine, sine = np.cos(angle), np.sin(angle)
-        for k in range(3):
-            x, y = a[k, p], a[k, q]
-            a[k, p], a[k, q] = cosine * x - sine * y, sine * x + cosine * y
-        for k in range(3):
-            x, y = a[p, k], a[q, k]
-            a[p, k], a[q, k] = cosine * x - sine * y, sine * x + cosine * y
-        for k in range(3):
-            x, y = axes[k, p], axes[k, q]
-            axes[k, p], axes[k, q] = cosine * x - sine * y, sine * x + cosine * y
-    least = 0
-    for i in range(1, 3):
-        if a[i, i] < a[least, least]:
-            least = i
-    for i in range(3):
-        normal[i] = axes[i, least]
-    return centre
-
-
-@entry
-def project(vertex_m, corner, ring_offset, face_ring, normal_m, off_plane_m):
-    """Corners (k, 2) in the plane of least squares of their face, and in ``off_plane_m`` (f,) how far the face's
-    farthest corner is from it; ``normal_m`` (f, 3) becomes the unit normals, on the side from which the exterior
-    turns counter-clockwise.
-
-    corner: vertices of all rings. ring_offset (r + 1,): ring r has ``corner[ring_offset[r]:ring_offset[r + 1]]``.
-    face_ring (f + 1,): face f has the rings ``face_ring[f]:face_ring[f + 1]``, its exterior first.
-    """
-    plane_m = np.zeros((len(corner), 2))
-    newell, across, along = np.zeros(3), np.zeros(3), np.zeros(3)
-    for f in range(len(face_ring) - 1):
-        first, last = ring_offset[face_ring[f]], ring_offset[face_ring[f + 1]]
-        end = ring_offset[face_ring[f] + 1] if face_ring[f + 1] > face_ring[f] else first
-        if end - first < 3:
-            continue
-        normal = normal_m[f]
-        centre = _least_squares_normal(vertex_m, corner, first, last, normal)
-        newell[:] = 0.0
-        for k in range(first, end):
-            m = k + 1 if k + 1 < end else first
-            p, q = vertex_m[corner[k]], vertex_m[corner[m]]
-            for i in range(3):
-                j, h = (i + 1) % 3, (i + 2) % 3
-                newell[i] += (p[j] - centre[j]) * (q[h] - centre[h]) - (p[h] - centre[h]) * (q[j] - centre[j])
-        if newell[0] * normal[0] + newell[1] * normal[1] + newell[2] * normal[2] < 0.0:
-            for i in range(3):
-                normal[i] = -normal[i]
-        flat = 0
-        for i in range(1, 3):
-            if abs(normal[i]) < abs(normal[flat]):
-                flat = i
-        along[:] = 0.0
-        along[flat] = 1.0
-        size = 0.0
-        for i in range(3):
-            along[i] -= normal[flat] * normal[i]
-            size += along[i] * along[i]
-        for i in range(3):
-            along[i] /= np.sqrt(size)
-        for i in range(3):
-            j, h = (i + 1) % 3, (i + 2) % 3
-            across[i] = normal[j] * along[h] - normal[h] * along[j]
-        for k in range(first, last):
-            off = 0.0
-            for i in range(3):
-                d = vertex_m[corner[k], i] - centre[i]
-                off += d * normal[i]
-                plane_m[k, 0] += d * along[i]
-                plane_m[k, 1] += d * across[i]
-            off_plane_m[f] = max(off_plane_m[f], abs(off))
-    return plane_m
-
-
 @inner
 def _are_apart(a, b, c, d):
     """Whether the intervals from a to b and from c to d do not touch."""
@@ -156,7 +59,10 @@ def _edges_touch(plane_m, corner, a, b, c, d):
 @entry
 def broken_ring_rules(plane_m, corner, ring_offset, face_ring):
     """int64 (f,): for each face the first broken rule of rings and polygons, or 0. Codes as in
-    :mod:`p2wss.mesh.rules`."""
+    :mod:`p2wss.mesh.rules`. plane_m: (k, 2), the corners of all rings in the plane of their face. corner: their
+    vertices. ring_offset (r + 1,): ring r has ``corner[ring_offset[r]:ring_offset[r + 1]]``, three at least.
+    face_ring (f + 1,): face f has the rings ``face_ring[f]:face_ring[f + 1]``, its exterior first.
+    """
     result = np.zeros(len(face_ring) - 1, np.int64)
     for f in range(len(face_ring) - 1):
         result[f] = _broken_ring_rule(plane_m, corner, ring_offset, face_ring[f], face_ring[f + 1])
@@ -166,8 +72,6 @@ def broken_ring_rules(plane_m, corner, ring_offset, face_ring):
 @allocating
 def _broken_ring_rule(plane_m, corner, ring_offset, first_ring, last_ring):
     """The first broken rule of a face whose rings are ``first_ring:last_ring``, or 0."""
-    if last_ring <= first_ring:
-        return 101
     for r in range(first_ring, last_ring):
         rule = _rule_of_ring(plane_m, corner, ring_offset[r], ring_offset[r + 1])
         if rule:
@@ -189,8 +93,6 @@ def _broken_ring_rule(plane_m, corner, ring_offset, first_ring, last_ring):
 @inner
 def _rule_of_ring(plane_m, corner, first, last):
     """The first rule that the ring of corners ``first:last`` breaks by itself, or 0."""
-    if last - first < 3:
-        return 101
     for k in range(first, last):
         if corner[k] == corner[k + 1 if k + 1 < last else first]:
             return 102

@@ -118,11 +118,12 @@ class _Faces:
 
     def breaches(self, tolerances: Tolerances) -> list[Breach]:
         """Rules of single faces."""
-        num_faces = len(self.face_ring) - 1
-        normal, off_plane_m = np.zeros((num_faces, 3)), np.zeros(num_faces)
-        plane_m = polygon_kernels.project(
-            self.vertex_m, self.corner, self.ring_offset, self.face_ring, normal, off_plane_m
-        )
+        num_rings = np.diff(self.face_ring)
+        is_short = num_rings == 0
+        is_short[np.repeat(np.arange(len(num_rings)), num_rings)[np.diff(self.ring_offset) < 3]] = True
+        if is_short.any():
+            return [Breach(101, f) for f in np.flatnonzero(is_short).tolist()]
+        plane_m, off_plane_m = self._in_planes()
         codes = polygon_kernels.broken_ring_rules(plane_m, self.corner, self.ring_offset, self.face_ring)
         size = np.diff(self.ring_offset[self.face_ring])
         # three vertices are in a plane
@@ -130,7 +131,7 @@ class _Faces:
         result = [Breach(int(codes[f]), f) for f in np.flatnonzero(codes).tolist()]
         if result:
             return result
-        for f in range(num_faces):
+        for f in range(len(num_rings)):
             triangle = self._triangulated(plane_m, f)
             self.triangles.append(triangle)
             if (
@@ -139,6 +140,25 @@ class _Faces:
             ):
                 result.append(Breach(204, f))
         return result
+
+    def _in_planes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (k, 2) in the plane of least squares of their face, seen from the side from which its exterior turns
+        counter-clockwise; and how far the farthest corner of each face is from that plane (f,)."""
+        first = self.ring_offset[self.face_ring[:-1]]
+        size = np.diff(self.ring_offset[self.face_ring])
+        face = np.repeat(np.arange(len(size)), size)
+        point_m = self.vertex_m[self.corner]
+        away_m = point_m - (np.add.reduceat(point_m, first) / size[:, None])[face]
+        spread = np.add.reduceat(away_m[:, :, None] * away_m[:, None, :], first)
+        # along the axes of the least, the middle and the largest spread
+        place_m = np.einsum("ki,kij->kj", away_m, np.linalg.eigh(spread)[1][face])
+        plane_m = np.ascontiguousarray(place_m[:, 2:0:-1])
+        following = np.arange(1, len(point_m) + 1)
+        following[self.ring_offset[1:] - 1] = self.ring_offset[:-1]
+        area_m2 = plane_m[:, 0] * plane_m[following, 1] - plane_m[following, 0] * plane_m[:, 1]
+        area_m2[np.arange(len(point_m)) >= self.ring_offset[self.face_ring[:-1] + 1][face]] = 0.0  # of holes
+        plane_m[:, 1] *= np.where(np.add.reduceat(area_m2, first) < 0.0, -1.0, 1.0)[face]
+        return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)
 
     def _triangulated(self, plane_m: np.ndarray, face: int) -> np.ndarray:
         """Vertices of the triangles of a face, int64 (t, 3): its constrained Delaunay triangulation."""

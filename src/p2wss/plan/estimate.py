@@ -25,42 +25,13 @@ class Download:
     basis: str
 
 
-@dataclass(frozen=True)
-class StageEstimate:
-    """One row of the table of costs times its amount."""
-
-    stage: str
-    amount: float
-    unit: str
-    cpu_hours: float
-    gpu_hours: float
-    disk_gb: float
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What a config needs.
-
-    cpu_hours: without what runs on a GPU; cpu_hours_without_gpu: all. peak_memory_gb: of the largest job, not on
-    the GPU.
-    """
-
-    name: str
-    work: Work
-    stages: Sequence[StageEstimate]
-    cpu_hours: float
-    gpu_hours: float
-    cpu_hours_without_gpu: float
-    disk_gb: float
-    download_gb: float
-    peak_memory_gb: float
-    assumptions: Sequence[str]
-
-
 def estimate(
     config: Config, regions: Sequence[Region], costs: Sequence[Cost], downloads: Sequence[Download]
-) -> Estimate:
-    """What a config needs. regions: as of :func:`count_work`. downloads: what must still be downloaded.
+) -> dict[str, Any]:
+    """What a config needs, for programs: counts are whole numbers, figures have three digits.
+
+    regions: as of :func:`count_work`. downloads: what must still be downloaded. cpu_hours are without what runs on a
+    GPU, cpu_hours_without_gpu are all; peak_memory_gb is that of the largest job, not on the GPU.
 
     Raises :class:`InputError` if the costs are per a unit that is unknown.
     """
@@ -69,34 +40,14 @@ def estimate(
     if unknown:
         raise InputError(f"table of costs: unknown unit {unknown[0]}; units: {', '.join(work.amounts)}")
     # a stage that the config skips costs nothing, whatever its unit
-    costs = [cost for cost in costs if work.amounts[cost.unit]]
-    stages = [_stage(cost, work.amounts[cost.unit]) for cost in costs]
-    on_gpu = [stage for stage in stages if stage.gpu_hours]
-    cpu_hours = sum(stage.cpu_hours for stage in stages)
+    rows = [(cost, work.amounts[cost.unit]) for cost in costs if work.amounts[cost.unit]]
     download_gb = sum(download.size_mb for download in downloads) / 1000
     clouds_gb = sum(download.size_mb for download in downloads if download.product == "LiDAR") / 1000
     largest_mb = max((download.largest_mb for download in downloads), default=0.0)
-    peak_mb = max([largest_mb * _MEMORY_PER_LAZ_MB, *(cost.peak_mb for cost in costs)])
-    return Estimate(
-        dataset_name(config),
-        work,
-        stages,
-        cpu_hours - sum(stage.cpu_hours for stage in on_gpu),
-        sum(stage.gpu_hours for stage in stages),
-        cpu_hours,
-        # prepared clouds are as large as those downloaded
-        sum(stage.disk_gb for stage in stages) + download_gb + clouds_gb + _training_cache_gb(config, work),
-        download_gb,
-        peak_mb / 1000,
-        _assumptions(config, regions, costs, downloads, work),
-    )
-
-
-def to_json(result: Estimate) -> dict[str, Any]:
-    """The estimate for programs; counts are whole numbers."""
-    work = result.work
+    # prepared clouds are as large as those downloaded
+    disk_gb = sum(cost.disk_mb * amount for cost, amount in rows) / 1000 + download_gb + clouds_gb
     return {
-        "name": result.name,
+        "name": dataset_name(config),
         "tiles": work.num_tiles,
         "lidar_tiles": work.num_lidar_tiles,
         "jobs": work.num_jobs,
@@ -107,55 +58,49 @@ def to_json(result: Estimate) -> dict[str, Any]:
         "real_clouds": round(work.num_real),
         "lidar_dvae": round(work.num_lidar_dvae),
         "lidar_test": round(work.num_lidar_test),
-        "cpu_hours": _rounded(result.cpu_hours),
-        "gpu_hours": _rounded(result.gpu_hours),
-        "cpu_hours_without_gpu": _rounded(result.cpu_hours_without_gpu),
-        "disk_gb": _rounded(result.disk_gb),
-        "download_gb": _rounded(result.download_gb),
-        "peak_memory_gb": _rounded(result.peak_memory_gb),
+        "cpu_hours": _rounded(sum(cost.cpu_s * amount for cost, amount in rows if not cost.gpu_s) / 3600),
+        "gpu_hours": _rounded(sum(cost.gpu_s * amount for cost, amount in rows) / 3600),
+        "cpu_hours_without_gpu": _rounded(sum(cost.cpu_s * amount for cost, amount in rows) / 3600),
+        "disk_gb": _rounded(disk_gb + _training_cache_gb(config, work)),
+        "download_gb": _rounded(download_gb),
+        "peak_memory_gb": _rounded(
+            max([largest_mb * _MEMORY_PER_LAZ_MB, *(cost.peak_mb for cost, _ in rows)]) / 1000
+        ),
         "stages": [
             {
-                "stage": stage.stage,
-                "amount": _rounded(stage.amount),
-                "unit": stage.unit,
-                "cpu_hours": _rounded(stage.cpu_hours),
-                "gpu_hours": _rounded(stage.gpu_hours),
-                "disk_gb": _rounded(stage.disk_gb),
+                "stage": cost.stage,
+                "amount": _rounded(amount),
+                "unit": cost.unit,
+                "cpu_hours": _rounded(cost.cpu_s * amount / 3600),
+                "gpu_hours": _rounded(cost.gpu_s * amount / 3600),
+                "disk_gb": _rounded(cost.disk_mb * amount / 1000),
             }
-            for stage in result.stages
+            for cost, amount in rows
         ],
-        "assumptions": list(result.assumptions),
+        "assumptions": _assumptions(config, regions, [cost for cost, _ in rows], downloads, work),
     }
 
 
-def to_text(result: Estimate) -> str:
+def to_text(result: dict[str, Any]) -> str:
     """The estimate for the terminal."""
-    work = result.work
-    splits = ", ".join(f"{round(count):,} {split}" for split, count in work.pairs.items())
+    splits = ", ".join(f"{count:,} {split}" for split, count in result["pairs_by_split"].items())
     rows = [
-        ("tiles", f"{work.num_tiles:,}, with real LiDAR {work.num_lidar_tiles:,}"),
-        ("jobs", f"{work.num_jobs:,}"),
-        ("buildings", f"{round(work.num_buildings):,}, simulated {round(work.num_expected):,} times"),
-        ("pairs", f"{round(sum(work.pairs.values())):,} ({splits})"),
-        (
-            "real clouds",
-            f"{round(work.num_real):,}; for the dvae {round(work.num_lidar_dvae):,}, "
-            f"for the test {round(work.num_lidar_test):,}",
-        ),
-        ("CPU-hours", f"{result.cpu_hours:,.3g}, without a GPU {result.cpu_hours_without_gpu:,.3g}"),
-        ("GPU-hours", f"{result.gpu_hours:,.3g}"),
-        ("to download", f"{result.download_gb:,.3g} GB"),
-        ("on disk", f"{result.disk_gb:,.3g} GB"),
-        ("peak memory", f"{result.peak_memory_gb:.2g} GB"),
+        ("tiles", "{tiles:,}, with real LiDAR {lidar_tiles:,}"),
+        ("jobs", "{jobs:,}"),
+        ("buildings", "{buildings:,}, simulated {simulated:,} times"),
+        ("pairs", "{pairs:,} ({splits})"),
+        ("real clouds", "{real_clouds:,}; for the dvae {lidar_dvae:,}, for the test {lidar_test:,}"),
+        ("CPU-hours", "{cpu_hours:,.3g}, without a GPU {cpu_hours_without_gpu:,.3g}"),
+        ("GPU-hours", "{gpu_hours:,.3g}"),
+        ("to download", "{download_gb:,.3g} GB"),
+        ("on disk", "{disk_gb:,.3g} GB"),
+        ("peak memory", "{peak_memory_gb:.2g} GB"),
     ]
-    lines = [f"{name:12} {text}" for name, text in rows]
+    lines = [f"{name:12} {text.format(splits=splits, **result)}" for name, text in rows]
     lines += ["", f"{'stage':24}{'amount':>14} {'unit':16}{'CPU-hours':>10}{'GPU-hours':>10}{'GB':>9}"]
-    lines += [
-        f"{stage.stage:24}{stage.amount:14,.0f} {stage.unit:16}{stage.cpu_hours:10.3g}"
-        f"{stage.gpu_hours:10.3g}{stage.disk_gb:9.3g}"
-        for stage in result.stages
-    ]
-    return "\n".join([*lines, "", "assumptions:", *(f"- {text}" for text in result.assumptions)])
+    row = "{stage:24}{amount:14,.0f} {unit:16}{cpu_hours:10.3g}{gpu_hours:10.3g}{disk_gb:9.3g}"
+    lines += [row.format(**stage) for stage in result["stages"]]
+    return "\n".join([*lines, "", "assumptions:", *(f"- {text}" for text in result["assumptions"])])
 
 
 def pinned(config: Config, regions: Sequence[Region]) -> dict[str, Any]:
@@ -166,13 +111,6 @@ def pinned(config: Config, regions: Sequence[Region]) -> dict[str, Any]:
     for member, region in zip(members, regions, strict=True):
         member["region"] |= {"tiles": list(region.tiles), "lidar_tiles": list(region.lidar_tiles)}
     return {"dataset": {"members": members}}
-
-
-def _stage(cost: Cost, amount: float) -> StageEstimate:
-    hours = amount / 3600
-    return StageEstimate(
-        cost.stage, amount, cost.unit, cost.cpu_s * hours, cost.gpu_s * hours, cost.disk_mb * amount / 1000
-    )
 
 
 def _training_cache_gb(config: Config, work: Work) -> float:
