@@ -12,7 +12,9 @@ TOUCH_M = 1e-5
 
 
 @inner
-def segment_distance_m2(a, b, c, d):
+def segment_distance_m2(
+    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
+) -> float:
     """Squared distance of the segments from a to b and from c to d, all (x, y); 0 where they cross."""
     ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], d[0] - c[0], d[1] - c[1]
     c_side, d_side = ux * (c[1] - a[1]) - uy * (c[0] - a[0]), ux * (d[1] - a[1]) - uy * (d[0] - a[0])
@@ -24,7 +26,7 @@ def segment_distance_m2(a, b, c, d):
 
 
 @inner
-def to_segment_m2(p, a, b):
+def to_segment_m2(p: tuple[float, float], a: tuple[float, float], b: tuple[float, float]) -> float:
     """Squared distance of p from the segment from a to b."""
     ux, uy = b[0] - a[0], b[1] - a[1]
     length2 = ux * ux + uy * uy
@@ -36,13 +38,13 @@ def to_segment_m2(p, a, b):
 
 
 @inner
-def _are_apart(a, b, c, d):
+def _are_apart(a: float, b: float, c: float, d: float) -> bool:
     """Whether the intervals from a to b and from c to d do not touch."""
     return min(a, b) > max(c, d) + TOUCH_M or min(c, d) > max(a, b) + TOUCH_M
 
 
 @inner
-def _edges_touch(plane_m, corner, a, b, c, d):
+def _edges_touch(plane_m: np.ndarray, corner: np.ndarray, a: int, b: int, c: int, d: int) -> bool:
     """Whether the edges a b and c d of rings, which may have a vertex in common, have more than it in common."""
     touch2 = TOUCH_M * TOUCH_M
     at_a, at_b = (plane_m[a, 0], plane_m[a, 1]), (plane_m[b, 0], plane_m[b, 1])
@@ -57,7 +59,9 @@ def _edges_touch(plane_m, corner, a, b, c, d):
 
 
 @entry
-def broken_ring_rules(plane_m, corner, ring_offset, face_ring):
+def broken_ring_rules(
+    plane_m: np.ndarray, corner: np.ndarray, ring_offset: np.ndarray, face_ring: np.ndarray
+) -> np.ndarray:
     """int64 (f,): for each face the first broken rule of rings and polygons, or 0. Codes as in
     :mod:`p2wss.mesh.rules`. plane_m: (k, 2), the corners of all rings in the plane of their face. corner: their
     vertices. ring_offset (r + 1,): ring r has ``corner[ring_offset[r]:ring_offset[r + 1]]``, three at least.
@@ -70,7 +74,9 @@ def broken_ring_rules(plane_m, corner, ring_offset, face_ring):
 
 
 @allocating
-def _broken_ring_rule(plane_m, corner, ring_offset, first_ring, last_ring):
+def _broken_ring_rule(
+    plane_m: np.ndarray, corner: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int
+) -> int:
     """The first broken rule of a face whose rings are ``first_ring:last_ring``, or 0."""
     for r in range(first_ring, last_ring):
         rule = _rule_of_ring(plane_m, corner, ring_offset[r], ring_offset[r + 1])
@@ -91,7 +97,7 @@ def _broken_ring_rule(plane_m, corner, ring_offset, first_ring, last_ring):
 
 
 @inner
-def _rule_of_ring(plane_m, corner, first, last):
+def _rule_of_ring(plane_m: np.ndarray, corner: np.ndarray, first: int, last: int) -> int:
     """The first rule that the ring of corners ``first:last`` breaks by itself, or 0."""
     for k in range(first, last):
         if corner[k] == corner[k + 1 if k + 1 < last else first]:
@@ -106,7 +112,9 @@ def _rule_of_ring(plane_m, corner, first, last):
 
 
 @inner
-def _rule_of_two_rings(plane_m, corner, ring_offset, r, s):
+def _rule_of_two_rings(
+    plane_m: np.ndarray, corner: np.ndarray, ring_offset: np.ndarray, r: int, s: int
+) -> int:
     """The first rule that two rings of a face break together, or 0: they may touch in one vertex."""
     first_r, last_r, first_s, last_s = ring_offset[r], ring_offset[r + 1], ring_offset[s], ring_offset[s + 1]
     num_common = 0
@@ -124,7 +132,7 @@ def _rule_of_two_rings(plane_m, corner, ring_offset, r, s):
 
 
 @inner
-def _has_vertex(corner, first, last, vertex):
+def _has_vertex(corner: np.ndarray, first: int, last: int, vertex: int) -> bool:
     """Whether the ring of corners ``first:last`` has a vertex."""
     for k in range(first, last):  # noqa: SIM110 - compiled
         if corner[k] == vertex:
@@ -133,7 +141,7 @@ def _has_vertex(corner, first, last, vertex):
 
 
 @allocating
-def _touch_in_a_circle(corner, ring_offset, first_ring, last_ring):
+def _touch_in_a_circle(corner: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int) -> bool:
     """Whether rings that touch one after the other in a circle divide the interior of a face. Two rings have at most
     one vertex in common."""
     group = np.arange(last_ring - first_ring)
@@ -149,7 +157,9 @@ def _touch_in_a_circle(corner, ring_offset, first_ring, last_ring):
 
 
 @inner
-def _rule_of_holes(plane_m, corner, ring_offset, first_ring, last_ring):
+def _rule_of_holes(
+    plane_m: np.ndarray, corner: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int
+) -> int:
     """206 if a hole is outside the exterior, 207 if it is inside another hole, or 0."""
     for r in range(first_ring + 1, last_ring):
         for k in range(ring_offset[r], ring_offset[r + 1]):
@@ -166,7 +176,7 @@ def _rule_of_holes(plane_m, corner, ring_offset, first_ring, last_ring):
 
 
 @entry
-def closest_vertices(vertex_m, within_m):
+def closest_vertices(vertex_m: np.ndarray, within_m: float) -> tuple[int, int]:
     """(first, second): two vertices within ``within_m`` of each other, or (-1, -1)."""
     for i in range(len(vertex_m)):
         for j in range(i + 1, len(vertex_m)):
@@ -180,7 +190,7 @@ def closest_vertices(vertex_m, within_m):
 
 
 @entry
-def merged_vertices(vertex_m, within_m):
+def merged_vertices(vertex_m: np.ndarray, within_m: float) -> np.ndarray:
     """int64 (v,): for each vertex the first one within ``within_m`` of it that is not merged with another itself."""
     result = np.arange(len(vertex_m))
     for i in range(len(vertex_m)):
@@ -196,7 +206,7 @@ def merged_vertices(vertex_m, within_m):
 
 
 @entry
-def make_delaunay(plane_m, triangle):
+def make_delaunay(plane_m: np.ndarray, triangle: np.ndarray) -> None:
     """Flip the diagonals of the triangles (t, 3) of one face, in place, until each is Delaunay: the constrained
     triangulation that validators use. plane_m: (k, 2), counter-clockwise triangles index it."""
     for _ in range(10 * len(triangle)):
@@ -220,13 +230,13 @@ def make_delaunay(plane_m, triangle):
 
 
 @inner
-def _area2(plane_m, a, b, c):
+def _area2(plane_m: np.ndarray, a: int, b: int, c: int) -> float:
     ux, uy = plane_m[b, 0] - plane_m[a, 0], plane_m[b, 1] - plane_m[a, 1]
     return ux * (plane_m[c, 1] - plane_m[a, 1]) - uy * (plane_m[c, 0] - plane_m[a, 0])
 
 
 @inner
-def _is_in_circle(plane_m, a, b, c, d):
+def _is_in_circle(plane_m: np.ndarray, a: int, b: int, c: int, d: int) -> bool:
     """Whether d is inside the circle through a, b, c, by the angles opposite of the common edge."""
     ax, ay = plane_m[a, 0] - plane_m[c, 0], plane_m[a, 1] - plane_m[c, 1]
     bx, by = plane_m[b, 0] - plane_m[c, 0], plane_m[b, 1] - plane_m[c, 1]
@@ -240,7 +250,7 @@ def _is_in_circle(plane_m, a, b, c, d):
 
 
 @entry
-def largest_fold_deg(vertex_m, triangle):
+def largest_fold_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> float:
     """The largest angle between the normals of two of the triangles (t, 3) of a face, in degrees."""
     normal = np.zeros((len(triangle), 3))
     for t in range(len(triangle)):
@@ -258,7 +268,7 @@ def largest_fold_deg(vertex_m, triangle):
 
 
 @inner
-def area_normal(vertex_m, a, b, c, out):
+def area_normal(vertex_m: np.ndarray, a: int, b: int, c: int, out: np.ndarray) -> float:
     """Fills ``out`` with the normal of a triangle, as long as twice its area; returns that length."""
     ux, uy, uz = (
         vertex_m[b, 0] - vertex_m[a, 0],

@@ -12,7 +12,7 @@ _FOLD_RAD = 1e-3
 
 
 @entry
-def intersecting_triangles(vertex_m, triangle):
+def intersecting_triangles(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[int, int]:
     """(first, second): two triangles (t, 3) that have more in common than a vertex or an edge; or (-1, -1)."""
     num = len(triangle)
     low, high = np.empty((num, 3)), np.empty((num, 3))
@@ -35,7 +35,9 @@ def intersecting_triangles(vertex_m, triangle):
 
 
 @inner
-def _triangles_intersect(vertex_m, triangle, normal, s, t):
+def _triangles_intersect(
+    vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, s: int, t: int
+) -> bool:
     num_common, free_s, free_t = ZERO, ZERO, ZERO
     for i in range(3):
         for j in range(3):
@@ -63,7 +65,7 @@ def _triangles_intersect(vertex_m, triangle, normal, s, t):
 
 
 @inner
-def _height(vertex_m, triangle, normal, t, v):
+def _height(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, t: int, v: int) -> float:
     """Signed distance of vertex v from the plane of triangle t."""
     result = 0.0
     for i in range(3):
@@ -72,7 +74,7 @@ def _height(vertex_m, triangle, normal, t, v):
 
 
 @inner
-def _is_beside(vertex_m, triangle, normal, s, t):
+def _is_beside(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, s: int, t: int) -> bool:
     """Whether triangle t is wholly on one side of the plane of triangle s."""
     a = _height(vertex_m, triangle, normal, s, triangle[t, 0])
     b = _height(vertex_m, triangle, normal, s, triangle[t, 1])
@@ -81,7 +83,7 @@ def _is_beside(vertex_m, triangle, normal, s, t):
 
 
 @inner
-def _lie_on_each_other(vertex_m, triangle, s, i, t, j):
+def _lie_on_each_other(vertex_m: np.ndarray, triangle: np.ndarray, s: int, i: int, t: int, j: int) -> bool:
     """Whether two triangles with a common edge, whose other corners are number i and j, are folded onto each other."""
     a, b = triangle[s, (i + 1) % 3], triangle[s, (i + 2) % 3]
     c, d = triangle[s, i], triangle[t, j]
@@ -105,7 +107,9 @@ def _lie_on_each_other(vertex_m, triangle, s, i, t, j):
 
 
 @inner
-def _edge_meets(vertex_m, triangle, normal, s, i, t):
+def _edge_meets(
+    vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray, s: int, i: int, t: int
+) -> bool:
     """Whether the edge opposite of corner i of triangle s touches triangle t."""
     p, q = triangle[s, (i + 1) % 3], triangle[s, (i + 2) % 3]
     p_height, q_height = (
@@ -145,7 +149,7 @@ def _edge_meets(vertex_m, triangle, normal, s, i, t):
 
 
 @entry
-def fans_and_parts(twin):
+def fans_and_parts(twin: np.ndarray) -> tuple[int, int]:
     """(fans of triangles around all vertices, connected parts) of a closed surface of triangles. twin: the opposite of
     each half-edge; half-edge 3 t + k leaves corner k of triangle t."""
     num_fans, num_parts = 0, 0

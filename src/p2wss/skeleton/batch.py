@@ -9,7 +9,7 @@ import numpy as np
 from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.mesh import label_kind_and_edge, mesh_work, solid_mesh
-from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, Batch
+from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, Batch, MeshWork, SkeletonWork
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.types import FloatArray, Meshes, Polygons, writable
 
@@ -31,7 +31,7 @@ class _Output(NamedTuple):
 
 
 @entry
-def _solids(batch, skeleton, mesh, start, output):
+def _solids(batch: Batch, skeleton: SkeletonWork, mesh: MeshWork, start: int, output: _Output) -> int:
     """Build the solids of the polygons from ``start`` on. Returns the first polygon for which there is no room,
     or the number of polygons."""
     counts, xy_m = skeleton.counts, batch.xy_m

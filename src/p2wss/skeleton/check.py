@@ -10,7 +10,7 @@ import numpy as np
 
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.labels import flat_label, ground_label
-from p2wss.skeleton.records import NUM_CAPS
+from p2wss.skeleton.records import NUM_CAPS, MeshWork, SkeletonWork, Walls
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -28,7 +28,14 @@ _MIN_AREA_M2 = 1e-12
 
 
 @inner
-def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
+def pair_half_edges(
+    triangle: np.ndarray,
+    num_triangles: int,
+    num_points: int,
+    hash_key: np.ndarray,
+    hash_half: np.ndarray,
+    twin: np.ndarray,
+) -> bool:
     """Find the opposite half-edge of every half-edge, numbered ``3 * triangle + corner``. False if an edge has
     none or several."""
     num_half = 3 * num_triangles
@@ -65,7 +72,15 @@ def pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, tw
 
 
 @inner
-def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, num_fans):
+def separate_pinches(
+    triangle: np.ndarray,
+    num_triangles: int,
+    point: np.ndarray,
+    num_points: int,
+    twin: np.ndarray,
+    corner: np.ndarray,
+    num_fans: np.ndarray,
+) -> int:
     """Give every fan of triangles a vertex of its own where several fans meet in one point. Returns the new
     number of vertices, or -1 if there is no room."""
     num_half = 3 * num_triangles
@@ -101,7 +116,9 @@ def separate_pinches(triangle, num_triangles, point, num_points, twin, corner, n
 
 
 @inner
-def check_solid(walls, skeleton_work, mesh_work, num_points, num_triangles):
+def check_solid(
+    walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork, num_points: int, num_triangles: int
+) -> int:
     """The ``Status`` of a finished solid, all of whose vertices 0..num_points-1 are in use."""
     num_edges, num_rings, plan_area, eave, base = walls
     edge, cap_height, counts = skeleton_work.edge, skeleton_work.cap_height, skeleton_work.counts

@@ -8,7 +8,7 @@ import numpy as np
 
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.labels import ground_label, num_labels
-from p2wss.skeleton.records import NUM_CAPS, NUM_NODES
+from p2wss.skeleton.records import NUM_CAPS, NUM_NODES, MeshWork
 from p2wss.skeleton.rings import is_inside, signed_area
 from p2wss.skeleton.status import Status
 
@@ -27,7 +27,7 @@ class _Faces(NamedTuple):
 
 
 @inner
-def _place(faces, label, k):
+def _place(faces: _Faces, label: int, k: int) -> tuple[float, float]:
     """Coordinates (u, v) of point k in the plane of a face, in which the face is counter-clockwise seen from
     outside."""
     edge, num_edges, counts, point = faces
@@ -42,7 +42,9 @@ def _place(faces, label, k):
 
 
 @inner
-def _next_half(half, out_head, faces, label, start, here):
+def _next_half(
+    half: np.ndarray, out_head: np.ndarray, faces: _Faces, label: int, start: int, here: int
+) -> int:
     """The unused half-edge that continues from ``here``; at a pinch, the one that keeps the face on the
     left. -1 if there is none."""
     best, best_turn = -1, 0.0
@@ -74,7 +76,9 @@ def _next_half(half, out_head, faces, label, start, here):
 
 
 @inner
-def trace_faces(edge, num_edges, counts, num_half, mesh_work):
+def trace_faces(
+    edge: np.ndarray, num_edges: int, counts: np.ndarray, num_half: int, mesh_work: MeshWork
+) -> tuple[int, int]:
     """Trace the half-edges into faces, each an outer ring and its holes. Returns (status, number of faces).
 
     Fills ``ring`` (corners of all rings), ``ring_start`` (where ring r starts), ``ring_order`` and

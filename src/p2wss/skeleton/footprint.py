@@ -24,7 +24,9 @@ MIN_SLOPE_DEG, MAX_SLOPE_DEG = 5.0, 85.0
 
 
 @inner
-def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
+def load_footprint(
+    xy_m: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int, edge: np.ndarray
+) -> tuple[int, int]:
     """Fill ``edge`` from rings ``first_ring:last_ring``; coordinates become relative to the first vertex.
 
     Returns (status, number of edges). Everything but the angle and the speeds is set.
@@ -63,7 +65,7 @@ def load_footprint(xy_m, ring_offset, first_ring, last_ring, edge):
 
 
 @inner
-def set_angles(edge, num_edges, angle_deg):
+def set_angles(edge: np.ndarray, num_edges: int, angle_deg: np.ndarray) -> int:
     """Set the angle and the speed cot(angle) of every edge; ``angle_deg``: float64, at least num_edges values.
     Returns a ``Status``."""
     slope_deg, speed = 0.0, 0.0
@@ -84,7 +86,7 @@ def set_angles(edge, num_edges, angle_deg):
 
 
 @inner
-def _point_to_piece2(x, y, edge, i):
+def _point_to_piece2(x: float, y: float, edge: np.ndarray, i: int) -> float:
     """Squared distance of a point to edge i."""
     dx, dy = x - edge[i].x, y - edge[i].y
     along = dx * edge[i].dir_x + dy * edge[i].dir_y
@@ -95,7 +97,7 @@ def _point_to_piece2(x, y, edge, i):
 
 
 @inner
-def _edges_touch(edge, i, j, clearance):
+def _edges_touch(edge: np.ndarray, i: int, j: int, clearance: float) -> bool:
     i2, j2 = edge[i].next, edge[j].next
     if (
         max(edge[i].x, edge[i2].x) + clearance < min(edge[j].x, edge[j2].x)
@@ -120,7 +122,7 @@ def _edges_touch(edge, i, j, clearance):
 
 
 @inner
-def _inside_ring(edge, first, last, x, y):
+def _inside_ring(edge: np.ndarray, first: int, last: int, x: float, y: float) -> bool:
     inside = False
     for i in range(first, last):
         j = edge[i].next
@@ -130,7 +132,7 @@ def _inside_ring(edge, first, last, x, y):
 
 
 @inner
-def ring_area(edge, first, last):
+def ring_area(edge: np.ndarray, first: int, last: int) -> float:
     """Signed area, m2, of the ring of edges ``first:last``; positive when counter-clockwise."""
     area = 0.0
     for i in range(first, last):
@@ -141,7 +143,7 @@ def ring_area(edge, first, last):
 
 
 @inner
-def check_rings(edge, ring_offset, first_ring, last_ring):
+def check_rings(edge: np.ndarray, ring_offset: np.ndarray, first_ring: int, last_ring: int) -> int:
     """The ``Status`` of the rings: OK if the exterior is counter-clockwise, courtyards are clockwise and inside
     it, and no edges cross or touch."""
     base = ring_offset[first_ring]

@@ -11,7 +11,7 @@ import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, inner
 from p2wss.skeleton.labels import flat_label, ground_label, num_labels, wall_label
-from p2wss.skeleton.records import NUM_ARCS, NUM_NODES
+from p2wss.skeleton.records import NUM_ARCS, NUM_NODES, MeshWork, SkeletonWork
 from p2wss.skeleton.status import Status
 
 _OK = int(Status.OK)
@@ -23,7 +23,9 @@ _PARALLEL = 1e-7
 
 
 @inner
-def _face_label(edge, num_edges, cap_height, counts, face):
+def _face_label(
+    edge: np.ndarray, num_edges: int, cap_height: np.ndarray, counts: np.ndarray, face: int
+) -> int:
     """The label of the face number of an arc: a vertical face has that of its wall; all faces at the eave have
     one label."""
     if face < num_edges:
@@ -38,7 +40,7 @@ def _face_label(edge, num_edges, cap_height, counts, face):
 
 
 @inner
-def _find(parent, a):
+def _find(parent: np.ndarray, a: int) -> int:
     while parent[a] != a:
         parent[a] = parent[parent[a]]
         a = parent[a]
@@ -46,7 +48,7 @@ def _find(parent, a):
 
 
 @inner
-def _weld(parent, a, b, num_edges):
+def _weld(parent: np.ndarray, a: int, b: int, num_edges: int) -> None:
     """Merge two nodes. The footprint's corners keep their numbers and are not merged with each other."""
     a, b = _find(parent, a), _find(parent, b)
     if a > b:
@@ -56,7 +58,14 @@ def _weld(parent, a, b, num_edges):
 
 
 @inner
-def _weld_nodes(num_edges, node, arc, counts, parent, weld_up_to):
+def _weld_nodes(
+    num_edges: int,
+    node: np.ndarray,
+    arc: np.ndarray,
+    counts: np.ndarray,
+    parent: np.ndarray,
+    weld_up_to: float,
+) -> None:
     """Merge the ends of very short arcs, and nodes at one place up to the height ``weld_up_to``."""
     num_nodes = counts[NUM_NODES]
     for k in range(num_nodes):
@@ -80,7 +89,7 @@ def _weld_nodes(num_edges, node, arc, counts, parent, weld_up_to):
 
 
 @inner
-def _same_line(edge, i, j):
+def _same_line(edge: np.ndarray, i: int, j: int) -> bool:
     if abs(edge[i].dir_x * edge[j].dir_y - edge[i].dir_y * edge[j].dir_x) > _PARALLEL:
         return False
     if edge[i].dir_x * edge[j].dir_x + edge[i].dir_y * edge[j].dir_y < 0.0:
@@ -90,7 +99,14 @@ def _same_line(edge, i, j):
 
 
 @inner
-def _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent):
+def _join_coplanar_labels(
+    edge: np.ndarray,
+    num_edges: int,
+    arc: np.ndarray,
+    cap_height: np.ndarray,
+    counts: np.ndarray,
+    label_parent: np.ndarray,
+) -> None:
     """Give neighbouring roof faces of one plane one label."""
     for k in range(num_labels(num_edges, counts)):
         label_parent[k] = k
@@ -105,7 +121,7 @@ def _join_coplanar_labels(edge, num_edges, arc, cap_height, counts, label_parent
 
 
 @inner
-def _add(half, label_head, num_half, start, end, label):
+def _add(half: np.ndarray, label_head: np.ndarray, num_half: int, start: int, end: int, label: int) -> int:
     half[num_half].start = start
     half[num_half].end = end
     half[num_half].label = label
@@ -116,7 +132,9 @@ def _add(half, label_head, num_half, start, end, label):
 
 
 @inner
-def _add_subdivided(node, mesh_work, num_half, start, end, label, num_cut):
+def _add_subdivided(
+    node: np.ndarray, mesh_work: MeshWork, num_half: int, start: int, end: int, label: int, num_cut: int
+) -> int:
     """Add an edge, cut at those of the nodes ``cut_node[:num_cut]`` that lie on it. Returns the number of
     half-edges, or -1 if there is no room."""
     half, label_head, cut_node = mesh_work.half, mesh_work.label_head, mesh_work.cut_node
@@ -155,7 +173,7 @@ def _add_subdivided(node, mesh_work, num_half, start, end, label, num_cut):
 
 
 @inner
-def _cancel_label(half, label_head, label):
+def _cancel_label(half: np.ndarray, label_head: np.ndarray, label: int) -> None:
     """Cancel pairs of opposite edges under one label."""
     k = label_head[label]
     while k >= 0:
@@ -171,7 +189,9 @@ def _cancel_label(half, label_head, label):
 
 
 @inner
-def collect_half_edges(num_edges, skeleton_work, mesh_work, thorough):
+def collect_half_edges(
+    num_edges: int, skeleton_work: SkeletonWork, mesh_work: MeshWork, thorough: bool
+) -> tuple[int, int]:
     """Directed edges of all faces of the solid, by label. Returns (status, number of half-edges).
 
     Points 0..num_nodes-1 are the skeleton's nodes, num_nodes + i is corner i on the ground.
@@ -243,7 +263,9 @@ def collect_half_edges(num_edges, skeleton_work, mesh_work, thorough):
 
 
 @inner
-def drop_straight_points(half, num_half, degree, point, num_points):
+def drop_straight_points(
+    half: np.ndarray, num_half: int, degree: np.ndarray, point: np.ndarray, num_points: int
+) -> None:
     """Remove the points that, after faces have merged, lie on a straight line between two faces."""
     for k in range(num_points):
         degree[k] = 0

@@ -66,7 +66,7 @@ _UNKNOWN, _NOTHING = -2, -1  # values of split_from
 
 
 @inner
-def _vertex_velocity(edge, left, right):
+def _vertex_velocity(edge: np.ndarray, left: int, right: int) -> tuple[float, float, int]:
     """Velocity of the vertex between two moving lines, and its kind."""
     left_nx, left_ny = -edge[left].dir_y, edge[left].dir_x
     right_nx, right_ny = -edge[right].dir_y, edge[right].dir_x
@@ -86,13 +86,13 @@ def _vertex_velocity(edge, left, right):
 
 
 @inner
-def _position(node, vertex, v, t):
+def _position(node: np.ndarray, vertex: np.ndarray, v: int, t: float) -> tuple[float, float]:
     dt = t - vertex[v].birth
     return node[vertex[v].node].x + dt * vertex[v].vel_x, node[vertex[v].node].y + dt * vertex[v].vel_y
 
 
 @inner
-def _start_moving(edge, vertex, v, t):
+def _start_moving(edge: np.ndarray, vertex: np.ndarray, v: int, t: float) -> None:
     """Set velocity and kind of a vertex from its two edges, and clear its events."""
     left, right = vertex[v].left, vertex[v].right
     vel_x, vel_y, kind = _vertex_velocity(edge, left, right)
@@ -108,7 +108,15 @@ def _start_moving(edge, vertex, v, t):
 
 
 @inner
-def _add_vertex(edge, vertex, counts, edges, neighbours, at_node, t):
+def _add_vertex(
+    edge: np.ndarray,
+    vertex: np.ndarray,
+    counts: np.ndarray,
+    edges: tuple[int, int],
+    neighbours: tuple[int, int],
+    at_node: int,
+    t: float,
+) -> int:
     """Add a vertex to the wavefront, in a loop that is yet to be named. edges: (left, right). neighbours: (previous,
     next)."""
     before, after = neighbours
@@ -127,14 +135,14 @@ def _add_vertex(edge, vertex, counts, edges, neighbours, at_node, t):
 
 
 @inner
-def _kill(vertex, counts, v):
+def _kill(vertex: np.ndarray, counts: np.ndarray, v: int) -> None:
     if vertex[v].alive == 1:
         vertex[v].alive = 0
         counts[NUM_ALIVE] -= 1
 
 
 @inner
-def _add_node(node, counts, x, y, z):
+def _add_node(node: np.ndarray, counts: np.ndarray, x: float, y: float, z: float) -> int:
     k = counts[NUM_NODES]
     counts[NUM_NODES] += 1
     node[k].x = x
@@ -144,7 +152,7 @@ def _add_node(node, counts, x, y, z):
 
 
 @inner
-def _add_arc(arc, counts, start, end, left, right):
+def _add_arc(arc: np.ndarray, counts: np.ndarray, start: int, end: int, left: int, right: int) -> None:
     k = counts[NUM_ARCS]
     counts[NUM_ARCS] += 1
     arc[k].start = start
@@ -154,7 +162,7 @@ def _add_arc(arc, counts, start, end, left, right):
 
 
 @inner
-def _collapse_time(edge, node, vertex, v, t):
+def _collapse_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, t: float) -> float:
     """Height at which the piece from v to its successor vanishes; _NEVER if it does not shrink."""
     w = vertex[v].next
     if vertex[v].kind != _ORDINARY or vertex[w].kind != _ORDINARY:
@@ -175,7 +183,7 @@ def _collapse_time(edge, node, vertex, v, t):
 
 
 @inner
-def _split_time(edge, node, vertex, v, a, t):
+def _split_time(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, a: int, t: float) -> float:
     """Height at which the reflex vertex v runs into the piece that starts at vertex a."""
     b = vertex[a].next
     e = vertex[a].right
@@ -205,7 +213,7 @@ def _split_time(edge, node, vertex, v, a, t):
 
 
 @inner
-def _try_split(edge, node, vertex, v, a, t):
+def _try_split(edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, v: int, a: int, t: float) -> None:
     time = _split_time(edge, node, vertex, v, a, t)
     if time < vertex[v].split_time - _TIE:
         vertex[v].split_time = time
@@ -214,7 +222,9 @@ def _try_split(edge, node, vertex, v, a, t):
 
 
 @inner
-def _find_split(edge, node, vertex, counts, v, t):
+def _find_split(
+    edge: np.ndarray, node: np.ndarray, vertex: np.ndarray, counts: np.ndarray, v: int, t: float
+) -> None:
     """Find the first split of v among all pieces; once no courtyard is left, among those of its own wavefront."""
     vertex[v].split_time = _NEVER
     vertex[v].split_from = _NOTHING
@@ -232,7 +242,15 @@ def _find_split(edge, node, vertex, counts, v, t):
 
 
 @embedded
-def _refresh_pieces(edge, node, vertex, counts, first, second, t):
+def _refresh_pieces(
+    edge: np.ndarray,
+    node: np.ndarray,
+    vertex: np.ndarray,
+    counts: np.ndarray,
+    first: int,
+    second: int,
+    t: float,
+) -> None:
     """Update the stored events after the pieces that end or start at two vertices have changed."""
     for u in (first, second):
         if u >= 0 and vertex[u].alive == 1:
@@ -259,7 +277,7 @@ def _refresh_pieces(edge, node, vertex, counts, first, second, t):
 
 
 @inner
-def _loop_moves(edge, vertex, v, limit):
+def _loop_moves(edge: np.ndarray, vertex: np.ndarray, v: int, limit: int) -> tuple[int, bool]:
     """(Number of vertices of the loop of v, or limit + 1 if it does not close; whether any edge moves.)"""
     moves = False
     w = v
@@ -273,7 +291,7 @@ def _loop_moves(edge, vertex, v, limit):
 
 
 @inner
-def _loop_area(node, vertex, v, t, limit):
+def _loop_area(node: np.ndarray, vertex: np.ndarray, v: int, t: float, limit: int) -> float:
     """Twice the signed area of the loop of v."""
     area = 0.0
     x0, y0 = _position(node, vertex, v, t)
@@ -292,7 +310,9 @@ def _loop_area(node, vertex, v, t, limit):
 
 
 @inner
-def _inside_loop(node, vertex, v, x, y, t, limit):
+def _inside_loop(
+    node: np.ndarray, vertex: np.ndarray, v: int, x: float, y: float, t: float, limit: int
+) -> bool:
     inside = False
     w = v
     a_x, a_y = _position(node, vertex, w, t)
@@ -308,7 +328,7 @@ def _inside_loop(node, vertex, v, x, y, t, limit):
 
 
 @inner
-def _region_outline(node, vertex, counts, v, t):
+def _region_outline(node: np.ndarray, vertex: np.ndarray, counts: np.ndarray, v: int, t: float) -> int:
     """A vertex of the outer wavefront of the region that the loop of v bounds (v itself if it is on that)."""
     limit = counts[NUM_VERTICES]
     if _loop_area(node, vertex, v, t, limit) > 0.0:
@@ -325,7 +345,7 @@ def _region_outline(node, vertex, counts, v, t):
 
 
 @inner
-def _is_first_of_loop(vertex, v, limit):
+def _is_first_of_loop(vertex: np.ndarray, v: int, limit: int) -> bool:
     w = vertex[v].next
     for _ in range(limit):
         if w == v:
@@ -337,7 +357,7 @@ def _is_first_of_loop(vertex, v, limit):
 
 
 @inner
-def _cap_loop(work, v, t, cap):
+def _cap_loop(work: SkeletonWork, v: int, t: float, cap: int) -> None:
     """End the loop of v at height t along the boundary of the horizontal face number ``cap``."""
     node, vertex, arc, counts = work.node, work.vertex, work.arc, work.counts
     limit = counts[NUM_VERTICES]
@@ -362,7 +382,7 @@ def _cap_loop(work, v, t, cap):
 
 
 @inner
-def _freeze_loop(vertex, v, limit):
+def _freeze_loop(vertex: np.ndarray, v: int, limit: int) -> None:
     w = v
     for _ in range(limit):
         vertex[w].collapse_time = _NEVER
@@ -374,7 +394,7 @@ def _freeze_loop(vertex, v, limit):
 
 
 @inner
-def _name_loop(vertex, v, name, limit):
+def _name_loop(vertex: np.ndarray, v: int, name: int, limit: int) -> None:
     w = v
     for _ in range(limit):
         vertex[w].loop = name
@@ -384,7 +404,7 @@ def _name_loop(vertex, v, name, limit):
 
 
 @inner
-def _end_still_region(work, num_edges, v, phase, t):
+def _end_still_region(work: SkeletonWork, num_edges: int, v: int, phase: int, t: float) -> None:
     """The loop of v stands still: if its whole region does, freeze it (phase 0) or cap it (phase 1)."""
     edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
     limit = counts[NUM_VERTICES]
@@ -418,7 +438,7 @@ def _end_still_region(work, num_edges, v, phase, t):
 
 
 @inner
-def _settle(work, num_edges, v, phase, t):
+def _settle(work: SkeletonWork, num_edges: int, v: int, phase: int, t: float) -> bool:
     """End the loop of v if it has two vertices or nothing in its region moves. False if the links are
     broken."""
     edge, vertex, counts = work.edge, work.vertex, work.counts
@@ -439,7 +459,7 @@ def _settle(work, num_edges, v, phase, t):
 
 
 @inner
-def _cap_everything(work, num_edges, t):
+def _cap_everything(work: SkeletonWork, num_edges: int, t: float) -> None:
     vertex, counts = work.vertex, work.counts
     cap = counts[NUM_CAPS]
     work.cap_height[cap] = t
@@ -450,7 +470,7 @@ def _cap_everything(work, num_edges, t):
 
 
 @inner
-def _merge(work, v, w, x, y, t):
+def _merge(work: SkeletonWork, v: int, w: int, x: float, y: float, t: float) -> int:
     """The piece from v to its successor w vanishes at (x, y): one vertex replaces both."""
     node, vertex, arc, counts = work.node, work.vertex, work.arc, work.counts
     here = _add_node(node, counts, x, y, t)
@@ -465,7 +485,7 @@ def _merge(work, v, w, x, y, t):
 
 
 @embedded
-def _collapse(work, v, t):
+def _collapse(work: SkeletonWork, v: int, t: float) -> int:
     node, vertex = work.node, work.vertex
     w = vertex[v].next
     v_x, v_y = _position(node, vertex, v, t)
@@ -482,7 +502,7 @@ def _collapse(work, v, t):
 
 
 @embedded
-def _close_degenerate(work, v, t):
+def _close_degenerate(work: SkeletonWork, v: int, t: float) -> int:
     """A vertex between parallel edges of different speeds merges with a neighbour, at the neighbour's place."""
     edge, node, vertex = work.edge, work.node, work.vertex
     a, b = vertex[v].prev, vertex[v].next
@@ -500,7 +520,7 @@ def _close_degenerate(work, v, t):
 
 
 @embedded
-def _split(work, v, t):
+def _split(work: SkeletonWork, v: int, t: float) -> tuple[int, int]:
     """v runs into a piece: its wavefront splits in two, or joins the other wavefront."""
     node, vertex, counts = work.node, work.vertex, work.counts
     a = vertex[v].split_from
@@ -527,7 +547,7 @@ def _split(work, v, t):
 
 
 @embedded
-def _next_event(vertex, counts):
+def _next_event(vertex: np.ndarray, counts: np.ndarray) -> tuple[float, int, bool]:
     """(Height, vertex, whether it is a split); vertex -1 if no event remains."""
     height, v_best = _NEVER, ZERO - 1
     for v in range(counts[NUM_VERTICES]):
@@ -541,7 +561,9 @@ def _next_event(vertex, counts):
 
 
 @embedded
-def _start_phase(edge, num_edges, vertex, counts, phase):
+def _start_phase(
+    edge: np.ndarray, num_edges: int, vertex: np.ndarray, counts: np.ndarray, phase: int
+) -> None:
     limit = counts[NUM_VERTICES]
     for e in range(num_edges):
         if phase == 1:
@@ -560,7 +582,7 @@ def _start_phase(edge, num_edges, vertex, counts, phase):
 
 
 @embedded
-def _run_phase(work, num_edges, phase, max_roof_height):
+def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: float) -> int:
     edge, node, vertex, counts = work.edge, work.node, work.vertex, work.counts
     _start_phase(edge, num_edges, vertex, counts, phase)
     t = 0.0
@@ -638,7 +660,7 @@ def _run_phase(work, num_edges, phase, max_roof_height):
 
 
 @inner
-def simulate(work, num_edges, num_rings, max_roof_height):
+def simulate(work: SkeletonWork, num_edges: int, num_rings: int, max_roof_height: float) -> int:
     """Process all events of one polygon. Returns a ``Status``; never raises and always ends.
 
     work: of :func:`skeleton_work`; its ``edge`` filled up to ``num_edges`` by

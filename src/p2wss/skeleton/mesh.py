@@ -13,7 +13,19 @@ from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set
 from p2wss.skeleton.half_edges import collect_half_edges, drop_straight_points
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
 from p2wss.skeleton.labels import flat_label, ground_label
-from p2wss.skeleton.records import FACE, HALF, NUM_CAPS, NUM_NODES, Corners, Ears, MeshCode, MeshWork, Walls
+from p2wss.skeleton.records import (
+    FACE,
+    HALF,
+    NUM_CAPS,
+    NUM_NODES,
+    Batch,
+    Corners,
+    Ears,
+    MeshCode,
+    MeshWork,
+    SkeletonWork,
+    Walls,
+)
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.triangulate import clip_ears, copy_corners, join_holes
 from p2wss.skeleton.types import FaceKind
@@ -31,7 +43,7 @@ _LOWEST_WALL_M = 1e-3
 
 
 @inner
-def label_kind_and_edge(num_edges, counts, label):
+def label_kind_and_edge(num_edges: int, counts: np.ndarray, label: int) -> tuple[int, int]:
     """(FaceKind, edge or -1) of a face label."""
     first_wall = num_edges + counts[NUM_CAPS]
     if label < num_edges:
@@ -44,7 +56,7 @@ def label_kind_and_edge(num_edges, counts, label):
 
 
 @inner
-def solid_skeleton(batch, p, work):
+def solid_skeleton(batch: Batch, p: int, work: SkeletonWork) -> tuple[int, int]:
     """Check the arguments of polygon ``p`` of a batch and compute its skeleton. Returns (status, number of edges)."""
     edge, ring_offset = work.edge, batch.ring_offset
     first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
@@ -67,7 +79,7 @@ def solid_skeleton(batch, p, work):
 
 
 @inner
-def _triangulate_faces(num_faces, mesh_work):
+def _triangulate_faces(num_faces: int, mesh_work: MeshWork) -> int:
     """Cut all faces into triangles. Returns the number of triangles, or -1 if a face cannot be cut."""
     flat, first = mesh_work.flat, mesh_work.flat_first
     num_triangles = ZERO
@@ -97,7 +109,9 @@ def _triangulate_faces(num_faces, mesh_work):
 
 
 @inner
-def finish_solid(walls, skeleton_work, mesh_work, thorough):
+def finish_solid(
+    walls: Walls, skeleton_work: SkeletonWork, mesh_work: MeshWork, thorough: bool
+) -> tuple[int, int, int]:
     """From the skeleton to faces, triangles and checks. Returns (status, number of vertices, triangles)."""
     num_edges = walls.num_edges
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
@@ -154,7 +168,9 @@ finish_solid_at = by_address(finish_solid)
 
 
 @inner
-def solid_mesh(batch, p, skeleton_work, mesh_work):
+def solid_mesh(
+    batch: Batch, p: int, skeleton_work: SkeletonWork, mesh_work: MeshWork
+) -> tuple[int, int, int, int]:
     """Build the mesh of polygon ``p`` of a batch in ``mesh_work`` and check it. Returns (status, number of edges,
     vertices, triangles)."""
     status, num_edges = solid_skeleton(batch, p, skeleton_work)

@@ -8,7 +8,7 @@ from p2wss.skeleton.compiled import allocating, inner
 
 
 @allocating
-def stable_order(key):
+def stable_order(key: np.ndarray) -> np.ndarray:
     """Indices, int64 (n,), that sort float64 values (n,) without NaN in ascending order; equal values keep
     their order."""
     n = len(key)
@@ -33,7 +33,7 @@ def stable_order(key):
 
 
 @inner
-def sort_first(values, count):
+def sort_first(values: np.ndarray, count: int) -> None:
     """Sort the first ``count`` values, in place and ascending."""
     gap = count
     while gap > 1:
@@ -48,7 +48,7 @@ def sort_first(values, count):
 
 
 @inner
-def median(values, count):
+def median(values: np.ndarray, count: int) -> float:
     """Median of the first ``count`` values, at least one; reorders them."""
     half = count // 2
     upper = select(values, count, half)
@@ -61,7 +61,7 @@ def median(values, count):
 
 
 @inner
-def select(values, count, place):
+def select(values: np.ndarray, count: int, place: int) -> float:
     """The value that would be at ``place`` if the first ``count`` values were sorted.
 
     Reorders them, so that no value before ``place`` is greater and none after it is less.

@@ -15,7 +15,7 @@ from p2wss.skeleton.batch import make_batch, work_size
 from p2wss.skeleton.compiled import ZERO, embedded, entry, inner
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
 from p2wss.skeleton.mesh import solid_skeleton
-from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS
+from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, Batch, SkeletonWork
 from p2wss.skeleton.status import Status
 from p2wss.skeleton.types import FloatArray, IntArray, Polygons
 
@@ -86,7 +86,9 @@ def query_work(max_edges: int) -> QueryWork:
 
 
 @embedded
-def _put_segment(segment, k, a, b, left_face, right_face):
+def _put_segment(
+    segment: np.ndarray, k: int, a: np.record, b: np.record, left_face: int, right_face: int
+) -> int:
     """Store the piece from a to b with the faces on its left and right. Returns the number of segments."""
     a_x, a_y, b_x, b_y = a.x, a.y, b.x, b.y
     if a_x == b_x:
@@ -102,7 +104,14 @@ def _put_segment(segment, k, a, b, left_face, right_face):
 
 
 @embedded
-def _fill_segments(edge, num_edges, node, arc, counts, segment):
+def _fill_segments(
+    edge: np.ndarray,
+    num_edges: int,
+    node: np.ndarray,
+    arc: np.ndarray,
+    counts: np.ndarray,
+    segment: np.ndarray,
+) -> int:
     outside = num_edges + counts[NUM_CAPS]
     k = ZERO
     for i in range(num_edges):
@@ -113,7 +122,9 @@ def _fill_segments(edge, num_edges, node, arc, counts, segment):
 
 
 @embedded
-def _fill_values(edge, num_edges, max_roof_height_m, skeleton, query):
+def _fill_values(
+    edge: np.ndarray, num_edges: int, max_roof_height_m: float, skeleton: SkeletonWork, query: QueryWork
+) -> None:
     """Writes to ``query`` what points on each face get."""
     for f in range(num_edges):
         angle = edge[f].angle_deg
@@ -126,7 +137,9 @@ def _fill_values(edge, num_edges, max_roof_height_m, skeleton, query):
 
 
 @embedded
-def _wind(segment, num_segments, num_faces, winding, x, y):
+def _wind(
+    segment: np.ndarray, num_segments: int, num_faces: int, winding: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> None:
     """Writes to ``winding`` how often the boundary of each face winds round each of the points, at most a block."""
     num = len(x)
     for f in range(num_faces + 1):
@@ -145,7 +158,9 @@ def _wind(segment, num_segments, num_faces, winding, x, y):
 
 
 @embedded
-def _fill_faces(edge, num_edges, num_faces, query, points):
+def _fill_faces(
+    edge: np.ndarray, num_edges: int, num_faces: int, query: QueryWork, points: QueryPoints
+) -> None:
     """Face and distance of each of the points, at most a block: of the first face whose boundary winds round it and
     that is not vertical. There is only one, however many boundaries coincide."""
     x, y, face, distance = points
@@ -169,7 +184,7 @@ def _fill_faces(edge, num_edges, num_faces, query, points):
 
 
 @embedded
-def _vertical_face(edge, num_edges, winding, k):
+def _vertical_face(edge: np.ndarray, num_edges: int, winding: np.ndarray, k: int) -> int:
     """The last vertical face whose boundary winds round point k of a block; -1 for none."""
     for f in range(num_edges - 1, -1, -1):
         if winding[f, k] > 0 and edge[f].angle_deg == 90.0:
@@ -178,7 +193,15 @@ def _vertical_face(edge, num_edges, winding, k):
 
 
 @inner
-def _face_beside(edge, num_edges, num_faces, num_segments, query, face, distance):
+def _face_beside(
+    edge: np.ndarray,
+    num_edges: int,
+    num_faces: int,
+    num_segments: int,
+    query: QueryWork,
+    face: np.ndarray,
+    distance: np.ndarray,
+) -> int:
     """The face at ``query.beside``, which it also writes to the first of ``face``. The windings of the first point of
     the block are overwritten."""
     x, y = query.beside[:1], query.beside[1:]
@@ -188,7 +211,14 @@ def _face_beside(edge, num_edges, num_faces, num_segments, query, face, distance
 
 
 @embedded
-def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, points):
+def assign(
+    num_edges: int,
+    num_rings: int,
+    max_roof_height_m: float,
+    skeleton: SkeletonWork,
+    query: QueryWork,
+    points: QueryPoints,
+) -> int:
     """Find the face over every point for the angles set last, from compiled code. Returns a ``Status``.
 
     To be called before: once per polygon, ``load_footprint(xy_m, ring_offset, first_ring, last_ring,
@@ -231,7 +261,14 @@ def assign(num_edges, num_rings, max_roof_height_m, skeleton, query, points):
 
 
 @entry
-def _assign_all(batch, skeleton, query, points, point_offset, status):
+def _assign_all(
+    batch: Batch,
+    skeleton: SkeletonWork,
+    query: QueryWork,
+    points: QueryPoints,
+    point_offset: np.ndarray,
+    status: np.ndarray,
+) -> None:
     """Assign the points of all polygons: those of polygon p are ``point_offset[p]:point_offset[p + 1]``."""
     x, y, face, distance = points
     for p in range(len(batch.polygon_offset) - 1):

@@ -6,23 +6,26 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, inner
+from p2wss.skeleton.records import Corners, Ears
 
 _SMALLEST_QUALITY = 1e-9
 
 
 @inner
-def _turn(a_u, a_v, b_u, b_v, c_u, c_v):
+def _turn(a_u: float, a_v: float, b_u: float, b_v: float, c_u: float, c_v: float) -> float:
     """Twice the area of triangle a, b, c: positive when c is on the left of a -> b."""
     return (b_u - a_u) * (c_v - a_v) - (b_v - a_v) * (c_u - a_u)
 
 
 @inner
-def _cross(uv, a, b, c):
+def _cross(uv: np.ndarray, a: int, b: int, c: int) -> float:
     return (uv[b, 0] - uv[a, 0]) * (uv[c, 1] - uv[a, 1]) - (uv[b, 1] - uv[a, 1]) * (uv[c, 0] - uv[a, 0])
 
 
 @inner
-def _ring_blocks(uv, first, last, p, q):
+def _ring_blocks(
+    uv: np.ndarray, first: int, last: int, p: tuple[float, float], q: tuple[float, float]
+) -> bool:
     """Whether an edge of the ring ``first:last`` crosses or touches the segment from p to q, other than at its ends."""
     p_u, p_v = p
     q_u, q_v = q
@@ -43,7 +46,7 @@ def _ring_blocks(uv, first, last, p, q):
 
 
 @inner
-def _in_cone(uv, before, here, after, to):
+def _in_cone(uv: np.ndarray, before: int, here: int, after: int, to: tuple[float, float]) -> bool:
     """Whether the segment from corner ``here`` to a place starts inside the ring."""
     u, v = uv[here, 0], uv[here, 1]
     left_of_first = _turn(u, v, to[0], to[1], uv[before, 0], uv[before, 1])
@@ -54,7 +57,7 @@ def _in_cone(uv, before, here, after, to):
 
 
 @inner
-def copy_corners(corners, first, to, at, count):
+def copy_corners(corners: Corners, first: int, to: Corners, at: int, count: int) -> None:
     """Copy ``count`` corners from ``first`` on to the place ``at`` of others."""
     for k in range(count):
         to.uv[at + k, 0], to.uv[at + k, 1] = corners.uv[first + k, 0], corners.uv[first + k, 1]
@@ -62,7 +65,9 @@ def copy_corners(corners, first, to, at, count):
 
 
 @inner
-def join_holes(rings, ring_first, num_rings, loop, spare, joined):
+def join_holes(
+    rings: Corners, ring_first: np.ndarray, num_rings: int, loop: Corners, spare: Corners, joined: np.ndarray
+) -> int:
     """Join an outer ring and its holes into one ring, by bridges between the nearest visible corners.
 
     rings, loop, spare: ``Corners``; ring r is at ``ring_first[r]:ring_first[r + 1]``, the outer ring first.
@@ -121,7 +126,7 @@ def join_holes(rings, ring_first, num_rings, loop, spare, joined):
 
 
 @inner
-def _ear_quality(corners, ears, i):
+def _ear_quality(corners: Corners, ears: Ears, i: int) -> float:
     """Area of the ear at i over its longest side squared, or 0 if there is no ear."""
     uv, point, after = corners.uv, corners.point, ears.after
     a, c = ears.before[i], after[i]
@@ -151,7 +156,7 @@ def _ear_quality(corners, ears, i):
 
 
 @inner
-def clip_ears(corners, size, ears, triangle, num_triangles):
+def clip_ears(corners: Corners, size: int, ears: Ears, triangle: np.ndarray, num_triangles: int) -> int:
     """Triangulate a counter-clockwise ring, the first ``size`` of ``corners``; the best-shaped ear is clipped first.
 
     Appends rows of numbers of points to ``triangle`` from row ``num_triangles`` on. Returns the new number of
