@@ -15,13 +15,9 @@ import shapely
 from p2wss.formats import html
 
 # what was done with a block: the words in the table, the colour on the map, the line in the legend
-MOVED, MOVED_AS_NEIGHBOURS, STAYED, UNKNOWN = "moved", "moved with neighbours", "not moved", "no evidence"
+MOVED, STAYED, UNKNOWN = "moved", "not moved", "no evidence"
 LEGEND = {
     MOVED: ("#c0392b", "moved: the points show where the edges are"),
-    MOVED_AS_NEIGHBOURS: (
-        "#8e44ad",
-        "moved like the blocks around, because the evidence of a single block is weak",
-    ),
     STAYED: ("#2e7d32", "not moved: the points confirm the position, or do not clearly show another"),
     UNKNOWN: ("#8a949b", "not moved: the points show no edges"),
 }
@@ -95,9 +91,7 @@ def page(
             footprints=[
                 {
                     "id": footprint.building_id,
-                    "before": frame.path(footprint.before)
-                    if blocks[footprint.block].action in _MOVES
-                    else "",
+                    "before": frame.path(footprint.before) if blocks[footprint.block].action == MOVED else "",
                     "after": frame.path(footprint.after),
                     "color": LEGEND[blocks[footprint.block].action][0],
                     "is_flagged": bool(footprint.flags),
@@ -116,9 +110,6 @@ def page(
             bar=(f"{margin_m:.2f}", f"{margin_m + _scale_m(width_m):.2f}", f"{height_m - margin_m / 2:.2f}"),
         )
     )
-
-
-_MOVES = (MOVED, MOVED_AS_NEIGHBOURS)
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """Registration: footprints moved to where the cloud shows the buildings, block by block.
 
 Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruct.shifts`). It is used only where the
-evidence of the points is clear. Weak evidence is combined with the shift of the blocks around; without evidence the
-block is not moved. A block's shift depends only on blocks and points up to ``NEIGHBOURHOOD_M`` (and a few
-metres) away.
+evidence of the points is clear. Weak evidence is drawn to no shift; without evidence the block is not moved. A block's
+shift depends only on the points around it and on the blocks that compete with it for them.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from itertools import pairwise
 import geopandas as gpd
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.reading import Cloud
@@ -25,6 +23,7 @@ from p2wss.reconstruct.footprint_flags import contradictions
 from p2wss.reconstruct.registration_blocks import Blocks, connected, find_blocks
 from p2wss.reconstruct.shifts import (
     MAX_SHIFT_M,
+    SEARCH,
     WINDOW_M,
     Estimate,
     edge_steps,
@@ -34,33 +33,46 @@ from p2wss.reconstruct.shifts import (
 )
 from p2wss.skeleton.types import Polygons
 
-# blocks whose centres are nearer form a neighbourhood
-NEIGHBOURHOOD_M = 100.0
 # footprints this near compete with others for roofs outside of both: twice the reach of the flags, and of the shifts
 _BESIDE_M = 20.0
 # points this far from a block matter to it: the largest shift, the strip of an edge, and a cell of the search
-REACH_M = MAX_SHIFT_M + WINDOW_M + 0.25
-# steps move a block no farther than to this distance from the reach, so that there are points in front of its edges
-_REACH_MARGIN_M = 0.5
-# rounds of the search, in which the other blocks are where the last round put them: how often each solves for steps
-_STEP_ROUNDS = (1, 2)
-# each of these looks at the places of the next blocks once
-_HOPS = sum(1 + steps for steps in _STEP_ROUNDS) + 1
+REACH_M = MAX_SHIFT_M + WINDOW_M + SEARCH.cell_m
+# how often the steps of the edges are solved for, each time with the other blocks where the last time put them
+_NUM_SOLUTIONS = 2
+# the search and each solution look at the places of the next blocks once
+_HOPS = _NUM_SOLUTIONS + 2
 
-# evidence is clear with this many edges with steps, on this share of the length, with a standard deviation of at most
-# this, with this share of points on buildings inside, and with this gain
-_MIN_STEPS, _MIN_STEP_SHARE, _MAX_SD_M, _MIN_BUILDING_SHARE, _MIN_GAIN = 3, 0.5, 0.25, 0.6, -0.1
-# a shift is used from this length, and from this many standard deviations
-_MIN_SHIFT_M, _MIN_SIGMAS = 0.25, 3.0
-# a neighbourhood counts with this many clear blocks whose shifts agree to this spread, which counts as at least the
-# least spread; otherwise the prior of weak evidence is no shift, with this standard deviation
-_MIN_NEIGHBOURS, _MAX_SPREAD_M, _MIN_SPREAD_M, _ALONE_SD_M = 3, 0.4, 0.15, 0.5
-# of a normal distribution, the standard deviation over the median absolute deviation
-_SD_OVER_MAD = 1.48
-# blocks from this size rotate too, where that moves their ends by this much, and by this many standard deviations
-_MIN_ROTATED_M, _MIN_ROTATION_M, _MIN_ROTATION_SIGMAS = 25.0, 0.25, 4.0
+EDGES, NOTHING = "edges", "none"
 
-EDGES, NEIGHBOURS, NOTHING = "edges", "neighbours", "none"
+
+@dataclass(frozen=True)
+class Evidence:
+    """Which evidence moves a block. Chosen on Delft, with blocks moved by known vectors, so that what is in place stays
+    (``benchmarks/registration.py``, seeds 0 to 2).
+
+    reach_margin_m: steps move a block no farther than to this distance from the reach of its points, so that there are
+    points in front of its edges. min_steps, min_step_share, max_sd_m: evidence is clear with as many edges with steps,
+    on this share of the length, and with a standard deviation of at most this; weak with one direction as certain.
+    min_gain: of the weights inside, by the shift, as a share of what the swept points could give. min_shift_m,
+    min_sigmas: a shift is used from this length, and from this many standard deviations. weak_sd_m: weak evidence is
+    drawn to no shift, by a prior with this standard deviation. min_rotated_m, min_rotation_m, min_rotation_sigmas:
+    blocks from this size rotate too, where that moves their ends by this much, and by this many standard deviations.
+    """
+
+    reach_margin_m: float = 0.5
+    min_steps: int = 3
+    min_step_share: float = 0.5
+    max_sd_m: float = 0.25
+    min_gain: float = -0.1
+    min_shift_m: float = 0.25
+    min_sigmas: float = 3.0
+    weak_sd_m: float = 0.5
+    min_rotated_m: float = 25.0
+    min_rotation_m: float = 0.25
+    min_rotation_sigmas: float = 4.0
+
+
+EVIDENCE = Evidence()
 
 
 @dataclass(frozen=True)
@@ -68,8 +80,8 @@ class Shifts:
     """The movement of n blocks.
 
     shift_m: (n, 2). sd_m: (n,), the larger standard deviation of the shift; NaN without evidence. rotation_rad: (n,),
-    counter-clockwise around the centre of the block. source: object (n,), of :data:`EDGES`, :data:`NEIGHBOURS` and
-    :data:`NOTHING`. overhang_m: (n,), how far roofs reach beyond the footprints, NaN without evidence.
+    counter-clockwise around the centre of the block. source: object (n,), :data:`EDGES` or :data:`NOTHING`.
+    overhang_m: (n,), how far roofs reach beyond the footprints, NaN without evidence.
     """
 
     shift_m: np.ndarray
@@ -85,7 +97,7 @@ class Registration:
 
     input_polygon: the footprint before. shift_m, rotation_deg: its movement; the rotation is counter-clockwise around
     the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
-    source: of :data:`EDGES`, :data:`NEIGHBOURS` and :data:`NOTHING`. overhang_m: how far the roofs of the block reach
+    source: :data:`EDGES` or :data:`NOTHING`. overhang_m: how far the roofs of the block reach
     beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2:
     how the cloud contradicts the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: the least id of
     its footprints; empty for a footprint that was excluded.
@@ -186,11 +198,11 @@ class Surroundings:
     def around(self, is_chosen: np.ndarray) -> np.ndarray:
         """The footprints on which the registration of the chosen ones depends, themselves included: bool (footprints,).
 
-        These are all footprints of their blocks, those beside them, which their flags depend on, the blocks up to
-        ``NEIGHBOURHOOD_M`` away from all these, and those beyond with which these compete for points.
+        These are all footprints of their blocks, those beside them, which their flags depend on, and those around
+        all these with which they compete for points.
         """
         blocks = np.unique(self._of_present[is_chosen[self._present]])
-        for distance_m in (_BESIDE_M, NEIGHBOURHOOD_M, *[2 * REACH_M] * _HOPS):
+        for distance_m in (_BESIDE_M, *[2 * REACH_M] * _HOPS):
             blocks = np.unique(
                 self._tree.query(self._box[blocks], predicate="dwithin", distance=distance_m)[1]
             )
@@ -225,7 +237,7 @@ def moved(
 def block_shifts(blocks: Blocks, cloud: Cloud) -> Shifts:
     """The movement of every block."""
     near = _Near(blocks, cloud)
-    return decide(blocks.centre_m, near.extent_m, *near.estimates())
+    return decide(near.extent_m, *near.estimates())
 
 
 class _Near:
@@ -265,40 +277,35 @@ class _Near:
         result[point[inside][::-1]] = of_pair[inside][::-1]
         return result
 
-    def estimates(self) -> tuple[list[Estimate], np.ndarray, np.ndarray]:
-        """The estimate of every block, the share of points on buildings inside it there, and the gain: by how much the
-        weights inside rise with the shift, as a share of what they would if all swept points were on buildings in
-        front and on the ground behind."""
+    def estimates(self) -> tuple[list[Estimate], np.ndarray]:
+        """The estimate of every block, and the gain: by how much the weights inside rise with the shift, as a share of
+        what they would if all swept points were on buildings in front and on the ground behind."""
         blocks, count = self.blocks, len(self.blocks)
         shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
         inside = in_place = self.block_of_points(shift_m, rotation_rad)
+        for block in range(count):
+            point = self.points[block]
+            point = point[(inside[point] == block) | (inside[point] < 0)]
+            xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
+            edge = blocks.edge[self.edges[block] : self.edges[block + 1]]
+            shift_m[block] = search_shift(edge, xy_m, self.weight[point])
         estimates: list[Estimate] = []
-        for num_steps in _STEP_ROUNDS:
-            shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
-            for block in range(count):
-                point = self.points[block]
-                point = point[(inside[point] == block) | (inside[point] < 0)]
-                xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
-                edge = blocks.edge[self.edges[block] : self.edges[block + 1]]
-                shift_m[block] = search_shift(edge, xy_m, self.weight[point])
-            for _ in range(num_steps):
-                inside = self.block_of_points(shift_m, rotation_rad)
-                estimates = self._solved(shift_m, rotation_rad, inside)
-                shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
-                length_m = np.linalg.norm(shift_m, axis=1, keepdims=True)
-                shift_m *= np.minimum(1, (REACH_M - _REACH_MARGIN_M) / np.maximum(length_m, 1e-9))
-                rotation_rad = np.array([each.rotation_rad for each in estimates])
+        for _ in range(_NUM_SOLUTIONS):
             inside = self.block_of_points(shift_m, rotation_rad)
+            estimates = self._solved(shift_m, rotation_rad, inside)
+            shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
+            length_m = np.linalg.norm(shift_m, axis=1, keepdims=True)
+            shift_m *= np.minimum(1, (REACH_M - EVIDENCE.reach_margin_m) / np.maximum(length_m, 1e-9))
+            rotation_rad = np.array([each.rotation_rad for each in estimates])
         before, _ = self._sums(in_place)
-        after, on_building = self._sums(inside)
-        share = on_building / np.maximum(2 * on_building - after, 1)
+        after, on_building = self._sums(self.block_of_points(shift_m, rotation_rad))
         gain = np.zeros(count)
         for block, each in enumerate(estimates):
             ends = blocks.edge[self.edges[block] : self.edges[block + 1]].reshape(-1, 2)
             swept_m2 = float(np.ptp(ends @ [-each.shift_m[1], each.shift_m[0]]))
             area_m2 = self.area_m2[block]
             gain[block] = (after - before)[block] * area_m2 / max(2 * on_building[block] * swept_m2, 1e-9)
-        return estimates, share, gain
+        return estimates, gain
 
     def _sums(self, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The sum of the weights inside each block, and the number of points on buildings there."""
@@ -318,65 +325,44 @@ class _Near:
                 shift_m[block],
                 rotation_rad[block],
                 blocks.centre_m[block] + shift_m[block],
-                bool(self.extent_m[block] >= _MIN_ROTATED_M),
+                bool(self.extent_m[block] >= EVIDENCE.min_rotated_m),
             )
             for block, (first, last) in enumerate(pairwise(self.edges))
         ]
 
 
-def decide(
-    centre_m: np.ndarray,
-    extent_m: np.ndarray,
-    estimates: list[Estimate],
-    building_share: np.ndarray,
-    gain: np.ndarray,
-) -> Shifts:
+def decide(extent_m: np.ndarray, estimates: list[Estimate], gain: np.ndarray) -> Shifts:
     """The movements that are applied, decided by the evidence."""
     count = len(estimates)
-    clear, weak = np.zeros(count, bool), np.zeros(count, bool)
-    estimate_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
-    for block, each in enumerate(estimates):
-        if not each.num_steps or building_share[block] < _MIN_BUILDING_SHARE:
-            continue
-        if not np.linalg.norm(each.shift_m) <= MAX_SHIFT_M or each.step_share < _MIN_STEP_SHARE:
-            continue
-        sd_m = _standard_deviations(each.information)
-        clear[block] = each.num_steps >= _MIN_STEPS and sd_m.max() <= _MAX_SD_M
-        weak[block] = not clear[block] and sd_m.min() <= _MAX_SD_M
     shift_m, sd_m = np.zeros((count, 2)), np.full(count, np.nan)
     source = np.full(count, NOTHING, dtype=object)
     rotation_rad, overhang_m = np.zeros(count), np.full(count, np.nan)
-    tree = cKDTree(centre_m[clear]) if clear.any() else None
-    for block in np.flatnonzero(clear | weak).tolist():
-        each = estimates[block]
+    for block, each in enumerate(estimates):
+        if not each.num_steps or each.step_share < EVIDENCE.min_step_share:
+            continue
         information, mean_m = each.information, each.shift_m
+        sds_m = _standard_deviations(information)
+        if not np.linalg.norm(mean_m) <= MAX_SHIFT_M or sds_m.min() > EVIDENCE.max_sd_m:
+            continue
+        is_clear = each.num_steps >= EVIDENCE.min_steps and sds_m.max() <= EVIDENCE.max_sd_m
+        if not is_clear:
+            with_prior = information + np.eye(2) / EVIDENCE.weak_sd_m**2
+            mean_m, information = np.linalg.solve(with_prior, information @ mean_m), with_prior
         source[block] = EDGES
-        if weak[block]:
-            prior_m, prior_sd_m = np.zeros(2), _ALONE_SD_M
-            around = [] if tree is None else sorted(tree.query_ball_point(centre_m[block], NEIGHBOURHOOD_M))
-            if len(around) >= _MIN_NEIGHBOURS:
-                of_neighbours = estimate_m[clear][around]
-                middle_m = np.median(of_neighbours, axis=0)
-                spread_m = _SD_OVER_MAD * np.median(np.linalg.norm(of_neighbours - middle_m, axis=1))
-                if spread_m <= _MAX_SPREAD_M:
-                    prior_m, prior_sd_m = middle_m, max(spread_m, _MIN_SPREAD_M)
-                    source[block] = NEIGHBOURS
-            prior = np.eye(2) / prior_sd_m**2
-            mean_m = np.linalg.solve(information + prior, information @ mean_m + prior @ prior_m)
-            information = information + prior
         sd_m[block] = _standard_deviations(information).max()
         overhang_m[block] = each.overhang_m
-        is_significant = mean_m @ information @ mean_m >= _MIN_SIGMAS**2
-        is_significant &= gain[block] >= _MIN_GAIN
-        if is_significant and np.linalg.norm(mean_m) >= _MIN_SHIFT_M:
+        is_significant = mean_m @ information @ mean_m >= EVIDENCE.min_sigmas**2
+        is_significant &= gain[block] >= EVIDENCE.min_gain
+        if is_significant and np.linalg.norm(mean_m) >= EVIDENCE.min_shift_m:
             shift_m[block] = np.round(mean_m, 3)
-        lever_m = extent_m[block] / 2 if clear[block] and extent_m[block] >= _MIN_ROTATED_M else 0.0
-        angle_rad = each.rotation_rad
+        can_turn = is_clear and extent_m[block] >= EVIDENCE.min_rotated_m
+        angle_rad = abs(each.rotation_rad)
         if (
-            abs(angle_rad) * lever_m >= _MIN_ROTATION_M
-            and abs(angle_rad) >= _MIN_ROTATION_SIGMAS * each.rotation_sd_rad
+            can_turn
+            and angle_rad * extent_m[block] / 2 >= EVIDENCE.min_rotation_m
+            and angle_rad >= EVIDENCE.min_rotation_sigmas * each.rotation_sd_rad
         ):
-            rotation_rad[block] = np.deg2rad(np.round(np.rad2deg(angle_rad), 4))
+            rotation_rad[block] = np.deg2rad(np.round(np.rad2deg(each.rotation_rad), 4))
     return Shifts(shift_m, sd_m, rotation_rad, source, overhang_m)
 
 

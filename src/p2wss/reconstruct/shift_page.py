@@ -10,7 +10,7 @@ import shapely
 from p2wss.clouds.reading import horizontal
 from p2wss.formats import shift_map
 from p2wss.formats.shift_map import Block, Footprint
-from p2wss.reconstruct.registration import NEIGHBOURS, NOTHING, Registration
+from p2wss.reconstruct.registration import NOTHING, Registration
 from p2wss.reconstruct.registration import summary as registration_summary
 from p2wss.reconstruct.result import Result, summary
 
@@ -48,4 +48,4 @@ def _action(row: Registration) -> str:
         return shift_map.UNKNOWN
     if row.shift_m == (0.0, 0.0) and not row.rotation_deg:
         return shift_map.STAYED
-    return shift_map.MOVED_AS_NEIGHBOURS if row.source == NEIGHBOURS else shift_map.MOVED
+    return shift_map.MOVED

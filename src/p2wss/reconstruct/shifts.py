@@ -17,53 +17,78 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.skeleton.types import Polygons
 
-# A point that is neither on a building nor on the ground is half a sign that there is no building.
-_OTHER_WEIGHT = -0.5
-# The search: the largest shift, the step between shifts, and the number of cells from which the step grows.
-MAX_SHIFT_M = 3.0
-_CELL_M = 0.25
-_MAX_CELLS = 1 << 18
-# Of two shifts, the shorter one is taken unless the other has this many points more for each square metre by which its
-# squared length is larger.
-_POINTS_PER_M2 = 1.0
-# Shifts are as good as the best one if their sums of weights are less by at most this many points, or by at most this
-# share of all weights: single points on chimneys or beside walls decide nothing.
-_AS_GOOD_POINTS, _AS_GOOD_SHARE = 2.0, 0.005
-
-# The steps: the depth of the strip on either side of an edge, the part of the edge at either end that is not used
-# because the points there may belong to the next wall, the shortest edge that is used, and the least number of points
-# that can show that there is no building.
-WINDOW_M = 1.25
-_END_M = 0.3
-_MIN_EDGE_M = 1.0
-_MIN_POINTS = 6
-# A point of the block itself this far outside an edge is on another part of it, across a narrow yard; a point of no
-# block this far inside an edge is on the ground behind a narrow part.
-_BEYOND_M = 0.3
-# A step is clear if the sum of weights inside it exceeds those of a strip that is all inside and of one that is all
-# outside by this many points, and by this share of the points of the side with fewer.
-_MIN_STEP_POINTS, _MIN_STEP_GAIN = 4.0, 0.5
-# Positions of the step whose weights are less than the best by at most this many points are nearly as good: half the
-# distance to the farthest is the uncertainty that the points cause.
-_NEARLY_POINTS = 3.0
-# The standard deviation of the step of a long edge, from the accuracy of footprints and points; the length of an edge
-# with twice its variance; and the length that shorter edges count as.
-_STEP_SD_M, _LENGTH_OF_DOUBLE_VARIANCE_M, _LEAST_LENGTH_M = 0.1, 3.0, 0.4
-# Sums of weights that differ by less are equal: they are sums of halves.
+# the largest shift, and the depth of the strip on either side of an edge
+MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
+# sums of weights that differ by less are equal: they are sums of halves
 _ROUNDING = 1e-9
-
-# The solution: what is expected of shift, overhang and rotation before the steps are used. Roofs overhang walls by some
-# decimetres, and footprints are rarely turned by more than a degree.
-_SHIFT_SD_M = 1.0
-_OVERHANG_M, _OVERHANG_SD_M = 0.1, 0.3
-_ROTATION_SD_DEG = 1.0
-# Robust least squares: a step with this residual has half its weight (Cauchy). The weights settle in this many rounds.
-_HALF_WEIGHT_M, _ROUNDS = 0.25, 8
-# What remains of the prior of the shift, 1/m2, in the information of the edges alone: a direction that
-# no edge determines must not make the matrix singular.
-_REST_OF_PRIOR = 1e-6
 # components of a shift: as many steps are explained by it exactly
 _NUM_COMPONENTS = 2
+
+
+@dataclass(frozen=True)
+class Search:
+    """The search over whole shifts. Numbers of points are chosen so that single ones on chimneys, hedges and beside
+    walls decide nothing.
+
+    other_weight: of a point that is neither on a building (1) nor on the ground (-1). cell_m, max_cells: the step
+    between shifts, and the number of cells from which it grows. as_good_points, as_good_share: shifts are as good as
+    the best one if their sums of weights are less by at most this many points, or by this share of all weights.
+    """
+
+    other_weight: float = -0.5
+    cell_m: float = 0.25
+    max_cells: int = 1 << 18
+    as_good_points: float = 2.0
+    as_good_share: float = 0.005
+
+
+@dataclass(frozen=True)
+class StepRules:
+    """The step of an edge. Chosen on Delft with blocks moved by known vectors (``benchmarks/registration.py``).
+
+    end_m: part at either end of the edge that is not used, because the points there may belong to the next wall.
+    min_edge_m: shorter edges have no step. min_points: fewer cannot show that there is no building. beyond_m: a point
+    of the block itself so far outside is on another part of it, across a narrow yard; one of no block so far inside is
+    on the ground behind a narrow part. min_gain_points, min_gain_share: the weights inside a clear step exceed those of
+    a strip that is all inside, and of one that is all outside, by so many points, and by this share of the points of
+    the side with fewer. nearly_points: steps whose weights are less than the best by at most so many are nearly as
+    good; half the distance to the farthest is what the points leave uncertain. sd_m, double_variance_m,
+    least_length_m: standard deviation of the step of a long edge, from the accuracy of footprints and points; length of
+    an edge with twice its variance; shorter edges count as this long.
+    """
+
+    end_m: float = 0.3
+    min_edge_m: float = 1.0
+    min_points: int = 6
+    beyond_m: float = 0.3
+    min_gain_points: float = 4.0
+    min_gain_share: float = 0.5
+    nearly_points: float = 3.0
+    sd_m: float = 0.1
+    double_variance_m: float = 3.0
+    least_length_m: float = 0.4
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is expected before the steps are used, and how far they are trusted.
+
+    shift_sd_m, overhang_m, overhang_sd_m, rotation_sd_deg: roofs overhang walls by some decimetres, and footprints are
+    rarely turned by more than a degree. half_weight_m: a step with this residual has half its weight (Cauchy); the
+    weights settle in ``num_rounds``. rest_of_prior: what remains of the prior of the shift, 1/m2, in the information of
+    the edges alone, as a direction that no edge determines must not make the matrix singular.
+    """
+
+    shift_sd_m: float = 1.0
+    overhang_m: float = 0.1
+    overhang_sd_m: float = 0.3
+    rotation_sd_deg: float = 1.0
+    half_weight_m: float = 0.25
+    num_rounds: int = 8
+    rest_of_prior: float = 1e-6
+
+
+SEARCH, STEP, EXPECTED = Search(), StepRules(), Expected()
 
 
 @dataclass(frozen=True)
@@ -104,7 +129,7 @@ class Estimate:
 
 def point_weights(classification: np.ndarray) -> np.ndarray:
     """How much each point speaks for a building, (n,): 1 on a building, -1 on the ground, less anywhere else."""
-    weight = np.full(len(classification), _OTHER_WEIGHT)
+    weight = np.full(len(classification), SEARCH.other_weight)
     weight[np.isin(classification, (GROUND_CLASS, WATER_CLASS))] = -1.0
     weight[classification == BUILDING_CLASS] = 1.0
     return weight
@@ -118,7 +143,7 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     """
     low = edge.reshape(-1, 2).min(axis=0) - MAX_SHIFT_M
     extent = edge.reshape(-1, 2).max(axis=0) + MAX_SHIFT_M - low
-    cell_m = max(_CELL_M, float(np.sqrt(extent.prod() / _MAX_CELLS)))
+    cell_m = max(SEARCH.cell_m, float(np.sqrt(extent.prod() / SEARCH.max_cells)))
     reach = int(MAX_SHIFT_M / cell_m)
     columns, rows = (np.ceil(extent / cell_m).astype(int) + 1).tolist()
     cell = np.floor((xy_m - low) / cell_m).astype(np.int64)
@@ -133,11 +158,12 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     # the weights are halves; the transform is not exact
     total = np.round(2 * total[np.ix_(steps, steps)]) / 2
     dy, dx = np.meshgrid(steps * cell_m, steps * cell_m, indexing="ij")
-    distance2 = dx**2 + dy**2
-    total = np.where(distance2 <= MAX_SHIFT_M**2, total - _POINTS_PER_M2 * distance2, -np.inf)
+    total = np.where(dx**2 + dy**2 <= MAX_SHIFT_M**2, total, -np.inf)
     best = np.unravel_index(np.argmax(total), total.shape)
     # with an overhang, all shifts up to its length are as good
-    as_good = total >= total[best] - max(_AS_GOOD_POINTS, _AS_GOOD_SHARE * float(np.abs(weight[keep]).sum()))
+    as_good = total >= total[best] - max(
+        SEARCH.as_good_points, SEARCH.as_good_share * float(np.abs(weight[keep]).sum())
+    )
     number, _ = scipy.ndimage.label(as_good)
     near_best = number == number[best]
     return np.array([dx[near_best].mean(), dy[near_best].mean()])
@@ -160,10 +186,10 @@ def strips(edge: np.ndarray) -> Polygons:
     """A rectangle over each edge (e, 4), ``WINDOW_M`` to either side; empty for an edge that is too short."""
     start, end = edge[:, :2], edge[:, 2:]
     length = np.linalg.norm(end - start, axis=1)
-    is_long = np.flatnonzero(length >= _MIN_EDGE_M)
+    is_long = np.flatnonzero(length >= STEP.min_edge_m)
     along = (end - start)[is_long] / length[is_long, None]
     normal = np.column_stack([along[:, 1], -along[:, 0]]) * WINDOW_M
-    first, last = start[is_long] + _END_M * along, end[is_long] - _END_M * along
+    first, last = start[is_long] + STEP.end_m * along, end[is_long] - STEP.end_m * along
     corner = np.stack([first + normal, last + normal, last - normal, first - normal], axis=1)
     num_rings = np.zeros(len(edge) + 1, np.int64)
     num_rings[is_long + 1] = 1
@@ -192,7 +218,7 @@ def edge_steps(
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
     in_block = block_of_point[point] == block[of_edge]
     in_other = (block_of_point[point] >= 0) & ~in_block
-    keep = ~in_other & ~(in_block & (distance > _BEYOND_M)) & ~(~in_block & (distance < -_BEYOND_M))
+    keep = ~in_other & ~(in_block & (distance > STEP.beyond_m)) & ~(~in_block & (distance < -STEP.beyond_m))
     of_edge, distance, value = of_edge[keep], distance[keep], weight[point[keep]]
     order = np.lexsort([value, distance, of_edge])
     return _steps(of_edge[order], distance[order], value[order], edge)
@@ -217,24 +243,24 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: n
     at_best = np.where(score >= best[of_edge] - _ROUNDING, index, len(score))
     last = np.zeros(len(edge), np.int64)
     last[some] = np.minimum.reduceat(at_best, start[some])
-    nearly = np.where(score >= best[of_edge] - _NEARLY_POINTS, index, len(score))
+    nearly = np.where(score >= best[of_edge] - STEP.nearly_points, index, len(score))
     nearly_first = np.zeros(len(edge), np.int64)
     nearly_first[some] = np.minimum.reduceat(nearly, start[some])
     gain = np.minimum(best, best - total)
     positive = np.bincount(of_edge, np.maximum(value, 0), len(edge))
     negative = np.bincount(of_edge, np.maximum(-value, 0), len(edge))
-    clear = (gain >= _MIN_STEP_POINTS) & (gain >= _MIN_STEP_GAIN * np.minimum(positive, negative))
+    clear = (gain >= STEP.min_gain_points) & (gain >= STEP.min_gain_share * np.minimum(positive, negative))
     rows = np.flatnonzero(clear)
     lower = distance[last[rows]]
     beyond = np.minimum(last[rows] + 1, len(distance) - 1)
     upper = np.where(of_edge[beyond] == rows, distance[beyond], WINDOW_M)
-    length = np.linalg.norm(edge[rows, 2:] - edge[rows, :2], axis=1) - 2 * _END_M
+    length = np.linalg.norm(edge[rows, 2:] - edge[rows, :2], axis=1) - 2 * STEP.end_m
     spacing = 1.0 / np.maximum(count[rows] / (2 * WINDOW_M), 1.0)
     offset_m[rows] = lower + np.minimum((upper - lower) / 2, spacing)
     spread = lower - distance[np.minimum(nearly_first[rows], len(distance) - 1)]
-    of_length = 1 + _LENGTH_OF_DOUBLE_VARIANCE_M / np.maximum(length, _LEAST_LENGTH_M)
-    sd_m[rows] = np.sqrt(_STEP_SD_M**2 * of_length + (spread / 2) ** 2)
-    is_missing = ~clear & (count >= _MIN_POINTS) & (positive < negative)
+    of_length = 1 + STEP.double_variance_m / np.maximum(length, STEP.least_length_m)
+    sd_m[rows] = np.sqrt(STEP.sd_m**2 * of_length + (spread / 2) ** 2)
+    is_missing = ~clear & (count >= STEP.min_points) & (positive < negative)
     return Steps(offset_m, sd_m, is_missing)
 
 
@@ -266,9 +292,11 @@ def solve_shift(
     design = np.column_stack(
         [normal, np.ones(len(rows)), normal[:, 1] * middle[:, 0] - normal[:, 0] * middle[:, 1]]
     )
-    of_shift = 1 / _SHIFT_SD_M**2
-    prior = np.diag([of_shift, of_shift, 1 / _OVERHANG_SD_M**2, 1 / np.deg2rad(_ROTATION_SD_DEG) ** 2])
-    expected = np.array([0.0, 0.0, _OVERHANG_M, 0.0])
+    of_shift = 1 / EXPECTED.shift_sd_m**2
+    prior = np.diag(
+        [of_shift, of_shift, 1 / EXPECTED.overhang_sd_m**2, 1 / np.deg2rad(EXPECTED.rotation_sd_deg) ** 2]
+    )
+    expected = np.array([0.0, 0.0, EXPECTED.overhang_m, 0.0])
     num_unknown = 4 if with_rotation else 3
     design, prior, expected = (
         design[:, :num_unknown],
@@ -278,14 +306,14 @@ def solve_shift(
     target, weight = steps.offset_m[rows], 1 / steps.sd_m[rows] ** 2
     robust = np.ones(len(rows))
     value = np.zeros(num_unknown)
-    for _ in range(_ROUNDS):
+    for _ in range(EXPECTED.num_rounds):
         normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
         value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ expected)
         residual = target - design @ value
-        robust = 1 / (1 + (residual / _HALF_WEIGHT_M) ** 2)
+        robust = 1 / (1 + (residual / EXPECTED.half_weight_m) ** 2)
     num_redundant = max(robust.sum() - _NUM_COMPONENTS, 1.0)
     scale = max(1.0, float((weight * robust * residual**2).sum() / num_redundant))
-    without_prior = of_shift - _REST_OF_PRIOR
+    without_prior = of_shift - EXPECTED.rest_of_prior
     from_edges = normal_matrix - np.diag([without_prior, without_prior, 0.0, 0.0][:num_unknown])
     covariance = np.linalg.inv(from_edges / scale)
     return Estimate(

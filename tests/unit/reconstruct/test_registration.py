@@ -17,7 +17,7 @@ from p2wss.reconstruct import registration
 from p2wss.reconstruct.attributes import input_footprints
 from p2wss.reconstruct.attributes import table as reconstruct_table
 from p2wss.reconstruct.pipeline import run
-from p2wss.reconstruct.registration import NEIGHBOURS, NOTHING, Registration, block_shifts, decide, register
+from p2wss.reconstruct.registration import NOTHING, Registration, block_shifts, decide, register
 from p2wss.reconstruct.registration import summary as registration_summary
 from p2wss.reconstruct.registration_blocks import find_blocks
 from p2wss.reconstruct.shifts import Estimate
@@ -177,39 +177,25 @@ def estimate(shift: tuple[float, float], sd: tuple[float, float], num_steps: int
     return Estimate(np.array(shift), np.diag(1 / np.square(sd)), 0.0, np.inf, 0.1, num_steps, 1.0)
 
 
-def decided(estimates: list[Estimate], gain: float = 0.5, share: float = 0.9) -> registration.Shifts:
+def decided(estimates: list[Estimate], gain: float = 0.5) -> registration.Shifts:
     count = len(estimates)
-    centre = np.column_stack([30.0 * np.arange(count), np.zeros(count)])
-    return decide(centre, np.full(count, 10.0), estimates, np.full(count, share), np.full(count, gain))
+    return decide(np.full(count, 10.0), estimates, np.full(count, gain))
 
 
 def test_only_clear_evidence_moves_a_block() -> None:
     good = estimate((1.0, 0.5), (0.1, 0.1))
     assert decided([good]).shift_m[0] == pytest.approx([1.0, 0.5])
     assert (decided([good], gain=-0.3).shift_m == 0).all()
-    assert (decided([good], share=0.4).shift_m == 0).all()
     # below a quarter of a metre, footprints and roofs say the same
     assert (decided([estimate((0.2, 0.1), (0.05, 0.05))]).shift_m == 0).all()
     assert (decided([estimate((3.2, 0.0), (0.1, 0.1))]).shift_m == 0).all()
     assert (decided([estimate((1.0, 0.0), (0.6, 0.6))]).shift_m == 0).all()
 
 
-def test_weak_evidence_is_drawn_to_the_neighbours_that_agree() -> None:
+def test_weak_evidence_moves_a_block_in_its_direction_alone_and_less() -> None:
     # the edges say something in y alone
-    weak = estimate((0.0, 0.5), (50.0, 0.1), num_steps=2)
-    around = [estimate((1.0 + 0.05 * k, 0.4), (0.1, 0.1)) for k in range(3)]
-    together = decided([weak, *around])
-    assert together.source[0] == NEIGHBOURS
-    assert together.shift_m[0] == pytest.approx([1.05, 0.47], abs=0.03)
-    # alone it moves in y alone, and less; so it does where the neighbours differ, or are too few
-    alone = decided([weak])
+    alone = decided([estimate((0.0, 0.5), (50.0, 0.1), num_steps=2)])
     assert alone.shift_m[0, 0] == pytest.approx(0, abs=1e-3) and 0.4 < alone.shift_m[0, 1] < 0.5
-    apart = [estimate((x, 0.4), (0.1, 0.1)) for x in (-1.0, 1.0, 0.0)]
-    assert decided([weak, *apart]).shift_m[0] == pytest.approx(alone.shift_m[0])
-    assert decided([weak, *around[:2]]).shift_m[0] == pytest.approx(alone.shift_m[0])
-    # a clear block follows its own edges
-    odd = estimate((-1.0, 0.0), (0.1, 0.1))
-    assert decided([odd, *around]).shift_m[0] == pytest.approx([-1.0, 0.0])
 
 
 def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
@@ -240,7 +226,7 @@ def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
     is_chosen = np.zeros(48, bool)
     is_chosen[1] = True
     rows = registration.Surroundings(frame.geometry.to_numpy()).around(is_chosen)
-    assert 6 < rows.sum() < 48
+    assert 2 < rows.sum() < 48
     subset = frame[rows].reset_index(drop=True)
     x_min, y_min, x_max, y_max = subset.total_bounds
     near = (
