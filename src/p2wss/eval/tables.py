@@ -180,9 +180,9 @@ def table_2_more(
             column[f"{title}, 95 % low"], column[f"{title}, 95 % high"] = bounds
         column |= {title: 100 * part[name].mean() for name, title in SHARES.items()}
         column |= {"Buildings": len(part), "Without a mesh": int(part["num_triangles"].isna().sum())}
-        columns[f"{titles[dataset]} / {names[method]}"] = column
+        columns[f"{titles[dataset]} / {names[method]}"] = pd.Series(column, dtype=object)
     # as objects: a count stays a whole number beside means
-    return pd.DataFrame(columns, dtype=object).rename_axis("Measure").reset_index()
+    return pd.DataFrame(columns).rename_axis("Measure").reset_index()
 
 
 def interval(values: np.ndarray, draw: np.random.Generator, num_resamples: int) -> tuple[float, float]:
