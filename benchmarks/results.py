@@ -10,9 +10,8 @@ fingerprint of the code that was measured, and as ``figures`` the last line of t
 prints as JSON, or with ``--csv`` the rows of a table.
 
 Pages of results are made from ``docs/results/templates``, where ``{NAME[key][key]:format}`` stands for a figure of
-``docs/results/NAME.json``, as in ``str.format``; ``{NAME[command]}`` and ``{NAME[machine]}`` tell how it was measured.
-Other pages are written by hand. A figure in them may be followed by ``<!--short_name-->``, a line of
-``docs/results/figures.yaml``: its digits are then kept up to date. A key that a file lacks is an error.
+``docs/results/NAME.json``, as in ``str.format``, and ``{NAME[key]:key .2f | key .0f}`` for a row of figures. In other
+pages, written by hand, a figure may be followed by ``<!--short_name-->``, a line of ``docs/results/figures.yaml``.
 """
 
 from __future__ import annotations
@@ -33,29 +32,36 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs/results"
+KEY = re.compile(r"(\w+)(?: ([.,\d]*[f%]))?")
 REFERENCE = re.compile(r"<!--(\w+)-->")
 NUMBER = r"\d[\d.,]*"
 
 
 class Figures(dict[str, Any]):
-    """Figures by their keys. Of a figure beside a bar, ``{"value": .., "bar": ..}``, the value is shown."""
+    """Figures by their keys, several of which can be shown at once; of a figure beside a bar, the value is shown.
+
+    >>> "{:roof .2f, tri .0f}".format(Figures(roof=0.237, tri=Figures(value=43.6, bar=40)))
+    '0.24, 44'
+    """
+
+    def __missing__(self, key: str) -> Any:
+        raise KeyError(f"docs/results has no figure {key!r} among {list(self)}")
 
     def __format__(self, layout: str) -> str:
-        return format(self["value"], layout)
+        if "value" in self:
+            return format(self["value"], layout)
+        return KEY.sub(lambda match: format(self[match[1]], match[2] or ""), layout)
 
 
 def stored() -> dict[str, Any]:
     """The files of ``docs/results`` by name."""
-    paths = sorted(FOLDER.glob("*.json"))
-    return {path.stem: json.loads(path.read_text(), object_hook=Figures) for path in paths}
+    files = sorted(FOLDER.glob("*.json"))
+    return {file.stem: json.loads(file.read_text(), object_hook=Figures) for file in files}
 
 
 def pages() -> dict[Path, str]:
     """The text that every page with figures should have."""
-    files = {
-        name: {**document["figures"], "command": document["command"], "machine": document["machine"]}
-        for name, document in stored().items()
-    }
+    files = {name: {**document, **document["figures"]} for name, document in stored().items()}
     result = {}
     for template in sorted(FOLDER.glob("templates/*.md")):
         note = f"<!-- Made by benchmarks/results.py: edit templates/{template.name} instead. -->\n"
