@@ -29,6 +29,7 @@ from scipy.special import expit
 
 from p2wss.config import Config
 from p2wss.data.building import Building, Reconstruction
+from p2wss.data.manifest import read_manifest
 from p2wss.eval import cases
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
@@ -41,7 +42,6 @@ from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
-from p2wss.storage.schemas.manifest import read_manifest
 
 FEW = (None, 200, 80, 20)
 # a value within these of the label counts as correct

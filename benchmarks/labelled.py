@@ -14,6 +14,7 @@ import numpy as np
 from p2wss import skeleton
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction
+from p2wss.data.manifest import read_manifest
 from p2wss.eval import cases, methods, parameters
 from p2wss.eval.cases import Case
 from p2wss.fit import fitting
@@ -21,7 +22,6 @@ from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.schemas.crops import SIMULATED
-from p2wss.storage.schemas.manifest import read_manifest
 
 BARS = {"height_mae_m": 0.05, "angle_mae_deg": 0.5}
 _CLUTTER_M, _CLUTTER_SHARE = 0.3, 0.1

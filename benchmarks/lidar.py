@@ -40,9 +40,9 @@ from lidar_scene import (
 )
 
 from p2wss import scans
+from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Clutter
 from p2wss.data.terrain import Terrain
-from p2wss.storage.schemas.scan import read_scan
 
 ROOT = Path(__file__).resolve().parents[1]
 STEP_BARS_S = {

@@ -19,10 +19,10 @@ import shapely
 from lidar_scene import building_table
 
 from p2wss.clouds.crops import crop_cloud
-from p2wss.clouds.las_classes import VEGETATION_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Clutter, Scans
 from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import VEGETATION_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.scans.caster import cast
 from p2wss.scans.clutter import add_clutter

@@ -23,9 +23,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from figures import Figures
 
+from p2wss.data.manifest import Manifest, read_manifest
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS, REAL, SIMULATED
-from p2wss.storage.schemas.manifest import Manifest, read_manifest
 
 ROOT = Path(__file__).resolve().parents[1]
 WEIGHTS = ROOT / "models/point2wss.safetensors"

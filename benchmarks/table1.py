@@ -21,6 +21,7 @@ from typing import Any
 import labelled
 import numpy as np
 
+from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Config
 from p2wss.crops.simulated import crop_simulated
 from p2wss.eval import cases
@@ -32,7 +33,6 @@ from p2wss.nets.predictor import load_predictor
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
-from p2wss.storage.schemas.scan import read_scan
 
 BARS = {"height_m": 0.17, "angle_deg": 2.34, "coordinate_m": 0.41}
 GOALS = {"height_m": 0.05, "angle_deg": 1.0, "coordinate_m": 0.20}

@@ -47,7 +47,8 @@ def fingerprint(*stages: str) -> str:
     pending = sorted(named)
     while pending:
         name = pending.pop()
-        is_tracked = name in named or not {*name.split(".")[1:2]} & {*NOT_TRACKED}
+        # the package itself is the public interface, which calls the stages and is called by none
+        is_tracked = name in named or (name != PACKAGE and not {*name.split(".")[1:2]} & {*NOT_TRACKED})
         if name in digests or not is_tracked:
             continue
         if _source(name) is None:

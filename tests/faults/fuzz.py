@@ -40,10 +40,13 @@ from hypothesis import strategies as st
 
 from p2wss.cli import inspection
 from p2wss.clouds.reading import list_clouds, read_clouds, read_headers
+from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Scenes, load
+from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain
 from p2wss.errors import InputError
 from p2wss.eval import cases, report, tables
+from p2wss.eval.reconstructions import read_reconstructions
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.nets import weights_file
@@ -51,10 +54,7 @@ from p2wss.nets.weights import read_weights
 from p2wss.scans.scene import build_surface, local_buildings
 from p2wss.storage import files, integrity
 from p2wss.storage.schemas.buildings import BUILDINGS
-from p2wss.storage.schemas.manifest import read_manifest
 from p2wss.storage.schemas.measures import MEASURES
-from p2wss.storage.schemas.reconstructions import read_reconstructions
-from p2wss.storage.schemas.scan import read_scan
 from p2wss.storage.schemas.scene import read_scene
 
 MAX_S, MAX_MB = 10.0, 2000.0

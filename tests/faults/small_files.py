@@ -15,13 +15,13 @@ import torch
 import toy_crops
 import toy_scene
 
+from p2wss.clouds.scan_files import write_scan
 from p2wss.data.building import Reconstruction
+from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
 from p2wss.mesh import Mesh
 from p2wss.nets.weights import write_weights
 from p2wss.storage import files
 from p2wss.storage.schemas.measures import MEASURES
-from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
-from p2wss.storage.schemas.scan import write_scan
 
 CRS = "EPSG:2154"
 

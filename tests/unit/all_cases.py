@@ -7,10 +7,10 @@ from itertools import groupby
 from pathlib import Path
 
 from p2wss.data.building import Reconstruction
+from p2wss.data.manifest import read_manifest
 from p2wss.eval import cases, methods
 from p2wss.eval.cases import Case
-from p2wss.storage.schemas.manifest import read_manifest
-from p2wss.storage.schemas.reconstructions import Key
+from p2wss.eval.reconstructions import Key
 
 
 def all_test_cases(manifest: Path) -> list[Case]:

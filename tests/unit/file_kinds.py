@@ -25,10 +25,13 @@ import toy_scene
 from torch import nn
 
 from p2wss.cli.plan import _counted_buildings
+from p2wss.clouds import scan_files as scan_file
 from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.config import Optimiser
+from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain, write_terrain
 from p2wss.errors import InputError
+from p2wss.eval.reconstructions import RECONSTRUCTIONS
 from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetch import bdtopo
 from p2wss.fetch.cloud import write_cloud
@@ -36,12 +39,9 @@ from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.training_state import TrainingState
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
-from p2wss.storage.schemas import scan as scan_file
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS
-from p2wss.storage.schemas.manifest import read_manifest
 from p2wss.storage.schemas.measures import MEASURES
-from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
 
 CRS = "EPSG:2154"

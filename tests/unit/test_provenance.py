@@ -79,9 +79,9 @@ def test_code_counts_also_where_it_is_imported_from(copy):
 
 def test_a_stage_that_is_a_package_counts_with_all_its_modules(copy):
     root, of = copy
-    before, predict = of("eval"), of("eval.predict")
+    before, measure = of("eval"), of("eval.measure")
     edit(root / "eval" / "report.py", "import", "import this_is_new\nimport")
-    assert of("eval") != before and of("eval.predict") == predict
+    assert of("eval") != before and of("eval.measure") == measure
 
 
 def test_lazy_imports_and_data_files_count(copy):

@@ -93,9 +93,7 @@ def test_words_rerun_nothing(again):
     again.edit(
         "src/p2wss/storage/schemas/crops.py", '"num_points", pa.int32(), "', '"num_points", pa.int32(), "all '
     )
-    again.edit(
-        "src/p2wss/storage/schemas/manifest.py", 'raise InputError(f"', 'raise InputError(f"in other words: '
-    )
+    again.edit("src/p2wss/data/manifest.py", 'raise InputError(f"', 'raise InputError(f"in other words: ')
     assert planned(again) == {}
 
 

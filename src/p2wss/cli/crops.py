@@ -29,8 +29,8 @@ def crops() -> None:
 def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> None:
     """Crop a simulated scan, with labels."""
     from p2wss import crops
+    from p2wss.clouds.scan_files import read_scan
     from p2wss.storage.schemas.buildings import BUILDINGS
-    from p2wss.storage.schemas.scan import read_scan
 
     facts = files.read_metadata(buildings)
     table = files.read_table(buildings, BUILDINGS)
@@ -59,7 +59,7 @@ def crops_real(
 ) -> None:
     """Crop real LiDAR, without labels."""
     from p2wss import crops
-    from p2wss.clouds.las_classes import class_set
+    from p2wss.data.las_classes import class_set
     from p2wss.footprints import cleaning
 
     tile_size_m = config.region.tile_size_m

@@ -43,8 +43,8 @@ def eval() -> None:
 @file_option("--out", "JSON to write: the medians of the labels")
 def eval_medians(manifest: Path, out: Path) -> None:
     """Compute the median height and angle that the constant baseline predicts."""
+    from p2wss.data.manifest import read_manifest
     from p2wss.eval.cases import train_medians
-    from p2wss.storage.schemas.manifest import read_manifest
 
     medians = train_medians(read_manifest(manifest))
     files.write_json(out, asdict(medians))
@@ -74,11 +74,11 @@ def eval_reconstruct(
 ) -> None:
     """Reconstruct the test split and the real LiDAR by one method."""
     set_num_threads(options["threads"])
+    from p2wss.data.manifest import read_manifest
     from p2wss.eval import cases, methods, roofer_command
+    from p2wss.eval.reconstructions import RECONSTRUCTIONS, reconstruction_columns
     from p2wss.nets.predictor import load_predictor
     from p2wss.nets.weights import read_weights
-    from p2wss.storage.schemas.manifest import read_manifest
-    from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS, reconstruction_columns
 
     listed = read_manifest(manifest, shards or None)
     inputs, crs = methods.Inputs(config), listed.crs()
@@ -115,11 +115,11 @@ def eval_measure(
     manifest: Path, shards: tuple[Path, ...], reconstructions: tuple[Path, ...], out: Path, config: Config
 ) -> None:
     """Measure the errors of all reconstructions."""
+    from p2wss.data.manifest import read_manifest
     from p2wss.eval.cases import test_cases
     from p2wss.eval.measure import measure
-    from p2wss.storage.schemas.manifest import read_manifest
+    from p2wss.eval.reconstructions import read_reconstructions
     from p2wss.storage.schemas.measures import MEASURES
-    from p2wss.storage.schemas.reconstructions import read_reconstructions
 
     num_rows, of_methods = 0, [files.read_metadata(path) for path in reconstructions]
     with files.table_writer(out, MEASURES) as writer:

@@ -156,7 +156,7 @@ def fetch_lidar(tile: str, out: Path, downloads: Path | None, config: Config) ->
 @config_option
 def fetch_prepare(tile: str, clouds: tuple[Path, ...], out: Path, config: Config) -> None:
     """Crop the LiDAR of one tile and classify its ground points."""
-    from p2wss.clouds.las_classes import class_set
+    from p2wss.data.las_classes import class_set
     from p2wss.fetch.pdal import Window
     from p2wss.fetch.prepare import prepare
     from p2wss.fetch.source import delivery_window

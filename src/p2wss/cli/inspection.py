@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from p2wss.data.manifest import read_manifest
 from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
-from p2wss.storage.schemas.manifest import read_manifest
 
 Facts = dict[str, Any]
 

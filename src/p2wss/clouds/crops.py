@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.clouds.cropping import crop_points, ring_medians
-from p2wss.clouds.las_classes import GROUND_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import GROUND_CLASS
 from p2wss.skeleton.types import Polygons
 
 # distances from the footprint within which ground points are searched, the next one if there are too few

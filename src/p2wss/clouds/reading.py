@@ -12,8 +12,8 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.clouds.las_classes import LAS, ClassSet
 from p2wss.clouds.las_files import KIND, open_cloud
+from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError, reading
 

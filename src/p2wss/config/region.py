@@ -30,7 +30,7 @@ class Classes(Section):
     """
 
     preset: ClassPreset = Field(
-        "las", description="class codes of a producer, see p2wss.clouds.las_classes; custom = the lists below"
+        "las", description="class codes of a producer, see p2wss.data.las_classes; custom = the lists below"
     )
     building: list[int] = Field([6], description="with preset custom: class codes of buildings")
     ground: list[int] = Field([2], description="with preset custom: class codes of ground")

@@ -1,4 +1,4 @@
-"""The manifest: the list of all shards of crops, which :mod:`p2wss.storage.schemas.manifest` reads back."""
+"""The manifest: the list of all shards of crops, which :mod:`p2wss.data.manifest` reads back."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import numpy as np
 
 from p2wss.config import Dataset
 from p2wss.crops.selection import choose
+from p2wss.data.manifest import building_ranks
 from p2wss.errors import InputError
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS
-from p2wss.storage.schemas.manifest import building_ranks
 
 
 def list_shards(shards: Sequence[tuple[Path, str]], folder: Path, config: Dataset) -> dict[str, Any]:

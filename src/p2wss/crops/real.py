@@ -13,12 +13,12 @@ import pyarrow as pa
 import pyproj
 
 from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
-from p2wss.clouds.las_classes import LAS, ClassSet
-from p2wss.clouds.points import points_on_buildings
 from p2wss.clouds.reading import read_clouds, same_crs
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
+from p2wss.data.las_classes import LAS, ClassSet
+from p2wss.data.points import points_on_buildings
 from p2wss.errors import InputError
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.schemas.crops import CROPS

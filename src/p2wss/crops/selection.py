@@ -23,7 +23,7 @@ def choose(ranks: Mapping[tuple[str, str], np.ndarray], config: Dataset) -> dict
     """The ranges of ranks to use, for the manifest, and how many buildings they hold.
 
     ranks: (dataset, split) to the ranks of its buildings, uint64 (n,). Returns ``{dataset: {purpose: range}}``
-    with the purposes of :meth:`p2wss.storage.schemas.manifest.Manifest.select`. A range has the ranks ``from`` and
+    with the purposes of :meth:`p2wss.data.manifest.Manifest.select`. A range has the ranks ``from`` and
     ``below``, ``num_buildings`` and ``num_wanted``. A dataset of which all buildings are used is absent.
     """
     selection: dict[str, Any] = {}

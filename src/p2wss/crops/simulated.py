@@ -26,7 +26,7 @@ def crop_simulated(
     reason.
 
     buildings: the columns of :data:`p2wss.storage.schemas.buildings.BUILDINGS`; those in the margin of the tile are
-    not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.storage.schemas.scan.read_scan`.
+    not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.clouds.scan_files.read_scan`.
     """
     cloud, building_of_point, face_of_point = scan
     polygons = _footprints(buildings)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from p2wss.clouds.points import points_on_building
+from p2wss.data.points import points_on_building
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 
@@ -40,7 +40,7 @@ class Building:
 
     @property
     def is_on_building(self) -> np.ndarray:
-        """Mask of the points on the building, bool (m,): see :func:`p2wss.clouds.points.points_on_building`."""
+        """Mask of the points on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
         return points_on_building(self.polygon, self.point_m, self.classification, self.ground_z_m)
 
 

@@ -13,10 +13,10 @@ import pyarrow as pa
 
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction
+from p2wss.data.manifest import Manifest
+from p2wss.eval.reconstructions import Key
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
-from p2wss.storage.schemas.manifest import Manifest
-from p2wss.storage.schemas.reconstructions import Key
 
 _KEY_COLUMNS = ["tile", "building_id"]
 

@@ -19,8 +19,8 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.las_classes import BUILDING_CLASS
 from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import BUILDING_CLASS
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts
 from p2wss.footprints.schemas import GENERIC, building_ids, schema_of

@@ -16,11 +16,11 @@ from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m, surface_height_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
 from p2wss.eval.parameters import parameter_errors
+from p2wss.eval.reconstructions import Key
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.mesh.surface import distance_to_mesh, sample_surface
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.schemas.measures import MEASURES
-from p2wss.storage.schemas.reconstructions import Key
 
 # with fewer points on the building, distances to the roof mean nothing
 MIN_ROOF_POINTS = 10

@@ -19,8 +19,8 @@ from matplotlib import colormaps
 from p2wss.data.building import Reconstruction
 from p2wss.eval.cases import Case
 from p2wss.eval.figures import COLORS, FACE_COLORS
+from p2wss.eval.reconstructions import Key
 from p2wss.mesh.surface import distance_to_mesh
-from p2wss.storage.schemas.reconstructions import Key
 
 # buildings per data set beside the worst
 NUM_MEDIAN = NUM_BEST = 5

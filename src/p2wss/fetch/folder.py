@@ -20,9 +20,9 @@ import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
+from p2wss.clouds.metric_crs import reprojected
 from p2wss.clouds.reading import check_crs, horizontal, same_crs
 from p2wss.config import Folder
-from p2wss.data.metric_crs import reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError, reading
@@ -93,7 +93,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
 
     layer: name of the layer; a file with a single layer may use another name. Features in another CRS, such as IGN's
     national GeoParquet in degrees, are reprojected to ``crs``, with a note
-    (:func:`p2wss.data.metric_crs.reprojected`); those without a CRS are returned as they are.
+    (:func:`p2wss.clouds.metric_crs.reprojected`); those without a CRS are returned as they are.
 
     Raises :class:`InputError` if the file is broken, has several layers and none is called ``layer``, or is in a CRS
     that cannot be transformed.

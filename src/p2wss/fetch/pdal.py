@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from p2wss.clouds.las_classes import GROUND_CLASS
 from p2wss.config import Prepare
+from p2wss.data.las_classes import GROUND_CLASS
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.fetch.cloud import append_checksum, count_classes, link_or_copy

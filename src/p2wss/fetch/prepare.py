@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from p2wss.clouds.las_classes import GROUND_CLASS
 from p2wss.config import Prepare
+from p2wss.data.las_classes import GROUND_CLASS
 from p2wss.errors import InputError
 from p2wss.fetch import pdal
 from p2wss.fetch.cloud import check_cloud, count_classes, read_header, write_cloud

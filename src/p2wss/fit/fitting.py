@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 import shapely
 
-from p2wss.clouds.points import MIN_CLASSIFIED_POINTS
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.points import MIN_CLASSIFIED_POINTS
 from p2wss.fit.boxes.chimneys import with_chimneys
 from p2wss.fit.boxes.dormers import Box, find_boxes, is_over_boxes
 from p2wss.fit.boxes.open_ground import OpenGround

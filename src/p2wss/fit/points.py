@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.clouds.las_classes import GROUND_CLASS
-from p2wss.clouds.points import MIN_CLASSIFIED_POINTS, points_on_building
+from p2wss.data.las_classes import GROUND_CLASS
+from p2wss.data.points import MIN_CLASSIFIED_POINTS, points_on_building
 
 _CELL_M = 0.5
 # Returns from walls: in a cell of the plan of this size at most this share of the points is within about this height of

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 
 # shorter edges stay; points this near to the ends of an edge may belong to the next wall
 _MIN_EDGE_M, _AT_CORNER_M = 2.0, 0.5

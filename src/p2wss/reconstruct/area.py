@@ -15,9 +15,9 @@ import numpy as np
 import shapely
 
 from p2wss.clouds.crops import GROUND_RINGS_M
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.errors import InputError

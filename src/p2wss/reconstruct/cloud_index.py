@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pyproj
 
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.clouds.reading import Cloud
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.reconstruct.unclassified import with_classes
 from p2wss.storage.temporary import Closeable, Scratch
 

@@ -13,9 +13,9 @@ import numpy as np
 import shapely
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays, reasons
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.skeleton.types import Polygons
 
 # how far beyond a footprint roofs are counted, and how near the nearest must be

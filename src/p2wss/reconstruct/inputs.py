@@ -15,10 +15,10 @@ import numpy as np
 import pyproj
 
 from p2wss.clouds import reading
-from p2wss.clouds.las_classes import LAS, ClassSet, class_set
+from p2wss.clouds.metric_crs import MetricCrs, common_crs, metric_crs
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
-from p2wss.data.metric_crs import MetricCrs, common_crs, metric_crs
+from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError

@@ -19,10 +19,10 @@ from rasterio.transform import Affine
 from scipy import ndimage
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.errors import InputError
 from p2wss.mesh.topology import groups
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, mean_directions, regularised, seam_lines

@@ -13,11 +13,11 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from p2wss.clouds.crops import CloudCrops, crop_cloud
-from p2wss.clouds.points import on_millimetres
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, no_mesh
+from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.measures import party_wall_areas_m2

@@ -24,9 +24,9 @@ import shapely
 import trimesh
 
 from p2wss.clouds.crops import crop_cloud
-from p2wss.clouds.las_classes import class_set
 from p2wss.config import CLASSES_ALONE, Config, load, section_json
 from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
 from p2wss.footprints.cleaning import clean_footprints, read_footprints

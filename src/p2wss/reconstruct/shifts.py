@@ -14,7 +14,7 @@ import scipy.fft
 import scipy.ndimage
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge

@@ -13,15 +13,15 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from p2wss.clouds.las_classes import (
+from p2wss.clouds.reading import Cloud
+from p2wss.data.las_classes import (
     BUILDING_CLASS,
     GROUND_CLASS,
     UNCLASSIFIED_CLASS,
     VEGETATION_CLASS,
     WATER_CLASS,
 )
-from p2wss.clouds.points import MIN_HEIGHT_M
-from p2wss.clouds.reading import Cloud
+from p2wss.data.points import MIN_HEIGHT_M
 
 _CELL_M = 1.0
 # half the width of the widest building that is not taken for ground

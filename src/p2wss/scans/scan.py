@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyproj
 
+from p2wss.clouds import scan_files as schema
 from p2wss.clouds.reading import same_crs
 from p2wss.config import Scans
 from p2wss.data.seeds import derive_seed
@@ -26,7 +27,6 @@ from p2wss.scans.scene import build_surface, buildings_without_terrain, local_bu
 from p2wss.scans.surface import CLUTTER_KIND, Surface, is_tree, las_classes
 from p2wss.scans.survey import Survey, plan
 from p2wss.skeleton.types import FaceKind
-from p2wss.storage.schemas import scan as schema
 
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
 _WRITTEN_AT_ONCE = 1_000_000
@@ -156,7 +156,7 @@ def _point_facts(points: Points, origin: np.ndarray, bounds: Bounds) -> dict[str
 
 
 def write_scan(path: str | Path, scan: Scan, crs: pyproj.CRS, threads: int = 1) -> None:
-    """Write the points of a scan in the format of :mod:`p2wss.storage.schemas.scan`; whole or not at all."""
+    """Write the points of a scan in the format of :mod:`p2wss.clouds.scan_files`; whole or not at all."""
     schema.write_scan(path, _las_chunks(scan), scan.origin_m, crs, threads)
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, VEGETATION_CLASS
 from p2wss.scans.terrain import TerrainGrid
 
 TERRAIN_REFLECTANCE, CLUTTER_REFLECTANCE, TREE_REFLECTANCE = 0.25, 0.3, 0.4

@@ -12,7 +12,7 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.clouds.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import DATE

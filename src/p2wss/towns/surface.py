@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from p2wss.clouds.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.towns.buildings import DrawnBuilding, Wing
 from p2wss.towns.lots import block_side, rectangle, to_world
 from p2wss.towns.site import ground_z_m, in_lidar_tile

@@ -10,7 +10,7 @@ import pytest
 
 from p2wss.config import Dataset
 from p2wss.crops.selection import choose
-from p2wss.storage.schemas.manifest import Manifest, building_ranks
+from p2wss.data.manifest import Manifest, building_ranks
 
 
 def shard(tile: str, count: int, split: str) -> pa.Table:

@@ -21,19 +21,19 @@ from truth_network import TruthNetwork
 from p2wss import cli
 from p2wss.config import Config, Eval, load
 from p2wss.data.building import no_mesh
+from p2wss.data.manifest import Manifest, Shard, read_manifest
 from p2wss.errors import InputError
 from p2wss.eval import cases, measure, methods, report, roofer_command, tables
-from p2wss.nets import predictor as predictor_module
-from p2wss.nets import weights
-from p2wss.storage import files
-from p2wss.storage.schemas.crops import CROPS
-from p2wss.storage.schemas.manifest import Manifest, Shard, read_manifest
-from p2wss.storage.schemas.measures import MEASURES
-from p2wss.storage.schemas.reconstructions import (
+from p2wss.eval.reconstructions import (
     RECONSTRUCTIONS,
     read_reconstructions,
     reconstruction_columns,
 )
+from p2wss.nets import predictor as predictor_module
+from p2wss.nets import weights
+from p2wss.storage import files
+from p2wss.storage.schemas.crops import CROPS
+from p2wss.storage.schemas.measures import MEASURES
 
 ROOFER = Path(__file__).with_name("toy_roofer.py")
 CONFIG = Eval(num_resamples=50)

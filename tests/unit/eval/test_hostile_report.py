@@ -12,9 +12,9 @@ import pytest
 import yaml
 
 from p2wss import cli
+from p2wss.eval.reconstructions import RECONSTRUCTIONS
 from p2wss.storage import files
 from p2wss.storage.schemas.crops import CROPS
-from p2wss.storage.schemas.reconstructions import RECONSTRUCTIONS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 HOSTILE = (

@@ -17,11 +17,11 @@ from places import ROOT
 
 from p2wss import cli, skeleton
 from p2wss.data.building import Reconstruction
+from p2wss.eval.reconstructions import read_reconstructions
 from p2wss.mesh.surface import sample_surface
 from p2wss.nets import predictor, weights
 from p2wss.reconstruct import exports
 from p2wss.skeleton.types import FaceKind, Polygons
-from p2wss.storage.schemas.reconstructions import read_reconstructions
 
 TILE = "0652_6862"
 L_SHAPE = [(0, 0), (16, 0), (16, 6), (7, 6), (7, 13), (0, 13)]

@@ -17,12 +17,12 @@ from p2wss import skeleton
 from p2wss.config import Config, Eval
 from p2wss.data.building import Building, Reconstruction
 from p2wss.eval import cases, measure, methods, parameters, tables
+from p2wss.eval.reconstructions import Key
 from p2wss.eval.roof_kinds import roof_kind
 from p2wss.reconstruct.flat import constant
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
-from p2wss.storage.schemas.reconstructions import Key
 
 CONFIG, RECONSTRUCT = Eval(num_resamples=50, num_samples=256), Config().reconstruct
 RUNS = [tables.Run(name, "ok") for name in (NETWORK, NETWORK_AND_FIT, FIT)]

@@ -47,7 +47,7 @@ CROPS = pa.schema(
         field(
             "num_roof_points",
             pa.int32(),
-            "points on the roof; of real LiDAR: points on the building (p2wss.clouds.points)",
+            "points on the roof; of real LiDAR: points on the building (p2wss.data.points)",
         ),
         field("num_wall_points", pa.int32(), "points on the walls; null for real LiDAR", True),
         field("visible_roof_share", pa.float32(), "share of the 1 m cells of the roof that have a point"),

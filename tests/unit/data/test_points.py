@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from p2wss.clouds.crops import crop_cloud
-from p2wss.clouds.points import on_millimetres, points_on_building, points_on_buildings
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
+from p2wss.data.points import on_millimetres, points_on_building, points_on_buildings
 
 BOX = shapely.box(0, 0, 10, 8)
 GROUND_Z_M = 100.0

@@ -12,8 +12,8 @@ import shapely
 from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
+from p2wss.clouds.metric_crs import MetricCrs, metric_crs, reprojected
 from p2wss.clouds.reading import Cloud
-from p2wss.data.metric_crs import MetricCrs, metric_crs, reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.errors import InputError
 from p2wss.footprints.cleaning import read_footprints

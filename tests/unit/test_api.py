@@ -1,0 +1,148 @@
+"""The public interface: the examples of its page and of its docstrings, and what these do not show."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+from places import ROOT, SHARED
+
+import p2wss
+
+PAGE = ROOT / "docs" / "manual" / "python.md"
+DELFT = SHARED / "data" / "delft_ahn3"
+
+
+def test_every_example_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) > 6
+    names: dict[str, object] = {}
+    for block in blocks:
+        exec(block, names)
+    assert {"survey.city.json", "survey.glb"} <= {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_the_examples_of_docstrings() -> None:
+    result = doctest.testmod(p2wss)
+    assert result.attempted > 5 and result.failed == 0
+
+
+def test_importing_it_imports_nothing_slow() -> None:
+    code = "import sys, p2wss; print([name for name in ('numpy', 'torch', 'shapely') if name in sys.modules])"
+    environment = os.environ | {"PYTHONPATH": str(ROOT / "src")}
+    output = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    assert output.stdout.strip() == "[]", output.stderr
+
+
+def test_functions_stay_functions_when_their_packages_are_imported() -> None:
+    """``p2wss.reconstruct`` and ``p2wss.fetch`` are packages, too, and an import may replace an attribute."""
+    import p2wss.fetch.http
+    import p2wss.reconstruct.area
+
+    assert callable(p2wss.reconstruct) and callable(p2wss.fetch)
+
+
+def gable_points(x_m: float = 0.0) -> np.ndarray:
+    """Points of a house of 10 by 6 metres at ``x_m`` and of the ground around it, with classes."""
+    x, y = np.meshgrid(np.arange(-4, 14, 0.4), np.arange(-4, 10, 0.4))
+    inside = (x > 0) & (x < 10) & (y > 0) & (y < 6)
+    z = np.where(inside, 5 + np.minimum(y, 6 - y), 0)
+    return np.column_stack([each.ravel() for each in (x + x_m, y, z, np.where(inside, 6, 2))])
+
+
+def footprints() -> gpd.GeoDataFrame:
+    boxes = [shapely.box(0, 0, 10, 6), shapely.box(50, 0, 60, 6), shapely.box(100, 0, 110, 6)]
+    return gpd.GeoDataFrame({"id": ["a", "b", "c"]}, geometry=boxes, crs=2154)
+
+
+def test_buildings_are_chosen_by_ids_and_by_a_box() -> None:
+    cloud = np.concatenate([gable_points(), gable_points(50), gable_points(100)])
+    done = []
+    options = {"model": "none", "progress": lambda *numbers: done.append(numbers)}
+    whole = p2wss.reconstruct(cloud, footprints(), **options)
+    assert list(whole) == ["a", "b", "c"] and done[-1] == (3, 3) and "3 ok" in whole.summary
+    by_id = p2wss.reconstruct(cloud, footprints(), ids=["b"], **options)
+    by_box = p2wss.reconstruct(cloud, footprints(), bbox=(40, -10, 70, 20), **options)
+    for scene in (by_id, by_box):
+        assert list(scene) == ["b"]
+        np.testing.assert_array_equal(scene["b"].mesh.vertices, whole["b"].mesh.vertices)
+    with pytest.raises(p2wss.InputError, match="has no building nobody"):
+        p2wss.reconstruct(cloud, footprints(), ids=["nobody"], **options)
+    with pytest.raises(p2wss.InputError, match="is that in the CRS of the run"):
+        p2wss.reconstruct(cloud, footprints(), bbox=(2.3, 48.8, 2.4, 48.9), **options)
+
+
+def test_a_scene_is_closed_with_its_files_and_reading_one_gives_the_same_meshes(tmp_path: Path) -> None:
+    with p2wss.reconstruct(gable_points(), footprints()[:1], model="none", progress=False) as scene:
+        scene.write(tmp_path, ["cityjson"], name="town")
+        solid, skin = scene["a"].mesh, scene.to_trimesh(skin=True)
+        assert skin.geometry["a"].is_watertight
+    again = p2wss.read(tmp_path / "town.city.json")
+    assert again.crs == 2154 and again["a"].footprint.area == pytest.approx(60, abs=0.1)
+    assert again["a"].mesh.volume == pytest.approx(solid.volume, abs=0.1)
+    assert {each.kind for each in again["a"].surfaces} == {"GroundSurface", "WallSurface", "RoofSurface"}
+    paths = again.write(tmp_path, ["obj", "ply"])
+    assert {path.suffix for path in paths} == {".obj", ".mtl", ".ply"}
+    with pytest.raises(p2wss.InputError, match="has no points"):
+        again.points("a")
+    with pytest.raises(p2wss.InputError, match="needs a reconstruction"):
+        again.write(tmp_path, ["gpkg"])
+
+
+def test_outlines_of_an_array() -> None:
+    frame = p2wss.outlines(gable_points(), crs="EPSG:2154")
+    assert len(frame) == 1 and 45 < frame.area.iloc[0] < 60  # walls stand back from the eaves
+
+
+def test_wrong_roofs_and_clouds_are_one_line() -> None:
+    square = [[0, 0], [8, 0], [8, 8], [0, 8]]
+    with pytest.raises(p2wss.InputError, match="4 edges, but there are 3 angles"):
+        p2wss.roof(square, 3, [45, 45, 45])
+    with pytest.raises(p2wss.InputError, match="no roof over this footprint"):
+        p2wss.roof(square, 3, 3)
+    with pytest.raises(p2wss.InputError, match=r"has shape \(5, 2\)"):
+        p2wss.reconstruct(np.zeros((5, 2)), footprints())
+
+
+def test_degrees_are_not_taken_for_metres() -> None:
+    with pytest.raises(p2wss.InputError, match="not in metres"):
+        p2wss.fetch((2.35, 48.85, 2.36, 48.86), "EPSG:2154")
+    with pytest.raises(p2wss.InputError, match="not in degrees"):
+        p2wss.fetch((651000, 6861000, 652000, 6862000))
+
+
+def test_a_place_is_fetched_into_a_folder(tmp_path: Path) -> None:
+    mini = ROOT / "tests" / "mini"
+    folder = {
+        "footprints": str(mini / "bdtopo" / "BDTOPO_mini.gpkg"),
+        "dtm": str(mini / "rgealti"),
+        "lidar": str(mini / "lidar"),
+    }
+    config = {"fetch": {"source": "folder", "folder": folder}}
+    data = p2wss.fetch((653100, 6860700, 653250, 6860850), "EPSG:2154", folder=tmp_path, config=config)
+    scene = p2wss.reconstruct(
+        data.clouds, data.footprints, model="none", terrain=data.terrain, progress=False
+    )
+    assert len(scene) > 0 and {each.status for each in scene.values()} & {"ok"}
+
+
+@pytest.mark.skipif(not DELFT.exists(), reason="no shared data")
+def test_a_scene_and_its_file_have_the_same_measures(tmp_path: Path) -> None:
+    cloud, vectors = DELFT / "ahn3.laz", DELFT / "footprints.gpkg"
+    box = (84900, 447490, 84950, 447540)
+    scene = p2wss.reconstruct(cloud, vectors, model="none", progress=False, bbox=box)
+    assert 2 < len(scene) < 40
+    (path,) = [each for each in scene.write(tmp_path, ["cityjsonseq"]) if each.name.endswith(".jsonl")]
+    one, other = (p2wss.evaluate(each, vectors, cloud) for each in (scene, path))
+    np.testing.assert_allclose(
+        one["points_to_mesh_m"], other["points_to_mesh_m"], atol=5e-3
+    )  # of random samples
