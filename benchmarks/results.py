@@ -1,7 +1,6 @@
 """The figures in the documentation: stored as JSON in ``docs/results``, shown in Markdown, checked by a unit test.
 
     python benchmarks/results.py                                   # show the stored figures in every page
-    python benchmarks/results.py --check                           # status 1 if a page shows other figures
     python benchmarks/results.py --age                             # which were measured with other code than today's
     python benchmarks/results.py --record lidar --code scans crops -- python benchmarks/lidar.py
     python benchmarks/results.py --record miniature --code eval --csv results/mini/eval/table1.csv -- make eval_report
@@ -10,10 +9,9 @@
 fingerprint of the code that was measured, and as ``figures`` the last line of the output, which every benchmark
 prints as JSON, or with ``--csv`` the rows of a table.
 
-A block of Markdown between ``<!-- figures`` and ``<!-- end of figures -->`` begins with a template in the comment;
-what follows is that template with every ``{NAME > key > key|format}`` replaced from ``docs/results/NAME.json``.
-Several last keys, ``{NAME > key > key; key; key|format}``, give cells of a row. A key that a file lacks is an error.
-Of a figure beside a bar, ``{"value": .., "bar": ..}``, the value is shown.
+Pages of results are made from ``docs/results/templates``, where ``{NAME[key][key]:format}`` stands for a figure of
+``docs/results/NAME.json``, as in ``str.format``, and ``{NAME[key]:key .2f | key .0f}`` for a row of figures. In other
+pages, written by hand, a figure may be followed by ``<!--short_name-->``, a line of ``docs/results/figures.yaml``.
 """
 
 from __future__ import annotations
@@ -26,55 +24,68 @@ import platform
 import re
 import shlex
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs/results"
-BLOCK = re.compile(r"<!-- figures\n(.*?)\n-->\n(.*?)\n<!-- end of figures -->", re.DOTALL)
-FIELD = re.compile(r"\{([^{}|]+)(?:\|([^{}]*))?\}")
+KEY = re.compile(r"(\w+)(?: ([.,\d]*[f%]))?")
+REFERENCE = re.compile(r"<!--(\w+)-->")
+NUMBER = r"\d[\d.,]*"
 
 
-def pages() -> list[Path]:
-    """Every Markdown page that may show figures."""
-    return [ROOT / "README.md", ROOT / "models/README.md", *sorted(ROOT.glob("docs/**/*.md"))]
+class Figures(dict[str, Any]):
+    """Figures by their keys, several of which can be shown at once; of a figure beside a bar, the value is shown.
 
-
-def rendered(text: str, files: dict[str, Any]) -> str:
-    """A page with all its blocks filled in.
-
-    >>> page = "<!-- figures\\nIt takes {speed > cast|.1f} s.\\n-->\\n?\\n<!-- end of figures -->"
-    >>> print(rendered(page, {"speed": {"figures": {"cast": {"value": 2.34, "bar": 3}}}}).splitlines()[3])
-    It takes 2.3 s.
+    >>> "{:roof .2f, tri .0f}".format(Figures(roof=0.237, tri=Figures(value=43.6, bar=40)))
+    '0.24, 44'
     """
 
-    def block(match: re.Match[str]) -> str:
-        template = match[1]
-        filled = FIELD.sub(lambda field: shown(field[1], field[2] or "", files), template)
-        return f"<!-- figures\n{template}\n-->\n{filled}\n<!-- end of figures -->"
+    def __missing__(self, key: str) -> Any:
+        raise KeyError(f"docs/results has no figure {key!r} among {list(self)}")
 
-    return BLOCK.sub(block, text)
-
-
-def shown(path: str, layout: str, files: dict[str, Any]) -> str:
-    """One figure as text, or several as cells. Raises ``KeyError`` with the whole path if one is not stored."""
-    name, *keys = path.split(" > ")
-    cells = []
-    for last in keys.pop().split("; "):
-        try:
-            value: Any = files[name]
-            for key in [last] if last in ("command", "machine") else ["figures", *keys, last]:
-                value = value[int(key)] if isinstance(value, list) else value[key]
-        except (KeyError, TypeError, IndexError, ValueError) as error:
-            raise KeyError(f"docs/results has no figure {path}") from error
-        cells.append(format(value["value"] if isinstance(value, dict) else value, layout))
-    return " | ".join(cells)
+    def __format__(self, layout: str) -> str:
+        if "value" in self:
+            return format(self["value"], layout)
+        return KEY.sub(lambda match: format(self[match[1]], match[2] or ""), layout)
 
 
 def stored() -> dict[str, Any]:
     """The files of ``docs/results`` by name."""
-    return {path.stem: json.loads(path.read_text()) for path in sorted(FOLDER.glob("*.json"))}
+    files = sorted(FOLDER.glob("*.json"))
+    return {file.stem: json.loads(file.read_text(), object_hook=Figures) for file in files}
+
+
+def pages() -> dict[Path, str]:
+    """The text that every page with figures should have."""
+    files = {name: {**document, **document["figures"]} for name, document in stored().items()}
+    result = {}
+    for template in sorted(FOLDER.glob("templates/*.md")):
+        note = f"<!-- Made by benchmarks/results.py: edit templates/{template.name} instead. -->\n"
+        result[FOLDER / template.name] = note + template.read_text().format_map(files)
+    references = yaml.safe_load((FOLDER / "figures.yaml").read_text())
+    shown = {name: layout.format_map(files) for name, layout in references.items()}
+    for page in [ROOT / "README.md", *ROOT.glob("models/*.md"), *sorted(ROOT.glob("docs/**/*.md"))]:
+        if page not in result and page.parent.name != "templates":
+            result[page] = mended(page.read_text(), shown)
+    return result
+
+
+def mended(text: str, shown: dict[str, str]) -> str:
+    """A page with the digits before each reference replaced.
+
+    >>> mended("It takes 1.9<!--cast--> s in 3<!--of--> of 4 runs.", {"cast": "12.3", "of": "2"})
+    'It takes 12.3<!--cast--> s in 2<!--of--> of 4 runs.'
+    """
+    for name in set(REFERENCE.findall(text)):
+        reference = f"<!--{name}-->"
+        any_digits = NUMBER.join(map(re.escape, re.split(NUMBER, shown[name]))) + reference
+        text, count = re.subn(any_digits, shown[name] + reference, text)
+        if count != text.count(reference):
+            raise ValueError(f"not behind a figure like {shown[name]}: {reference}")
+    return text
 
 
 def from_csv(path: Path) -> dict[str, dict[str, float | str | None]]:
@@ -97,10 +108,8 @@ def record(name: str, modules: list[str], table: Path | None, command: list[str]
     from p2wss.provenance import fingerprint
 
     # the exit status of a benchmark tells whether its bars are met: figures that miss them are stored too
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=table is not None)
     print(done.stdout)
-    if table is not None and done.returncode:
-        sys.exit(done.returncode)
     document = {
         "command": shlex.join(command),
         "machine": f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}",
@@ -124,11 +133,8 @@ def age() -> None:
         print(f"{name:<20} {state:<14} {document['command']}")
 
 
-def main() -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; status 1 if a page is out of date"
-    )
     parser.add_argument(
         "--age", action="store_true", help="list the stored figures and whether code has changed"
     )
@@ -138,21 +144,14 @@ def main() -> int:
     arguments, command = parser.parse_known_args()
     if arguments.age:
         age()
-        return 0
+        return
     if arguments.record:
         record(arguments.record, arguments.code, arguments.csv, command[command[:1] == ["--"] :])
-    files, outdated = stored(), []
-    for path in pages():
-        text = path.read_text()
-        new = rendered(text, files)
-        if new != text:
-            outdated.append(str(path.relative_to(ROOT)))
-            if not arguments.check:
-                path.write_text(new)
-    if outdated:
-        print(("out of date: " if arguments.check else "rewritten: ") + ", ".join(outdated))
-    return 1 if arguments.check and outdated else 0
+    for page, text in pages().items():
+        if not page.is_file() or page.read_text() != text:
+            page.write_text(text)
+            print(f"rewritten: {page.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
