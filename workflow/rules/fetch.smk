@@ -12,7 +12,7 @@ lidar_around = around("<results>/fetch/lidar/{place}{tile}.laz")
 delivered_around = around("resources/ign/{vintage}/lidar/{tile}.laz")
 
 
-# requests are sent from the machine that runs Snakemake: cluster nodes often have no network
+# requests are sent from the machine that runs Snakemake: cluster nodes often have no internet
 localrules:
     fetch_footprints,
     fetch_dtm,

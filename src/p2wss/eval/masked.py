@@ -1,8 +1,8 @@
-"""Table 1 with the footprint masked too: what the network reads, and the same after the outline is fitted.
+"""Table 1 with the footprint masked too: what the network predicts, and the same after the outline is fitted.
 
-The network reads the outline and the height (:meth:`MaskedPredictor.reconstruct_all_masked`). In its place comes the
+The network predicts the outline and the height (:meth:`MaskedPredictor.reconstruct_all_masked`). In its place comes the
 outline of ``p2wss outlines`` that has as many vertices, its edges moved as the registration moves footprints. The
-network reads height and angles again with this outline given, and these are fitted as ``p2wss reconstruct`` does.
+network predicts height and angles again with this outline given, and these are fitted as ``p2wss reconstruct`` does.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OUTLINES = [
 _BELOW_EAVES_M = 0.6
 # where the roof of the building ends before them: half a sign
 _LOW_WEIGHT = -0.5
-# an edge that the network read farther from where the points end is misread
+# an edge that the network predicted farther from where the points end is misplaced
 _MAX_MISREADING_M = 2.0
 # edges whose directions differ by less (the sine) have no corner
 _MIN_SINE = 0.3
@@ -104,11 +104,11 @@ def fitted_outline(
     """The outline of the points (v, 2), its vertices in the order of the reading; the reading where there is none of
     as many vertices.
 
-    reading_m: (v, 2), counter-clockwise, as the network read it, not necessarily simple. eave_height_m: as the network
-    read it, above the ground. point_m: (n, 3), z above the ground. classification: LAS classes (n,).
+    reading_m: (v, 2), counter-clockwise, as the network predicts it, not necessarily simple. eave_height_m: as the
+    network predicts it, above the ground. point_m: (n, 3), z above the ground. classification: LAS classes (n,).
 
     An edge is where its step from building to ground is. Where a building continues beyond it, as at a party wall,
-    there is none, and the edge is where the network read it.
+    there is none, and the edge is where the network predicted it.
     """
     outline = _traced(reading_m, point_m, classification)
     if outline is None:

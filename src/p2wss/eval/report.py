@@ -1,4 +1,4 @@
-"""``report.html``, a single file that needs no other file and no network, and its tables as CSV and LaTeX."""
+"""``report.html``, a single file that needs no other file and no internet, and its tables as CSV and LaTeX."""
 
 from __future__ import annotations
 
