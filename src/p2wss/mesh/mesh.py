@@ -157,8 +157,8 @@ class Mesh:
 class Planes:
     """The planes of a mesh, numbered from 0 in the order of their labels.
 
-    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards. offset_m: (p,), distances from the
-    origin along the normals. area_m2: (p,). at: the planes of each vertex.
+    number: (t,), of each triangle. kind: uint8 (p,). normal: (p, 3), outwards; 0 for a plane without area. offset_m:
+    (p,), distances from the origin along the normals. area_m2: (p,). at: the planes of each vertex.
     """
 
     number: np.ndarray

@@ -126,7 +126,9 @@ class _System:
     @classmethod
     def of(cls, mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray) -> _System:
         planes = mesh.planes
-        roofs = np.flatnonzero((planes.kind == FaceKind.ROOF) | (planes.kind == FaceKind.FLAT))
+        # a plane without area faces nowhere, whatever its kind
+        has_kind = (planes.kind == FaceKind.ROOF) | (planes.kind == FaceKind.FLAT)
+        roofs = np.flatnonzero(has_kind & planes.is_roof)
         walls = np.flatnonzero(is_free(planes, rings) & planes.is_wall).tolist()
         roof_of = np.full(len(planes.normal), -1)
         roof_of[roofs] = np.arange(len(roofs))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.short_edges import without_short_edges
 from p2wss.fit.mesh.union import is_sound, union
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
+from p2wss.skeleton import FaceKind
 
 WEST = np.array([[0, 0], [6, 0], [6, 8], [0, 8.0]])
 EAST = np.array([[6, 0], [10, 0], [10, 8], [6, 8.0]])
@@ -85,3 +87,30 @@ def test_a_cut_beside_a_corner_moves_to_it_and_the_footprint_stays() -> None:
 def test_without_points_over_the_roofs_edges_stay() -> None:
     mesh = house((WEST, [0] * 4, 5.0), (EAST, [0] * 4, 5.06))
     assert without_short_edges(mesh, [BOTH], np.array([[-50.0, -50.0, 5.0]]), 1.0) is mesh
+
+
+@pytest.mark.parametrize("kind", [FaceKind.ROOF, FaceKind.WALL])
+def test_a_plane_without_area_is_no_reason_to_fail(kind) -> None:
+    """Beside a ridge there is a triangle without area, 5 cm of whose side are a short edge."""
+    house_mesh = house((BOTH, [40, 90, 40, 90], 5.0))
+    vertex_m, is_top = house_mesh.vertex_m, house_mesh.vertex_m[:, 2] > 6
+    at_ridge = is_top[house_mesh.triangle].sum(axis=1) == 2
+    row = int(np.flatnonzero(at_ridge & (house_mesh.kind == FaceKind.ROOF))[0])
+    corners = house_mesh.triangle[row].tolist()
+    turn = next(k for k in range(3) if not is_top[corners[k]])
+    foot, start, end = corners[turn:] + corners[:turn]
+    between = len(vertex_m)
+    along_m = vertex_m[end] - vertex_m[start]
+    rows = [[foot, start, between], [foot, between, end], [start, end, between]]
+    mesh = Mesh(
+        np.vstack([vertex_m, vertex_m[start] + 0.05 * along_m / np.linalg.norm(along_m)]),
+        np.vstack([np.delete(house_mesh.triangle, row, axis=0), rows]).astype(np.int32),
+        np.append(np.delete(house_mesh.kind, row), [FaceKind.ROOF, FaceKind.ROOF, kind]).astype(np.uint8),
+        np.append(np.delete(house_mesh.label, row), [*2 * [house_mesh.label[row]], 99]).astype(np.int32),
+    )
+    assert mesh.is_closed and mesh.planes.area_m2.min() == 0 and np.isfinite(mesh.planes.normal).all()
+    points = level_points((BOTH, 5.05))
+    points[:, 2] += np.tan(np.radians(38)) * np.minimum(points[:, 1], 8 - points[:, 1])
+    for result in (without_short_edges(mesh, [BOTH], points, 100.0), adjusted(mesh, [BOTH], points)):
+        assert result.is_closed and np.isfinite(result.vertex_m).all()
+        assert volume_m3(result) == pytest.approx(volume_m3(mesh), rel=0.05)
