@@ -20,7 +20,7 @@ from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.parametric import build_meshes, transfer_angles
 from p2wss.fit.mesh.short_edges import short_edges, without_short_edges
 from p2wss.fit.mesh.union import is_sound, union
-from p2wss.fit.parts.frame import roof_frame
+from p2wss.fit.parts.frame import enclosing_rectangle, roof_frame
 from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.parts.parts import main_frame, total_cost_m
 from p2wss.fit.parts.roofs import Roof
@@ -29,7 +29,7 @@ from p2wss.fit.roof.confidence import expected_share
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
-from p2wss.fit.settings import THRESHOLDS, Thresholds
+from p2wss.fit.settings import THRESHOLDS, Cutting, Thresholds
 from p2wss.mesh import Mesh
 
 METHOD = "fit"
@@ -89,7 +89,8 @@ class _PartsFit:
     rings: the footprint that the mesh gets, in the building's own frame. rotation: (2, 2); parts and points are in
     the frame ``xy @ rotation``. parts: empty without a fit. reason: why there are no parts, a value of
     :mod:`p2wss.data.reasons`. point_m: (m, 3), all points on the roof. num_ground: how many of the points, the last
-    ones, are of open ground; stated without parts only.
+    ones, are of open ground; stated without parts only. goes_beyond: whether the parts reach beyond the footprint,
+    where their solid is cut off.
     """
 
     rings: Sequence[np.ndarray]
@@ -98,6 +99,7 @@ class _PartsFit:
     reason: str
     point_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     num_ground: int = 0
+    goes_beyond: bool = False
 
     def in_building_frame(self, vertex_m: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) of the rotated frame in the frame of the building."""
@@ -156,7 +158,7 @@ class _FitTask:
 
     def fit_parts(self, max_parts: int, boxes: Sequence[Box] = ()) -> _PartsFit:
         """At most ``max_parts`` parts, fitted to the points that are not over ``boxes``."""
-        initial, effort, without_parts = self.initial, self.thresholds.effort, self._without_parts
+        without_parts = self._without_parts
         cutting = replace(self.thresholds.cutting, max_parts=max_parts)
         if without_parts.reason:
             return without_parts
@@ -165,27 +167,42 @@ class _FitTask:
         if len(point_m) < MIN_NUM_POINTS:
             return _PartsFit(rings, rotation, [], reasons.TOO_FEW_ROOF_POINTS)
         rotated = [ring @ rotation for ring in rings]
-        usual_prior = make_prior(rotated, len(point_m))
+        parts = self._parts_over(rotated, point_m, cutting)
+        if max_parts > 1 and not np.array_equal(rotation, main_frame(list(self.building.rings))):
+            # a roof that the footprint cuts off at an angle goes on beyond it
+            around = enclosing_rectangle(rotated)
+            prior = make_prior(around, len(point_m))
+            beyond = fit_parts(self.fitter, around, point_m, self.thresholds.effort, cutting, [], prior)
+            if beyond and (not parts or total_cost_m(beyond, cutting) < total_cost_m(parts, cutting)):
+                return _PartsFit(rings, rotation, beyond, "", roof_point_m, goes_beyond=True)
+        return _PartsFit(rings, rotation, parts, "" if parts else reasons.NO_ROOF, roof_point_m)
+
+    def _parts_over(
+        self, rings: Sequence[np.ndarray], point_m: np.ndarray, cutting: Cutting
+    ) -> Sequence[Roof]:
+        """The parts of the footprint ``rings`` for points (m, 3), both in the frame of the parts; empty without a
+        roof."""
+        initial, effort = self.initial, self.thresholds.effort
+        usual_prior = make_prior(rings, len(point_m))
         if (
             initial is None
             or initial.angle_deg is None
             or initial.eave_height_m is None
             or not initial.has_mesh
         ):
-            parts = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
-            return _PartsFit(rings, rotation, parts, "" if parts else reasons.NO_ROOF, roof_point_m)
+            return fit_parts(self.fitter, rings, point_m, effort, cutting, [], usual_prior)
         guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + self.building.ground_z_m
-        prior = make_prior(rotated, len(point_m), guess_deg, initial.class_probability, eave_z_m)
-        guess = FittedRoof(rotated, guess_deg, eave_z_m, np.inf, len(point_m))
+        prior = make_prior(rings, len(point_m), guess_deg, initial.class_probability, eave_z_m)
+        guess = FittedRoof(rings, guess_deg, eave_z_m, np.inf, len(point_m))
         candidates: list[list[Roof]] = [[replace(guess, loss_m=self.fitter.loss(guess, point_m, prior))]]
-        candidates += [fit_parts(self.fitter, rotated, point_m, effort, cutting, [guess_deg], prior)]
+        candidates += [fit_parts(self.fitter, rings, point_m, effort, cutting, [guess_deg], prior)]
         parts = min(filter(None, candidates), key=lambda parts: total_cost_m(parts, cutting))
         is_far_off = total_cost_m(parts, cutting) > _FAR_OFF_M * len(point_m)
         if len(parts) == 1 and cutting.max_parts > 1 and is_far_off:
-            without_network = fit_parts(self.fitter, rotated, point_m, effort, cutting, [], usual_prior)
+            without_network = fit_parts(self.fitter, rings, point_m, effort, cutting, [], usual_prior)
             if len(without_network) > 1:
                 parts = min(parts, without_network, key=lambda parts: total_cost_m(parts, cutting))
-        return _PartsFit(rings, rotation, parts, "", roof_point_m)
+        return parts
 
     def reconstruct(
         self, parts_fit: _PartsFit, single: Reconstruction | None
@@ -211,7 +228,7 @@ class _FitTask:
         while True:
             reconstruction = self._mesh_of_parts(parts_fit)
             num_parts = len(parts_fit.parts)
-            if reconstruction.has_mesh or num_parts < 2:
+            if reconstruction.has_mesh or (num_parts < 2 and not parts_fit.goes_beyond):
                 return reconstruction, parts_fit
             parts_fit = self.fit_parts(max(num_parts - 1, 1), boxes)
 
@@ -253,7 +270,8 @@ class _FitTask:
         heights = (self.building.ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
         raised = [box.as_part() for box in boxes if not box.is_recess]
         recesses = [box for box in boxes if box.is_recess]
-        return union([*parts_fit.parts, *raised], *heights, recesses)
+        outline = [ring @ parts_fit.rotation for ring in parts_fit.rings] if parts_fit.goes_beyond else []
+        return union([*parts_fit.parts, *raised], *heights, recesses, outline)
 
     def with_chimneys(self, reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
         """A reconstruction with the chimneys on the roof that a fit describes, at the highest level of detail."""
@@ -297,7 +315,7 @@ class _FitTask:
         roofs = [part for part in parts if not self._open_ground.is_open(part)] or parts
         largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
         angle_deg = largest.angle_deg
-        if len(parts) > 1:
+        if len(parts) > 1 or parts_fit.goes_beyond:
             part_rings = [ring @ parts_fit.rotation.T for part in parts for ring in part.rings]
             part_angles = np.concatenate([part.angle_deg for part in parts])
             angle_deg = transfer_angles(part_rings, part_angles, parts_fit.rings)
@@ -322,7 +340,10 @@ class _FitTask:
         """(cost of the parts and the boxes, the boxes, the same and others that gain ``loose_share`` of the price)."""
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
         price_m = thresholds.boxes.price_m(num_points)
-        lowest_z_m = self.building.ground_z_m + self.config.min_eave_height_m
+        # the eaves of a roof that goes on beyond the footprint may be below the ground
+        lowest_z_m = (
+            -np.inf if parts_fit.goes_beyond else self.building.ground_z_m + self.config.min_eave_height_m
+        )
         parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts_fit.parts]
         point_m, boxes = parts_fit.point_m, thresholds.boxes
         loss, found, loose = find_boxes(self.fitter, parts, point_m, price_m, boxes, loose_share)
@@ -338,7 +359,7 @@ def _mesh_single_parts(
     indices = [
         i
         for i, parts_fit in enumerate(parts_fits)
-        if len(parts_fit.parts) == 1 and parts_fit.parts[0].is_level_at_eaves
+        if len(parts_fit.parts) == 1 and parts_fit.parts[0].is_level_at_eaves and not parts_fit.goes_beyond
     ]
     if not indices:
         return result

@@ -12,11 +12,14 @@ import numpy as np
 
 from p2wss.fit.boxes.dormers import Box
 from p2wss.fit.parts.roofs import Roof
+from p2wss.fit.roof.fitter import kernel_solid
 from p2wss.mesh import Mesh
 
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
 _NO_AREA_M2 = 1e-6
+# beyond the outline, a roof may reach below the ground by this much
+_BELOW_GROUND_M = 30.0
 # how much higher each further part is raised, and how far a surface may move when slivers are removed
 _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
 
@@ -27,9 +30,10 @@ def union(
     min_eave_height_m: float,
     max_roof_height_m: float,
     recesses: Sequence[Box] = (),
+    outline: Sequence[np.ndarray] = (),
 ) -> Mesh | None:
     """The union of the parts' solids on one ground, z above it, less the ``recesses``. None if a part has no solid, or
-    if the result is not one closed manifold.
+    if the result is not one closed manifold. outline: rings of a footprint at which parts that reach beyond it end.
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
     The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
@@ -42,7 +46,7 @@ def union(
         raised = parts
         if step_m:
             raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses)
+        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
         if mesh is None or not mesh.is_closed:
             continue
         if mesh.edge_m.min() >= _SHORT_EDGE_M:
@@ -67,14 +71,24 @@ def _union(
     max_roof_height_m: float,
     simplify_m: float,
     recesses: Sequence[Box],
+    outline: Sequence[np.ndarray],
 ) -> Mesh | None:
-    solids = [part.solid(ground_z_m, min_eave_height_m, max_roof_height_m) for part in parts]
+    below_m = _BELOW_GROUND_M if len(outline) else 0.0
+    solids = [part.solid(ground_z_m - below_m, min_eave_height_m, max_roof_height_m) for part in parts]
     if None in solids:
         return None
-    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).translate((0.0, 0.0, -below_m))
     for recess in recesses:
         floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m)
         whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
+    if len(outline):
+        flat_deg, top_m = np.zeros(sum(map(len, outline))), float(whole.bounding_box()[5]) + 1.0
+        low, high = (
+            kernel_solid(outline, flat_deg, z, max_roof_height_m) for z in (min_eave_height_m, top_m)
+        )
+        if low is None or high is None:
+            return None
+        whole = (whole ^ high) + low
     return _mesh_of(whole, simplify_m)
 
 
