@@ -13,8 +13,9 @@ from toy_clouds import LAMBERT, cleaned
 
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Reconstruct
-from p2wss.nets.predictor import Predictor, load_predictor
+from p2wss.nets.predictor import load_predictor
 from p2wss.reconstruct.area import window
+from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.pipeline import run
 
 NUM_BUILDINGS = 68
