@@ -45,7 +45,7 @@ MEASURES = ("cd_m", "roof_cd_m", "points_to_mesh_m", "num_triangles")
 
 
 def evaluate(
-    buildings: str | Path | Scene,
+    buildings: str | Path | Scene | Sequence[ReadSolid],
     footprints: str | Path | gpd.GeoDataFrame,
     clouds: CloudInput,
     *,
@@ -55,7 +55,7 @@ def evaluate(
 ) -> pd.DataFrame:
     """One row per footprint, by building id, with the measures of its mesh.
 
-    buildings: a CityJSON file or text sequence, or a scene, in the CRS of the clouds. A building is that of the
+    buildings: a CityJSON file or text sequence, a scene, or solids, in the CRS of the clouds. A building is that of the
     footprint whose id is its name or its attribute ``id_field``, or else of the one that it overlaps most. id_field:
     column of the ids of the footprints; None: recognised. crs: of clouds whose headers state none.
 
@@ -67,7 +67,10 @@ def evaluate(
     """
     cloud = read_cloud(*open_clouds(clouds))
     frame = _footprints(footprints, id_field, cloud.crs or (crs and pyproj.CRS.from_user_input(crs)))
-    solids = cityjson_read.read(buildings) if isinstance(buildings, str | Path) else _solids(buildings)
+    if isinstance(buildings, str | Path):
+        solids = cityjson_read.read(buildings)
+    else:
+        solids = _solids(buildings) if isinstance(buildings, Scene) else list(buildings)
     by_id = _matched(solids, frame.geometry, id_field)
     parts = frame.geometry.explode()
     point, inside, offset = crop_points(

@@ -153,5 +153,5 @@ def test_the_shell_completes_commands_and_values() -> None:
         return {line.partition(",")[2] for line in run.stdout.splitlines()}
 
     assert completed("re") == {"reconstruct"}
-    assert completed("eval", "me") == {"measure", "medians", "merge"}
+    assert completed("eval", "me") == {"measure", "medians"}
     assert completed("reconstruct", "--detail", "") == {"low", "normal", "high"}

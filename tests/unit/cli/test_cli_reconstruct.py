@@ -183,7 +183,7 @@ def test_a_terrain_joins_the_meshes(place: Path, capsys: pytest.CaptureFixture[s
     assert scene.geometry["A"].bounds[0, 1] < scene.geometry["terrain"].bounds[1, 1]
     capsys.readouterr()
     assert run(place, "--terrain", str(place / "rd.tif")) == 2
-    assert "rd.tif is in Amersfoort" in capsys.readouterr().err
+    assert "rd.tif: is in Amersfoort" in capsys.readouterr().err
 
 
 def test_a_tile_names_the_outputs_and_may_be_empty(place: Path) -> None:

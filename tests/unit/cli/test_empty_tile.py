@@ -80,16 +80,11 @@ def test_a_tile_without_buildings_goes_through_all_stages(run):
 
     def evaluate(tile: str) -> None:
         group = ["--manifest", "m.json", "--shards", f"{tile}.simulated.parquet", f"{tile}.real.parquet"]
-        for name in ("lod1", "constant"):
-            outputs = ["--out", f"{tile}/{name}.parquet", "--out-cpu", f"{tile}/cpu/{name}.json"]
-            run("eval", "baseline", "--name", name, *group, *outputs)
-        outputs = ["--out", f"{tile}/fit.parquet", "--out-cpu", f"{tile}/cpu/fit.json"]
-        run("eval", "fit", *group, *outputs)
-        run(
-            *("eval", "measure", *group, "--reconstructions"),
-            *(f"{tile}/{name}.parquet" for name in ("lod1", "constant", "fit")),
-            *("--out", f"{tile}/measures.parquet", "--out-errors", f"{tile}/variant_errors.json"),
-        )
+        methods = ("lod1", "constant", "fit")
+        for name in methods:
+            run("eval", "reconstruct", "--method", name, *group, "--out", f"{tile}/{name}.parquet")
+        written = [f"{tile}/{name}.parquet" for name in methods]
+        run("eval", "measure", *group, "--reconstructions", *written, "--out", f"{tile}/measures.parquet")
 
     for tile in (TILE, NEIGHBOUR):
         evaluate(tile)
