@@ -11,13 +11,10 @@ from __future__ import annotations
 
 import argparse
 import ast
-import importlib
-import inspect
 import json
 import re
 import subprocess
 import sys
-import textwrap
 from collections import Counter
 from pathlib import Path
 
@@ -26,8 +23,6 @@ from figures import Figures
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "p2wss"
 FEW_ARGUMENTS = 8
-# module:function that takes a building from its footprint and points to a valid solid; None: there is no such function
-WAY_OF_A_BUILDING: str | None = None
 # roof CD and points to mesh in metres, triangles: the means of fit_ablation.py before the package was made smaller
 ACCURACY = {
     "delft": (0.2371, 0.1101, 43.7),
@@ -136,16 +131,12 @@ def upwards(rooms: dict[str, set[str]]) -> list[tuple[str, str]]:
     return [(room, other) for room in rooms for other in rooms[room] if floor[other] < floor[room]]
 
 
-def stations(way: str) -> list[str]:
-    """The steps of a function in their order: the functions of this package that it calls by their names."""
-    name, _, function = way.partition(":")
-    module = importlib.import_module(name)
-    tree = ast.parse(textwrap.dedent(inspect.getsource(getattr(module, function))))
-    calls = [n.func for n in ast.walk(tree) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)]
-    calls.sort(key=lambda call: (call.lineno, call.col_offset))
-    steps = [getattr(module, call.id, None) for call in calls if isinstance(call, ast.Name)]
-    ours = [step for step in steps if str(getattr(step, "__module__", "")).startswith("p2wss.")]
-    return list(dict.fromkeys(step.__name__ for step in ours))
+def stations() -> list[str]:
+    """The stations of a building: the first column of the table in the overview, whose functions a test of the
+    documentation finds in the code."""
+    page = (ROOT / "docs/methods/overview.md").read_text(encoding="utf-8")
+    rows = page.split("## ")[0].split("|---|---|---|\n")[1].strip().splitlines()
+    return [row.split("|")[1].strip() for row in rows if row.startswith("|")]
 
 
 def count(figures: Figures) -> None:
@@ -180,10 +171,9 @@ def count(figures: Figures) -> None:
     figures.at_most("arrows", sum(map(len, rooms.values())), 100)
     figures.at_most("rooms in circles", len(circular), 0)
     figures.at_most("arrows upwards", len(up), 0)
-    if WAY_OF_A_BUILDING is not None:
-        steps = stations(WAY_OF_A_BUILDING)
-        print("stations: " + ", ".join(steps))
-        figures.at_most("stations of a building", len(steps), 16)
+    steps = stations()
+    print("stations: " + ", ".join(steps))
+    figures.at_most("stations of a building", len(steps), 16)
 
 
 def last_line(*command: object) -> dict[str, dict[str, float]]:
