@@ -25,14 +25,14 @@ _REAL = (("Delft AHN3", "delft_ahn3", "ahn3.laz", 28992), ("Bresse IGN", "bresse
 
 @dataclass(frozen=True)
 class Realism:
-    """Figures of one cloud; NaN where it has no footprints, returns or strips to measure.
+    """Figures of one cloud; NaN where it has no footprints or returns to measure.
 
     density_*: points per m2 in cells of 2 m that contain any, mean and percentiles. spacing_m: median
     distance in plan to the nearest point. wall_share: wall points over wall and roof points; a wall point is
     within 0.5 m of a footprint's edge, at least 1 m above the ground and 0.7 m below the eaves, which are the
     5th percentile of the roof's points. walls_seen: edges with 10 of them, per building. roof_noise_m: median
     standard deviation about a plane through the 15 nearest roof points. vegetation_share: points of class 5.
-    returns: per pulse, on average over the points. strips: flight lines.
+    returns: per pulse, on average over the points.
     """
 
     density_mean: float
@@ -44,7 +44,6 @@ class Realism:
     roof_noise_m: float
     vegetation_share: float
     returns: float
-    strips: float
 
     def as_json(self) -> dict[str, float | None]:
         """The figures by name, None for NaN."""
@@ -78,7 +77,6 @@ def measure(cloud: Cloud, shapes: np.ndarray, num_returns: np.ndarray | None = N
         roof_noise_m=roof_noise_m,
         vegetation_share=float((cloud.classification == VEGETATION_CLASS).mean()),
         returns=float(num_returns.mean()) if num_returns is not None else 1.0,
-        strips=float(len(np.unique(cloud.strip))) if cloud.strip is not None else np.nan,
     )
 
 

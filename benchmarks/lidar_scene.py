@@ -126,7 +126,7 @@ def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:
     xyz = [scan.points.xyz_mm[:, i] * 0.001 for i in range(3)]
     for column, origin in zip(xyz, scan.origin_m, strict=True):
         column += origin
-    cloud = Cloud(*xyz, las_classes(scan.points.face), CRS, scan.points.strip)
+    cloud = Cloud(*xyz, las_classes(scan.points.face), CRS)
     return cloud, scan.points.building, scan.points.face
 
 

@@ -65,7 +65,7 @@ def simulate_again(laz: Path, dtm: Path, cloud: Cloud, shapes: np.ndarray, clutt
     strips, angle_deg = _strips_of_file(laz, origin, box, plan(settings, 0, box, box).strips[0])
     points, _ = cast(surface, strips, box)
     x, y, z = (points.xyz_mm[:, i] / 1000 + origin[i] for i in range(3))
-    simulated = Cloud(x, y, z, las_classes(points.face), None, points.strip)
+    simulated = Cloud(x, y, z, las_classes(points.face), None)
     return Twin(simulated, float(np.abs(angle_deg).mean()))
 
 

@@ -175,7 +175,7 @@ def without_classes(cloud: Cloud) -> Cloud:
     """The cloud with building and vegetation points unclassified, then classified by ourselves."""
     classes = cloud.classification.copy()
     classes[np.isin(classes, (BUILDING_CLASS, VEGETATION_CLASS, 3, 4))] = UNCLASSIFIED_CLASS
-    bare = Cloud(cloud.x_m, cloud.y_m, cloud.z_m, classes, cloud.crs, cloud.strip, cloud.day)
+    bare = Cloud(cloud.x_m, cloud.y_m, cloud.z_m, classes, cloud.crs, cloud.day)
     return unclassified.with_classes(bare)[0]
 
 

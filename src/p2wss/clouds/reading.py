@@ -33,9 +33,9 @@ _GPS_OFFSET_S = 1e9  # of adjusted standard GPS time
 class Cloud:
     """Points in a projected CRS.
 
-    x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. strip: the
-    flight line (point source ID), uint16 (n,), None if unknown. day: on which the point was recorded or, if its time
-    does not state it, its file was created: uint16 (n,), days since :data:`GPS_EPOCH`, 0 or None if unknown.
+    x_m, y_m, z_m: float64 (n,). classification: LAS class, uint8 (n,). crs: None if no file states it. day: on
+    which the point was recorded or, if its time does not state it, its file was created: uint16 (n,), days since
+    :data:`GPS_EPOCH`, 0 or None if unknown.
     """
 
     x_m: np.ndarray
@@ -43,7 +43,6 @@ class Cloud:
     z_m: np.ndarray
     classification: np.ndarray
     crs: pyproj.CRS | None
-    strip: np.ndarray | None = None
     day: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -56,7 +55,6 @@ _NOTHING = Cloud(
     np.zeros(0),
     np.zeros(0, np.uint8),
     None,
-    np.zeros(0, np.uint16),
     np.zeros(0, np.uint16),
 )
 
@@ -138,7 +136,7 @@ def read_clouds(
     Raises :class:`InputError` if a file is missing, truncated or not LAS, or if the files have different CRSs.
     """
     parts = [_NOTHING, *read_in_chunks(paths, bounds, classes)]
-    names = ("x_m", "y_m", "z_m", "classification", "strip", "day")
+    names = ("x_m", "y_m", "z_m", "classification", "day")
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return Cloud(**columns, crs=parts[-1].crs)
 
@@ -206,8 +204,8 @@ def _cloud(
     if bounds is not None:
         x_min, y_min, x_max, y_max = bounds
         keep &= (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
-    z, strip = np.asarray(points.z)[keep], np.asarray(points.point_source_id)[keep]
-    return Cloud(x[keep], y[keep], z, classification[keep], crs, strip, _days(points, header)[keep])
+    z, day = np.asarray(points.z)[keep], _days(points, header)[keep]
+    return Cloud(x[keep], y[keep], z, classification[keep], crs, day)
 
 
 def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.ndarray:

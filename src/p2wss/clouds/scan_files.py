@@ -29,7 +29,6 @@ _COLUMNS = {
     "y": np.float64,
     "z": np.float64,
     "classification": np.uint8,
-    "point_source_id": np.uint16,
     "building_id": np.int32,
     "face_id": np.int32,
 }
@@ -97,7 +96,6 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     """
     integrity.verify(path)
     needed = laspy.DecompressionSelection.base() | laspy.DecompressionSelection.CLASSIFICATION
-    needed |= laspy.DecompressionSelection.POINT_SOURCE_ID
     needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
     kind = "a readable scan of p2wss, or truncated"
     with open_cloud(path, kind, decompression_selection=needed) as reader:
@@ -110,5 +108,5 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
             first += len(points)
         if first != count:
             raise EOFError(f"{first} of {count} points")
-    x, y, z, classification, strip, building, face = columns.values()
-    return Cloud(x, y, z, classification, crs, strip), building, face
+    x, y, z, classification, building, face = columns.values()
+    return Cloud(x, y, z, classification, crs), building, face

@@ -28,12 +28,11 @@ _RECORD = np.dtype(
         ("x_m", "<f8"),
         ("y_m", "<f8"),
         ("z_m", "<f8"),
-        ("strip", "<u2"),
         ("day", "<u2"),
         ("classification", "u1"),
     ]
 )
-_COLUMNS = ("x_m", "y_m", "z_m", "strip", "day", "classification")
+_COLUMNS = ("x_m", "y_m", "z_m", "day", "classification")
 # points that are sorted together
 _CHUNK = 500_000
 # points of which there are numbers per cell: all, and those of a class

@@ -299,15 +299,6 @@ def sha256(path: str | Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def reserve(path: str | Path, num_bytes: int) -> None:
-    """Give a new file its size. A full disk is an OSError here, and would be a SIGBUS when the file is mapped."""
-    with open(path, "r+b") as file:
-        if hasattr(os, "posix_fallocate") and num_bytes:
-            os.posix_fallocate(file.fileno(), 0, num_bytes)
-        else:
-            file.truncate(num_bytes)
-
-
 def list_column(table: pa.Table, name: str) -> tuple[np.ndarray, np.ndarray]:
     """A list column as (values, offsets): row i is ``values[offsets[i]:offsets[i + 1]]``; a null row is empty."""
     column = table.column(name).combine_chunks()

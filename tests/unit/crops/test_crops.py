@@ -34,7 +34,7 @@ needs_data = pytest.mark.skipif(not DATA.exists(), reason="the shared real data 
 def cloud_of(scan):
     x, y, z = (scan.points.xyz_mm / 1000 + scan.origin_m).T
     classes = np.where(scan.points.building < 0, 2, 6).astype(np.uint8)
-    cloud = Cloud(x, y, z, classes, pyproj.CRS(2154), scan.points.strip)
+    cloud = Cloud(x, y, z, classes, pyproj.CRS(2154))
     return cloud, scan.points.building, scan.points.face
 
 
@@ -351,7 +351,7 @@ def test_chunks_of_a_copc_window_hold_each_point_once(monkeypatch, half_size_m):
     monkeypatch.setattr(clouds, "_MAX_WINDOW_POINTS", 1000)
     chunks = list(clouds.read_in_chunks([copc], bounds))
     assert len(chunks) >= 4 and len(window) > 4000 and {chunk.crs.to_epsg() for chunk in chunks} == {2154}
-    names = ("x_m", "y_m", "z_m", "classification", "strip", "day")
+    names = ("x_m", "y_m", "z_m", "classification", "day")
     columns = {name: np.concatenate([getattr(chunk, name) for chunk in chunks]) for name in names}
     together = np.array([columns[name] for name in names], float)
     expected = np.array([getattr(window, name) for name in names], float)

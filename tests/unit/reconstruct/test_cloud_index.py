@@ -16,7 +16,7 @@ from p2wss.errors import InputError
 from p2wss.reconstruct.cloud_index import CELL_M, CloudIndex
 from p2wss.storage import temporary
 
-NAMES = ("x_m", "y_m", "z_m", "classification", "strip", "day")
+NAMES = ("x_m", "y_m", "z_m", "classification", "day")
 
 
 def cloud_of(num_points: int, size_m: float, seed: int = 0) -> Cloud:
@@ -27,7 +27,7 @@ def cloud_of(num_points: int, size_m: float, seed: int = 0) -> Cloud:
     z = np.where(on_roof, 16.0, 10.0) + draw.normal(0, 0.02, num_points)
     numbers = np.arange(num_points)
     classes = np.where(on_roof, 6, 2).astype(np.uint8)
-    return Cloud(x, y, z, classes, None, numbers.astype(np.uint16), (numbers // 7).astype(np.uint16))
+    return Cloud(x, y, z, classes, None, (numbers // 7).astype(np.uint16))
 
 
 def chunks(cloud: Cloud, size: int) -> Iterator[Cloud]:
@@ -112,7 +112,7 @@ def test_the_file_has_no_name_and_a_full_disk_is_one_line(
     boxes = np.array([[-50.0, -50, 50, 50]])
     with index_of(cloud_of(100, 100), boxes, tmp_path) as points:
         assert points.num_points == 100 and os.listdir(tmp_path) == []
-    with pytest.raises(InputError, match="no_folder: temporary file of points, 37 bytes each"):
+    with pytest.raises(InputError, match="no_folder: temporary file of points, 35 bytes each"):
         CloudIndex(boxes, tmp_path / "no_folder")
 
     class Full:
@@ -124,5 +124,5 @@ def test_the_file_has_no_name_and_a_full_disk_is_one_line(
             raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(temporary.tempfile, "TemporaryFile", lambda **options: Full())
-    with pytest.raises(InputError, match="37 bytes each: No space left on device"):
+    with pytest.raises(InputError, match="35 bytes each: No space left on device"):
         index_of(cloud_of(100, 100), boxes, tmp_path)

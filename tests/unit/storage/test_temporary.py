@@ -8,9 +8,6 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
-
-from p2wss.errors import InputError
 from p2wss.storage import files, temporary
 
 WRITER = """
@@ -67,15 +64,3 @@ def test_files_of_other_hosts_are_removed_when_they_are_old(tmp_path: Path) -> N
     os.utime(tmp_path / ".decoding~00000000-1-abc", (time.time() - 90_000,) * 2)
     temporary.remove_leftovers(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [new.name]
-
-
-def test_a_file_to_map_is_reserved_or_it_is_an_error(tmp_path: Path) -> None:
-    with (
-        pytest.raises(InputError, match=r"patches\.i16: not written"),
-        files.atomic(tmp_path / "patches.i16") as path,
-    ):
-        files.reserve(path, 1 << 60)
-    assert not list(tmp_path.iterdir())
-    with files.atomic(tmp_path / "patches.i16") as path:
-        files.reserve(path, 1000)
-    assert (tmp_path / "patches.i16").stat().st_size == 1000
