@@ -141,7 +141,7 @@ def _scan(folder: Path) -> Path:
 
 
 def _arrays(cloud: Any) -> Any:
-    values = [getattr(cloud, name) for name in ("x_m", "y_m", "z_m", "classification", "strip", "day")]
+    values = [getattr(cloud, name) for name in ("x_m", "y_m", "z_m", "classification", "day")]
     return [None if value is None else value.tobytes() for value in values], str(cloud.crs)
 
 
