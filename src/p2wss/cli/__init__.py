@@ -96,17 +96,17 @@ def main(arguments: list[str] | None = None) -> int:
     if instruction := os.environ.get(_COMPLETE):
         return shell_complete(program, {}, "p2wss", _COMPLETE, instruction)
     try:
-        with program.make_context(
-            "p2wss", with_files(sys.argv[1:] if arguments is None else arguments)
-        ) as ctx:
-            status = program.invoke(ctx) or 0
+        words = with_files(sys.argv[1:] if arguments is None else arguments)
+        try:
+            with program.make_context("p2wss", words) as ctx:
+                status = program.invoke(ctx) or 0
+        except click.exceptions.NoArgsIsHelpError as error:
+            print(error.format_message())
+            status = 0
         sys.stdout.flush()
         return status
     except click.exceptions.Exit as end:  # of --help and --version
         return end.exit_code
-    except click.exceptions.NoArgsIsHelpError as error:
-        print(error.format_message())
-        return 0
     except BrokenPipeError:  # whoever reads what this prints has stopped, as head does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
