@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import click
 
-from p2wss.cli.parser import file_option, option, setting
+from p2wss.cli.parser import PATH, file_option, option, setting
 from p2wss.config import Config
 from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.errors import InputError, reading
@@ -48,6 +47,14 @@ device_option = option(
     help="where the network runs; auto: on a GPU if there is one",
 )
 crs_option = option("--crs", help="CRS of clouds that do not state it, such as EPSG:28992")
+clouds_argument = click.argument(
+    "clouds",
+    type=PATH,
+    nargs=-1,
+    required=True,
+    metavar="CLOUD ..",
+    help="LAS, LAZ or COPC files, or folders of them",
+)
 classes_option = setting("region.classes.preset", "--classes")
 manifest_option = file_option("--manifest", "JSON written by p2wss crops manifest")
 out_metrics_option = file_option("--out-metrics", "JSON lines to write: losses during training")
@@ -56,18 +63,6 @@ checkpoints_option = file_option(
     "--checkpoints",
     "folder for checkpoints; an interrupted training resumes from it, a finished one deletes it",
 )
-
-
-def set_num_threads(num_threads: int) -> None:
-    """Limit torch to ``num_threads``. To be called before torch is imported elsewhere.
-
-    On shared cores, OpenMP threads that spin while they wait make small operations 40 times slower.
-    """
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    os.environ.setdefault("GOMP_SPINCOUNT", "0")
-    import torch
-
-    torch.set_num_threads(num_threads)
 
 
 def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], None]) -> None:

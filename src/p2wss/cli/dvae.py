@@ -10,6 +10,7 @@ import click
 from p2wss.cli import common
 from p2wss.cli.parser import Command, setting
 from p2wss.config import Config
+from p2wss.nets.threads import set_num_threads
 from p2wss.provenance import fingerprint
 
 
@@ -25,7 +26,7 @@ def dvae(
     manifest: Path, out: Path, out_metrics: Path, checkpoints: Path, threads: int, config: Config
 ) -> None:
     """Train the discrete VAE that tokenises point patches."""
-    common.set_num_threads(threads)
+    set_num_threads(threads)
     from p2wss import dvae
     from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_dvae

@@ -14,11 +14,11 @@ from p2wss.cli.common import (
     log,
     log_status_counts,
     manifest_option,
-    set_num_threads,
     threads_option,
 )
 from p2wss.cli.parser import Group, file_option, option
 from p2wss.config import Config, section_json
+from p2wss.nets.threads import set_num_threads
 from p2wss.provenance import fingerprint
 from p2wss.storage import files
 

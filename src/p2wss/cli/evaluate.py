@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import crs_option
+from p2wss.cli.common import clouds_argument, crs_option
 from p2wss.cli.parser import PATH, Command, option
 from p2wss.storage import files
 
@@ -14,14 +14,7 @@ from p2wss.storage import files
 @click.command(cls=Command)
 @click.argument("file", type=PATH, metavar="FILE", help="CityJSON file or CityJSON text sequence")
 @click.argument("footprints", type=PATH, metavar="FOOTPRINTS", help="vector file with a polygon per building")
-@click.argument(
-    "clouds",
-    type=PATH,
-    nargs=-1,
-    required=True,
-    metavar="CLOUD ..",
-    help="LAS, LAZ or COPC files, or folders of them",
-)
+@clouds_argument
 @option("--id-field", metavar="COLUMN", help="column of FOOTPRINTS with the ids (default: recognised)")
 @crs_option
 @option("--csv", type=PATH, help="CSV to write: one row per building")

@@ -93,15 +93,13 @@ def fetch(
 def fetch_footprints(out: Path, downloads: Path | None, config: Config) -> None:
     """Get the footprints of the region."""
     from p2wss.data.tiling import grown
-    from p2wss.fetch.bdtopo import normalise, write_footprints
+    from p2wss.fetch.bdtopo import write_footprints
+    from p2wss.fetch.source import read_buildings
 
     source = _open_source(config, downloads)
-    features = source.footprints(grown(config.region.bounds_m, config.fetch.margin_m))
-    is_folder = config.fetch.source == "folder"
-    schema = config.fetch.folder.footprints_schema if is_folder else "bdtopo"
-    frame = normalise(features, config.region.crs, source.name, schema)
-    if not len(frame):
-        raise InputError(f"{source.name}: no building in region.bounds_m {config.region.bounds_m}")
+    bounds = grown(config.region.bounds_m, config.fetch.margin_m)
+    place = f"region.bounds_m {config.region.bounds_m}"
+    frame = read_buildings(source, config.region, config.fetch, bounds, place)
     log.info(f"{out.name}: {len(frame)} buildings from {source.name}")
     write_footprints(out, frame, _provenance(config))
 

@@ -10,6 +10,7 @@ import click
 from p2wss.cli import common
 from p2wss.cli.parser import Command, file_option, setting
 from p2wss.config import Config
+from p2wss.nets.threads import set_num_threads
 from p2wss.provenance import fingerprint
 
 
@@ -26,7 +27,7 @@ def model(
     manifest: Path, dvae: Path, out: Path, out_metrics: Path, checkpoints: Path, threads: int, config: Config
 ) -> None:
     """Train Point2WSS."""
-    common.set_num_threads(threads)
+    set_num_threads(threads)
     from p2wss import model
     from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_model

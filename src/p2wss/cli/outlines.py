@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import classes_option, config_option, crs_option, log
+from p2wss.cli.common import classes_option, clouds_argument, config_option, crs_option, log
 from p2wss.cli.parser import PATH, Command
 from p2wss.config import Config
 from p2wss.errors import InputError
@@ -14,14 +14,7 @@ from p2wss.storage import files
 
 
 @click.command(cls=Command)
-@click.argument(
-    "clouds",
-    type=PATH,
-    nargs=-1,
-    required=True,
-    metavar="CLOUD ..",
-    help="LAS, LAZ or COPC files, or folders of them",
-)
+@clouds_argument
 @click.argument("out", type=PATH, metavar="OUT", help="GeoPackage to write (.gpkg)")
 @crs_option
 @classes_option

@@ -11,9 +11,9 @@ from p2wss.config import Config
 from p2wss.data.terrain import write_terrain
 from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
 from p2wss.errors import InputError
-from p2wss.fetch.bdtopo import normalise, write_footprints
+from p2wss.fetch.bdtopo import write_footprints
 from p2wss.fetch.cloud import write_cloud
-from p2wss.fetch.source import delivery_window, known_height_share, open_source
+from p2wss.fetch.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
 
 # points and heights around the buildings at the border
@@ -34,10 +34,7 @@ def fetch_area(bbox: Bounds, crs: str, folder: Path, config: Config) -> Fetched:
     region = config.region.model_copy(update={"bounds_m": bounds})
     source = open_source(region, config.fetch, folder / "downloads")
     around = grown(bounds, _MARGIN_M)
-    schema = config.fetch.folder.footprints_schema if config.fetch.source == "folder" else "bdtopo"
-    frame = normalise(source.footprints(bounds), region.crs, source.name, schema)
-    if not len(frame):
-        raise InputError(f"{source.name}: no building in {_text(bounds)} of {region.crs}")
+    frame = read_buildings(source, region, config.fetch, bounds, f"{_text(bounds)} of {region.crs}")
     facts = files.provenance(crs=region.crs, bounds_m=list(bounds))
     result = Fetched(folder / "footprints.gpkg", folder / "terrain.tif", [])
     write_footprints(result.footprints, frame, facts)

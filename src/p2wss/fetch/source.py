@@ -13,6 +13,7 @@ from p2wss.config import Fetch, Region
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError
+from p2wss.fetch.bdtopo import normalise
 
 
 class Source(Protocol):
@@ -51,6 +52,18 @@ def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     from p2wss.fetch.geoplateforme import GeoplateformeSource
 
     return GeoplateformeSource(config.geoplateforme, region.crs, downloads)
+
+
+def read_buildings(
+    source: Source, region: Region, config: Fetch, bounds: Bounds, place: str
+) -> gpd.GeoDataFrame:
+    """The footprints that intersect ``bounds``, normalised. Raises :class:`InputError`, which names the ``place``, if
+    there is none."""
+    schema = config.folder.footprints_schema if config.source == "folder" else "bdtopo"
+    frame = normalise(source.footprints(bounds), region.crs, source.name, schema)
+    if not len(frame):
+        raise InputError(f"{source.name}: no building in {place}")
+    return frame
 
 
 def delivery_window(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:

@@ -10,7 +10,6 @@ from typing import Any
 
 import mapbox_earcut
 import numpy as np
-import pyproj
 
 from p2wss.errors import InputError, reading
 from p2wss.mesh import Mesh
@@ -39,7 +38,13 @@ class ReadSolid:
 
 
 def read(path: str | Path) -> list[ReadSolid]:
-    """Every Building of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2, parts joined.
+    """The buildings of :func:`read_city`."""
+    return read_city(path)[0]
+
+
+def read_city(path: str | Path) -> tuple[list[ReadSolid], str | None]:
+    """(every Building of a CityJSON file or CityJSONSeq with its solids or surfaces of level of detail 2, parts joined;
+    the URL of the CRS that the file states, if any).
 
     Raises :class:`InputError` if the file is missing or not CityJSON.
     """
@@ -48,15 +53,7 @@ def read(path: str | Path) -> list[ReadSolid]:
     with reading(path, "CityJSON"):
         for document in documents:
             solids += _buildings(document.get("CityObjects", {}), _vertices(document, scale, translate))
-    return solids
-
-
-def crs_of(path: str | Path) -> pyproj.CRS | None:
-    """The CRS that a file states, if any. Raises :class:`InputError` if it is missing or not CityJSON."""
-    header = _documents(path)[0][0]
-    with reading(path, "CityJSON"):
-        stated = header.get("metadata", {}).get("referenceSystem")
-        return None if stated is None else pyproj.CRS.from_user_input(stated)
+        return solids, documents[0].get("metadata", {}).get("referenceSystem")
 
 
 @dataclass(frozen=True)

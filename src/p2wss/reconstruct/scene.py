@@ -7,7 +7,6 @@ more memory than its points of one batch.
 from __future__ import annotations
 
 import logging
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -28,13 +27,14 @@ from p2wss.config import CLASSES_ALONE, Config, load, section_json
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.errors import InputError, reading
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, FileOptions
 from p2wss.mesh import Mesh, faces
+from p2wss.nets.threads import set_num_threads
 from p2wss.provenance import fingerprint
 from p2wss.reconstruct import block_skins, exports, registration, unclassified
 from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, in_tile, run_area, window
@@ -158,7 +158,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     def table(self) -> gpd.GeoDataFrame:
         """A row per building, by its id: footprint and attributes."""
         if self._run is not None:
-            rows = table(self._run.results, self._run.inputs.crs, self._run.facts)
+            names = self.config.reconstruct.attribute_names
+            rows = table(self._run.results, self._run.inputs.crs, self._run.facts, names)
             return rows.set_index("building_id")
         rows = [{"building_id": each.building_id, **each.attributes} for each in self.values()]
         shapes = [each.footprint for each in self.values()]
@@ -350,8 +351,9 @@ def reconstruct(
 def read(path: str | Path) -> Scene:
     """See :func:`p2wss.read`."""
     path = Path(path)
-    solids = cityjson_read.read(path)
-    crs = cityjson_read.crs_of(path)
+    solids, stated = cityjson_read.read_city(path)
+    with reading(path, "CityJSON"):
+        crs = None if stated is None else pyproj.CRS.from_user_input(stated)
     config = Config()
     name = path.name.split(".")[0]
     return Scene([each.building_id for each in solids], lambda k: _of_file(solids[k]), crs, config, name)
@@ -361,14 +363,9 @@ def load_network(weights: Path | None, device: DeviceName = "auto", threads: int
     """The network of a file of weights, with so many threads; None for none. torch is imported here and not before."""
     if weights is None:
         return None
-    # on shared cores, threads of OpenMP that spin while they wait make small operations 40 times slower
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    os.environ.setdefault("GOMP_SPINCOUNT", "0")
-    import torch
-
+    set_num_threads(threads)
     from p2wss.nets.predictor import load_predictor
 
-    torch.set_num_threads(threads)
     return load_predictor(weights, device)
 
 

@@ -17,14 +17,14 @@ from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.errors import InputError
 from p2wss.scans.scan import Place, fly, las_dimensions
 from p2wss.scans.surface import Surface, encode_face
-from p2wss.scans.terrain import local_grid
+from p2wss.scans.terrain import TerrainGrid, local_grid
 from p2wss.skeleton.types import FaceKind
 
 # ground around the meshes
 _MARGIN_M = 20.0
 # faces with a steeper normal are roofs, or floors
 _UPRIGHT_NZ = 0.05
-_ROOF_REFLECTANCE, _WALL_REFLECTANCE = 0.3, 0.3
+_REFLECTANCE = 0.3
 
 
 def scan_meshes(
@@ -69,7 +69,7 @@ def _level(bounds: tuple[float, float, float, float], z_m: float) -> Terrain:
     return Terrain(np.full((rows, columns), z_m, np.float32), x_min - 1, y_max + 1, 1.0)
 
 
-def _surface(meshes: Sequence[trimesh.Trimesh], terrain: Any, origin: np.ndarray) -> Surface:
+def _surface(meshes: Sequence[trimesh.Trimesh], terrain: TerrainGrid, origin: np.ndarray) -> Surface:
     first = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     triangle = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, first, strict=False)])
     building = np.repeat(np.arange(len(meshes)), [len(mesh.faces) for mesh in meshes])
@@ -77,13 +77,12 @@ def _surface(meshes: Sequence[trimesh.Trimesh], terrain: Any, origin: np.ndarray
     kind = np.where(up > _UPRIGHT_NZ, FaceKind.ROOF, FaceKind.WALL)
     reachable = up > -_UPRIGHT_NZ  # no pulse reaches the floor
     face = encode_face(kind, np.full(len(kind), -1))[reachable]
-    is_roof = kind[reachable] == FaceKind.ROOF
     return Surface(
         terrain=terrain,
         vertex_m=np.concatenate([mesh.vertices for mesh in meshes]) - origin,
         triangle=triangle[reachable].astype(np.int32),
         building=building[reachable].astype(np.int32),
         face=face,
-        reflectance=np.where(is_roof, _ROOF_REFLECTANCE, _WALL_REFLECTANCE).astype(np.float32),
+        reflectance=np.full(len(face), _REFLECTANCE, np.float32),
         loss=np.zeros(len(face), np.float32),
     )
