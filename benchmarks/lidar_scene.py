@@ -34,13 +34,8 @@ CRS = pyproj.CRS(2154)
 NO_CLUTTER = Clutter(
     dormer_share=0,
     chimney_share=0,
-    raised_part_share=0,
-    parapet_share=0,
-    skylight_share=0,
     annex_share=0,
     trees_per_building=0,
-    shade_share=0,
-    lower_part_share=0,
     eave_overhang_share=0,
 )
 

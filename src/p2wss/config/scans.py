@@ -32,29 +32,11 @@ class Clutter(Section):
 
     dormer_share: Share = Field(0.1, description="share of buildings with one to three dormers, if they fit")
     chimney_share: Share = Field(0.4, description="share of buildings with a chimney")
-    raised_part_share: Share = Field(
-        0.03, description="share of buildings with a part that rises above the roof"
-    )
-    parapet_share: Share = Field(0.5, description="share of flat-roofed buildings with a parapet")
-    skylight_share: Share = Field(
-        0.15, description="share of buildings with a skylight, which reflects pulses away from the sensor"
-    )
-    skylight_loss: Annotated[tuple[Share, Share], AfterValidator(_in_order)] = Field(
-        (0.5, 1), description="range of the share of pulses without a return on a skylight"
-    )
     annex_share: Share = Field(
         0.15, description="share of buildings with a garage or shed that is missing from the footprint"
     )
     trees_per_building: float = Field(
         0.4, ge=0, le=3, description="mean number of trees per building, beside walls and above roofs"
-    )
-    shade_share: Share = Field(
-        0.03, description="share of buildings with a wedge-shaped gap in the points, as in a scan shadow"
-    )
-    lower_part_share: Share = Field(
-        0.05,
-        description="share of buildings with a low flat-roofed part inside the footprint, such as a garage, "
-        "if it fits",
     )
     eave_overhang_share: Share = Field(
         0.5, description="share of buildings whose footprint follows the eaves, with walls set back from it"

@@ -15,17 +15,15 @@ CLUTTER_KIND = 0  # of a face id: neither wall nor roof
 
 
 class ClutterKind(IntEnum):
-    """What stands on, at or over a building and is no part of its label; see :func:`encode_clutter`."""
+    """What stands on, at or over a building and is no part of its label; see :func:`encode_clutter`.
+
+    The numbers are in the files of scans, and random draws depend on them.
+    """
 
     DORMER = 0
     CHIMNEY = 1
-    RAISED_PART = 2
-    PARAPET = 3
-    SKYLIGHT = 4
     ANNEX = 5
     TREE = 6
-    SHADE = 7
-    LOWER_PART = 8
 
 
 class Surface(NamedTuple):

@@ -9,7 +9,7 @@ from p2wss import scans
 from p2wss.config import Clutter, Scans
 from p2wss.scans.surface import ClutterKind, las_classes
 
-NOTHING = dict.fromkeys(Clutter.model_fields, 0) | {"skylight_loss": (0, 0), "eave_overhang_m": (0, 0)}
+NOTHING = dict.fromkeys(Clutter.model_fields, 0) | {"eave_overhang_m": (0, 0)}
 EXACT = {
     "divergence_mrad": (0, 0),
     "range_noise_m": (0, 0),
@@ -27,14 +27,6 @@ EXACT = {
 def survey(rows, **shares):
     settings = Scans(preset="hd", clutter=NOTHING | shares, **EXACT)
     return scans.simulate(table(rows), terrain(), TILE, TILE_SIZE_M, settings)
-
-
-def flat(row):
-    """The same house with a flat roof."""
-    vertex = np.array(row["vertex_xyz_m"]).reshape(-1, 3)
-    vertex[8:, 2] = row["eave_height_m"]
-    kind = [3 if k == 2 else k for k in row["triangle_kind"]]
-    return row | {"vertex_xyz_m": vertex.ravel(), "triangle_kind": kind, "angle_deg": [0.0] * 4}
 
 
 def places(scan, rows, kind):
@@ -65,16 +57,12 @@ def test_points_on_the_labelled_building_keep_their_places_and_tags():
         rows,
         dormer_share=1,
         chimney_share=1,
-        raised_part_share=1,
-        skylight_share=1,
         annex_share=1,
         trees_per_building=1,
-        shade_share=1,
-        lower_part_share=1,
         eave_overhang_share=1,
         eave_overhang_m=(0.2, 0.4),
     )
-    assert min(v for k, v in scan.facts["clutter"].items() if k != "parapet") > 3
+    assert min(scan.facts["clutter"].values()) > 3
     x, y, z = (scan.points.xyz_mm / 1000 + scan.origin_m).T
     kind, edge = scan.points.face & 3, (scan.points.face >> 2) - 1
     ground = scan.points.face == -1
@@ -90,7 +78,6 @@ def test_points_on_the_labelled_building_keep_their_places_and_tags():
     names = ("ground", "wall", "roof", "tree", "other")
     assert sum(facts[f"num_{name}_points"] for name in names) == facts["num_points"]
     assert facts["num_other_points"] > 1000
-    assert not (scan.points.face == 4 * ClutterKind.SHADE).any()  # a shade gives no returns
     classes = las_classes(scan.points.face)
     assert set(classes[scan.points.face == 4 * ClutterKind.TREE]) == {5}
     assert set(classes[(scan.points.face >= 0) & (scan.points.face != 4 * ClutterKind.TREE)]) == {6}
@@ -102,8 +89,6 @@ def test_points_on_the_labelled_building_keep_their_places_and_tags():
     [
         (ClutterKind.DORMER, "dormer_share", (0.0, 1.4 + 1.1)),
         (ClutterKind.CHIMNEY, "chimney_share", (0.0, 1.6 + 0.5)),
-        (ClutterKind.RAISED_PART, "raised_part_share", (0.0, 3.0 + 2.3)),
-        (ClutterKind.SKYLIGHT, "skylight_share", (0.03, 0.06)),
     ],
 )
 def test_objects_on_roofs_stand_on_the_roof_of_their_building(kind, share, above_roof_m):
@@ -114,18 +99,6 @@ def test_objects_on_roofs_stand_on_the_roof_of_their_building(kind, share, above
     assert depth.min() > -0.002
     assert above_roof.min() > above_roof_m[0] - 0.003
     assert above_roof.max() < above_roof_m[1] + 0.003
-
-
-def test_parapets_line_flat_roofs_only():
-    rows = [flat(row) if i % 2 else row for i, row in enumerate(houses())]
-    scan = survey(rows, parapet_share=1)
-    number, depth, above, _, eave = places(scan, rows, ClutterKind.PARAPET)
-    assert set(number) == set(scan.points.building[(scan.points.building & 1) == 1]) - {-1}
-    assert depth.min() > -0.002 and depth.max() < 0.252
-    assert ((above - eave) > -0.11).all() and ((above - eave) < 1.001).all()
-    level = scan.points.face & 3 == 3
-    level &= scan.points.building >= 0
-    assert np.unique(scan.points.building[level] & 1).tolist() == [1]
 
 
 def test_annexes_stand_beside_their_building_and_in_no_other():
@@ -161,16 +134,6 @@ def test_trees_hide_a_part_of_what_is_below():
     assert 0.05 < both / before < 0.8
     roofs = [((s.points.building >= 0) & (s.points.face & 3 == 2)).sum() for s in (bare, scan)]
     assert roofs[1] < 0.995 * roofs[0]  # some crowns are over roofs
-
-
-def test_skylights_and_shades_lose_points():
-    rows = houses()
-    bare = survey(rows).facts["pulses"]
-    panes = survey(rows, skylight_share=1, skylight_loss=(1, 1))
-    assert bare["lost"] == 0 and panes.facts["pulses"]["lost"] > 500
-    assert not (panes.points.face == 4 * ClutterKind.SKYLIGHT).any()
-    shaded = survey(rows, shade_share=1).facts["pulses"]
-    assert shaded["lost"] > 0.01 * shaded["cast"]
 
 
 def on_house(scan, row, number):
@@ -214,38 +177,6 @@ def test_a_wall_against_a_neighbour_stays():
     np.testing.assert_allclose(y[north], 6_861_962 - 0.3, atol=0.002)
 
 
-def test_a_low_part_takes_the_place_of_the_roof_above_it():
-    rows = houses()
-    bare, scan = survey(rows), survey(rows, lower_part_share=1)
-    number, depth, above, _, _ = places(scan, rows, ClutterKind.LOWER_PART)
-    assert 10 < len(np.unique(number)) <= scan.facts["clutter"]["lower_part"]
-    assert depth.min() > -0.022
-    assert (above > 2.199).all() and np.median(above) < 3.201
-    x, y, _ = (scan.points.xyz_mm / 1000 + scan.origin_m).T
-    kind = scan.points.face & 3
-    for name in np.unique(number):
-        row = rows[name]
-        index = np.flatnonzero(
-            (scan.points.building == name) & (scan.points.face == 4 * ClutterKind.LOWER_PART)
-        )
-        z = scan.points.xyz_mm[index, 2] / 1000 + scan.origin_m[2] - row["terrain_z_m"]
-        level = index[np.abs(z - z.min()) < 0.002]
-        assert len(level) > 20 and 2.199 < z.min() < 3.201
-        low, high = (f(np.stack([x[level], y[level]]), axis=1) for f in (np.min, np.max))
-        inside = (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
-        # no other part of the house is over the low roof, and no hole in it shows the ground
-        assert not (inside & (scan.points.building == name) & (kind >= 2)).any()
-        assert not (inside & (scan.points.face == -1)).any()
-        # what is left of the house is where it was
-        kinds, inwards, height = on_house(scan, row, name)
-        np.testing.assert_allclose(height[kinds == 2], 0, atol=0.003)
-        np.testing.assert_allclose(inwards[kinds == 1], 0, atol=0.002)
-    lost = bare.facts["num_roof_points"] - scan.facts["num_roof_points"]
-    assert lost > 0.1 * bare.facts["num_roof_points"]
-    # every pulse that met something still does
-    assert scan.facts["pulses"]["no_surface"] == bare.facts["pulses"]["no_surface"]
-
-
 def test_a_building_has_the_same_clutter_whatever_stands_around_it():
     rows = [house(652_540, 6_861_950, 10, 12, 6, 35.0, "A"), house(652_580, 6_861_920, 9, 12, 5, 40.0, "B")]
     shares = dict.fromkeys(("dormer_share", "chimney_share", "annex_share"), 1) | {"trees_per_building": 1}
@@ -260,7 +191,7 @@ def test_a_building_has_the_same_clutter_whatever_stands_around_it():
 
 @pytest.mark.parametrize("preset", ["none", "paper"])
 def test_only_hd_has_clutter(preset):
-    full = {"trees_per_building": 3, "chimney_share": 1, "shade_share": 1}
+    full = {"trees_per_building": 3, "chimney_share": 1}
     results = [
         scans.simulate(
             table(houses()), terrain(), TILE, TILE_SIZE_M, Scans(preset=preset, clutter=NOTHING | shares)

@@ -1,9 +1,8 @@
 """Clutter: what stands on, at and over buildings and is in no label (named as missing in section 6 of the paper).
 
-Dormers, chimneys, raised parts, parapets, skylights, annexes, trees and missing data are more triangles for
-the caster. Walls set back under the eaves and low parts change the triangles of the building itself. All of
-it changes the point cloud only, not the label. Each building draws from its own key, so it has the same
-clutter in every tile that contains it; only what would stand inside a neighbour is omitted.
+Dormers, chimneys, annexes and trees are more triangles for the caster. Walls set back under the eaves change the
+triangles of the building itself. All of it changes the point cloud only, not the label. Each building draws from its
+own key, so it has the same clutter in every tile that contains it; only what would stand inside a neighbour is omitted.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from p2wss.config import Clutter
 from p2wss.scans.clutter import beside_walls, on_roofs
 from p2wss.scans.clutter.buildings import LocalBuildings
 from p2wss.scans.clutter.eaves import set_walls_back
-from p2wss.scans.clutter.lower_parts import add_lower_parts
 from p2wss.scans.clutter.roofs import roofs_of
 from p2wss.scans.clutter.triangles import ClutterTriangles
 from p2wss.scans.surface import (
@@ -36,7 +34,6 @@ def add_clutter(
     Points on clutter have a face id of kind 0, see :func:`surface.encode_clutter`, so they count neither as
     roof nor as wall; trees belong to no building (-1).
     """
-    surface, num_lower_parts = add_lower_parts(surface, buildings, settings.lower_part_share)
     surface, num_set_back = set_walls_back(
         surface, buildings, settings.eave_overhang_share, settings.eave_overhang_m
     )
@@ -44,16 +41,10 @@ def add_clutter(
     triangles = {
         ClutterKind.DORMER: on_roofs.dormers(roofs, buildings, settings.dormer_share),
         ClutterKind.CHIMNEY: on_roofs.chimneys(roofs, buildings, settings.chimney_share),
-        ClutterKind.RAISED_PART: on_roofs.raised_parts(roofs, buildings, settings.raised_part_share),
-        ClutterKind.PARAPET: on_roofs.parapets(roofs, buildings, settings.parapet_share),
-        ClutterKind.SKYLIGHT: on_roofs.skylights(
-            roofs, buildings, settings.skylight_share, settings.skylight_loss
-        ),
         ClutterKind.ANNEX: beside_walls.annexes(buildings, settings.annex_share),
         ClutterKind.TREE: beside_walls.trees(surface.terrain, buildings, settings.trees_per_building),
-        ClutterKind.SHADE: on_roofs.shades(roofs, buildings, settings.shade_share),
     }
-    counts = {"lower_part": num_lower_parts, "eave_overhang": num_set_back}
+    counts = {"eave_overhang": num_set_back}
     for kind, triangles_of_kind in triangles.items():
         counts[kind.name.lower()] = triangles_of_kind.num_objects
         surface = _with_triangles(surface, kind, triangles_of_kind)
@@ -72,5 +63,5 @@ def _with_triangles(surface: Surface, kind: ClutterKind, triangles: ClutterTrian
         building=np.concatenate([surface.building, building]),
         face=np.concatenate([surface.face, encode_clutter(np.full(count, kind, np.int32))]),
         reflectance=np.concatenate([surface.reflectance, reflectance]),
-        loss=np.concatenate([surface.loss, triangles.loss]),
+        loss=np.concatenate([surface.loss, np.zeros(count, np.float32)]),
     )

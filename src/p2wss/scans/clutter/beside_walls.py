@@ -96,9 +96,7 @@ def trees(terrain: TerrainGrid, buildings: LocalBuildings, mean: float) -> Clutt
     corner = (middle[tree] + _in_ball(v[:, 0], v[:, 1], v[:, 2]) * half)[:, None] + size * np.stack(
         [_in_ball(v[:, i], v[:, i + 1], v[:, i + 2]) for i in (3, 6, 9)], axis=1
     )
-    return ClutterTriangles(
-        corner, rows[tree].astype(np.int32), tree.astype(np.int32), np.zeros(len(tree), np.float32)
-    )
+    return ClutterTriangles(corner, rows[tree].astype(np.int32), tree.astype(np.int32))
 
 
 def _meet_footprints(buildings: LocalBuildings, shapes: np.ndarray) -> np.ndarray:

@@ -26,18 +26,6 @@ class Roofs(NamedTuple):
     offset: np.ndarray
     area_before_m2: np.ndarray
 
-    def has_roof(self, rows: np.ndarray) -> np.ndarray:
-        """Which of the buildings ``rows`` have a roof, bool (k,)."""
-        mask: np.ndarray = self.offset[rows + 1] > self.offset[rows]
-        return mask
-
-    def is_flat(self, rows: np.ndarray) -> np.ndarray:
-        """Which of the buildings ``rows`` have a roof without any slope, bool (k,)."""
-        num_sloped = np.concatenate([[0], np.cumsum((self.face & 3) == FaceKind.ROOF)])
-        first, last = self.offset[rows], self.offset[rows + 1]
-        mask: np.ndarray = (last > first) & (num_sloped[last] == num_sloped[first])
-        return mask
-
 
 class Anchors(NamedTuple):
     """k points on roofs.
@@ -70,7 +58,7 @@ def _normals(corner_m: np.ndarray) -> np.ndarray:
     return normal * np.where(normal[:, 2:] < 0, -1.0, 1.0)
 
 
-def draw_anchors(roofs: Roofs, rows: np.ndarray, u: np.ndarray) -> Anchors:
+def _draw_anchors(roofs: Roofs, rows: np.ndarray, u: np.ndarray) -> Anchors:
     """A random point on the roof of each of ``rows``, from three uniform draws each, u (k, 3)."""
     first, last = roofs.area_before_m2[roofs.offset[rows]], roofs.area_before_m2[roofs.offset[rows + 1]]
     target = first + u[:, 0] * (last - first)
@@ -104,9 +92,9 @@ def fitting_anchors(
     three draws per row and try. Returns the indices into ``rows`` of the objects that fit, and their anchors.
     """
     indices, anchors = [], []
-    pending = np.flatnonzero(roofs.has_roof(rows))
+    pending = np.flatnonzero(roofs.offset[rows + 1] > roofs.offset[rows])
     for attempt in range(NUM_TRIES):
-        tried = draw_anchors(roofs, rows[pending], u[pending, 3 * attempt : 3 * attempt + 3])
+        tried = _draw_anchors(roofs, rows[pending], u[pending, 3 * attempt : 3 * attempt + 3])
         fits = (tried.slope >= slopes[0]) & (tried.slope <= slopes[1])
         face = tried.face if on_one_face else np.full(len(pending), -1, np.int32)
         fits &= _are_over_roof(

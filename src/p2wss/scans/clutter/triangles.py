@@ -16,13 +16,12 @@ class ClutterTriangles(NamedTuple):
     """The t triangles of the clutter objects of one kind.
 
     vertex_m: float64 (t, 3, 3). building: int32 (t,), row of the object's building. number: int32 (t,), of the
-    object. loss: float32 (t,), share of the returns that the sensor does not detect.
+    object.
     """
 
     vertex_m: np.ndarray
     building: np.ndarray
     number: np.ndarray
-    loss: np.ndarray
 
     @property
     def num_objects(self) -> int:
@@ -35,9 +34,7 @@ def copies(corner_m: np.ndarray, triangles: list[tuple[int, int, int]], row: np.
     count = len(triangles)
     vertex = corner_m[:, np.array(triangles)].reshape(-1, 3, 3)
     number = np.repeat(np.arange(len(row), dtype=np.int32), count)
-    return ClutterTriangles(
-        vertex, np.repeat(row, count).astype(np.int32), number, np.zeros(len(vertex), np.float32)
-    )
+    return ClutterTriangles(vertex, np.repeat(row, count).astype(np.int32), number)
 
 
 def blocks(outline: np.ndarray, low: np.ndarray, high: np.ndarray, row: np.ndarray) -> ClutterTriangles:
