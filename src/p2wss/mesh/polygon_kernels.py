@@ -206,50 +206,6 @@ def merged_vertices(vertex_m: np.ndarray, within_m: float) -> np.ndarray:
 
 
 @entry
-def make_delaunay(plane_m: np.ndarray, triangle: np.ndarray) -> None:
-    """Flip the diagonals of the triangles (t, 3) of one face, in place, until each is Delaunay: the constrained
-    triangulation that validators use. plane_m: (k, 2), counter-clockwise triangles index it."""
-    for _ in range(10 * len(triangle)):
-        has_flipped = False
-        for s in range(len(triangle)):
-            for t in range(s + 1, len(triangle)):
-                for i in range(3):
-                    for j in range(3):
-                        a, b = triangle[s, i], triangle[s, (i + 1) % 3]
-                        if triangle[t, j] != b or triangle[t, (j + 1) % 3] != a:
-                            continue
-                        c, d = triangle[s, (i + 2) % 3], triangle[t, (j + 2) % 3]
-                        if _is_in_circle(plane_m, a, b, c, d) and (
-                            _area2(plane_m, a, d, c) > 0.0 and _area2(plane_m, d, b, c) > 0.0
-                        ):
-                            triangle[s, 0], triangle[s, 1], triangle[s, 2] = a, d, c
-                            triangle[t, 0], triangle[t, 1], triangle[t, 2] = d, b, c
-                            has_flipped = True
-        if not has_flipped:
-            return
-
-
-@inner
-def _area2(plane_m: np.ndarray, a: int, b: int, c: int) -> float:
-    ux, uy = plane_m[b, 0] - plane_m[a, 0], plane_m[b, 1] - plane_m[a, 1]
-    return ux * (plane_m[c, 1] - plane_m[a, 1]) - uy * (plane_m[c, 0] - plane_m[a, 0])
-
-
-@inner
-def _is_in_circle(plane_m: np.ndarray, a: int, b: int, c: int, d: int) -> bool:
-    """Whether d is inside the circle through a, b, c, by the angles opposite of the common edge."""
-    ax, ay = plane_m[a, 0] - plane_m[c, 0], plane_m[a, 1] - plane_m[c, 1]
-    bx, by = plane_m[b, 0] - plane_m[c, 0], plane_m[b, 1] - plane_m[c, 1]
-    ex, ey = plane_m[a, 0] - plane_m[d, 0], plane_m[a, 1] - plane_m[d, 1]
-    gx, gy = plane_m[b, 0] - plane_m[d, 0], plane_m[b, 1] - plane_m[d, 1]
-    at_c, at_d = (
-        np.arctan2(abs(ax * by - ay * bx), ax * bx + ay * by),
-        np.arctan2(abs(ex * gy - ey * gx), ex * gx + ey * gy),
-    )
-    return at_c + at_d > np.pi + 1e-9
-
-
-@entry
 def largest_fold_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> float:
     """The largest angle between the normals of two of the triangles (t, 3) of a face, in degrees."""
     normal = np.zeros((len(triangle), 3))

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import mapbox_earcut
 import numpy as np
+import shapely
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
@@ -131,15 +131,12 @@ class _Faces:
         result = [Breach(int(codes[f]), f) for f in np.flatnonzero(codes).tolist()]
         if result:
             return result
-        for f in range(len(num_rings)):
-            triangle = self._triangulated(plane_m, f)
-            self.triangles.append(triangle)
-            if (
-                size[f] > 3
-                and polygon_kernels.largest_fold_deg(self.vertex_m, triangle) > tolerances.fold_deg
-            ):
-                result.append(Breach(204, f))
-        return result
+        self.triangles = self._triangulated(plane_m)
+        return [
+            Breach(204, f)
+            for f, triangle in enumerate(self.triangles)
+            if polygon_kernels.largest_fold_deg(self.vertex_m, triangle) > tolerances.fold_deg
+        ]
 
     def _in_planes(self) -> tuple[np.ndarray, np.ndarray]:
         """Corners (k, 2) in the plane of least squares of their face, seen from the side from which its exterior turns
@@ -160,32 +157,23 @@ class _Faces:
         plane_m[:, 1] *= np.where(np.add.reduceat(area_m2, first) < 0.0, -1.0, 1.0)[face]
         return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)
 
-    def _triangulated(self, plane_m: np.ndarray, face: int) -> np.ndarray:
-        """Vertices of the triangles of a face, int64 (t, 3): its constrained Delaunay triangulation."""
-        first_ring, last_ring = self.face_ring[face], self.face_ring[face + 1]
-        first, last = self.ring_offset[first_ring], self.ring_offset[last_ring]
-        corner = self.corner[first:last]
-        if last - first == 3:
-            return corner[None]
-        local = plane_m[first:last]
-        ends = (self.ring_offset[first_ring + 1 : last_ring + 1] - first).astype(np.uint32)
-        triangle = mapbox_earcut.triangulate_float64(local, ends).reshape(-1, 3).astype(np.int64)
-        # earcut turns clockwise
-        triangle = np.ascontiguousarray(triangle[:, ::-1]) if _turns_back(local, triangle) else triangle
-        if last_ring - first_ring > 1:
-            triangle = _common_corners(corner, triangle)
-        polygon_kernels.make_delaunay(local, triangle)
-        return corner[triangle]
-
-
-def _turns_back(plane_m: np.ndarray, triangle: np.ndarray) -> bool:
-    return bool(doubled_plan_areas(plane_m[triangle]).sum() < 0)
-
-
-def _common_corners(corner: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """The triangles with one number for a vertex that two rings have in common."""
-    _, first, number = np.unique(corner, return_index=True, return_inverse=True)
-    return np.ascontiguousarray(first[number.reshape(-1)][triangle])
+    def _triangulated(self, plane_m: np.ndarray) -> list[np.ndarray]:
+        """Vertices of the triangles of each face, int64 (t, 3): constrained Delaunay triangulations, as validators use
+        them."""
+        face_of_ring = np.repeat(np.arange(len(self.face_ring) - 1), np.diff(self.face_ring))
+        ring = np.repeat(np.arange(len(face_of_ring)), np.diff(self.ring_offset))
+        rings = np.asarray(shapely.linearrings(plane_m, indices=ring), object)
+        polygons = np.asarray(shapely.polygons(rings, indices=face_of_ring), object)
+        parts, face = shapely.get_parts(shapely.constrained_delaunay_triangles(polygons), return_index=True)
+        place_m = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+        # counter-clockwise, as the exteriors are
+        turns_back = doubled_plan_areas(place_m) < 0
+        place_m[turns_back] = place_m[turns_back, ::-1]
+        of_corner = zip(face_of_ring[ring].tolist(), map(tuple, plane_m.tolist()), strict=True)
+        vertex_at = dict(zip(of_corner, self.corner.tolist(), strict=True))
+        of_place = zip(np.repeat(face, 3).tolist(), map(tuple, place_m.reshape(-1, 2).tolist()), strict=True)
+        triangle = np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3)
+        return np.split(triangle, np.searchsorted(face, np.arange(1, len(polygons))))
 
 
 def shell_code(triangle: np.ndarray) -> int:
