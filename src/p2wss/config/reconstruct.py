@@ -225,13 +225,6 @@ class Reconstruct(Section):
         False,
         description="in mesh files, merge the buildings of a block into one closed skin without party walls",
     )
-    skin_step_m: float = Field(
-        0.1,
-        ge=0,
-        le=0.5,
-        description="with skin: roofs of neighbours whose heights differ by at most this where they meet are "
-        "joined without a step",
-    )
     skin_terrain: Literal["cut", "overlap"] = Field(
         "cut",
         description="with skin and a terrain: cut = walls end on the terrain, which has a hole below "

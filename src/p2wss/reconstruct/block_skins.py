@@ -19,10 +19,10 @@ from p2wss.storage.schemas.wedges import WEDGES
 log = logging.getLogger("p2wss")
 
 
-def joined(buildings: Sequence[Body], step_m: float, max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
+def joined(buildings: Sequence[Body], max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
     """The skins around ``buildings``, one each, with a warning for those that stay apart; the others as in
     :func:`p2wss.reconstruct.skin.skins`."""
-    result = skins({body.name: body.mesh for body in buildings}, step_m, max_lowering_m)
+    result = skins({body.name: body.mesh for body in buildings}, max_lowering_m)
     apart = [skin for skin in result if skin.failure is not None]
     if apart:
         example = f"{apart[0].building_ids[0]}: {apart[0].failure}"
@@ -35,11 +35,15 @@ def joined(buildings: Sequence[Body], step_m: float, max_lowering_m: float = MAX
 
 
 def on_terrain(skin_list: Sequence[Skin], terrain: Body) -> tuple[list[Skin], Body]:
-    """The skins down to the terrain, and the terrain outside them, with a warning for those that stay solids in it."""
-    result, mesh = cut(skin_list, terrain.mesh)
-    whole = sum((skin.mesh.kind == FaceKind.GROUND).any() for skin in result)
+    """The skins down to the terrain, and the terrain outside them, with a warning for those that stay solids in it and
+    for those that are left out, as they are below it."""
+    standing, mesh = cut(skin_list, terrain.mesh)
+    whole = sum((skin.mesh.kind == FaceKind.GROUND).any() for skin in standing)
     if whole:
         log.warning("%d skins remain closed solids that overlap the terrain", whole)
+    result = [skin for skin in standing if len(skin.mesh.triangle)]
+    if len(result) < len(standing):
+        log.warning("%d skins are below the terrain and left out of meshes", len(standing) - len(result))
     return result, replace(terrain, mesh=mesh, building=np.zeros(len(mesh.triangle), np.int32))
 
 

@@ -117,7 +117,7 @@ def _meshes(
     if config.skin or config.wedges:
         is_cut = ground is not None and config.skin_terrain == "cut"
         max_lowering_m = np.inf if is_cut else MAX_LOWERING_M
-        skins = block_skins.joined(buildings, config.skin_step_m, max_lowering_m)
+        skins = block_skins.joined(buildings, max_lowering_m)
         if ground is not None and is_cut:
             skins, with_holes = block_skins.on_terrain(skins, ground)
             ground = with_holes if config.skin else ground

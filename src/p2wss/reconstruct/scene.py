@@ -236,9 +236,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         ]
         if not skin:
             return bodies
-        return block_skins.skin_bodies(
-            block_skins.joined(bodies, self.config.reconstruct.skin_step_m), bodies
-        )
+        return block_skins.skin_bodies(block_skins.joined(bodies), bodies)
 
 
 @dataclass(frozen=True)

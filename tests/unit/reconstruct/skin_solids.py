@@ -62,14 +62,6 @@ def united(solids: Sequence[Solid]) -> manifold3d.Manifold:
     )
 
 
-def smallest_angles_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """The smallest angle of every triangle, (t,)."""
-    corner = vertex_m[triangle]
-    ahead, back = np.roll(corner, -1, axis=1) - corner, np.roll(corner, 1, axis=1) - corner
-    sine = np.linalg.norm(np.cross(ahead, back), axis=2)
-    return np.degrees(np.arctan2(sine, (ahead * back).sum(axis=2))).min(axis=1)
-
-
 def assert_closed(skin: Skin) -> None:
     """Every edge has exactly two triangles, in opposite directions, and every vertex one fan of triangles."""
     following: dict[int, dict[int, int]] = {}

@@ -192,7 +192,7 @@ def test_touching_buildings_share_a_skin(tmp_path: Path) -> None:
     summary = json.loads((tmp_path / "out.json").read_text())
     assert summary["skin"] == {"blocks": 1, "buildings_in_blocks": 2, "not_joined": 0, "cut_from_terrain": 0}
     meshes = [exports.mesh(result, config) for result in row]
-    skins = block_skins.joined(meshes, config.skin_step_m)
+    skins = block_skins.joined(meshes)
     block, alone = block_skins.skin_bodies(skins, meshes)
     assert (block.name, alone.name) == ("block_a", "alone")
     assert [building.building_id for building in block.buildings] == ["a", "b"]

@@ -94,7 +94,7 @@ def test_with_the_terrain_it_is_one_closed_surface(
     solids = placed(
         [solid(f"{k}", shape, 22 + k, 0 if k == 2 else 30) for k, shape in enumerate(turned)], -12
     )
-    closed = skins(dict(solids), step_m=0.0, max_lowering_m=np.inf)
+    closed = skins(dict(solids), max_lowering_m=np.inf)
     assert [len(skin.building_ids) for skin in closed] == [2, 1, 1]
     standing, ground = cut(closed, terrain)
     assert all((skin.mesh.kind != FaceKind.GROUND).all() for skin in standing)
@@ -127,14 +127,15 @@ def test_walls_end_at_the_foot_of_the_slope() -> None:
     assert (edges.end_m[:, :, 2].max(axis=1) == 20).all() and len(edges.face) == 8
 
 
-def test_a_buried_house_stays_a_solid() -> None:
+def test_a_house_in_a_slope_ends_there() -> None:
+    """The roof of the first house is partly below the terrain, all of the second is."""
     terrain = block(np.tile(np.arange(80) * 0.3, (80, 1)))
-    closed = skins(
-        dict(placed([solid("a", shapely.box(0, 0, 20, 8), 10), gable("b", (0, 20, 8, 30), 26, 40)]))
-    )
-    standing, ground = cut(closed, terrain)
-    assert standing[0] is closed[0] and (standing[1].mesh.kind != FaceKind.GROUND).all()
-    together(standing, ground)
+    solids = placed([solid("a", shapely.box(0, 0, 20, 8), 8), gable("b", (20, 20, 28, 30), 5, 40)])
+    standing, ground = cut(skins(dict(solids)), terrain)
+    roof = standing[0].mesh.vertex_m[:, 2] == 8
+    assert roof.any() and standing[0].mesh.vertex_m[:, 2].min() > 5
+    assert len(standing[1].mesh.triangle) == 0
+    together(standing[:1], ground)
 
 
 def test_without_skins_the_terrain_stays() -> None:

@@ -43,18 +43,13 @@ class Skin:
     failure: str | None = None
 
 
-def skins(
-    solids: Mapping[str, Mesh], step_m: float = 0.1, max_lowering_m: float = MAX_LOWERING_M
-) -> list[Skin]:
+def skins(solids: Mapping[str, Mesh], max_lowering_m: float = MAX_LOWERING_M) -> list[Skin]:
     """One skin per block, in the order of the first building of each. Every building is part of one.
 
-    solids: closed meshes by the ids of the buildings, with vertical walls and one roof height at every place. step_m:
-    where roofs of two buildings meet in points up to this far apart, they are joined; so is a roof's point and
-    another's edge that passes above or below it. Roofs then leave their planes by up to ``step_m`` at the party wall.
-    With 0 every step stays. max_lowering_m: floors of touching buildings are lowered by at most this to be level.
+    solids: closed meshes by the ids of the buildings, with vertical walls and one roof height at every place.
+    max_lowering_m: floors of touching buildings are lowered by at most this to be level.
 
-    A block whose walls do not fit each other is joined without that, or else stays in separate skins with their
-    ``failure``: a skin is always closed.
+    A block whose walls do not fit each other stays in separate skins with their ``failure``: a skin is always closed.
     """
     if not solids:
         return []
@@ -67,29 +62,28 @@ def skins(
     names, block_of = np.array(list(local), object), groups(len(local), touching)
     result = []
     for block in dict.fromkeys(block_of.tolist()):
-        result += _joined({name: local[name] for name in sorted(names[block_of == block])}, origin, step_m)
+        result += _joined({name: local[name] for name in sorted(names[block_of == block])}, origin)
     return result
 
 
-def _joined(solids: Mapping[str, Mesh], origin: np.ndarray, step_m: float) -> list[Skin]:
+def _joined(solids: Mapping[str, Mesh], origin: np.ndarray) -> list[Skin]:
     """The skin around solids that touch, or one around each."""
     failure = None
     if len(solids) > 1:
-        for step in dict.fromkeys((step_m, step_m / 2, step_m / 4, 0.0)):
-            try:
-                return [_skin(list(solids), *_block(list(solids.values()), step), origin)]
-            except NotJoined as error:
-                failure = str(error)
+        try:
+            return [_skin(list(solids), *_block(list(solids.values())), origin)]
+        except NotJoined as error:
+            failure = str(error)
     return [_skin([name], *faces_of([mesh]), origin, failure) for name, mesh in solids.items()]
 
 
-def _block(solids: Sequence[Mesh], step_m: float) -> tuple[np.ndarray, list[Face]]:
+def _block(solids: Sequence[Mesh]) -> tuple[np.ndarray, list[Face]]:
     """Points and faces of the skin around solids that touch."""
     point, faces = faces_of(solids)
     pairs = opposite_walls(point, faces)
     walls = np.unique(pairs).tolist()
-    point = weld(point, faces, walls, step_m)
-    point = node(point, faces, walls, step_m)
+    point = weld(point, faces, walls)
+    point = node(point, faces, walls)
     plane_of = groups(len(faces), pairs)
     remaining: list[Face] = []
     for plane in dict.fromkeys(plane_of[walls].tolist()):

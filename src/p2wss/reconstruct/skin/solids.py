@@ -132,17 +132,14 @@ def opposite_walls(point: np.ndarray, faces: Sequence[Face]) -> np.ndarray:
     return np.column_stack([wall[a[facing]], wall[b[facing]]])
 
 
-def weld(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m: float = 0.0) -> np.ndarray:
+def weld(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int]) -> np.ndarray:
     """Points of ``walls`` at one place become one, and those over one place of the plan get its exact x and y.
 
-    step_m: points of different buildings up to this far apart are joined too, in their middle; corners of footprints
-    keep their x and y. Returns the points; the faces' rings name the first of each set. Faces whose rings lose a
-    point lose their triangles.
+    Returns the points; the faces' rings name the first of each set. Faces whose rings lose a point lose their
+    triangles.
     """
     point = point.copy()
     used = np.unique(np.array([v for wall in walls for ring in faces[wall].rings for v in ring], int))
-    if not len(used):
-        return point
     # the lexicographically smallest stands for all, so that the order of the buildings has no effect
     used = used[np.lexsort(point[used].T[::-1])]
     place = groups(len(used), cKDTree(point[used, :2]).query_pairs(TOLERANCE_M, output_type="ndarray"))
@@ -154,8 +151,6 @@ def weld(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m:
     is_new[1:] = (np.diff(place[order]) != 0) | (np.diff(z) > TOLERANCE_M)
     representative = np.arange(len(point))
     representative[used[order]] = used[order][np.flatnonzero(is_new)[np.cumsum(is_new) - 1]]
-    if step_m > TOLERANCE_M:
-        point = _level(point, faces, used, place, representative, step_m)
     for face in faces:
         rings = [tidy(representative[ring].tolist()) for ring in face.rings]
         changed = list(map(len, rings)) != list(map(len, face.rings))
@@ -165,56 +160,6 @@ def weld(point: np.ndarray, faces: Sequence[Face], walls: Iterable[int], step_m:
                 face.triangles = None
         face.rings = [ring for ring in rings if ring]
     return point
-
-
-def _level(
-    point: np.ndarray,
-    faces: Sequence[Face],
-    used: np.ndarray,
-    place: np.ndarray,
-    representative: np.ndarray,
-    step_m: float,
-) -> np.ndarray:
-    """Join points of different buildings that are up to ``step_m`` apart, nearest first, at most one of each building.
-
-    Changes ``representative`` and returns the points.
-    """
-    buildings: dict[int, set[int]] = {}
-    is_ground: set[int] = set()
-    for face in faces:
-        for v in representative[[v for ring in face.rings for v in ring]].tolist():
-            buildings.setdefault(v, set()).add(face.building)
-            if face.kind == FaceKind.GROUND:
-                is_ground.add(v)
-    corner = {int(place[k]) for k, v in enumerate(used.tolist()) if int(representative[v]) in is_ground}
-    row = {v: k for k, v in enumerate(used.tolist())}
-    nodes = np.unique(representative[used])
-    pairs = cKDTree(point[nodes]).query_pairs(step_m, output_type="ndarray")
-    apart = np.linalg.norm(point[nodes[pairs[:, 0]]] - point[nodes[pairs[:, 1]]], axis=1)
-    members = {int(v): [int(v)] for v in nodes}
-    joined = {int(v): int(v) for v in nodes}
-    for a, b in nodes[pairs[np.argsort(apart, kind="stable")]].tolist():
-        a, b = joined[a], joined[b]
-        if a == b or buildings[a] & buildings[b]:
-            continue
-        together = members[a] + members[b]
-        corners = {int(place[row[v]]) for v in together} & corner
-        if len(corners) > 1 or np.ptp(point[together], axis=0).max() > step_m:
-            continue
-        members[a] = together
-        buildings[a] = buildings[a] | buildings[b]
-        for v in members.pop(b):
-            joined[v] = a
-    result = point.copy()
-    for v, together in members.items():
-        if len(together) > 1:
-            result[v] = point[together].mean(axis=0)
-            at_corner = [m for m in together if int(place[row[m]]) in corner]
-            if at_corner:
-                result[v, :2] = point[at_corner[0], :2]
-    for v in used.tolist():
-        representative[v] = joined[int(representative[v])]
-    return result
 
 
 def tidy(ring: list[int]) -> list[int]:
