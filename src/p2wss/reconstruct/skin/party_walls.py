@@ -63,9 +63,9 @@ def without_common(point: np.ndarray, faces: Sequence[Face], walls: Sequence[int
             continue
         for piece in shapely.get_parts(shapely.coverage_union_all(cells[rows[alone]])):
             # seen from the side of the wall, the exterior is counter-clockwise
-            rings = [
+            pieces = [
                 [of_place[x, y] for x, y in shapely.get_coordinates(ring)[:-1].tolist()]
                 for ring in shapely.get_rings(shapely.orient_polygons(piece, exterior_cw=bool(sides[0])))
             ]
-            result.append(Face(faces[wall].building, faces[wall].kind, faces[wall].label, rings))
+            result.append(Face(faces[wall].building, faces[wall].kind, faces[wall].label, pieces))
     return result
