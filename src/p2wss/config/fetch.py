@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from p2wss.config.base import Section, Share
+from p2wss.config.base import Section
 from p2wss.config.reconstruct import SchemaName
 
 
@@ -74,11 +74,6 @@ class Geoplateforme(Section):
     )
     lidar_url_fields: list[str] = Field(
         ["url_npl", "url"], description="attributes that may hold the URL of a LiDAR tile, tried in order"
-    )
-    lidar_window_share: Share = Field(
-        0.3,
-        description="read only the needed window of a COPC tile if it is less than this share of the tile; 0 "
-        "= never",
     )
     requests_per_s: float = Field(
         1.0, gt=0, description="maximum request rate; the services usually allow more"

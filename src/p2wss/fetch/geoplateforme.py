@@ -11,10 +11,9 @@ import json
 import logging
 import re
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import urlsplit, urlunsplit
 
 import geopandas as gpd
@@ -28,14 +27,12 @@ from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
 from p2wss.errors import InputError, reading
 from p2wss.fetch.cloud import append_checksum, check_cloud
-from p2wss.fetch.http import Client, NotFoundError, RangesUnsupportedError, quote
-from p2wss.fetch.remote_copc import write_window
+from p2wss.fetch.http import Client, NotFoundError, quote
 from p2wss.storage import files, integrity
 
 log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-Result = TypeVar("Result")
 
 
 class _NotListedError(InputError):
@@ -111,43 +108,25 @@ class GeoplateformeSource:
     def lidar(self, bounds: Bounds) -> list[Path]:
         """Tiles that overlap ``bounds``, from the first index whose addresses all work.
 
-        If only a small part of a COPC tile is needed, only that part is read. Raises :class:`InputError` if no index
-        is usable.
+        Raises :class:`InputError` if no index is usable.
         """
         reasons = []
         for type_name in self.config.lidar_types:
             try:
-                return [
-                    self._tile(url, outline, bounds) for url, outline in self._lidar_urls(type_name, bounds)
-                ]
+                return [self._tile(url) for url in self._lidar_urls(type_name, bounds)]
             except (_NotListedError, NotFoundError) as error:
                 # a stored index may be out of date: the next attempt asks for it again
                 self._features_path(type_name, bounds, None).unlink(missing_ok=True)
                 reasons.append(f"{type_name}: {error}")
         raise InputError(f"no LiDAR HD in {_format_bounds(bounds)}: {'; '.join(reasons)}")
 
-    def _tile(self, url: str, outline: Any, bounds: Bounds) -> Path:
-        """A tile, or its points in ``bounds`` if they are a small part of it."""
-        share = outline.intersection(shapely.box(*bounds)).area / outline.area if outline is not None else 1.0
-        if url.endswith(".copc.laz") and share < self.config.lidar_window_share:
-            path = self._path("lidar", {"url": url, "bounds_m": bounds}, ".laz")
-            if integrity.is_usable(path):
-                return path
-            log.info(f"reading a window of {url}")
-            try:
-                self._with_corrected_name(
-                    url, lambda address: write_window(self.client, address, bounds, path, self.crs)
-                )
-                return path
-            except RangesUnsupportedError as error:
-                log.warning(f"{error}; downloading the whole tile")
+    def _tile(self, url: str) -> Path:
+        """The file of a tile, downloaded unless it is stored."""
         path = self.downloads / "lidar" / Path(urlsplit(url).path).name
         if not integrity.is_usable(path):
             log.info(f"downloading {url}")
             with files.atomic(path) as temporary:
-                self._with_corrected_name(
-                    url, lambda address: self.client.download(address, temporary, magic=b"LASF")
-                )
+                self._download(url, temporary)
                 try:
                     check_cloud(temporary, self.crs)
                 except InputError as error:
@@ -285,14 +264,14 @@ class GeoplateformeSource:
             raise InputError(f"{name}: requested {size}, got {heights.shape[1]} x {heights.shape[0]}")
         return heights
 
-    def _lidar_urls(self, type_name: str, bounds: Bounds) -> list[tuple[str, Any]]:
-        """URL and outline of each tile of an index that overlaps ``bounds`` by more than half a metre."""
+    def _lidar_urls(self, type_name: str, bounds: Bounds) -> list[str]:
+        """The URL of each tile of an index that overlaps ``bounds`` by more than half a metre."""
         try:
             features = self._features(type_name, bounds, None)
         except InputError as error:
             raise _NotListedError(str(error)) from error
         window = shapely.box(*bounds).buffer(-0.5, join_style="mitre")
-        outlines: dict[str, Any] = {}
+        urls: set[str] = set()
         for feature in features:
             outline = shapely.geometry.shape(feature["geometry"]) if feature.get("geometry") else None
             properties = feature.get("properties", {})
@@ -300,29 +279,26 @@ class GeoplateformeSource:
                 (properties[name] for name in self.config.lidar_url_fields if properties.get(name)), None
             )
             if url and (outline is None or outline.intersects(window)):
-                outlines[self._with_service_scheme(str(url))] = outline
-        if not outlines:
+                urls.add(self._with_service_scheme(str(url)))
+        if not urls:
             raise _NotListedError("has no tile there")
-        return sorted(outlines.items(), key=lambda item: item[0])
+        return sorted(urls)
 
     def _with_service_scheme(self, url: str) -> str:
         """``url`` with the scheme of the WFS if it has the same host: the index lists http:// addresses."""
         parts, service = urlsplit(url), urlsplit(self.config.wfs_url)
         return urlunsplit(parts._replace(scheme=service.scheme)) if parts.netloc == service.netloc else url
 
-    def _with_corrected_name(self, url: str, download: Callable[[str], Result]) -> Result:
-        """The result of ``download(url)``.
-
-        Some file names in the index have a dash in place of an underscore: if the file is not found, the
-        corrected name is tried.
-        """
+    def _download(self, url: str, path: Path) -> None:
+        """Download a tile. Some file names in the index have a dash in place of an underscore: if the file is not
+        found, the corrected name is tried."""
         try:
-            return download(url)
+            self.client.download(url, path, magic=b"LASF")
         except NotFoundError:
             corrected = re.sub(r"_(\d{4})-(\d{4})_", r"_\1_\2_", url)
             if corrected == url:
                 raise
-            return download(corrected)
+            self.client.download(corrected, path, magic=b"LASF")
 
 
 def _grid(bounds: Bounds, cell: float) -> tuple[float, float, int, int]:

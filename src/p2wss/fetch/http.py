@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import random
-import re
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -25,7 +24,6 @@ _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
 _PROGRESS_BYTES = 50_000_000
 _QUOTE_CHARACTERS = 200
-_CONTENT_RANGE = re.compile(r"bytes (?P<start>\d+)-\d+/(?P<size>\d+)")
 Result = TypeVar("Result")
 
 
@@ -39,10 +37,6 @@ class TransientError(Exception):
 
 class NotFoundError(InputError):
     """Nothing exists at this address: the service responded with HTTP 404 or 410."""
-
-
-class RangesUnsupportedError(InputError):
-    """The service sends only whole files: it ignores Range requests."""
 
 
 class Client:
@@ -59,31 +53,8 @@ class Client:
         """The whole body. Raises :class:`InputError` with the address and the service's message."""
 
         def attempt(deadline: float) -> bytes:
-            with self._response(url, params or {}, {}) as response:
+            with self._response(url, params or {}) as response:
                 return b"".join(_body(response, deadline, self.config.max_response_mb))
-
-        return self._with_retries(url, attempt)
-
-    def range(self, url: str, start: int, end: int) -> tuple[bytes, int]:
-        """Bytes ``start`` to ``end`` (exclusive, clipped to the end of the file), and the size of the file.
-
-        Raises :class:`RangesUnsupportedError` if the service sends only whole files.
-        """
-
-        def attempt(deadline: float) -> tuple[bytes, int]:
-            # parts of a file are parts of what it holds, not of a compressed form
-            headers = {"Range": f"bytes={start}-{end - 1}", "Accept-Encoding": "identity"}
-            with self._response(url, {}, headers) as response:
-                stated = _CONTENT_RANGE.fullmatch(response.headers.get("Content-Range", ""))
-                if response.status_code != 206 or stated is None or int(stated["start"]) != start:
-                    raise RangesUnsupportedError(
-                        f"{url}: the service does not support Range requests (HTTP {response.status_code})"
-                    )
-                body = b"".join(_body(response, deadline, self.config.max_response_mb))
-            size = int(stated["size"])
-            if len(body) != min(end, size) - start:
-                raise TransientError(f"{len(body)} bytes instead of {min(end, size) - start}")
-            return body, size
 
         return self._with_retries(url, attempt)
 
@@ -94,7 +65,7 @@ class Client:
         """
 
         def attempt(deadline: float) -> None:
-            with self._response(url, {}, {}) as response, path.open("wb") as file:
+            with self._response(url, {}) as response, path.open("wb") as file:
                 num_bytes = 0
                 for chunk in _body(response, deadline, self.config.max_download_mb):
                     if num_bytes == 0 and not chunk.startswith(magic):
@@ -130,18 +101,14 @@ class Client:
             ) from error
 
     @contextmanager
-    def _response(
-        self, url: str, params: dict[str, str], headers: dict[str, str]
-    ) -> Iterator[requests.Response]:
+    def _response(self, url: str, params: dict[str, str]) -> Iterator[requests.Response]:
         """A streamed response with a good status. A busy service or a broken connection: TransientError."""
         pause = self._next_request - time.monotonic()
         if pause > 0:
             self._sleep(pause)
         self._next_request = time.monotonic() + 1 / self.config.requests_per_s
         try:
-            with self.session.get(
-                url, params=params, headers=headers, timeout=self.config.timeout_s, stream=True
-            ) as response:
+            with self.session.get(url, params=params, timeout=self.config.timeout_s, stream=True) as response:
                 if response.status_code in _BUSY:
                     retry_after_s = response.headers.get("Retry-After", "")
                     raise TransientError(
