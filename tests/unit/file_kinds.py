@@ -24,7 +24,6 @@ import toy_crops
 import toy_scene
 from torch import nn
 
-from p2wss.cli.plan import _counted_buildings
 from p2wss.clouds import scan_files as scan_file
 from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.config import Optimiser
@@ -251,7 +250,7 @@ KINDS: dict[str, Kind] = {
     "footprints, GeoPackage": Kind(_footprints, _read_footprints),
     "terrain, GeoTIFF": Kind(_terrain, _read_terrain),
     "LiDAR as delivered, LAZ": Kind(_cloud, _read_cloud),
-    "index of scenes, TSV": Kind(_index, _counted_buildings),
+    "index of scenes, TSV": Kind(_index, integrity.read_lines),
     "scene, GeoParquet": Kind(_scene, _read_scene),
     "buildings, Parquet": _table("buildings.parquet", BUILDINGS),
     "scan, LAZ": Kind(_scan, _read_scan),

@@ -172,13 +172,6 @@ def test_a_wrong_config_is_one_clear_line(fresh, override, message):
     assert run.returncode != 0 and message in run.stdout + run.stderr
 
 
-@pytest.mark.parametrize("config", ["config/default.yaml", "config/shipped.yaml", "tests/mini/dataset.yaml"])
-def test_plan_counts_the_jobs_that_snakemake_plans(fresh, config):
-    jobs = rules_to_run(fresh.dry_run("--configfile", config))
-    plan = json.loads(fresh.p2wss("plan", "--config", config, "--json").stdout)
-    assert plan["jobs"] == sum(jobs.values())
-
-
 def test_settings_of_roofer_change_the_command_of_its_baseline_only(fresh):
     """Snakemake runs a rule again whose parameters have changed, and they are all in the command."""
     other = json.dumps({"roofer_command": "roofer --rerun", "roofer_timeout_s": 7})

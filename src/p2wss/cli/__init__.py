@@ -40,7 +40,6 @@ COMMANDS = {
         "dvae": "train the discrete VAE that tokenises point patches",
         "model": "train Point2WSS",
         "eval": "evaluate the methods and write the report",
-        "plan": "estimate jobs, hours, disk and memory of a config",
     },
 }
 RENAMED = {

@@ -22,7 +22,6 @@ from p2wss.config.places import (
     member_places,
     place_config,
 )
-from p2wss.config.plan import Plan
 from p2wss.config.reconstruct import (
     OUTPUT_SUFFIXES,
     TABLES_AND_MODELS,
@@ -71,7 +70,6 @@ __all__ = [
     "Outlines",
     "Output",
     "PatternShares",
-    "Plan",
     "Prepare",
     "Reconstruct",
     "Region",

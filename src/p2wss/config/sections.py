@@ -15,7 +15,6 @@ from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
 from p2wss.config.fetch import Fetch
 from p2wss.config.model import Model
-from p2wss.config.plan import Plan
 from p2wss.config.reconstruct import Reconstruct
 from p2wss.config.region import Region
 from p2wss.config.scans import Scans
@@ -41,7 +40,6 @@ class Config(Section):
     ablation: Ablation = Ablation()
     eval: Eval = Eval()
     reconstruct: Reconstruct = Reconstruct()
-    plan: Plan = Plan()
 
     @model_validator(mode="after")
     def _changes_are_valid(self) -> Self:

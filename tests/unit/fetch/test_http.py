@@ -168,17 +168,6 @@ def test_a_decompression_bomb_is_refused_before_it_is_whole(httpserver: HTTPServ
     assert sum(file.stat().st_size for file in tmp_path.iterdir()) < 2e6
 
 
-@pytest.mark.parametrize("value", ["bytes 0-3/garbage", "bytes 0-3/", "bytes 0-3/*", "bytes 0-3/-1"])
-def test_a_range_of_a_file_of_unknown_size_is_one_clear_line(value: str) -> None:
-    answer = raw("206 Partial Content", b"LASF", Content_Length=4, Content_Range=value)
-    with (
-        broken_server([answer]) as (url, requests),
-        pytest.raises(InputError, match="does not support Range requests"),
-    ):
-        client().range(url, 0, 4)
-    assert len(requests) == 1
-
-
 def test_a_certificate_that_does_not_verify_is_not_asked_again(tmp_path: Path) -> None:
     if shutil.which("openssl") is None:
         pytest.skip("needs the program openssl, which makes a certificate that nobody trusts")
