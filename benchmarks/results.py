@@ -105,7 +105,7 @@ def from_csv(path: Path) -> dict[str, dict[str, float | str | None]]:
 def record(name: str, modules: list[str], table: Path | None, command: list[str]) -> None:
     """Run a command and store its figures."""
     from p2wss import __version__
-    from p2wss.provenance import fingerprint
+    from p2wss.storage.provenance import fingerprint
 
     # the exit status of a benchmark tells whether its bars are met: figures that miss them are stored too
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=table is not None)
@@ -123,7 +123,7 @@ def record(name: str, modules: list[str], table: Path | None, command: list[str]
 
 def age() -> None:
     """Print which figures were measured with the code as it is."""
-    from p2wss.provenance import fingerprint
+    from p2wss.storage.provenance import fingerprint
 
     for name, document in stored().items():
         if document["code"] is None:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 # before the functions of the same names: the first import of a package would replace them
 import p2wss.fetch  # noqa: F401
 import p2wss.reconstruct  # noqa: F401
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 if TYPE_CHECKING:
     import geopandas as gpd

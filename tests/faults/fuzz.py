@@ -44,7 +44,6 @@ from p2wss.clouds.scan_files import read_scan
 from p2wss.config import Scenes, load
 from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain
-from p2wss.errors import InputError
 from p2wss.eval import cases, report, tables
 from p2wss.eval.reconstructions import read_reconstructions
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
@@ -53,6 +52,7 @@ from p2wss.nets import weights_file
 from p2wss.nets.weights import read_weights
 from p2wss.scans.scene import build_surface, local_buildings
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.measures import MEASURES
 from p2wss.storage.schemas.scene import read_scene

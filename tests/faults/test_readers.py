@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from p2wss.clouds.reading import read_clouds, read_headers
-from p2wss.errors import InputError, reading
 from p2wss.eval import report
 from p2wss.formats import cityjson_read
+from p2wss.storage.errors import InputError, reading
 
 ROOT = Path(__file__).parents[2]
 

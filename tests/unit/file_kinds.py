@@ -29,7 +29,6 @@ from p2wss.clouds.reading import read_clouds, read_headers
 from p2wss.config import Optimiser
 from p2wss.data.manifest import read_manifest
 from p2wss.data.terrain import read_terrain, write_terrain
-from p2wss.errors import InputError
 from p2wss.eval.reconstructions import RECONSTRUCTIONS
 from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetch import bdtopo
@@ -38,6 +37,7 @@ from p2wss.footprints.cleaning import read_footprints
 from p2wss.nets.training_state import TrainingState
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES

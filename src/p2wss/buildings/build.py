@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from p2wss import skeleton
 from p2wss.config import Buildings
 from p2wss.data import polygon_arrays
-from p2wss.errors import InputError
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 
 
 def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import click
 from click.shell_completion import shell_complete
 
 from p2wss import __version__
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 # module and command have the same name
 COMMANDS = {

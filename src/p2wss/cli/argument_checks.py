@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from p2wss.cli.common import bounds_of_tile, log
 from p2wss.config import TABLES_AND_MODELS, Config
-from p2wss.errors import InputError
 from p2wss.nets import weights_file
+from p2wss.storage.errors import InputError
 
 if TYPE_CHECKING:
     from p2wss.nets.compute import DeviceName

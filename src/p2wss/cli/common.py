@@ -12,8 +12,8 @@ import click
 from p2wss.cli.parser import PATH, file_option, option, setting
 from p2wss.config import Config
 from p2wss.data.tiling import Bounds, tile_bounds
-from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError, reading
 
 log = logging.getLogger("p2wss")
 

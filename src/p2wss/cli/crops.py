@@ -11,9 +11,9 @@ import click
 from p2wss.cli.common import bounds_of_tile, config_option, log, log_status_counts, place_option, tile_option
 from p2wss.cli.parser import Group, file_option
 from p2wss.config import TILE_LISTS, Config, section_json
-from p2wss.errors import InputError
-from p2wss.provenance import fingerprint
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
+from p2wss.storage.provenance import fingerprint
 
 
 @click.group(cls=Group)

@@ -19,8 +19,8 @@ from p2wss.cli.common import (
 from p2wss.cli.parser import Group, file_option, option
 from p2wss.config import Config, section_json
 from p2wss.nets.threads import set_num_threads
-from p2wss.provenance import fingerprint
 from p2wss.storage import files
+from p2wss.storage.provenance import fingerprint
 
 if TYPE_CHECKING:
     from p2wss.nets.compute import DeviceName

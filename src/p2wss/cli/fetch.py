@@ -10,9 +10,9 @@ import click
 from p2wss.cli.common import bounds_of_tile, config_option, log, tile_option
 from p2wss.cli.parser import Group, Names, file_option, option
 from p2wss.config import TILE_LISTS, Config, load, section_json
-from p2wss.errors import InputError
-from p2wss.provenance import fingerprint
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
+from p2wss.storage.provenance import fingerprint
 
 _downloads_option = file_option(
     "--downloads",

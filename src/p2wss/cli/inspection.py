@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from p2wss.data.manifest import read_manifest
-from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError, reading
 
 Facts = dict[str, Any]
 

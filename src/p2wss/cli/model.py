@@ -11,7 +11,7 @@ from p2wss.cli import common
 from p2wss.cli.parser import Command, file_option, setting
 from p2wss.config import Config
 from p2wss.nets.threads import set_num_threads
-from p2wss.provenance import fingerprint
+from p2wss.storage.provenance import fingerprint
 
 
 @click.command(cls=Command)

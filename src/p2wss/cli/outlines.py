@@ -9,8 +9,8 @@ import click
 from p2wss.cli.common import classes_option, clouds_argument, config_option, crs_option, log
 from p2wss.cli.parser import PATH, Command
 from p2wss.config import Config
-from p2wss.errors import InputError
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 
 
 @click.command(cls=Command)

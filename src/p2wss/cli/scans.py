@@ -9,9 +9,9 @@ import click
 from p2wss.cli.common import config_option, log, threads_option
 from p2wss.cli.parser import Command, file_option
 from p2wss.config import Config, section_json
-from p2wss.errors import InputError
-from p2wss.provenance import fingerprint
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
+from p2wss.storage.provenance import fingerprint
 
 
 @click.command(cls=Command)

@@ -11,9 +11,9 @@ from p2wss.cli.common import bounds_of_tile, config_option, log, log_status_coun
 from p2wss.cli.parser import Group, file_option
 from p2wss.config import TILE_LISTS, Config, member_places, place_config, section_json
 from p2wss.data.tiling import tiles_of_bounds
-from p2wss.errors import InputError
-from p2wss.provenance import fingerprint
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError
+from p2wss.storage.provenance import fingerprint
 
 
 @click.group(cls=Group)

@@ -10,8 +10,8 @@ from typing import Any, BinaryIO
 
 import laspy
 
-from p2wss.errors import reading
 from p2wss.storage import integrity
+from p2wss.storage.errors import reading
 
 # the phrase of messages
 KIND = "a readable LAS, LAZ or COPC file, or truncated"

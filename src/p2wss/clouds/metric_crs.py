@@ -13,7 +13,7 @@ import shapely
 
 from p2wss.clouds.reading import Cloud, check_crs, horizontal, same_crs
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 if TYPE_CHECKING:
     import geopandas as gpd

@@ -15,7 +15,7 @@ import pyproj
 from p2wss.clouds.las_files import KIND, open_cloud
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError, reading
+from p2wss.storage.errors import InputError, reading
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)

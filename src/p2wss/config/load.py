@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from p2wss.config.base import merge
 from p2wss.config.sections import Config
-from p2wss.errors import InputError, reading
+from p2wss.storage.errors import InputError, reading
 
 
 def load(*documents: str | Path | dict[str, Any]) -> Config:

@@ -13,8 +13,8 @@ import numpy as np
 from p2wss.config import Dataset
 from p2wss.crops.selection import choose
 from p2wss.data.manifest import building_ranks
-from p2wss.errors import InputError
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
 
 

@@ -14,8 +14,8 @@ from pydantic import Field
 from typing_extensions import TypedDict
 
 from p2wss.data.seeds import derive_seed
-from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError, reading
 from p2wss.storage.schemas.crops import SIMULATED
 
 

@@ -16,8 +16,8 @@ from rasterio.transform import from_origin
 from scipy.ndimage import map_coordinates
 
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError, reading
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError, reading
 
 log = logging.getLogger(__name__)
 # 20 km by 20 km at 0.5 m, 6.4 GB

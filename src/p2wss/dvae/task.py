@@ -11,13 +11,13 @@ from torch import Tensor, nn
 
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.data.seeds import derive_seed
-from p2wss.errors import InputError
 from p2wss.nets import augment, compute, distributed, training
 from p2wss.nets.batch import NETWORK_SCALE, batch_patches
 from p2wss.nets.dataset import BatchSampler, BuildingDataset, TrainingLimits
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
 from p2wss.nets.shards import describe, load_dataset
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 
 log = logging.getLogger("p2wss")
 # with a smaller share of its codes in use a tokenizer carries no information

@@ -17,11 +17,11 @@ import shapely
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines, Reconstruct
 from p2wss.data.building import Building
-from p2wss.errors import InputError
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.outlines import outlines
 from p2wss.reconstruct.product import reconstruct_buildings
 from p2wss.reconstruct.shifts import edge_steps, point_weights
+from p2wss.storage.errors import InputError
 
 # one outline without seams around all points; from outlines of more and more short edges to ever coarser ones
 _OUTLINES = [

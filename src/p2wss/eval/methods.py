@@ -10,13 +10,13 @@ import numpy as np
 
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Reconstruction, no_mesh
-from p2wss.errors import InputError
 from p2wss.eval import roofer
 from p2wss.eval.cases import Case, Medians
 from p2wss.eval.masked import MaskedPredictor, fit_all_masked, read_all_masked
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.reconstruct.network import reconstruct_with_network
 from p2wss.reconstruct.product import FIT, NETWORK, NETWORK_AND_FIT, reconstruct_buildings
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import SIMULATED
 
 # the settings of Table 1 with the footprint hidden from the network, written by the method "masked": as in the paper

@@ -16,13 +16,13 @@ from pydantic import TypeAdapter
 from p2wss.config import Config, dataset_name, member_places, place_config
 from p2wss.data.building import Reconstruction
 from p2wss.data.manifest import read_manifest
-from p2wss.errors import reading
 from p2wss.eval import figures, tables
 from p2wss.eval.cases import Case, cases_of
 from p2wss.eval.reconstructions import Key, read_reconstructions
 from p2wss.eval.viewer import View, choices, viewer
 from p2wss.formats import html
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import reading
 from p2wss.storage.schemas.crops import REAL, SIMULATED
 from p2wss.storage.schemas.measures import MEASURES
 

@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from p2wss.config import Eval
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 _RECORDED_SUFFIXES = (".city.jsonl", ".jsonl", ".city.json", ".json")
 

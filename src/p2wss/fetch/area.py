@@ -10,11 +10,11 @@ import pyproj
 from p2wss.config import Config
 from p2wss.data.terrain import write_terrain
 from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
-from p2wss.errors import InputError
 from p2wss.fetch.bdtopo import write_footprints
 from p2wss.fetch.cloud import write_cloud
 from p2wss.fetch.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 
 # points and heights around the buildings at the border
 _MARGIN_M = 32.0

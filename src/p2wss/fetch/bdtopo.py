@@ -16,9 +16,9 @@ import pyproj
 import shapely
 
 from p2wss.clouds.reading import check_crs
-from p2wss.errors import InputError
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 
 # our column: (name in WFS, GeoPackage and GeoParquet; name in IGN's shapefiles)
 SPELLINGS = {

@@ -25,9 +25,9 @@ from p2wss.clouds.reading import check_crs, horizontal, same_crs
 from p2wss.config import Folder
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
-from p2wss.errors import InputError, reading
 from p2wss.fetch.cloud import read_header
 from p2wss.fetch.listing import CLOUD, RASTER, VECTOR, list_files
+from p2wss.storage.errors import InputError, reading
 
 log = logging.getLogger(__name__)
 

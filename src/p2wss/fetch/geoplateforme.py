@@ -25,10 +25,10 @@ from rasterio.io import MemoryFile
 from p2wss.config import Geoplateforme
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError, reading
 from p2wss.fetch.cloud import append_checksum, check_cloud
 from p2wss.fetch.http import Client, NotFoundError, quote
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError, reading
 
 log = logging.getLogger(__name__)
 _ATTEMPTS_AT_EMPTY_PAGE = 3

@@ -15,7 +15,7 @@ import requests
 import tenacity
 
 from p2wss.config import Geoplateforme
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 log = logging.getLogger(__name__)
 _BUSY = {408, 425, 429, 500, 502, 503, 504}

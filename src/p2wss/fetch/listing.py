@@ -11,7 +11,7 @@ from glob import glob
 from pathlib import Path
 
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
 RASTER = (".asc", ".tif", ".tiff", ".vrt")

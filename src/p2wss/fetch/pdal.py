@@ -18,9 +18,9 @@ from typing import Any
 from p2wss.config import Prepare
 from p2wss.data.las_classes import GROUND_CLASS
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
 from p2wss.fetch.cloud import append_checksum, count_classes, link_or_copy
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.temporary import temporary_folder
 
 CONDITIONAL = "if_no_ground_"  # stages with this tag prefix run only on clouds without ground points

@@ -13,9 +13,9 @@ from typing import Any
 
 from p2wss.config import Prepare
 from p2wss.data.las_classes import GROUND_CLASS
-from p2wss.errors import InputError
 from p2wss.fetch import pdal
 from p2wss.fetch.cloud import check_cloud, count_classes, read_header, write_cloud
+from p2wss.storage.errors import InputError
 
 log = logging.getLogger(__name__)
 HOW_TO_INSTALL_PDAL = (

@@ -12,8 +12,8 @@ import pyproj
 from p2wss.config import Fetch, Region
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
 from p2wss.fetch.bdtopo import normalise
+from p2wss.storage.errors import InputError
 
 
 class Source(Protocol):

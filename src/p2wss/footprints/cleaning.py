@@ -16,11 +16,11 @@ from p2wss.clouds.reading import horizontal
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.tiling import Bounds, grown
-from p2wss.errors import InputError
 from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import read_attributes, read_vector
+from p2wss.storage.errors import InputError
 
 _TYPES_WITH_POLYGONS = [
     shapely.GeometryType.POLYGON,

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from p2wss.errors import InputError
 from p2wss.footprints.vector_files import is_missing
+from p2wss.storage.errors import InputError
 
 log = logging.getLogger(__name__)
 

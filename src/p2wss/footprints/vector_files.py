@@ -19,8 +19,8 @@ import pyproj
 import shapely
 
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError, reading
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError, reading
 
 # WKB types that shapely cannot read, and those with the same bytes that it can
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle

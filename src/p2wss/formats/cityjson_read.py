@@ -11,10 +11,10 @@ from typing import Any
 import mapbox_earcut
 import numpy as np
 
-from p2wss.errors import InputError, reading
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.errors import InputError, reading
 
 _KIND = {
     "GroundSurface": FaceKind.GROUND,

@@ -16,11 +16,11 @@ import numpy as np
 import pyproj
 
 from p2wss import __version__
-from p2wss.errors import InputError
 from p2wss.formats.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UNSIGNED_INT, Binary, container
 from p2wss.formats.glb import gltf_material as material_of
 from p2wss.formats.meshes import Body, Frame, faces_of, material_names
 from p2wss.mesh import Mesh
+from p2wss.storage.errors import InputError
 
 MAX_MESHES = 256
 _EARTH_CENTRED, _GEOGRAPHIC = "EPSG:4978", "EPSG:4979"

@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 from p2wss.storage.temporary import temporary_folder
 
 

@@ -6,9 +6,9 @@ from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 
-from p2wss.errors import InputError
 from p2wss.formats import cityjson_read
 from p2wss.mesh.rules import MEANINGS, breaches
+from p2wss.storage.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 
 from p2wss.config import Compute
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 

@@ -16,9 +16,9 @@ import pyarrow as pa
 
 from p2wss.data import reasons
 from p2wss.data.manifest import read_manifest
-from p2wss.errors import InputError
 from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
 
 log = logging.getLogger("p2wss")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from p2wss.errors import InputError
 from p2wss.nets import distributed
+from p2wss.storage.errors import InputError
 
 log = logging.getLogger("p2wss")
 

@@ -15,11 +15,11 @@ from torch.nn import Module
 from p2wss import __version__
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
-from p2wss.errors import InputError
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss, inference_weights
 from p2wss.nets.weights_file import read_metadata
 from p2wss.storage import files, integrity
+from p2wss.storage.errors import InputError
 
 _Network = TypeVar("_Network", bound=Module)
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from p2wss.config import Reconstruct
-from p2wss.errors import InputError
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError
 
 # in place of a file of weights: no network
 NO_NETWORK = "none"

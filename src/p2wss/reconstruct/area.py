@@ -20,12 +20,12 @@ from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tiles_of_points
-from p2wss.errors import InputError
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.network import Predictor
 from p2wss.reconstruct.pipeline import Rows, Store
 from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
+from p2wss.storage.errors import InputError
 
 # a building depends on points up to so far from its footprint, which may move and turn
 MARGIN_M = GROUND_RINGS_M[-1] + 2 * MAX_SHIFT_M

@@ -15,7 +15,6 @@ import pyproj
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
 from p2wss.data.materials import materials_of
 from p2wss.data.terrain import Terrain
-from p2wss.errors import InputError
 from p2wss.formats import gpkg, sionna
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
@@ -29,6 +28,7 @@ from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.spool import Lazy
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.wedges import WEDGES
 
 # a larger median gap between terrain and ground of the cloud means that their height systems differ

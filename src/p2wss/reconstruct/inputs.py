@@ -21,9 +21,9 @@ from p2wss.config import Config
 from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
 from p2wss.footprints import vector_files
 from p2wss.nets.weights_file import read_metadata, weights_to_use
+from p2wss.storage.errors import InputError
 
 log = logging.getLogger("p2wss")
 CloudInput: TypeAlias = "str | Path | Sequence[str | Path] | np.ndarray | laspy.LasData | Cloud"

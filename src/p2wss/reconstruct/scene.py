@@ -27,7 +27,6 @@ from p2wss.config import CLASSES_ALONE, Config, load, section_json
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError, reading
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
@@ -35,7 +34,6 @@ from p2wss.formats.meshes import Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, FileOptions
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
-from p2wss.provenance import fingerprint
 from p2wss.reconstruct import block_skins, exports, registration, unclassified
 from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, in_tile, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
@@ -45,7 +43,9 @@ from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
+from p2wss.storage.errors import InputError, reading
 from p2wss.storage.progress import Progress
+from p2wss.storage.provenance import fingerprint
 from p2wss.storage.temporary import Closeable
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ import trimesh
 from p2wss.clouds.scan_files import as_las
 from p2wss.config import Scans
 from p2wss.data.terrain import Terrain, read_terrain
-from p2wss.errors import InputError
 from p2wss.scans.scan import Place, fly, las_dimensions
 from p2wss.scans.surface import Surface, encode_face
 from p2wss.scans.terrain import TerrainGrid, local_grid
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.errors import InputError
 
 # ground around the meshes
 _MARGIN_M = 20.0

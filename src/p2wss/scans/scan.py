@@ -18,7 +18,6 @@ from p2wss.config import Scans
 from p2wss.data.seeds import derive_seed
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds
-from p2wss.errors import InputError
 from p2wss.scans.caster import CHUNK_PULSES, cast
 from p2wss.scans.clutter import add_clutter
 from p2wss.scans.pulses import Box
@@ -27,6 +26,7 @@ from p2wss.scans.scene import build_surface, buildings_without_terrain, local_bu
 from p2wss.scans.surface import CLUTTER_KIND, Surface, is_tree, las_classes
 from p2wss.scans.survey import Survey, plan
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.errors import InputError
 
 _CLEARANCE_M = 100.0  # of the flight above the highest surface
 _WRITTEN_AT_ONCE = 1_000_000

@@ -10,12 +10,12 @@ from p2wss.data import polygon_arrays
 from p2wss.data.seeds import derive_seed, generator
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
-from p2wss.errors import InputError
 from p2wss.scans.clutter import LocalBuildings
 from p2wss.scans.surface import Surface, encode_face
 from p2wss.scans.terrain import local_grid
 from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 
 # the reflectance of a roof or of walls has this beta distribution: a mean of 0.31 and a standard deviation of 0.12
 _REFLECTANCE_BETA = (4, 9)

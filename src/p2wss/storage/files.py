@@ -24,8 +24,8 @@ import pyarrow.parquet as pq
 from pydantic import TypeAdapter, ValidationError
 
 from p2wss import __version__
-from p2wss.errors import InputError, reading
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError, reading
 from p2wss.storage.temporary import remove_leftovers, temporary_prefix
 
 # GDAL writes the time of the last change into GeoPackages: the same content would have other bytes in every run

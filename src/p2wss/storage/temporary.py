@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import Self
 
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 # whether a process of another host still runs is unknown: its files are removed when they are this old
 _ABANDONED_S = 24 * 3600.0

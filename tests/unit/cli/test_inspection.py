@@ -20,9 +20,9 @@ from safetensors.torch import save_file
 from p2wss.cli import main
 from p2wss.cli.inspection import describe, text
 from p2wss.data.terrain import Terrain, write_terrain
-from p2wss.errors import InputError
 from p2wss.formats import gpkg
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.measures import MEASURES
 
 DATA = SHARED / "data"

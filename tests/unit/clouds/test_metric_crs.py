@@ -15,8 +15,8 @@ from toy_clouds import LAMBERT, RD, WGS84
 from p2wss.clouds.metric_crs import MetricCrs, metric_crs, reprojected
 from p2wss.clouds.reading import Cloud
 from p2wss.data.terrain import Terrain
-from p2wss.errors import InputError
 from p2wss.footprints.cleaning import read_footprints
+from p2wss.storage.errors import InputError
 
 FOOT = 1200 / 3937
 NEW_YORK, NEW_YORK_FEET = pyproj.CRS.from_epsg(32118), pyproj.CRS.from_epsg(2263)

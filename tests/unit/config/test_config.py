@@ -11,7 +11,7 @@ from places import ROOT
 from p2wss import config
 from p2wss.config import Config, Section
 from p2wss.config.generate import default_yaml
-from p2wss.errors import InputError
+from p2wss.storage.errors import InputError
 
 
 def test_generated_files_are_up_to_date():
@@ -72,7 +72,7 @@ def test_a_mistake_gives_one_line(document, message):
 
 def test_the_config_imports_nothing_heavy():
     """The Snakefile imports these modules, and every cluster job parses the Snakefile again."""
-    code = "import sys, p2wss.config, p2wss.provenance, p2wss.data.tiling; print(*sys.modules)"
+    code = "import sys, p2wss.config, p2wss.storage.provenance, p2wss.data.tiling; print(*sys.modules)"
     modules = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()

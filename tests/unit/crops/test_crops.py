@@ -23,8 +23,8 @@ from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
 from p2wss.data.tiling import tile_name
-from p2wss.errors import InputError
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
 
 DATA = SHARED / "data"

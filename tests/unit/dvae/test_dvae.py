@@ -13,8 +13,8 @@ from small_networks import SMALL_DVAE
 from p2wss import cli, dvae
 from p2wss.config import load
 from p2wss.dvae import task
-from p2wss.errors import InputError
 from p2wss.nets.weights import load_dvae
+from p2wss.storage.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,6 @@ from p2wss import cli
 from p2wss.config import Config, Eval, load
 from p2wss.data.building import no_mesh
 from p2wss.data.manifest import Manifest, Shard, read_manifest
-from p2wss.errors import InputError
 from p2wss.eval import cases, measure, methods, report, roofer_command, tables
 from p2wss.eval.reconstructions import (
     RECONSTRUCTIONS,
@@ -32,6 +31,7 @@ from p2wss.eval.reconstructions import (
 from p2wss.nets import predictor as predictor_module
 from p2wss.nets import weights
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES
 

@@ -16,12 +16,12 @@ from rasterio.transform import from_origin
 
 from p2wss.clouds.reading import read_clouds
 from p2wss.config import Folder
-from p2wss.errors import InputError
 from p2wss.fetch.bdtopo import normalise, write_footprints
 from p2wss.fetch.cloud import write_cloud
 from p2wss.fetch.folder import FolderSource, mosaic
 from p2wss.fetch.source import known_height_share
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError
 
 MINI = ROOT / "tests" / "mini"
 OLEMPS = ROOT.parent / "shared" / "data" / "olemps_bdtopo"

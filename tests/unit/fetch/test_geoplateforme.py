@@ -13,10 +13,10 @@ from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
 from p2wss.config import Geoplateforme
-from p2wss.errors import InputError
 from p2wss.fetch.bdtopo import normalise
 from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError
 
 from .service import BOUNDS, building, geotiff, heights, laz, serve_features, serve_terrain, tile_feature
 

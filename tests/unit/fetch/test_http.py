@@ -19,8 +19,8 @@ import requests
 from pytest_httpserver import HTTPServer
 
 from p2wss.config import Geoplateforme
-from p2wss.errors import InputError
 from p2wss.fetch.http import Client
+from p2wss.storage.errors import InputError
 
 BODY = b"LASF" + bytes(range(256)) * 400
 

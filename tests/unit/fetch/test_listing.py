@@ -4,8 +4,8 @@ import laspy
 import numpy as np
 import pytest
 
-from p2wss.errors import InputError
 from p2wss.fetch import listing
+from p2wss.storage.errors import InputError
 
 
 def write_cloud(path, x_m, y_m):

@@ -11,10 +11,10 @@ from places import ROOT
 from scipy.spatial import cKDTree
 
 from p2wss.config import Prepare
-from p2wss.errors import InputError
 from p2wss.fetch.pdal import Window, for_version, pipeline, read_stages
 from p2wss.fetch.prepare import prepare
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError
 
 STAGES = ROOT / "config" / "pdal" / "prepare.json"
 BRESSE = ROOT.parent / "shared" / "data" / "bresse_ign" / "lidar.laz"

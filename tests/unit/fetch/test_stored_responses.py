@@ -11,9 +11,9 @@ import pytest
 from pytest_httpserver import HTTPServer
 from werkzeug import Request, Response
 
-from p2wss.errors import InputError
 from p2wss.fetch.bdtopo import normalise
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError
 
 from .service import BOUNDS, building, laz, serve_features, serve_terrain, tile_feature
 

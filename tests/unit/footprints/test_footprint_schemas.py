@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from p2wss.errors import InputError
 from p2wss.footprints.schemas import SCHEMAS, building_ids, detected, schema_of, stated_heights_m
+from p2wss.storage.errors import InputError
 
 # the columns of each source, and the id and height of its row
 SOURCES = {

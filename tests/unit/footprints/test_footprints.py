@@ -14,9 +14,9 @@ from places import SHARED
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.errors import InputError
 from p2wss.footprints.cleaning import clean_footprints, read_footprints, split_parts
 from p2wss.footprints.coverage import is_accepted
+from p2wss.storage.errors import InputError
 
 CONFIG = Scenes()
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"

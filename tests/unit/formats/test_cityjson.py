@@ -17,12 +17,12 @@ from places import SHARED
 from yard_house import YARD_M2, yard_house
 
 from p2wss import skeleton
-from p2wss.errors import InputError
 from p2wss.formats import cityjson, cityjson_read
 from p2wss.formats.cityjson import Solid
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.storage.errors import InputError
 
 DATA = SHARED / "data"
 L_SHAPE = [np.array([[0, 0], [16, 0], [16, 6], [7, 6], [7, 13], [0, 13]], float)]

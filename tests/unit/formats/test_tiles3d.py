@@ -13,11 +13,11 @@ import numpy as np
 import pyproj
 import pytest
 
-from p2wss.errors import InputError
 from p2wss.formats.meshes import TERRAIN, Body, BuildingRef, Frame, frame_around
 from p2wss.formats.tiles3d import tileset_files
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
+from p2wss.storage.errors import InputError
 
 LAMBERT, RD, RD_NAP = "EPSG:2154", "EPSG:28992", "EPSG:7415"
 CORNER = {

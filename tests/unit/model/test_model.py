@@ -14,7 +14,6 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 
 from p2wss import cli, model
 from p2wss.config import Model, load
-from p2wss.errors import InputError
 from p2wss.model import task
 from p2wss.nets import dataset
 from p2wss.nets.batch import Batch
@@ -26,6 +25,7 @@ from p2wss.nets.predictor import Point2WssPredictor, load_predictor
 from p2wss.nets.shards import load_dataset
 from p2wss.nets.weights import save_dvae
 from p2wss.storage import integrity
+from p2wss.storage.errors import InputError
 
 
 @pytest.fixture(scope="module")

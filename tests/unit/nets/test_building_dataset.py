@@ -10,11 +10,11 @@ import pytest
 import torch
 import toy_crops
 
-from p2wss.errors import InputError
 from p2wss.nets import dataset
 from p2wss.nets.dataset import BatchSampler, TrainingLimits
 from p2wss.nets.shards import describe, load_dataset
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
 
 LIMITS = TrainingLimits(min_points=64, max_vertices=8, max_length_m=70)

@@ -16,10 +16,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from p2wss.errors import InputError
 from p2wss.nets import compute, training
 from p2wss.nets.training_state import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
 from p2wss.nets.weights import last_validation
+from p2wss.storage.errors import InputError
 
 IDENTITY = {"config": {"a": 1}, "code": "x"}
 

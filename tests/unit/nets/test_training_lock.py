@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from p2wss.errors import InputError
 from p2wss.nets.training_lock import FILE_NAME, training_lock
+from p2wss.storage.errors import InputError
 from p2wss.storage.temporary import Scratch
 
 HOLDER = """

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from p2wss.clouds.reading import Cloud
-from p2wss.errors import InputError
 from p2wss.reconstruct.cloud_index import CELL_M, CloudIndex
 from p2wss.storage import temporary
+from p2wss.storage.errors import InputError
 
 NAMES = ("x_m", "y_m", "z_m", "classification", "day")
 

@@ -21,11 +21,11 @@ from p2wss.cli import inspection
 from p2wss.clouds.metric_crs import MetricCrs
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
 from p2wss.data.terrain import Terrain
-from p2wss.errors import InputError
 from p2wss.reconstruct import block_skins, exports
 from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.result import Result
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.wedges import WEDGES
 
 X, Y = 652000.0, 6861000.0

@@ -22,7 +22,6 @@ from p2wss import scenes
 from p2wss.clouds.metric_crs import common_crs
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Reconstruct
-from p2wss.errors import InputError
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import frame_around
@@ -32,6 +31,7 @@ from p2wss.reconstruct.attributes import table
 from p2wss.reconstruct.city import city_json
 from p2wss.reconstruct.pipeline import run
 from p2wss.reconstruct.result import summary as reconstruct_summary
+from p2wss.storage.errors import InputError
 
 NAMES = ("a.laz", "b.gpkg")
 SQUARE = shapely.box(0, 0, 10, 10)

@@ -10,8 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 import shapely
 
-from p2wss.errors import InputError
 from p2wss.storage import files
+from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.columns import field
 from p2wss.storage.schemas.scene import read_scene, write_scene
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from p2wss.errors import reading
+from p2wss.storage.errors import reading
 from p2wss.storage.files import read_metadata, read_table, write_geoparquet
 from p2wss.storage.schemas.columns import IDENTITY, STATUS, field
 

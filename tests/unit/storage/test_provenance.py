@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 import p2wss
-from p2wss import provenance
-from p2wss.provenance import fingerprint
+from p2wss.storage import provenance
+from p2wss.storage.provenance import fingerprint
 
 PACKAGE = Path(p2wss.__file__).parent
 
 
 def fingerprint_by(python: str, folder: Path, *stages: str) -> list[str]:
     """Fingerprints of the package in ``folder``, in a fresh interpreter."""
-    code = f"from p2wss.provenance import fingerprint; print(*map(fingerprint, {stages!r}))"
+    code = f"from p2wss.storage.provenance import fingerprint; print(*map(fingerprint, {stages!r}))"
     run = subprocess.run([python, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
     return run.stdout.split()
 

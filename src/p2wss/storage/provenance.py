@@ -10,7 +10,7 @@ Each module is parsed once per process, and its digest does not depend on the ve
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from hashlib import blake2b
 from pathlib import Path
@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 PACKAGE = "p2wss"
 # their values reach a stage through the parameters, or they only pass paths on
-NOT_TRACKED = ("config", "provenance", "cli")
+NOT_TRACKED = ("config", "storage.provenance", "cli")
 # of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
 _NOT_CODE = ("ctx", "kind", "type_comment")
 
-_ROOT = Path(__file__).resolve().parent
+_ROOT = Path(__file__).resolve().parents[1]
 
 
 class Module(NamedTuple):
@@ -48,7 +48,7 @@ def fingerprint(*stages: str) -> str:
     while pending:
         name = pending.pop()
         # the package itself is the public interface, which calls the stages and is called by none
-        is_tracked = name in named or (name != PACKAGE and not {*name.split(".")[1:2]} & {*NOT_TRACKED})
+        is_tracked = name in named or (name != PACKAGE and not _is_within(name, NOT_TRACKED))
         if name in digests or not is_tracked:
             continue
         if _source(name) is None:
@@ -61,6 +61,11 @@ def fingerprint(*stages: str) -> str:
     for name in sorted(digests):
         digest.update(f"{name}\n{digests[name]}\n".encode())
     return digest.hexdigest()
+
+
+def _is_within(name: str, parts: Sequence[str]) -> bool:
+    """Whether a module is one of these parts of the package, or in one."""
+    return any(f"{name}.".startswith(f"{PACKAGE}.{part}.") for part in parts)
 
 
 @cache
