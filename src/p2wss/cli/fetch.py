@@ -163,7 +163,7 @@ def fetch_prepare(tile: str, clouds: tuple[Path, ...], out: Path, config: Config
     bounds = bounds_of_tile(tile, config, config.fetch.margin_m)
     crs, _ = delivery_window(config.region, config.fetch, bounds)
     window = Window(bounds, holes, config.region.crs, crs)
-    ground = class_set(config.region.classes).ground
+    ground = class_set(**config.region.classes.model_dump()).ground
     facts = prepare(out, clouds, window, config.fetch.prepare, ground)
     log.info(f"{out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}")
 

@@ -29,7 +29,7 @@ Output = Literal[
 ]
 # those that have no meshes, and so no terrain either
 TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet", "report")
-# explained in p2wss.data.materials
+# explained in p2wss.formats.materials
 MaterialName = Literal[
     "concrete",
     "brick",

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-if TYPE_CHECKING:  # towns use the classes and must not depend on the config
-    from p2wss.config import Classes
 
 UNCLASSIFIED_CLASS = 1
 GROUND_CLASS = 2
@@ -54,8 +51,10 @@ PRESETS = {
 }
 
 
-def class_set(classes: Classes) -> ClassSet:
-    """The classes that the setting ``region.classes`` names: its preset, or with "custom" its three lists."""
-    if classes.preset == "custom":
-        return ClassSet(tuple(classes.building), tuple(classes.ground), tuple(classes.ignored))
-    return PRESETS[classes.preset]
+def class_set(
+    preset: str, building: Sequence[int] = (), ground: Sequence[int] = (), ignored: Sequence[int] = ()
+) -> ClassSet:
+    """The classes of a preset, or with "custom" the three lists: the settings of ``region.classes``."""
+    if preset == "custom":
+        return ClassSet(tuple(building), tuple(ground), tuple(ignored))
+    return PRESETS[preset]

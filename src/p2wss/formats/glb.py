@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from p2wss import __version__
-from p2wss.data.materials import MATERIALS
+from p2wss.formats.materials import MATERIALS
 from p2wss.formats.meshes import Body, Frame, faces_of, material_names
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963

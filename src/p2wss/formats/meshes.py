@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from p2wss import __version__
-from p2wss.data.materials import DEFAULTS, MATERIALS
+from p2wss.formats.materials import DEFAULTS, MATERIALS
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas
 from p2wss.skeleton.types import FaceKind

@@ -19,7 +19,7 @@ import shapely
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from p2wss import __version__
-from p2wss.data.materials import MATERIALS
+from p2wss.formats.materials import MATERIALS
 from p2wss.formats.meshes import AXES, Body, Frame, faces_of, file_names, material_names
 from p2wss.formats.radio_materials import Properties, properties
 from p2wss.mesh import Mesh

@@ -13,9 +13,9 @@ import numpy as np
 import pyproj
 
 from p2wss.config import OUTPUT_SUFFIXES, WEDGES_SUFFIX, Reconstruct
-from p2wss.data.materials import materials_of
 from p2wss.data.terrain import Terrain
 from p2wss.formats import gpkg, sionna
+from p2wss.formats.materials import materials_of
 from p2wss.formats.meshes import AXES, Body, BuildingRef, Frame, file_names, frame_around
 from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import block_skins, terrain_mesh

@@ -143,7 +143,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, gpd.GeoDataFra
     from p2wss.reconstruct import unclassified
     from p2wss.reconstruct.outlines import outline_frame
 
-    cloud = read_cloud(inputs.headers, inputs.points, class_set(config.region.classes))
+    cloud = read_cloud(inputs.headers, inputs.points, class_set(**config.region.classes.model_dump()))
     cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
     for warning in warnings:
         log.warning("warning: %s", warning)

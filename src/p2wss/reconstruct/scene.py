@@ -304,7 +304,7 @@ def reconstruct(
         if outline_cloud is None:
             if tile is None and not inputs.overlap(window(frame)):
                 raise InputError(_no_overlap(len(frame), inputs))
-            for chunk in inputs.chunks(points.bounds, class_set(config.region.classes)):
+            for chunk in inputs.chunks(points.bounds, class_set(**config.region.classes.model_dump())):
                 points.append(chunk)
             for warning in unclassified.warnings(*area.missing_classes(points)):
                 log.warning("warning: %s", warning)

@@ -13,8 +13,8 @@ import trimesh
 from yard_house import yard_house
 
 from p2wss import skeleton
-from p2wss.data.materials import MATERIALS
 from p2wss.data.terrain import Terrain
+from p2wss.formats.materials import MATERIALS
 from p2wss.formats.meshes import Body, BuildingRef, Frame, frame_around
 from p2wss.formats.radio_materials import ITU_TYPES, properties
 from p2wss.formats.sionna import scene_files

@@ -11,7 +11,6 @@ import pytest
 from places import SHARED
 
 from p2wss.clouds.reading import Cloud, read_clouds
-from p2wss.config import Classes
 from p2wss.data.las_classes import LAS, PRESETS, class_set
 from p2wss.reconstruct.unclassified import with_classes
 
@@ -105,8 +104,8 @@ def test_custom_classes_of_a_file(tmp_path: Path) -> None:
     las.x = las.y = las.z = np.arange(5.0)
     las.classification = np.array([2, 6, 20, 30, 40], np.uint8)
     las.write(tmp_path / "a.las")
-    classes = class_set(Classes(preset="custom", building=[20, 30], ground=[40], ignored=[6]))
+    classes = class_set("custom", building=[20, 30], ground=[40], ignored=[6])
     cloud = read_clouds([tmp_path / "a.las"], classes=classes)
     # 2 is not ground here
     assert cloud.classification.tolist() == [1, 6, 6, 2] and cloud.x_m.tolist() == [0, 2, 3, 4]
-    assert class_set(Classes(preset="ahn", building=[], ground=[], ignored=[])) == PRESETS["ahn"]
+    assert class_set("ahn") == PRESETS["ahn"]

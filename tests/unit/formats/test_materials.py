@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from p2wss.config.reconstruct import MaterialName, Materials
-from p2wss.data.materials import DEFAULTS, MATERIALS, ROOF_CODES, WALL_CODES, materials_of
+from p2wss.formats.materials import DEFAULTS, MATERIALS, ROOF_CODES, WALL_CODES, materials_of
 
 
 @pytest.mark.parametrize(
