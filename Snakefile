@@ -1,7 +1,7 @@
 """p2wss: from footprints and LiDAR to watertight LoD2 buildings, and the tables of the paper Point2WSS.
 
 One word per stage: fetch scenes buildings scans crops dvae model eval reconstruct. The same word names the
-rule file, the module of the package, the section of the config, the folder of results and the target.
+rule file, the section of the config, the folder of results and the target.
 """
 
 from snakemake.utils import min_version

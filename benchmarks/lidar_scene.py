@@ -14,7 +14,6 @@ import pyproj
 import shapely
 
 from p2wss import crops, scans
-from p2wss.buildings import build_scene
 from p2wss.clouds import crops as cloud_crops
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Buildings, Clutter, Crops, Scans
@@ -24,6 +23,7 @@ from p2wss.data.tiling import tile_bounds
 from p2wss.scans import caster
 from p2wss.scans import scan as scan_module
 from p2wss.scans.surface import las_classes
+from p2wss.scenes.buildings import build_scene
 from p2wss.skeleton.types import Polygons
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS

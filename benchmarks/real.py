@@ -26,13 +26,13 @@ import thresholds
 from figures import Figures
 from real_places import Place, judged_rows
 
-from p2wss import scenes
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import Config, Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
+from p2wss.footprints import cleaning
 from p2wss.reconstruct.area import footprint_settings, window
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.reconstruct.network import reconstruct_with_network
@@ -71,8 +71,8 @@ def read(folder: Path, name: str, config: Config) -> list[Building]:
 
 def read_files(footprints: Path, cloud_files: Sequence[Path], name: str, config: Config) -> list[Building]:
     """The buildings of a footprint file, clean footprints with their points."""
-    frame = scenes.read_footprints(footprints, None, needs_crs=False)
-    frame = scenes.clean_footprints(frame, footprint_settings(config))
+    frame = cleaning.read_footprints(footprints, None, needs_crs=False)
+    frame = cleaning.clean_footprints(frame, footprint_settings(config))
     cloud = clouds.read_clouds(list(cloud_files), window(frame))
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cropped = crop_cloud(cloud, polygons, config.reconstruct.buffer_m)

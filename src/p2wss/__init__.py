@@ -193,7 +193,7 @@ def roof(
     >>> len(pyramid.faces), pyramid.bounds[1].round(6).tolist()
     (14, [8.0, 8.0, 7.0])
     """
-    from p2wss.buildings.build import roof_mesh
+    from p2wss.scenes.buildings import roof_mesh
 
     return roof_mesh(footprint, eave_height_m, angle_deg)
 

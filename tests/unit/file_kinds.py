@@ -34,7 +34,6 @@ from p2wss.eval.report import _scan_picture, read_training
 from p2wss.fetch import bdtopo
 from p2wss.fetch.cloud import write_cloud
 from p2wss.footprints.cleaning import read_footprints
-from p2wss.nets.training_state import TrainingState
 from p2wss.nets.weights import read_weights, write_weights
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError
@@ -42,6 +41,7 @@ from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.crops import CROPS
 from p2wss.storage.schemas.measures import MEASURES
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene
+from p2wss.training.state import TrainingState
 
 CRS = "EPSG:2154"
 

@@ -16,12 +16,11 @@ import torch
 import toy_crops
 from small_networks import SMALL_DVAE, SMALL_MODEL
 
-from p2wss import dvae, model
 from p2wss.config import load
-from p2wss.nets import training
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.training_state import METRICS_NAME
 from p2wss.nets.weights import save_dvae
+from p2wss.training import dvae, loop, model
+from p2wss.training.state import METRICS_NAME
 
 PATH = Path(__file__).with_name("golden.json")
 NUM_STEPS = 10
@@ -33,7 +32,7 @@ def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
     config = load({"dvae": SMALL_DVAE | steps, "model": SMALL_MODEL | steps})
     manifest = toy_crops.make(folder, {"train": 24, "val": 8})
     losses_of_stage = {}
-    every, training.METRICS_EVERY_STEPS = training.METRICS_EVERY_STEPS, 1
+    every, loop.METRICS_EVERY_STEPS = loop.METRICS_EVERY_STEPS, 1
     num_threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -43,7 +42,7 @@ def losses(folder: Path) -> dict[str, list[dict[str, float]]]:
         save_dvae(untrained, folder / "d.safetensors", "x", "")
         model.train(manifest, folder / "d.safetensors", config.model, folder / "model", "x")
     finally:
-        training.METRICS_EVERY_STEPS = every
+        loop.METRICS_EVERY_STEPS = every
         torch.set_num_threads(num_threads)
     for stage in ("dvae", "model"):
         records = map(json.loads, (folder / stage / METRICS_NAME).read_text().splitlines())

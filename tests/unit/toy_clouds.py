@@ -7,9 +7,9 @@ import numpy as np
 import pyproj
 import shapely
 
-from p2wss import scenes
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Scenes
+from p2wss.footprints import cleaning
 
 LAMBERT, RD, WGS84 = (pyproj.CRS.from_epsg(code) for code in (2154, 28992, 4326))
 
@@ -31,4 +31,4 @@ def cloud_over(*boxes: shapely.Polygon) -> Cloud:
 
 
 def cleaned(frame: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    return scenes.clean_footprints(frame, Scenes())
+    return cleaning.clean_footprints(frame, Scenes())

@@ -26,7 +26,7 @@ rule ablation_model:
         gpu=settings.model.compute.num_gpus,
     params:
         config=variant_section,
-        code=fingerprint("model"),
+        code=fingerprint("training.model"),
         folder=subpath(output.weights, parent=True),
         program=program,
     shell:
@@ -56,7 +56,7 @@ rule ablation:
         gpu=1,
     params:
         config=section("ablation"),
-        code=fingerprint("eval.ablation"),
+        code=fingerprint("training.ablation"),
     shell:
         "p2wss eval ablation --manifest {input.manifest:q} --models {input.models:q} --out {output.table:q}"
         " --threads {threads} 2> {log:q}"

@@ -20,7 +20,7 @@ rule build_roofs:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         config=section("buildings"),
-        code=fingerprint("buildings"),
+        code=fingerprint("scenes.buildings"),
     shell:
         "p2wss buildings --scene {input.scene:q} --out {output.buildings:q} --config {params.config:q} 2> {log:q}"
 

@@ -25,7 +25,7 @@ rule dvae:
         gpu=settings.dvae.compute.num_gpus,
     params:
         config=section("dvae", without=RULE_ONLY),
-        code=fingerprint("dvae"),
+        code=fingerprint("training.dvae"),
         folder=subpath(output.weights, parent=True),
         program=program,
     shell:

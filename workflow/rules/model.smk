@@ -26,7 +26,7 @@ rule model:
         gpu=settings.model.compute.num_gpus,
     params:
         config=section("model", without=("weights", *RULE_ONLY)),
-        code=fingerprint("model"),
+        code=fingerprint("training.model"),
         folder=subpath(output.weights, parent=True),
         program=program,
     shell:

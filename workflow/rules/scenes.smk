@@ -21,7 +21,7 @@ checkpoint index_scenes:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
         config=section("region", "dataset", "scenes", without=(*EVERY_TILE_LIST, *OF_CLOUDS)),
-        code=fingerprint("scenes"),
+        code=fingerprint("scenes.cut"),
     shell:
         "p2wss scenes index --footprints {input.footprints:q} --out {output.index:q} --config {params.config:q} 2> {log:q}"
 
@@ -43,7 +43,7 @@ rule cut_scene:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
     params:
         config=section("region", "scenes", without=(*TILE_LISTS, *OF_CLOUDS)),
-        code=fingerprint("scenes"),
+        code=fingerprint("scenes.cut"),
     shell:
         "p2wss scenes cut --tile {wildcards.tile:q} --place={wildcards.place:q} --footprints {input.footprints:q} --dtm {input.dtm:q} --out {output.scene:q}"
         " --out-dtm {output.dtm:q}"

@@ -22,7 +22,7 @@ def buildings(scene: Path, out: Path, config: Config) -> None:
     """Build the closed meshes of one scene."""
     import numpy as np
 
-    from p2wss.buildings import build_scene, failed_fraction
+    from p2wss.scenes.buildings import build_scene, failed_fraction
     from p2wss.storage.schemas.buildings import BUILDINGS
     from p2wss.storage.schemas.scene import read_scene
 
@@ -41,7 +41,7 @@ def buildings(scene: Path, out: Path, config: Config) -> None:
         **{name: facts[name] for name in ("tile", "tile_size_m", "margin_m", "crs")},
         place=facts.get("place", ""),
         config=section_json(config, "buildings"),
-        code=fingerprint("buildings"),
+        code=fingerprint("scenes.buildings"),
         num_by_status=dict(
             zip(*(a.tolist() for a in np.unique(status.astype(str), return_counts=True)), strict=True)
         ),

@@ -71,7 +71,7 @@ def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], No
     Of several processes the first writes.
     """
     from p2wss.nets import distributed
-    from p2wss.nets.training_state import METRICS_NAME, remove_checkpoints
+    from p2wss.training.state import METRICS_NAME, remove_checkpoints
 
     if not distributed.is_main_process():
         return

@@ -27,11 +27,11 @@ def dvae(
 ) -> None:
     """Train the discrete VAE that tokenises point patches."""
     set_num_threads(threads)
-    from p2wss import dvae
-    from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_dvae
+    from p2wss.training import dvae
+    from p2wss.training.lock import training_lock
 
-    settings, code = config.dvae, fingerprint("dvae")
+    settings, code = config.dvae, fingerprint("training.dvae")
     with training_lock(checkpoints):
         module = dvae.train(manifest, settings, checkpoints, code)
         save = partial(save_dvae, module, out, code)

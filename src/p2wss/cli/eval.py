@@ -144,7 +144,7 @@ def eval_ablation(
 ) -> None:
     """Compare the variants of the model."""
     set_num_threads(threads)
-    from p2wss.eval import ablation
+    from p2wss.training import ablation
 
     table = ablation.measure(manifest, models, device)
     files.write_text(out, table.to_csv(index=False, float_format="%.4f", lineterminator="\n"))

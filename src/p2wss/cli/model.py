@@ -28,11 +28,11 @@ def model(
 ) -> None:
     """Train Point2WSS."""
     set_num_threads(threads)
-    from p2wss import model
-    from p2wss.nets.training_lock import training_lock
     from p2wss.nets.weights import save_model
+    from p2wss.training import model
+    from p2wss.training.lock import training_lock
 
-    settings, code = config.model, fingerprint("model")
+    settings, code = config.model, fingerprint("training.model")
     with training_lock(checkpoints):
         module = model.train(manifest, dvae, settings, checkpoints, code)
         save = partial(save_model, module, out, code)

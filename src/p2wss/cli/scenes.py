@@ -32,7 +32,7 @@ def scenes() -> None:
 def scenes_index(footprints: tuple[Path, ...], out: Path, config: Config) -> None:
     """Count the buildings of each tile."""
     from p2wss.footprints.cleaning import read_footprints
-    from p2wss.scenes import count_buildings
+    from p2wss.scenes.cut import count_buildings
 
     places = member_places(config)
     if len(places) != len(footprints):
@@ -62,7 +62,7 @@ def scenes_cut(
     from p2wss.clouds.reading import same_crs
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.footprints.cleaning import read_whole_blocks
-    from p2wss.scenes import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
+    from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
     from p2wss.storage.schemas.scene import write_scene
 
     tile_size_m, margin_m = config.region.tile_size_m, config.scenes.margin_m
@@ -94,7 +94,7 @@ def scenes_cut(
         margin_m=margin_m,
         crs=config.region.crs,
         config=section_json(config, "region", "scenes", without=TILE_LISTS),
-        code=fingerprint("scenes"),
+        code=fingerprint("scenes.cut"),
         num_by_status=dict(sorted(Counter(scene["status"][scene["in_tile"]]).items())),
     )
     write_terrain(out_dtm, window, config.region.crs, metadata)

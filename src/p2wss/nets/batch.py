@@ -1,10 +1,13 @@
-"""A padded batch of buildings in metres, and its patches in network units."""
+"""A padded batch of buildings in metres, its patches in network units, and the points of a cloud that it holds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
+import numpy as np
 import torch
+from numba import njit
 from torch import Tensor
 
 from p2wss.config import Dvae
@@ -12,6 +15,9 @@ from p2wss.nets.patches import Patches, make_patches
 
 # Network units per metre: 10 m become 1. Clouds are never scaled to the unit sphere, which would erase heights.
 NETWORK_SCALE = 0.1
+_MASK_64 = (1 << 64) - 1
+# spreads the seeds of the random numbers
+SEED_STRIDE = 0xD1342543DE82EF95
 
 
 @dataclass(frozen=True)
@@ -43,3 +49,47 @@ class Batch:
 def batch_patches(batch: Batch, config: Dvae) -> Patches:
     """Patches in network units of a centred batch in metres."""
     return make_patches(batch.points * NETWORK_SCALE, batch.valid, config.num_patches, config.patch_size)
+
+
+def centre(batch: Batch) -> Batch:
+    """Move cloud, footprint and ground so that the centroid of the points is the origin (section 5.2)."""
+    count = batch.valid.sum(1, keepdim=True)
+    centroid = (batch.points * batch.valid[..., None]).sum(1) / count
+    return replace(
+        batch,
+        points=(batch.points - centroid[:, None]) * batch.valid[..., None],
+        xy=batch.xy - centroid[:, None, :2],
+        ground_z=batch.ground_z - centroid[:, 2],
+    )
+
+
+def thin(count: int, num_points: int, state: int | None = None) -> np.ndarray:
+    """Indices of at most ``num_points`` of ``count`` points, drawn from the state of the random numbers; without one,
+    the same for the same count."""
+    selected = np.empty(min(count, num_points), np.int64)
+    state = count * SEED_STRIDE if state is None else state
+    _select(count, np.uint64(state & _MASK_64), selected)
+    return selected
+
+
+@njit(cache=True, nogil=True)
+def _select(count: int, state: Any, selected: np.ndarray) -> None:
+    """Fill ``selected`` with a random subset of ``range(count)``, each equally likely, in ascending order.
+
+    Selection sampling (Knuth, The Art of Computer Programming, algorithm 3.4.2 S); random numbers: splitmix64.
+    """
+    size = len(selected)
+    num_selected = 0
+    for i in range(count):
+        if count - i > size - num_selected:
+            state += np.uint64(0x9E3779B97F4A7C15)
+            z = state
+            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            z = z ^ (z >> np.uint64(31))
+            if np.float64(z >> np.uint64(11)) * 2.0**-53 * (count - i) >= size - num_selected:
+                continue
+        selected[num_selected] = i
+        num_selected += 1
+        if num_selected == size:
+            return

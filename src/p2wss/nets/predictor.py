@@ -13,10 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from p2wss.nets import augment, compute, decoding
-from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches
+from p2wss.nets import compute, decoding
+from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre, thin
 from p2wss.nets.compute import DeviceName
-from p2wss.nets.dataset import BuildingDataset, thin
 from p2wss.nets.patches import Patches
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.prediction import Prediction
@@ -122,18 +121,6 @@ class Point2WssPredictor:
                 height[i], angle[i], xy[i] = heights[row], angles[row, :num], vertices[row, :num] + shift
         return height, xy, angle
 
-    def errors(self, dataset: BuildingDataset, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed errors of heights (n,) in m and angles (edges,) in degrees, of labelled buildings whose footprint is
-        known."""
-        ground_m = [np.array([0, 0, dataset.ground_z_m[i]]) for i in index]
-        clouds = [0.01 * dataset.cloud_cm(i) - ground for i, ground in zip(index, ground_m, strict=True)]
-        prediction = self.predict(clouds, [[dataset.ring_m(i)] for i in index])
-        angle = [
-            predicted - dataset.edge_angles_deg(i)
-            for i, predicted in zip(index, prediction.angle_deg, strict=True)
-        ]
-        return prediction.eave_height_m - dataset.height_m[index], np.concatenate(angle)
-
     def _check(self, points_m: Sequence[np.ndarray], exterior: Sequence[np.ndarray]) -> None:
         for i, (points, ring) in enumerate(zip(points_m, exterior, strict=True)):
             if not len(points):
@@ -187,7 +174,7 @@ class Point2WssPredictor:
             points[row, : len(cloud)] = cloud
             valid[row, : len(cloud)] = True
             xy[row, : len(ring)] = ring
-        return augment.centre(
+        return centre(
             Batch(
                 points=torch.from_numpy(points),
                 valid=torch.from_numpy(valid),

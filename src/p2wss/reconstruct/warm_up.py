@@ -47,7 +47,7 @@ def warm_footprints_and_meshes() -> None:
 
 def warm_network_input() -> None:
     """The choice of the points that the network sees."""
-    from p2wss.nets.dataset import thin
+    from p2wss.nets.batch import thin
 
     thin(3, 2)
 

@@ -9,10 +9,10 @@ import tiny_network
 import torch
 from torch.nn import functional as F
 
-from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import EdgeAttention, Point2Wss, edge_features, inference_weights
 from p2wss.nets.tokenizer import FIRST_DIGIT, KIND_ANGLE, KIND_COORDINATE, KIND_HEIGHT, MASK, Tokenizer
+from p2wss.training.masking import mask_parameters, mask_patches
 
 from .test_tokenizer import buildings, length
 

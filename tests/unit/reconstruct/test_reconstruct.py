@@ -18,10 +18,10 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
 
 import p2wss
-from p2wss import scenes
 from p2wss.clouds.metric_crs import common_crs
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Reconstruct
+from p2wss.footprints import cleaning
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import frame_around
@@ -146,7 +146,7 @@ def test_real_clouds_give_watertight_buildings(
     place: str, cloud: str, num_buildings: int, num_meshes: int, tmp_path: Path
 ) -> None:
     folder = SHARED / "data" / place
-    frame = scenes.read_footprints(folder / "footprints.gpkg")
+    frame = cleaning.read_footprints(folder / "footprints.gpkg")
     points = read_clouds([folder / cloud], window(frame))
     crs, _ = common_crs(points.crs, frame.crs, None, NAMES)
     results = run(cleaned(frame), points, Oracle(), place, NETWORK_ALONE)

@@ -13,8 +13,13 @@ from p2wss.cli import main
 from p2wss.config import Scenes
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import tile_bounds
-from p2wss.scenes import NEIGHBOUR_DISTANCE_M, count_buildings, cut_scene, failed_fraction
-from p2wss.scenes.cut import party_walls
+from p2wss.scenes.cut import (
+    NEIGHBOUR_DISTANCE_M,
+    count_buildings,
+    cut_scene,
+    failed_fraction,
+    party_walls,
+)
 from p2wss.storage import files
 from p2wss.storage.schemas.buildings import BUILDINGS
 from p2wss.storage.schemas.scene import SCENE, read_scene, write_scene

@@ -56,25 +56,25 @@ def edit(file: Path, old: str, new: str) -> None:
 
 def test_docstrings_comments_and_config_do_not_count(copy):
     root, of = copy
-    before = of("buildings")
-    edit(root / "buildings" / "build.py", '"""', '"""Another text. ')
+    before = of("scenes.buildings")
+    edit(root / "scenes" / "buildings.py", '"""', '"""Another text. ')
     edit(root / "data" / "polygon_arrays.py", "import numpy as np", "# a comment\nimport numpy as np\n")
     edit(root / "config" / "region.py", "ge=10, le=10000", "ge=10, le=20000")
-    assert of("buildings") == before
+    assert of("scenes.buildings") == before
 
 
 def test_code_counts_also_where_it_is_imported_from(copy):
     root, of = copy
-    before = of("buildings")
+    before = of("scenes.buildings")
     edit(root / "data" / "seeds.py", "digest_size=8", "digest_size=16")
-    assert of("buildings") == before, "buildings draws nothing at random"
+    assert of("scenes.buildings") == before, "buildings draws nothing at random"
     edit(root / "data" / "polygon_arrays.py", "np.round((low + high) / 2)", "np.floor((low + high) / 2)")
-    after = of("buildings")
+    after = of("scenes.buildings")
     assert after != before
     (root / "skeleton" / "new_module.py").write_text("X = 1\n")
-    assert of("buildings") == after, "a module that nothing imports changes no result"
+    assert of("scenes.buildings") == after, "a module that nothing imports changes no result"
     edit(root / "skeleton" / "__init__.py", "from", "from p2wss.skeleton import new_module\nfrom")
-    assert of("buildings") != after
+    assert of("scenes.buildings") != after
 
 
 def test_a_stage_that_is_a_package_counts_with_all_its_modules(copy):
@@ -103,9 +103,9 @@ def test_lazy_imports_and_data_files_count(copy):
 def test_the_config_counts_only_where_it_is_named(copy):
     """As for the age of figures that depend on nothing else; the rules pass its values as parameters."""
     root, of = copy
-    before, buildings = of("config"), of("buildings")
+    before, buildings = of("config"), of("scenes.buildings")
     edit(root / "config" / "region.py", "ge=10, le=10000", "ge=10, le=20000")
-    assert of("config") != before and of("buildings") == buildings
+    assert of("config") != before and of("scenes.buildings") == buildings
 
 
 def test_the_package_has_no_relative_imports():
@@ -216,7 +216,13 @@ def test_a_module_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return parse(text)
 
     monkeypatch.setattr(ast, "parse", counted)
-    for stages in (("model",), ("dvae",), ("model", "dvae"), ("eval",), ("reconstruct", "nets.predictor")):
+    for stages in (
+        ("training.model",),
+        ("training.dvae",),
+        ("training.model", "training.dvae"),
+        ("eval",),
+        ("reconstruct", "nets.predictor"),
+    ):
         fingerprint(*stages)
     assert len(texts) > 50 and len(texts) == provenance._read.cache_info().currsize
 
@@ -231,11 +237,11 @@ def test_the_version_of_python_does_not_count(version: str) -> None:
         "towns",
         "fetch",
         "scenes",
-        "buildings",
+        "scenes.buildings",
         "scans",
         "crops",
-        "dvae",
-        "model",
+        "training.dvae",
+        "training.model",
         "reconstruct",
         "eval",
     )

@@ -10,11 +10,11 @@ import torch
 import toy_crops
 from small_networks import SMALL_DVAE
 
-from p2wss import cli, dvae
+from p2wss import cli
 from p2wss.config import load
-from p2wss.dvae import task
 from p2wss.nets.weights import load_dvae
 from p2wss.storage.errors import InputError
+from p2wss.training import dvae
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,6 @@ def test_the_same_seed_gives_the_same_weights_and_another_seed_others(manifest: 
 def test_a_collapsed_codebook_is_refused(
     manifest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(task, "MIN_CODE_USAGE", 1.1)
+    monkeypatch.setattr(dvae, "MIN_CODE_USAGE", 1.1)
     with pytest.raises(InputError, match=r"codebook collapsed: .* of 16 codes in use"):
         dvae.train(manifest, load({"dvae": SMALL_DVAE}).dvae, tmp_path, "x")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import torch
+from nets.test_tokenizer import buildings, length
 
-from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.patches import Patches
 from p2wss.nets.tokenizer import (
     KIND_ANGLE,
@@ -16,8 +16,7 @@ from p2wss.nets.tokenizer import (
     KIND_TYPE,
     Tokenizer,
 )
-
-from .test_tokenizer import buildings, length
+from p2wss.training.masking import mask_parameters, mask_patches
 
 
 def kinds(count: int = 400) -> torch.Tensor:

@@ -16,10 +16,10 @@ import pyarrow as pa
 
 from p2wss.data import reasons
 from p2wss.data.manifest import read_manifest
-from p2wss.nets.dataset import BuildingDataset, TrainingLimits
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS, SIMULATED
+from p2wss.training.dataset import BuildingDataset, TrainingLimits
 
 log = logging.getLogger("p2wss")
 

@@ -14,18 +14,6 @@ from p2wss.nets.tokenizer import mirror_rings
 _HALF_WEDGE_DEG = (5, 30)  # half the width of a wedge without points
 
 
-def centre(batch: Batch) -> Batch:
-    """Move cloud, footprint and ground so that the centroid of the points is the origin (section 5.2)."""
-    count = batch.valid.sum(1, keepdim=True)
-    centroid = (batch.points * batch.valid[..., None]).sum(1) / count
-    return replace(
-        batch,
-        points=(batch.points - centroid[:, None]) * batch.valid[..., None],
-        xy=batch.xy - centroid[:, None, :2],
-        ground_z=batch.ground_z - centroid[:, 2],
-    )
-
-
 def rotate(batch: Batch, theta: Tensor) -> Batch:
     """Rotate clouds and footprints by ``theta`` (b,) radians about the vertical through the origin."""
     cos, sin = torch.cos(theta), torch.sin(theta)

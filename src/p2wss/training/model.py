@@ -16,22 +16,23 @@ from torch import Tensor, nn
 from p2wss.config import Augmentation
 from p2wss.config import Model as ModelConfig
 from p2wss.data.seeds import derive_seed
-from p2wss.nets import augment, compute, distributed, training
-from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches
-from p2wss.nets.dataset import BatchSampler, BuildingDataset, training_limits
+from p2wss.nets import compute, distributed
+from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae
-from p2wss.nets.masking import mask_parameters, mask_patches
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import Point2WssPredictor
-from p2wss.nets.shards import describe, load_dataset
 from p2wss.nets.weights import load_dvae
 from p2wss.storage import files
+from p2wss.training import augment, loop
+from p2wss.training.dataset import BatchSampler, BuildingDataset, training_limits
+from p2wss.training.masking import mask_parameters, mask_patches
+from p2wss.training.shards import describe, load_dataset
 
 log = logging.getLogger("p2wss")
 
 
 def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, code: str) -> Point2Wss:
-    """Train on the train split of ``manifest`` with the weights of ``dvae``; see :mod:`training`.
+    """Train on the train split of ``manifest`` with the weights of ``dvae``; see :func:`loop.train`.
 
     Returns the network with the weights to keep. Raises :class:`InputError` for unusable input.
     """
@@ -49,21 +50,21 @@ def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, co
         module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
         log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
         task = ModelTask(module.to(device), vae.to(device), training_set, validation_set)
-        plan = training.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
+        plan = loop.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
         identity = {
             "stage": "model",
-            "config": training.training_config(config),
+            "config": loop.training_config(config),
             "code": code,
             "data": files.sha256(manifest),
             "dvae": files.sha256(dvae),
         }
-        trained = training.train(task, plan, checkpoints, identity)
+        trained = loop.train(task, plan, checkpoints, identity)
     assert isinstance(trained, Point2Wss)
     return trained
 
 
 class ModelTask:
-    """The stage as a :class:`p2wss.nets.training.Task`, on the device of ``module``."""
+    """The stage as a :class:`p2wss.training.loop.Task`, on the device of ``module``."""
 
     def __init__(
         self,
@@ -121,7 +122,8 @@ class ModelTask:
         assert isinstance(module, Point2Wss)
         index = np.arange(min(len(self.validation_set), self.config.num_validation))
         # one view is enough for the learning curve
-        height, angle = Point2WssPredictor(module, num_views=1).errors(self.validation_set, index)
+        predictor = Point2WssPredictor(module, num_views=1)
+        height, angle = prediction_errors(predictor, self.validation_set, index)
         label_deg = np.concatenate([self.validation_set.edge_angles_deg(i) for i in index])
         label_m = self.validation_set.height_m[index]
         return {
@@ -130,6 +132,21 @@ class ModelTask:
             "val_angle_mae_deg": float(np.abs(angle).mean()),
             "val_angle_mae_constant_deg": float(np.abs(label_deg - self.median_angle).mean()),
         }
+
+
+def prediction_errors(
+    predictor: Point2WssPredictor, dataset: BuildingDataset, index: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Signed errors of heights (n,) in m and angles (edges,) in degrees, of labelled buildings whose footprint is
+    known."""
+    ground_m = [np.array([0, 0, dataset.ground_z_m[i]]) for i in index]
+    clouds = [0.01 * dataset.cloud_cm(i) - ground for i, ground in zip(index, ground_m, strict=True)]
+    prediction = predictor.predict(clouds, [[dataset.ring_m(i)] for i in index])
+    angle = [
+        predicted - dataset.edge_angles_deg(i)
+        for i, predicted in zip(index, prediction.angle_deg, strict=True)
+    ]
+    return prediction.eave_height_m - dataset.height_m[index], np.concatenate(angle)
 
 
 def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batch:
@@ -144,5 +161,5 @@ def augment_batch(batch: Batch, settings: Augmentation, min_points: int) -> Batc
         batch = augment.scale_randomly(batch, settings.scale)
     if settings.mirror:
         batch = augment.mirror_randomly(batch)
-    batch = augment.rotate_randomly(augment.centre(batch))
+    batch = augment.rotate_randomly(centre(batch))
     return augment.jitter(batch, settings.jitter_m) if settings.jitter_m > 0 else batch

@@ -16,10 +16,11 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from p2wss.nets import compute, training
-from p2wss.nets.training_state import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
+from p2wss.nets import compute
 from p2wss.nets.weights import last_validation
 from p2wss.storage.errors import InputError
+from p2wss.training import loop
+from p2wss.training.state import METRICS_NAME, TrainingState, learning_rate, remove_checkpoints
 
 IDENTITY = {"config": {"a": 1}, "code": "x"}
 
@@ -63,8 +64,8 @@ def read_metrics(folder: Path) -> str:
 
 
 def run(folder: Path, task: Line, ema_decay: float = 0.9, identity: dict = IDENTITY) -> dict[str, Tensor]:
-    plan = training.Plan(3, Settings(), ema_decay, 20)
-    return training.train(task, plan, folder, identity).state_dict()
+    plan = loop.Plan(3, Settings(), ema_decay, 20)
+    return loop.train(task, plan, folder, identity).state_dict()
 
 
 @pytest.mark.parametrize("ema_decay", [0.0, 0.9])
@@ -95,11 +96,11 @@ def test_a_training_stops_with_a_checkpoint_once_its_snakemake_has_ended(
                 snakemake.wait()
             return super().step(step)
 
-    monkeypatch.setenv(training.WORKFLOW_VARIABLE, str(snakemake.pid))
+    monkeypatch.setenv(loop.WORKFLOW_VARIABLE, str(snakemake.pid))
     with pytest.raises(SystemExit) as stopped:
         run(tmp_path / "two", Orphan())
     assert stopped.value.code == 0 and (tmp_path / "two/step-00000034.pt").exists()
-    monkeypatch.setenv(training.WORKFLOW_VARIABLE, str(os.getpid()))
+    monkeypatch.setenv(loop.WORKFLOW_VARIABLE, str(os.getpid()))
     resumed = run(tmp_path / "two", Line())
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 

@@ -10,12 +10,12 @@ import pytest
 import torch
 import toy_crops
 
-from p2wss.nets import dataset
-from p2wss.nets.dataset import BatchSampler, TrainingLimits
-from p2wss.nets.shards import describe, load_dataset
+from p2wss.nets.batch import thin
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
+from p2wss.training.dataset import BatchSampler, TrainingLimits
+from p2wss.training.shards import describe, load_dataset
 
 LIMITS = TrainingLimits(min_points=64, max_vertices=8, max_length_m=70)
 
@@ -136,12 +136,12 @@ def test_an_epoch_visits_every_building_once_in_batches_of_similar_length() -> N
 def test_thinning_selects_every_point_equally_often_and_in_order() -> None:
     count = np.zeros(50)
     for seed in range(4000):
-        chosen = dataset.thin(50, 20, seed * 7919)
+        chosen = thin(50, 20, seed * 7919)
         assert (np.diff(chosen) > 0).all() and chosen[-1] < 50
         count[chosen] += 1
     # 4,000 draws of 2 in 5: 5 standard deviations
     assert np.abs(count / 4000 - 0.4).max() < 5 * (0.4 * 0.6 / 4000) ** 0.5
-    assert dataset.thin(10, 20).tolist() == list(range(10))
+    assert thin(10, 20).tolist() == list(range(10))
 
 
 def test_the_points_leave_no_file_and_a_full_disk_is_one_clear_line(

@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from p2wss.nets.training_lock import FILE_NAME, training_lock
 from p2wss.storage.errors import InputError
 from p2wss.storage.temporary import Scratch
+from p2wss.training.lock import FILE_NAME, training_lock
 
 HOLDER = """
 import sys, time
 from pathlib import Path
-from p2wss.nets.training_lock import training_lock
+from p2wss.training.lock import training_lock
 with training_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 import torch
+from nets.test_tokenizer import buildings
 
-from p2wss.nets import augment
-from p2wss.nets.batch import Batch
-
-from .test_tokenizer import buildings
+from p2wss.nets.batch import Batch, centre
+from p2wss.training import augment
 
 
 def batch(seed: int = 0) -> Batch:
@@ -35,7 +34,7 @@ def rings_follow(before: Batch, after: Batch) -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        augment.centre,
+        centre,
         augment.rotate_randomly,
         augment.mirror_randomly,
         lambda b: augment.scale_randomly(b, (0.5, 2)),
@@ -51,7 +50,7 @@ def test_rings_stay_on_their_points(change: object) -> None:
 
 
 def test_centre_ignores_padding() -> None:
-    after = augment.centre(batch())
+    after = centre(batch())
     mean = after.points[:, :50].mean(1)
     assert mean.abs().max() < 1e-4
     assert (after.points[:, 50:] == 0).all()

@@ -11,13 +11,14 @@ from torch import Tensor, nn
 
 from p2wss.config import Dvae as DvaeConfig
 from p2wss.data.seeds import derive_seed
-from p2wss.nets import augment, compute, distributed, training
-from p2wss.nets.batch import NETWORK_SCALE, batch_patches
-from p2wss.nets.dataset import BatchSampler, BuildingDataset, TrainingLimits
+from p2wss.nets import compute, distributed
+from p2wss.nets.batch import NETWORK_SCALE, batch_patches, centre
 from p2wss.nets.discrete_vae import DiscreteVae, kl_weight, temperature
-from p2wss.nets.shards import describe, load_dataset
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
+from p2wss.training import augment, loop
+from p2wss.training.dataset import BatchSampler, BuildingDataset, TrainingLimits
+from p2wss.training.shards import describe, load_dataset
 
 log = logging.getLogger("p2wss")
 # with a smaller share of its codes in use a tokenizer carries no information
@@ -27,7 +28,7 @@ WARM_UP_SHARE = 0.55
 
 
 def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> DiscreteVae:
-    """Train on the train split of ``manifest``, and on real LiDAR if the config says so; see :mod:`training`.
+    """Train on the train split of ``manifest``, and on real LiDAR if the config says so; see :func:`loop.train`.
 
     ``code`` is the fingerprint of this stage. Raises :class:`InputError` if no building can be trained on or the
     codebook collapses.
@@ -41,20 +42,20 @@ def train(manifest: Path, config: DvaeConfig, checkpoints: Path, code: str) -> D
         validation_set = load_dataset(manifest, ["val"], limits, labelled=False, folder=checkpoints)
         torch.manual_seed(derive_seed(config.seed, "dvae", "weights"))
         task = DvaeTask(DiscreteVae(config).to(device), training_set, validation_set)
-        plan = training.Plan(config.seed, config.optimiser, 0.0, config.checkpoint_every_steps)
+        plan = loop.Plan(config.seed, config.optimiser, 0.0, config.checkpoint_every_steps)
         identity = {
             "stage": "dvae",
-            "config": training.training_config(config),
+            "config": loop.training_config(config),
             "code": code,
             "data": files.sha256(manifest),
         }
-        training.train(task, plan, checkpoints, identity)
+        loop.train(task, plan, checkpoints, identity)
         task.check_usage()
     return task.module
 
 
 class DvaeTask:
-    """The stage as a :class:`p2wss.nets.training.Task`, on the device of ``module``."""
+    """The stage as a :class:`p2wss.training.loop.Task`, on the device of ``module``."""
 
     def __init__(
         self, module: DiscreteVae, training_set: BuildingDataset, validation_set: BuildingDataset
@@ -73,7 +74,7 @@ class DvaeTask:
         seed = derive_seed(config.seed, "dvae", "points", step)
         index = distributed.shard(self.sampler.batch(step))
         batch = self.training_set.batch(index, config.num_points, seed)
-        batch = augment.rotate_randomly(augment.centre(batch.to(self.device)))
+        batch = augment.rotate_randomly(centre(batch.to(self.device)))
         progress = self.progress = step / config.optimiser.num_steps
         tau = temperature(progress, config.temperature_end)
         patches = batch_patches(batch, config)
@@ -98,7 +99,7 @@ class DvaeTask:
         total = min(len(self.validation_set), config.num_validation)
         for first in range(0, total, size):
             index = np.arange(first, min(first + size, total))
-            batch = augment.centre(self.validation_set.batch(index, config.num_points, None).to(self.device))
+            batch = centre(self.validation_set.batch(index, config.num_points, None).to(self.device))
             patches = batch_patches(batch, config)
             losses = module(patches, config.temperature_end)
             chamfer += float(losses["fine"]) * len(index)

@@ -14,13 +14,13 @@ from small_networks import SMALL_DVAE, SMALL_MODEL
 
 from p2wss import cli
 from p2wss.config import ablated, load
-from p2wss.eval import ablation
-from p2wss.nets.dataset import TrainingLimits
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.predictor import load_predictor
-from p2wss.nets.shards import load_dataset
 from p2wss.nets.weights import save_model
 from p2wss.storage.errors import InputError
+from p2wss.training import ablation
+from p2wss.training.dataset import TrainingLimits
+from p2wss.training.shards import load_dataset
 
 
 def test_a_variant_changes_what_it_names_and_nothing_else() -> None:

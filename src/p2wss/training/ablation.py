@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 
 from p2wss.nets.compute import DeviceName
-from p2wss.nets.dataset import training_limits
 from p2wss.nets.predictor import load_predictor
-from p2wss.nets.shards import load_dataset
+from p2wss.training.dataset import training_limits
+from p2wss.training.model import prediction_errors
+from p2wss.training.shards import load_dataset
 
 
 def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") -> pd.DataFrame:
@@ -26,7 +27,7 @@ def measure(manifest: Path, paths: Sequence[Path], device: DeviceName = "auto") 
         predictor = load_predictor(path, device)
         limits = training_limits(predictor.module.config, predictor.dvae_config)
         test = load_dataset(manifest, ["test"], limits, labelled=True)
-        height, angle = (np.abs(error) for error in predictor.errors(test, np.arange(len(test))))
+        height, angle = (np.abs(error) for error in prediction_errors(predictor, test, np.arange(len(test))))
         rows.append((path.parent.name, len(test), height.mean(), height.std(), angle.mean(), angle.std()))
     names = ["height_mae_m", "height_std_m", "angle_mae_deg", "angle_std_deg"]
     return pd.DataFrame(rows, columns=["variant", "num_buildings", *names])

@@ -12,20 +12,19 @@ import toy_crops
 from places import ROOT
 from small_networks import SMALL_DVAE, SMALL_MODEL
 
-from p2wss import cli, model
+from p2wss import cli
 from p2wss.config import Model, load
-from p2wss.model import task
-from p2wss.nets import dataset
-from p2wss.nets.batch import Batch
-from p2wss.nets.dataset import BuildingDataset, TrainingLimits
+from p2wss.nets.batch import Batch, thin
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.prediction import Prediction
 from p2wss.nets.predictor import Point2WssPredictor, load_predictor
-from p2wss.nets.shards import load_dataset
 from p2wss.nets.weights import save_dvae
 from p2wss.storage import integrity
 from p2wss.storage.errors import InputError
+from p2wss.training import model
+from p2wss.training.dataset import BuildingDataset, TrainingLimits
+from p2wss.training.shards import load_dataset
 
 
 @pytest.fixture(scope="module")
@@ -88,17 +87,17 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     config = load({"model": SMALL_MODEL}).model
     data = folder / "manifest.json", folder / "d.safetensors", config
     expected = model.train(*data, tmp_path / "one", "x").state_dict()
-    real = task.ModelTask.step
+    real = model.ModelTask.step
 
-    def dies(self: task.ModelTask, step: int) -> dict[str, torch.Tensor]:
+    def dies(self: model.ModelTask, step: int) -> dict[str, torch.Tensor]:
         if step == 7:
             raise KeyboardInterrupt
         return real(self, step)
 
-    monkeypatch.setattr(task.ModelTask, "step", dies)
+    monkeypatch.setattr(model.ModelTask, "step", dies)
     with pytest.raises(KeyboardInterrupt):
         model.train(*data, tmp_path / "two", "x")
-    monkeypatch.setattr(task.ModelTask, "step", real)
+    monkeypatch.setattr(model.ModelTask, "step", real)
     resumed = model.train(*data, tmp_path / "two", "x").state_dict()
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
@@ -194,7 +193,7 @@ def test_errors_of_labelled_buildings_are_those_of_their_predictions(
 ) -> None:
     clouds, rings = inputs(labelled)
     prediction = predictor.predict(clouds, rings)
-    height, angle = predictor.errors(labelled, np.arange(len(labelled)))
+    height, angle = model.prediction_errors(predictor, labelled, np.arange(len(labelled)))
     assert np.allclose(prediction.eave_height_m - labelled.height_m, height, atol=0.02)
     assert np.array_equal(np.concatenate(prediction.angle_deg) - labelled.angle_deg, angle)
 
@@ -252,7 +251,7 @@ def test_footprints_predicted_from_masked_digits_keep_frame_and_order(
     _, moved, _ = predictor.reconstruct_all_masked(
         [c + np.append(shift, 0) for c in clouds], [r + shift for r in exterior], signs_visible
     )
-    middle = [c[dataset.thin(len(c), SMALL_DVAE["num_points"])].mean(0)[:2] for c in clouds]
+    middle = [c[thin(len(c), SMALL_DVAE["num_points"])].mean(0)[:2] for c in clouds]
     for place, other, ring, at in zip(xy, moved, exterior, middle, strict=True):
         assert place.shape == ring.shape
         if signs_visible:  # the signs are those of the footprint
@@ -294,7 +293,7 @@ def test_eight_buildings_can_be_memorised(folder: Path, tmp_path: Path) -> None:
     training_set = load_dataset(
         manifest, ["train"], TrainingLimits(64, 8, 70), labelled=True, include_real=False
     )
-    height, angle = Point2WssPredictor(module).errors(training_set, np.arange(8))
+    height, angle = model.prediction_errors(Point2WssPredictor(module), training_set, np.arange(8))
     assert np.abs(height).mean() < 0.5 and np.abs(angle).mean() < 3
 
 

@@ -14,11 +14,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from p2wss.nets import distributed, training
+from p2wss.nets import distributed
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.layers import BatchNorm
 from p2wss.nets.patches import Patches, make_patches
 from p2wss.nets.point2wss import Point2Wss
+from p2wss.training import loop
 
 NUM = 8
 
@@ -97,8 +98,8 @@ class Line:
 def train_line(folder: Path) -> dict[str, Tensor]:
     from p2wss.config import Optimiser
 
-    plan = training.Plan(0, Optimiser(num_steps=40, batch_size=NUM), 0.9, 20)
-    return dict(training.train(Line(), plan, folder, {}).state_dict())
+    plan = loop.Plan(0, Optimiser(num_steps=40, batch_size=NUM), 0.9, 20)
+    return dict(loop.train(Line(), plan, folder, {}).state_dict())
 
 
 def everything(folder: Path) -> dict[str, dict[str, Tensor]]:

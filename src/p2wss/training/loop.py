@@ -22,10 +22,10 @@ from torch import Tensor, nn
 from p2wss.config import Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import distributed
-from p2wss.nets.training_state import TrainingState
 from p2wss.storage.errors import InputError
 from p2wss.storage.progress import Progress
 from p2wss.storage.temporary import is_running
+from p2wss.training.state import TrainingState
 
 log = logging.getLogger("p2wss")
 

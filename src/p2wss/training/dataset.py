@@ -7,21 +7,16 @@ of it, thinned and converted to metres on demand.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
-from numba import njit
 
 from p2wss.config import Dvae, Model
 from p2wss.data.seeds import generator
-from p2wss.nets.batch import Batch
+from p2wss.nets.batch import SEED_STRIDE, Batch, thin
 
 # batches are sorted by length within a window of so many batches, so that few positions are padding
 _WINDOW_BATCHES = 8
-_MASK_64 = (1 << 64) - 1
-# spreads the seeds of the random numbers
-_MULTIPLIER = 0xD1342543DE82EF95
 
 
 @dataclass(frozen=True)
@@ -97,7 +92,7 @@ class BuildingDataset:
         angle = np.zeros(xy.shape[:2], np.float32)
         for row, building in enumerate(index):
             cloud = self.cloud_cm(building)
-            state = None if seed is None else int(building) * _MULTIPLIER + seed
+            state = None if seed is None else int(building) * SEED_STRIDE + seed
             points[row, : count[row]] = cloud[thin(len(cloud), num_points, state)]
             xy[row, : num_vertices[row]] = self.ring_m(building)
             angle[row, : num_vertices[row]] = self.edge_angles_deg(building)
@@ -110,38 +105,6 @@ class BuildingDataset:
             angle=torch.from_numpy(angle),
             num_vertices=torch.from_numpy(num_vertices),
         )
-
-
-def thin(count: int, num_points: int, state: int | None = None) -> np.ndarray:
-    """Indices of at most ``num_points`` of ``count`` points, drawn from the state of the random numbers; without one,
-    the same for the same count."""
-    selected = np.empty(min(count, num_points), np.int64)
-    state = count * _MULTIPLIER if state is None else state
-    _select(count, np.uint64(state & _MASK_64), selected)
-    return selected
-
-
-@njit(cache=True, nogil=True)
-def _select(count: int, state: Any, selected: np.ndarray) -> None:
-    """Fill ``selected`` with a random subset of ``range(count)``, each equally likely, in ascending order.
-
-    Selection sampling (Knuth, The Art of Computer Programming, algorithm 3.4.2 S); random numbers: splitmix64.
-    """
-    size = len(selected)
-    num_selected = 0
-    for i in range(count):
-        if count - i > size - num_selected:
-            state += np.uint64(0x9E3779B97F4A7C15)
-            z = state
-            z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-            z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-            z = z ^ (z >> np.uint64(31))
-            if np.float64(z >> np.uint64(11)) * 2.0**-53 * (count - i) >= size - num_selected:
-                continue
-        selected[num_selected] = i
-        num_selected += 1
-        if num_selected == size:
-            return
 
 
 class BatchSampler:
