@@ -65,7 +65,7 @@ def town(seed: int, folder: Path) -> tuple[list[Building], list[Chimney]]:
     of_details = copy.deepcopy(rng)
     write_lidar(drawn, folder / LIDAR, rng)
     buildings = read_files(folder / FOOTPRINTS, [folder / LIDAR], "town", Config())
-    xyz = np.concatenate([np.add(each.point_m, [*each.origin_xy_m, 0.0]) for each in buildings])
+    xyz = np.concatenate([each.point_m + each.position_m for each in buildings])
     chimneys = []
     for building in drawn:
         if not in_lidar_tile(building.footprint):

@@ -292,10 +292,8 @@ def real_clouds(data: Path, predictor: Any) -> dict[str, Any]:
 
 def _distance_m(building: Building, row: Reconstruction) -> float:
     """Mean distance to the mesh of all points on the roof, also of those that the fit did not get."""
-    point_m = roof_points(building.polygon, building.point_m, building.classification, row.ground_z_m)
-    return float(
-        distance_to_mesh(point_m - [0, 0, row.ground_z_m], row.mesh.vertex_m, row.mesh.triangle).mean()
-    )
+    point_m = roof_points(building.polygon, building.point_m, building.classification)
+    return float(distance_to_mesh(point_m, row.mesh.vertex_m, row.mesh.triangle).mean())
 
 
 def _short(value: float | None) -> str:

@@ -68,16 +68,16 @@ def errors(labelled: list[Case], reconstructions: list[Reconstruction]) -> list[
 def _error(case: Case, reconstruction: Reconstruction, is_seen: np.ndarray) -> Error:
     building, true_deg = case.building, case.angle_deg
     assert true_deg is not None and case.eave_height_m is not None and case.label_terrain_z_m is not None
-    eave_z_m = case.eave_height_m + case.label_terrain_z_m
+    eave_m = case.eave_height_m + case.label_terrain_z_m - building.ground_z_m
     point_m = building.point_m[case.building.is_on_building]
     polygons = Polygons.from_rings([list(building.rings)])
-    roof = skeleton.roof_points(polygons, true_deg, eave_z_m, point_m[:, :2], np.zeros(len(point_m), int))
+    roof = skeleton.roof_points(polygons, true_deg, eave_m, point_m[:, :2], np.zeros(len(point_m), int))
     clutter = np.abs(point_m[:, 2] - roof.z_m) > _CLUTTER_M
     height, angle = reconstruction.eave_height_m, reconstruction.angle_deg
     return Error(
         case,
         is_seen,
-        np.nan if height is None else height + reconstruction.ground_z_m - eave_z_m,
+        np.nan if height is None else height - eave_m,
         np.full(len(true_deg), np.nan) if angle is None else angle - true_deg,
         np.full(len(true_deg), np.nan) if angle is None else angle,
         float(clutter.mean()) if len(point_m) else 0.0,

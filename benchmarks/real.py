@@ -88,7 +88,7 @@ def read_files(footprints: Path, cloud_files: Sequence[Path], name: str, config:
                     name,
                     (float(origin[i, 0]), float(origin[i, 1])),
                     [ring - origin[i] for ring in polygons.rings(i)],
-                    xyz[rows] - np.array([*origin[i], 0.0]),
+                    xyz[rows] - [*origin[i], cropped.ground_z_m[i]],
                     cloud.classification[rows],
                     float(cropped.ground_z_m[i]),
                 )

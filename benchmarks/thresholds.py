@@ -36,10 +36,8 @@ VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
 
 
 def _points_to_mesh_m(building: Building, fit: Reconstruction) -> float:
-    point_m = roof_points(building.polygon, building.point_m, building.classification, fit.ground_z_m)
-    return float(
-        distance_to_mesh(point_m - [0, 0, fit.ground_z_m], fit.mesh.vertex_m, fit.mesh.triangle).mean()
-    )
+    point_m = roof_points(building.polygon, building.point_m, building.classification)
+    return float(distance_to_mesh(point_m, fit.mesh.vertex_m, fit.mesh.triangle).mean())
 
 
 def _measures(cases: list[Any], buildings: list[Building], thresholds: Thresholds) -> dict[str, float]:

@@ -96,9 +96,9 @@ def with_parts(
             replace(box, eave_z_m=box.eave_z_m if rng.random() < 0.5 else eave_z_m + _nearly(rng))
             for box in boxes
         ]
-    mesh = union([*parts, *boxes], 0.0, MIN_EAVE_M, MAX_ROOF_M) if boxes else None
+    mesh = union([*parts, *boxes], MIN_EAVE_M, MAX_ROOF_M) if boxes else None
     if mesh is None or not is_sound(mesh):
-        mesh = union(parts, 0.0, MIN_EAVE_M, MAX_ROOF_M)
+        mesh = union(parts, MIN_EAVE_M, MAX_ROOF_M)
     if mesh is None:
         return None
     flat = np.zeros(sum(map(len, rings)))

@@ -19,13 +19,13 @@ def yard_house(x_m: float = 652000.0, y_m: float = 6861000.0, ground_z_m: float 
     house, yard = FOOTPRINT * [8 / 14, 1], FOOTPRINT * [6 / 14, 1] + [8, 0]
     angle_deg = np.array([SLOPE_DEG, 90, SLOPE_DEG, 90])
     parts = [
-        FittedRoof([house], angle_deg, ground_z_m + EAVE_M, 0.0, 10),
-        FittedRoof([yard], np.zeros(4), ground_z_m + 0.2, 0.0, 10),
+        FittedRoof([house], angle_deg, EAVE_M, 0.0, 10),
+        FittedRoof([yard], np.zeros(4), 0.2, 0.0, 10),
     ]
-    mesh = union(parts, ground_z_m, YARD_M, 12.0)
+    mesh = union(parts, YARD_M, 12.0)
     assert mesh is not None
-    in_yard = np.array([[11.0, 4.0, ground_z_m + 0.2]])
-    marked = OpenGround(ground_z_m, in_yard, 1).marked(mesh)
+    in_yard = np.array([[11.0, 4.0, 0.2]])
+    marked = OpenGround(in_yard, 1).marked(mesh)
     return Reconstruction(
         "yard", "t", "fit", reasons.OK, (x_m, y_m), ground_z_m, [FOOTPRINT], EAVE_M, angle_deg, 0.9,
         marked, 2,

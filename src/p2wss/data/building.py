@@ -18,9 +18,9 @@ class Building:
     """A footprint and its points: the input of a reconstruction.
 
     rings: footprint, each (n, 2), exterior first and counter-clockwise, courtyards clockwise, relative to
-    ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z in the height system of the cloud.
-    classification: uint8 (m,), LAS classes. ground_z_m: z of the ground at the building as the cloud shows it
-    (:func:`p2wss.clouds.crops.crop_cloud`), to which all its heights refer; NaN only without points.
+    ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z above ``ground_z_m``. classification: uint8
+    (m,), LAS classes. ground_z_m: z of the ground at the building in the height system of the cloud, as the cloud
+    shows it (:func:`p2wss.clouds.crops.crop_cloud`); NaN only without points. All other heights are above it.
     stated_height_m: height above the ground that the footprint states; NaN if unknown.
     """
 
@@ -39,9 +39,14 @@ class Building:
         return shapely.Polygon(self.rings[0], self.rings[1:])
 
     @property
+    def position_m(self) -> np.ndarray:
+        """(3,), the place of the origin, at the ground, in the CRS of the cloud."""
+        return np.array([*self.origin_xy_m, self.ground_z_m])
+
+    @property
     def is_on_building(self) -> np.ndarray:
         """Mask of the points on the building, bool (m,): see :func:`p2wss.data.points.points_on_building`."""
-        return points_on_building(self.polygon, self.point_m, self.classification, self.ground_z_m)
+        return points_on_building(self.polygon, self.point_m, self.classification)
 
 
 @dataclass(frozen=True)

@@ -18,19 +18,19 @@ _NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 
 
 def points_on_building(
-    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
+    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray
 ) -> np.ndarray:
-    """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,).
+    """Mask of the points (m, 3) that are on the building with the footprint ``polygon``, bool (m,); z above the ground.
 
     These are the points of class building inside the polygon. If there are fewer than ten, they are all points
-    inside that are neither ground, noise nor water and at least 2 m above ``ground_z_m`` (if there are any). Points
+    inside that are neither ground, noise nor water and at least 2 m above the ground (if there are any). Points
     outside the footprint never count: in a row of houses they belong to the neighbours.
     """
     if not len(point_m):
         return np.zeros(0, bool)
     inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
     offset = np.array([0, len(point_m)])
-    return points_on_buildings(inside, classification, point_m[:, 2] - ground_z_m, offset)
+    return points_on_buildings(inside, classification, point_m[:, 2], offset)
 
 
 def points_on_buildings(

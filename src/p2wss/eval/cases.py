@@ -106,8 +106,7 @@ def _medians(manifest: Manifest, splits: Sequence[str]) -> Medians:
 
 def local_points(case: Case, reconstruction: Reconstruction) -> np.ndarray:
     """The building's points in the frame of the reconstruction's mesh: (n, 3), metres."""
-    shift = np.subtract(case.building.origin_xy_m, reconstruction.origin_xy_m)
-    return case.building.point_m + np.array([*shift, -reconstruction.ground_z_m])
+    return case.building.point_m + (case.building.position_m - reconstruction.position_m)
 
 
 def from_crops(table: pa.Table, dataset: str) -> list[Case]:
@@ -121,7 +120,7 @@ def from_crops(table: pa.Table, dataset: str) -> list[Case]:
             row.tile,
             (row.origin_x_m, row.origin_y_m),
             polygons.rings(i),
-            (point_cm + np.array([0, 0, round(100 * row.origin_z_m)])) / 100.0,
+            (point_cm + np.array([0, 0, round(100 * row.origin_z_m)])) / 100.0 - [0.0, 0.0, row.ground_z_m],
             row.classification.astype(np.uint8),
             row.ground_z_m,
         )

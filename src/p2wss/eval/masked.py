@@ -65,7 +65,7 @@ def read_all_masked(
     if not buildings:
         return MaskedParameters(np.zeros(0), [], [])
     height, xy, angle = predictor.reconstruct_all_masked(
-        [_above_ground(building) for building in buildings],
+        [building.point_m for building in buildings],
         [building.rings[0] for building in buildings],
         signs_visible,
     )
@@ -82,7 +82,7 @@ def fit_all_masked(
     if not buildings:
         return reading
     xy_m = [
-        fitted_outline(reading_m, float(height_m), _above_ground(building), building.classification)
+        fitted_outline(reading_m, float(height_m), building.point_m, building.classification)
         for building, reading_m, height_m in zip(buildings, reading.xy_m, reading.eave_height_m, strict=True)
     ]
     fitted = [replace(building, rings=[outline]) for building, outline in zip(buildings, xy_m, strict=True)]
@@ -148,7 +148,3 @@ def _traced(reading_m: np.ndarray, point_m: np.ndarray, classification: np.ndarr
             turned = [np.roll(corner, first, axis=0) for first in range(count)]
             return min(turned, key=lambda xy_m: float(np.abs(xy_m - reading_m).sum()))
     return None
-
-
-def _above_ground(building: Building) -> np.ndarray:
-    return building.point_m - [0, 0, building.ground_z_m]

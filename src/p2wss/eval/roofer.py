@@ -71,9 +71,7 @@ def _reconstruction(case: Case, solid: ReadSolid | None, missing: str) -> Recons
         eave_height_m=None,
         angle_deg=None,
         confidence=None,
-        mesh=solid.mesh.translated(
-            [-building.origin_xy_m[0], -building.origin_xy_m[1], -building.ground_z_m]
-        ),
+        mesh=solid.mesh.translated(-building.position_m),
     )
 
 
@@ -103,7 +101,7 @@ def _run(cases: Sequence[Case], crs: str | None, config: Eval) -> tuple[dict[str
 
 def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
     """Write ``points.laz``, each point once with its class, and ``footprints.gpkg`` with the ids of the buildings."""
-    cloud = [case.building.point_m + np.array([*case.building.origin_xy_m, 0.0]) for case in cases]
+    cloud = [case.building.point_m + case.building.position_m for case in cases]
     classes = np.concatenate([case.building.classification for case in cases])
     # crops of neighbours overlap; on a grid of centimetres the same point has the same coordinates
     grid, first = np.unique(np.round(np.concatenate(cloud) * 100).astype(np.int64), axis=0, return_index=True)

@@ -110,7 +110,7 @@ def _building(
 ) -> dict[str, Any]:
     """One building for the page, relative to its origin and to its ground."""
     building = case.building
-    point_m = building.point_m - np.array([0.0, 0.0, building.ground_z_m])
+    point_m = building.point_m
     point_m = point_m[:: max(-(-len(point_m) // MAX_POINTS), 1)]
     point_m = point_m[(np.abs(point_m) <= np.iinfo(np.int16).max // 100).all(axis=1)]
     meshes, reach, distance = {}, [point_m], np.zeros(len(point_m))
@@ -118,7 +118,7 @@ def _building(
         mesh = reconstruction.mesh
         if mesh is None:
             continue
-        vertex_m = mesh.vertex_m + reconstruction.position_m - [*building.origin_xy_m, building.ground_z_m]
+        vertex_m = mesh.vertex_m + reconstruction.position_m - building.position_m
         reach.append(vertex_m)
         meshes[method] = {
             "vertices": _base64(np.round(vertex_m * 1000).astype(np.int32)),

@@ -148,12 +148,12 @@ class _FitTask:
     def _open_ground(self) -> OpenGround:
         """Open ground within the footprint, in the frame of the parts."""
         without_parts = self._without_parts
-        return OpenGround(self.building.ground_z_m, without_parts.point_m, without_parts.num_ground)
+        return OpenGround(without_parts.point_m, without_parts.num_ground)
 
     def _roof_points(self, polygon: shapely.Polygon) -> np.ndarray:
         """The points (m, 3) on the roof. Walls are not fitted: a return from one says nothing of the roof above it."""
         building = self.building
-        point_m = roof_points(polygon, building.point_m, building.classification, building.ground_z_m)
+        point_m = roof_points(polygon, building.point_m, building.classification)
         return point_m[~wall_hits(point_m)]
 
     def fit_parts(self, max_parts: int, boxes: Sequence[Box] = ()) -> _PartsFit:
@@ -191,7 +191,7 @@ class _FitTask:
             or not initial.has_mesh
         ):
             return fit_parts(self.fitter, rings, point_m, effort, cutting, [], usual_prior)
-        guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m + self.building.ground_z_m
+        guess_deg, eave_z_m = initial.angle_deg, initial.eave_height_m
         prior = make_prior(rings, len(point_m), guess_deg, initial.class_probability, eave_z_m)
         guess = FittedRoof(rings, guess_deg, eave_z_m, np.inf, len(point_m))
         candidates: list[list[Roof]] = [[replace(guess, loss_m=self.fitter.loss(guess, point_m, prior))]]
@@ -264,13 +264,12 @@ class _FitTask:
         return mesh if mesh is not None and is_sound(mesh) else None
 
     def _union(self, parts_fit: _PartsFit, boxes: Sequence[Box] = ()) -> Mesh | None:
-        """The union of the parts with boxes, in the frame of the parts, heights above the ground; None if it is not
-        closed."""
+        """The union of the parts with boxes, in the frame of the parts; None if it is not closed."""
         config = self.config
-        heights = (self.building.ground_z_m, config.min_eave_height_m, config.max_roof_height_m)
         raised = [box.as_part() for box in boxes if not box.is_recess]
         recesses = [box for box in boxes if box.is_recess]
         outline = [ring @ parts_fit.rotation for ring in parts_fit.rings] if parts_fit.goes_beyond else []
+        heights = config.min_eave_height_m, config.max_roof_height_m
         return union([*parts_fit.parts, *raised], *heights, recesses, outline)
 
     def with_chimneys(self, reconstruction: Reconstruction, parts_fit: _PartsFit) -> Reconstruction:
@@ -301,10 +300,10 @@ class _FitTask:
 
     def _of_mesh(self, parts_fit: _PartsFit, mesh: Mesh) -> Reconstruction:
         """The reconstruction with the parts of a fit and a mesh in their frame."""
-        building, parts, ground = self.building, parts_fit.parts, self.building.ground_z_m
+        building, parts = self.building, parts_fit.parts
         price_m = self.thresholds.cutting.price_m(len(parts_fit.point_m))
         rings = [ring @ parts_fit.rotation for ring in parts_fit.rings]
-        point_m = parts_fit.point_m - (0.0, 0.0, ground)
+        point_m = parts_fit.point_m
         short_edge_m = self.thresholds.short_edge_m
         mesh = without_short_edges(mesh, rings, point_m, price_m, short_edge_m)
         if self.thresholds.adjust:
@@ -325,9 +324,9 @@ class _FitTask:
             self.method,
             reasons.OK,
             building.origin_xy_m,
-            ground,
+            building.ground_z_m,
             parts_fit.rings,
-            max(largest.eave_z_m - ground, self.config.min_eave_height_m),
+            max(largest.eave_z_m, self.config.min_eave_height_m),
             angle_deg,
             None,
             self._open_ground.marked(mesh).turned(parts_fit.rotation.T),
@@ -341,9 +340,7 @@ class _FitTask:
         thresholds, num_points = self.thresholds, len(parts_fit.point_m)
         price_m = thresholds.boxes.price_m(num_points)
         # the eaves of a roof that goes on beyond the footprint may be below the ground
-        lowest_z_m = (
-            -np.inf if parts_fit.goes_beyond else self.building.ground_z_m + self.config.min_eave_height_m
-        )
+        lowest_z_m = -np.inf if parts_fit.goes_beyond else self.config.min_eave_height_m
         parts = [replace(part, eave_z_m=max(part.eave_z_m, lowest_z_m)) for part in parts_fit.parts]
         point_m, boxes = parts_fit.point_m, thresholds.boxes
         loss, found, loose = find_boxes(self.fitter, parts, point_m, price_m, boxes, loose_share)
@@ -364,12 +361,10 @@ def _mesh_single_parts(
     if not indices:
         return result
     config, parts = tasks[0].config, [parts_fits[i].parts[0] for i in indices]
-    ground = [tasks[i].building.ground_z_m for i in indices]
-    height = np.array([part.eave_z_m for part in parts]) - ground
+    height = np.array([part.eave_z_m for part in parts])
     reconstructions = build_meshes(
         [tasks[i].building for i in indices],
         [parts_fits[i].rings for i in indices],
-        ground,
         np.maximum(height, config.min_eave_height_m),
         [part.angle_deg for part in parts],
         np.full(len(indices), np.nan),
@@ -389,5 +384,5 @@ def _adjusted_single_part(reconstruction: Reconstruction, parts_fit: _PartsFit) 
     """A reconstruction of the kernel with roofs that are adjusted to the points."""
     if reconstruction.mesh is None:
         return reconstruction
-    point_m = parts_fit.in_building_frame(parts_fit.point_m) - (0.0, 0.0, reconstruction.ground_z_m)
+    point_m = parts_fit.in_building_frame(parts_fit.point_m)
     return replace(reconstruction, mesh=adjusted(reconstruction.mesh, reconstruction.rings, point_m))

@@ -24,11 +24,9 @@ def _spread(value: np.ndarray) -> np.ndarray:
 _SPREAD = _spread(np.arange(1 << 16))
 
 
-def roof_points(
-    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, ground_z_m: float
-) -> np.ndarray:
+def roof_points(polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
     """The points (k, 3) on the building over the polygon, which show its roof."""
-    return point_m[points_on_building(polygon, point_m, classification, ground_z_m)]
+    return point_m[points_on_building(polygon, point_m, classification)]
 
 
 def wall_hits(point_m: np.ndarray) -> np.ndarray:

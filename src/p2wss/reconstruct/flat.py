@@ -64,14 +64,13 @@ def constant(
     gets no mesh, for ``reason``."""
     rings = [building.rings for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
-    ground = [building.ground_z_m for building in buildings]
     unknown = np.full(len(buildings), np.nan)
     status = [reason if len(building.point_m) else reasons.NO_POINTS for building in buildings]
     height = np.asarray(eave_height_m, float)
-    return build_meshes(buildings, rings, ground, height, angle, unknown, method, config, status)
+    return build_meshes(buildings, rings, height, angle, unknown, method, config, status)
 
 
 def flat_height_m(building: Building) -> float:
     """Median height above ground of the points on the building; NaN without any."""
     z_m = building.point_m[building.is_on_building, 2]
-    return float(np.median(z_m)) - building.ground_z_m if len(z_m) else float("nan")
+    return float(np.median(z_m)) if len(z_m) else float("nan")

@@ -43,7 +43,6 @@ def reconstruct_with_network(
     """
     mesh_rings = [building.rings for building in buildings]
     network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
-    ground = [building.ground_z_m for building in buildings]
     height = np.full(len(buildings), np.nan)
     confidence = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in mesh_rings]
@@ -57,7 +56,7 @@ def reconstruct_with_network(
             status[i] = reasons.TOO_FEW_POINTS
     if with_points:
         prediction = predictor.predict(
-            [buildings[i].point_m - [0, 0, ground[i]] for i in with_points],
+            [buildings[i].point_m for i in with_points],
             [network_rings[i] for i in with_points],
         )
         for k, i in enumerate(with_points):
@@ -71,9 +70,7 @@ def reconstruct_with_network(
                 )
             else:
                 status[i] = reasons.FOOTPRINT_TOO_LARGE
-    reconstructions = build_meshes(
-        buildings, mesh_rings, ground, height, angle, confidence, method, config, status
-    )
+    reconstructions = build_meshes(buildings, mesh_rings, height, angle, confidence, method, config, status)
     return [
         replace(reconstruction, class_probability=edges)
         for reconstruction, edges in zip(reconstructions, probability, strict=True)

@@ -125,7 +125,7 @@ class Rows:
                     self._tile,
                     (float(origin[0]), float(origin[1])),
                     [ring - origin for ring in polygons.rings(i)],
-                    on_millimetres(xyz_m, origin),
+                    on_millimetres(xyz_m, origin) - [0.0, 0.0, ground_z_m[i]],
                     cloud.classification[point],
                     float(ground_z_m[i]),
                     stated_height_m[i],

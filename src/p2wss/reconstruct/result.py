@@ -120,9 +120,7 @@ def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndar
     if mesh is None or not len(point_m):
         return np.zeros(0)
     # every k-th point, so that no random draw is needed
-    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)] - np.array(
-        [0, 0, reconstruction.ground_z_m]
-    )
+    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)]
     return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
 
 

@@ -14,12 +14,11 @@ from p2wss.data import polygon_arrays
 from p2wss.data.points import on_millimetres, points_on_building, points_on_buildings
 
 BOX = shapely.box(0, 0, 10, 8)
-GROUND_Z_M = 100.0
 
 
 def mask(classes: list[int], height_m: list[float], x_m: float = 5.0) -> list[bool]:
-    point_m = np.column_stack([np.full((len(classes), 2), [x_m, 4.0]), np.array(height_m) + GROUND_Z_M])
-    return points_on_building(BOX, point_m, np.array(classes, np.uint8), GROUND_Z_M).tolist()
+    point_m = np.column_stack([np.full((len(classes), 2), [x_m, 4.0]), np.array(height_m)])
+    return points_on_building(BOX, point_m, np.array(classes, np.uint8)).tolist()
 
 
 def test_class_6_decides_where_there_are_ten_such_points() -> None:
@@ -51,7 +50,7 @@ def test_many_buildings_at_once_are_each_on_its_own(seed: int) -> None:
     for b in range(len(counts)):
         rows = slice(offset[b], offset[b + 1])
         point_m = np.column_stack([xy[rows], height[rows]])
-        assert np.array_equal(together[rows], points_on_building(BOX, point_m, classes[rows], 0.0))
+        assert np.array_equal(together[rows], points_on_building(BOX, point_m, classes[rows]))
 
 
 def test_without_ground_within_reach_it_is_a_low_quantile_of_the_points() -> None:

@@ -27,7 +27,7 @@ def test_the_floor_of_a_yard_is_no_roof() -> None:
         "t",
         row.origin_xy_m,
         list(row.rings),
-        point_m + np.array([0, 0, row.ground_z_m]),
+        point_m,
         classes,
         row.ground_z_m,
     )

@@ -136,7 +136,7 @@ def test_height_rmse_of_flat_roofs_on_delft(delft: list[cases.Case]) -> None:
         row = measure.measure_building(case, flat, Eval(num_samples=64))
         assert flat.eave_height_m is not None
         z = case.building.point_m[case.building.is_on_building][:, 2]
-        above = z - flat.ground_z_m - flat.eave_height_m
+        above = z - flat.eave_height_m
         xy = case.building.point_m[case.building.is_on_building][:, :2]
         inner = shapely.distance(case.building.polygon.boundary, shapely.points(xy)) >= 0.5
         assert row["height_rmse_m"] == pytest.approx(np.sqrt((above[inner] ** 2).mean()), abs=1e-5)

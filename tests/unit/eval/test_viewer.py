@@ -69,7 +69,7 @@ def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) ->
     for case in test_cases[:-1]:
         stored = by_id[case.building.building_id]
         point_m = numbers(stored["points"], "<i2").reshape(-1, 3) / 100
-        expected = case.building.point_m - [0, 0, case.building.ground_z_m]
+        expected = case.building.point_m
         assert len(point_m) <= MAX_POINTS and point_m == pytest.approx(expected, abs=0.0051)
         mesh = stored["meshes"]["point2wss"]
         vertex_m = numbers(mesh["vertices"], "<i4").reshape(-1, 3) / 1000

@@ -32,7 +32,7 @@ def on_roof(ring: np.ndarray, angle_deg: np.ndarray, eave_m: float, num_points: 
 def building(point_m: np.ndarray) -> Building:
     """In a frame at an angle to the axes, on ground at 100 m."""
     turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
-    point_m = np.column_stack([point_m[:, :2] @ turn, point_m[:, 2] + 100.0])
+    point_m = np.column_stack([point_m[:, :2] @ turn, point_m[:, 2]])
     classes = np.full(len(point_m), 6, np.uint8)
     return Building("b", "t", (1000.0, 2000.0), [BOTH @ turn], point_m, classes, 100.0)
 
@@ -48,7 +48,7 @@ def house_and_annex(num_points: int = 600) -> Building:
 
 def network(case: Building, angle_deg: np.ndarray, eave_height_m: float) -> Reconstruction:
     (reconstruction,) = build_meshes(
-        [case], [case.rings], [100.0], np.array([eave_height_m]), [angle_deg], np.array([0.5]), "network",
+        [case], [case.rings], np.array([eave_height_m]), [angle_deg], np.array([0.5]), "network",
         CONFIG, [""],
     )  # fmt: skip
     return reconstruction
@@ -56,8 +56,8 @@ def network(case: Building, angle_deg: np.ndarray, eave_height_m: float) -> Reco
 
 def two_parts(loss_m: float) -> list[FittedRoof]:
     return [
-        FittedRoof([HOUSE], GABLE, 106.0, loss_m, 200),
-        FittedRoof([ANNEX], np.zeros(4), 103.0, loss_m, 100),
+        FittedRoof([HOUSE], GABLE, 6.0, loss_m, 200),
+        FittedRoof([ANNEX], np.zeros(4), 3.0, loss_m, 100),
     ]
 
 
@@ -93,7 +93,7 @@ def test_a_building_far_from_the_network_is_also_searched_without_it(
 
     def fit_parts(fitter, rings, point_m, effort, cutting, guesses, prior):
         num_guesses.append(len(guesses))
-        return two_parts(0.01) if not guesses else [FittedRoof(rings, GABLE, 106.0, residual_m, 300)]
+        return two_parts(0.01) if not guesses else [FittedRoof(rings, GABLE, 6.0, residual_m, 300)]
 
     monkeypatch.setattr(fitting, "fit_parts", fit_parts)
     case = one_gable()

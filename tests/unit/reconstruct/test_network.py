@@ -36,7 +36,7 @@ def building(
     x_min, y_min, x_max, y_max = polygon.bounds
     xy = draw.uniform((x_min, y_min), (x_max, y_max), (4 * num_points + 10, 2))
     xy = xy[shapely.contains_xy(polygon, xy)][:num_points]
-    point = np.column_stack([xy, np.full(len(xy), ground_m + height_m)])
+    point = np.column_stack([xy, np.full(len(xy), height_m)])
     return Building("b", "t", (100.0, 200.0), list(rings), point, np.full(len(xy), 6, np.uint8), ground_m)
 
 

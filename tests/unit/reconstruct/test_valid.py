@@ -36,8 +36,8 @@ def pyramid(apex_m: float, num_parts: int = 1) -> Reconstruction:
 def building() -> Building:
     rng = np.random.default_rng(0)
     xy = rng.uniform(0.2, 7.8, (300, 2))
-    points = np.column_stack([xy, np.full(300, 16.0)])
-    ground = np.column_stack([rng.uniform(-1, 0, (20, 2)), np.full(20, 10.0)])
+    points = np.column_stack([xy, np.full(300, 6.0)])
+    ground = np.column_stack([rng.uniform(-1, 0, (20, 2)), np.zeros(20)])
     return Building(
         "a",
         "t",

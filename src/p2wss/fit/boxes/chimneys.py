@@ -152,14 +152,14 @@ def with_chimneys(
     of the building.
 
     rotation: (2, 2), of the frame ``xy @ rotation`` that chimneys are parallel to. point_m: (m, 3), on the roof, and
-    open_ground in that frame, heights as in the cloud.
+    open_ground in that frame.
     """
     if reconstruction.mesh is None:
         return reconstruction
     rings = [ring @ rotation for ring in reconstruction.rings]
     footprint = shapely.Polygon(rings[0], rings[1:])
     mesh = start = reconstruction.mesh.turned(rotation)
-    for chimney in find_chimneys(start, point_m - (0.0, 0.0, reconstruction.ground_z_m), chimneys):
+    for chimney in find_chimneys(start, point_m, chimneys):
         mesh = _united(mesh, _to_walls(chimney, footprint)) or mesh
     if mesh is start:
         return reconstruction

@@ -78,7 +78,6 @@ def transfer_angles(
 def build_meshes(
     buildings: Sequence[Building],
     rings: Sequence[Sequence[np.ndarray]],
-    ground: Sequence[float],
     eave_height_m: np.ndarray,
     angle_deg: Sequence[np.ndarray],
     confidence: np.ndarray,
@@ -88,11 +87,12 @@ def build_meshes(
 ) -> list[Reconstruction]:
     """Meshes through the kernel, which checks each. A building without a finite height has none.
 
-    rings, ground (b,), eave_height_m (b,), angle_deg and confidence (b,): one per building. status: why a
+    rings, eave_height_m (b,), angle_deg and confidence (b,): one per building. status: why a
     building without a height has no mesh.
     """
     result = [no_mesh(b, method, reason) for b, reason in zip(buildings, status, strict=True)]
-    usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground)).tolist()
+    ground_z_m = [building.ground_z_m for building in buildings]
+    usable = np.flatnonzero(np.isfinite(eave_height_m) & np.isfinite(ground_z_m)).tolist()
     if not usable:
         return result
     meshes: Meshes = skeleton.build(
@@ -109,7 +109,7 @@ def build_meshes(
             method,
             reasons.OK if code == skeleton.Status.OK else code.reason,
             buildings[i].origin_xy_m,
-            ground[i],
+            buildings[i].ground_z_m,
             rings[i],
             float(eave_height_m[i]),
             angle_deg[i],

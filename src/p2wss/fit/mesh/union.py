@@ -26,13 +26,12 @@ _ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2
 
 def union(
     parts: Sequence[Roof],
-    ground_z_m: float,
     min_eave_height_m: float,
     max_roof_height_m: float,
     recesses: Sequence[Box] = (),
     outline: Sequence[np.ndarray] = (),
 ) -> Mesh | None:
-    """The union of the parts' solids on one ground, z above it, less the ``recesses``. None if a part has no solid, or
+    """The union of the parts' solids on one ground, less the ``recesses``. None if a part has no solid, or
     if the result is not one closed manifold. outline: rings of a footprint at which parts that reach beyond it end.
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
@@ -46,7 +45,7 @@ def union(
         raised = parts
         if step_m:
             raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, ground_z_m, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
+        mesh = _union(raised, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
         if mesh is None or not mesh.is_closed:
             continue
         if mesh.edge_m.min() >= _SHORT_EDGE_M:
@@ -66,7 +65,6 @@ def is_sound(mesh: Mesh) -> bool:
 
 def _union(
     parts: Sequence[Roof],
-    ground_z_m: float,
     min_eave_height_m: float,
     max_roof_height_m: float,
     simplify_m: float,
@@ -74,12 +72,13 @@ def _union(
     outline: Sequence[np.ndarray],
 ) -> Mesh | None:
     below_m = _BELOW_GROUND_M if len(outline) else 0.0
-    solids = [part.solid(ground_z_m - below_m, min_eave_height_m, max_roof_height_m) for part in parts]
+    lifted = [replace(part, eave_z_m=part.eave_z_m + below_m) for part in parts]
+    solids = [part.solid(min_eave_height_m, max_roof_height_m) for part in lifted]
     if None in solids:
         return None
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).translate((0.0, 0.0, -below_m))
     for recess in recesses:
-        floor_m = max(recess.top_z_m - ground_z_m, min_eave_height_m)
+        floor_m = max(recess.top_z_m, min_eave_height_m)
         whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
     if len(outline):
         flat_deg, top_m = np.zeros(sum(map(len, outline))), float(whole.bounding_box()[5]) + 1.0

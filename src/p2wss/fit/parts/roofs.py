@@ -19,7 +19,7 @@ class Roof(ABC):
     """A roof over a polygon: of a building, a part of one, or a box.
 
     rings: each (n, 2), exterior first. angle_deg: one per edge, rings in order: 0, 90 or 5 to 75; of another kind of
-    roof those that resemble it most. eave_z_m: the lowest, in the heights of the points. loss_m: mean over the points
+    roof those that resemble it most. eave_z_m: the lowest, above the ground like all z. loss_m: mean over the points
     of min(|distance to the roof|, cap), plus the cost of a prior.
     """
 
@@ -54,8 +54,6 @@ class Roof(ABC):
         work arrays may be used."""
 
     @abstractmethod
-    def solid(
-        self, ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
-    ) -> manifold3d.Manifold | None:
-        """The closed solid from the ground up to the roof, heights above the ground; None if there is none. Walls on
+    def solid(self, min_eave_height_m: float, max_roof_height_m: float) -> manifold3d.Manifold | None:
+        """The closed solid from the ground up to the roof; None if there is none. Walls on
         the rings have exactly their coordinates."""

@@ -55,10 +55,8 @@ class FittedRoof(Roof):
     def height_over(self, point_m: np.ndarray, fitter: Fitter) -> tuple[np.ndarray, np.ndarray]:
         return fitter.roof_over(self, point_m)
 
-    def solid(
-        self, ground_z_m: float, min_eave_height_m: float, max_roof_height_m: float
-    ) -> manifold3d.Manifold | None:
-        eave_m = max(self.eave_z_m - ground_z_m, min_eave_height_m)
+    def solid(self, min_eave_height_m: float, max_roof_height_m: float) -> manifold3d.Manifold | None:
+        eave_m = max(self.eave_z_m, min_eave_height_m)
         solid = kernel_solid(self.slope_rings, self.angle_deg, eave_m, max_roof_height_m)
         if solid is None or self.outward_m is None:
             return solid

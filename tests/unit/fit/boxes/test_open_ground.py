@@ -29,7 +29,6 @@ def level(low: tuple[float, float], high: tuple[float, float], z_m: float, seed:
 def fitted(*surfaces: tuple[np.ndarray, int]) -> Reconstruction:
     """The building on ground at 100 m whose points are ``surfaces`` with their classes."""
     point_m = np.vstack([point_m for point_m, _ in surfaces])
-    point_m[:, 2] += 100.0
     classes = np.concatenate([np.full(len(point_m), number, np.uint8) for point_m, number in surfaces])
     building = Building("b", "t", (1000.0, 2000.0), [FOOTPRINT], point_m, classes, 100.0)
     (reconstruction,) = fitting.fit([building], CONFIG)
@@ -91,13 +90,13 @@ def part(ring: np.ndarray, angle_deg: float, eave_z_m: float) -> FittedRoof:
 
 def test_only_level_and_low_parts_with_mostly_ground_are_open() -> None:
     ring = np.array([[0, 0], [4, 0], [4, 4], [0, 4.0]])
-    inside = np.array([[1, 1, 100.3], [2, 3, 100.3], [3, 2, 100.3], [3, 3, 100.3]])
-    open_ground = OpenGround(100.0, inside, 3)
-    assert open_ground.is_open(part(ring, 0.0, 100.3)) and open_ground.is_open(part(ring, 0.0, 101.9))
-    for roof in (part(ring, 20.0, 100.3), part(ring, 0.0, 102.1), part(ring + 9, 0.0, 100.3)):
+    inside = np.array([[1, 1, 0.3], [2, 3, 0.3], [3, 2, 0.3], [3, 3, 0.3]])
+    open_ground = OpenGround(inside, 3)
+    assert open_ground.is_open(part(ring, 0.0, 0.3)) and open_ground.is_open(part(ring, 0.0, 1.9))
+    for roof in (part(ring, 20.0, 0.3), part(ring, 0.0, 2.1), part(ring + 9, 0.0, 0.3)):
         assert not open_ground.is_open(roof)
     for num_ground in (0, 2):
-        assert not OpenGround(100.0, inside, num_ground).is_open(part(ring, 0.0, 100.3))
+        assert not OpenGround(inside, num_ground).is_open(part(ring, 0.0, 0.3))
 
 
 def test_a_building_keeps_a_roof() -> None:
@@ -105,7 +104,7 @@ def test_a_building_keeps_a_roof() -> None:
     vertex_m = np.array([[0, 0, 0.5], [4, 0, 0.5], [4, 4, 0.5], [0, 4, 0.5], [8, 0, 5], [8, 4, 5.0]])
     triangle, label = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5]]), np.array([0, 0, 1])
     kind = np.array([FaceKind.FLAT, FaceKind.FLAT, FaceKind.ROOF], np.uint8)
-    open_ground = OpenGround(100.0, np.array([[3, 1, 100.4]]), 1)
+    open_ground = OpenGround(np.array([[3, 1, 0.4]]), 1)
     mesh = Mesh(vertex_m, triangle, kind, label)
     with_floor = open_ground.marked(mesh).kind
     assert (

@@ -20,7 +20,7 @@ NOTCHED = np.array([[0, 0], [10, 0], [10, 5], [6.1, 5], [6.1, 8], [0, 8.0]])
 
 def house(*parts: tuple[np.ndarray, list[float], float]) -> Mesh:
     roofs = [FittedRoof([ring], np.array(angle_deg, float), z, 0.0, 1) for ring, angle_deg, z in parts]
-    mesh = union(roofs, 0.0, 1.0, 12.0)
+    mesh = union(roofs, 1.0, 12.0)
     assert mesh is not None
     return mesh
 

@@ -46,7 +46,6 @@ def test_a_hip_roof_of_the_kernel_is_sound() -> None:
     (hip,) = build_meshes(
         [building],
         [[ring]],
-        [0.0],
         np.array([4.0]),
         [np.full(4, 40.0)],
         np.array([np.nan]),

@@ -59,7 +59,7 @@ def test_the_wall_of_a_step_near_an_edge_stays() -> None:
     low = np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)
     high = np.array([[2, 0.025], [6, 0.025], [6, 6], [2, 6]])
     parts = [FittedRoof([ring], np.zeros(4), height, 0.0, 100) for ring, height in ((low, 4.0), (high, 7.0))]
-    mesh = union(parts, 0.0, 1.0, 12.0)
+    mesh = union(parts, 1.0, 12.0)
     assert mesh is not None
     exact = with_exact_walls(mesh, [low]).vertex_m
     assert np.array_equal(exact, mesh.vertex_m)
@@ -79,7 +79,7 @@ def test_a_building_of_parts_keeps_its_corners() -> None:
         FittedRoof([side], np.array([40.0, 90, 40, 90]), height, 0.0, 100)
         for side, height in zip(sides, (5.0, 7.0), strict=True)
     ]
-    mesh = union(parts, 0.0, 1.0, 12.0)
+    mesh = union(parts, 1.0, 12.0)
     assert mesh is not None
     vertex_m = np.column_stack([mesh.vertex_m[:, :2] @ ROTATION, mesh.vertex_m[:, 2]])
     exact = with_exact_walls(mesh.moved(vertex_m), [ring]).vertex_m

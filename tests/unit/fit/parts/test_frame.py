@@ -76,7 +76,7 @@ def test_parts_that_reach_beyond_the_footprint_end_there() -> None:
     rectangle = np.array([[0, 0], [10, 0], [10, 10], [0, 10.0]])
     roof = FittedRoof([rectangle], np.array([40.0, 90, 40, 90]), -2.0, 0.0, 100)
     triangle = np.array([[0.5, 5.0], [8, 2.5], [7, 9.0]])
-    mesh = union([roof], 0.0, 1.0, 12.0, outline=[triangle])
+    mesh = union([roof], 1.0, 12.0, outline=[triangle])
     assert mesh is not None and mesh.is_closed
     assert shapely.Polygon(triangle).buffer(1e-6).covers(shapely.MultiPoint(mesh.vertex_m[:, :2]))
     assert mesh.vertex_m[:, 2].min() == pytest.approx(0, abs=1e-9)

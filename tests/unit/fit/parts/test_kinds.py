@@ -41,6 +41,6 @@ def test_the_dome_of_the_recipe_is_fitted(monkeypatch: pytest.MonkeyPatch) -> No
     (roof,) = fit_parts(Fitter(Limits()), [RING], np.column_stack([xy_m, z]), Effort(), Cutting())
     assert type(roof).__name__ == "Dome" and roof.loss_m < 0.02
     assert roof.eave_z_m == pytest.approx(6.0, abs=0.02)
-    mesh = union([roof], 0.0, 1.0, 12.0)
+    mesh = union([roof], 1.0, 12.0)
     assert mesh is not None and is_sound(mesh)
     assert mesh.vertex_m[:, 2].max() == pytest.approx(11.0, abs=0.05)

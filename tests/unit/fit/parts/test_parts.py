@@ -114,11 +114,11 @@ def test_a_handful_of_points_is_no_reason_to_cut() -> None:
     ],
 )
 def test_unions_are_closed_and_have_the_volume_of_the_parts(parts: list[FittedRoof]) -> None:
-    mesh = union(parts, 0.0, 1.0, 12.0)
+    mesh = union(parts, 1.0, 12.0)
     assert mesh is not None and mesh.is_closed
     solid = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
     assert solid.is_watertight and solid.is_winding_consistent and solid.body_count == 1
-    separate = [union([part], 0.0, 1.0, 12.0) for part in parts]
+    separate = [union([part], 1.0, 12.0) for part in parts]
     volumes = [trimesh.Trimesh(m.vertex_m, m.triangle, process=False).volume for m in separate if m]
     assert solid.volume == pytest.approx(sum(volumes), rel=1e-3)
     ground = mesh.kind == FaceKind.GROUND
@@ -126,7 +126,7 @@ def test_unions_are_closed_and_have_the_volume_of_the_parts(parts: list[FittedRo
 
 
 def test_coplanar_faces_of_parts_are_one() -> None:
-    mesh = union([roof(HOUSE, [0] * 4, 4.0), roof(ANNEX, [0] * 4, 4.0)], 0.0, 1.0, 12.0)
+    mesh = union([roof(HOUSE, [0] * 4, 4.0), roof(ANNEX, [0] * 4, 4.0)], 1.0, 12.0)
     assert mesh is not None
     assert (len(mesh.vertex_m), len(mesh.triangle)) == (8, 12)
     faces = mesh.surfaces
@@ -142,7 +142,7 @@ def test_an_edge_of_millimetres_is_closed_up_without_folding_a_face() -> None:
         roof(west, [41, 69, 39, 52], 6.156),
         roof(np.array(east), [54.4, 90, 54.4, 30.7, 90, 28.5, 55.1, 90], 4.919),
     ]
-    mesh = union(parts, 0.0, 1.0, 12.0)
+    mesh = union(parts, 1.0, 12.0)
     assert mesh is not None and mesh.is_closed and is_sound(mesh)
     corner = mesh.vertex_m[mesh.triangle]
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -170,7 +170,7 @@ def test_main_frame_is_that_of_the_edges() -> None:
 
 
 def test_triangles_are_grouped_by_the_planes_they_lie_in() -> None:
-    mesh = union([roof(HOUSE, [90, 40, 90, 40], 6.0), roof(ANNEX, [0] * 4, 3.0)], 0.0, 2.0, 12.0)
+    mesh = union([roof(HOUSE, [90, 40, 90, 40], 6.0), roof(ANNEX, [0] * 4, 3.0)], 2.0, 12.0)
     assert mesh is not None
     same = trimesh.Trimesh(mesh.vertex_m, mesh.triangle, process=False)
     flat = same.face_adjacency[same.face_adjacency_angles < 1e-3]

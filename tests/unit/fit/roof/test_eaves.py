@@ -68,7 +68,7 @@ def test_the_solid_ends_at_the_walls_and_has_the_roof_of_the_points() -> None:
 
 def test_the_height_over_a_point_is_that_of_the_solid() -> None:
     (part,) = fit_parts(Fitter(Limits()), [HOUSE], points(), Effort(), Cutting())
-    mesh = union([part], 0.0, 1.0, 12.0)
+    mesh = union([part], 1.0, 12.0)
     assert mesh is not None and is_sound(mesh)
     xy_m = np.array([[1.0, 0.5], [6.0, 3.5], [11.0, 8.5]])
     height, _ = Fitter(Limits()).roof_over(part, np.column_stack([xy_m, np.zeros(3)]))

@@ -164,9 +164,9 @@ def test_roof_points_are_those_over_the_footprint():
     polygon = shapely.Polygon(RECTANGLE)
     point_m = np.array([[1, 1, 9], [12, 1, 9], [2, 2, 9], [3, 3, 9], [4, 4, 1.0]])
     building = np.full(5, 6, np.uint8)
-    assert len(roof_points(polygon, np.tile(point_m, (4, 1)), np.tile(building, 4), 0.0)) == 16
+    assert len(roof_points(polygon, np.tile(point_m, (4, 1)), np.tile(building, 4))) == 16
     unclassified = np.ones(5, np.uint8)
-    assert roof_points(polygon, point_m, unclassified, 0.0)[:, 0].tolist() == [1, 2, 3]
+    assert roof_points(polygon, point_m, unclassified)[:, 0].tolist() == [1, 2, 3]
 
 
 def test_every_kth_along_the_curve_is_even():
