@@ -12,7 +12,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-slow test-faults test-slurm lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-slurm lint audit format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -32,8 +32,15 @@ eval_report: install
 dry-run: install
 	snakemake eval_report --dry-run --quiet rules
 
-test: install lint
-	pytest --durations=15
+# two at a time: most of the unit tests use one core
+test: install
+	$(MAKE) --jobs=2 --output-sync=target lint test-unit test-workflow
+
+test-unit: install
+	pytest --durations=15 tests/unit tests/faults
+
+test-workflow: install
+	pytest --durations=15 tests/workflow
 
 test-slow: install
 	pytest -m slow --timeout 3600
