@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ import pyproj
 
 from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
 from p2wss.clouds.reading import read_clouds, same_crs
+from p2wss.clouds.unclassified import with_classes
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
@@ -22,6 +24,8 @@ from p2wss.data.points import points_on_buildings
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
+
+log = logging.getLogger("p2wss")
 
 
 def crop_real(
@@ -37,7 +41,8 @@ def crop_real(
 
     frame: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. Its footprints are assigned to tiles as in
     the scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
-    its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS.
+    its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS. Where no point is
+    ground, or none a building, these classes are found as for a reconstruction (:mod:`p2wss.clouds.unclassified`).
 
     Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
@@ -49,6 +54,9 @@ def crop_real(
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)), classes)
     check_crs(cloud.crs, frame.crs, f"{clouds[0]}")
+    cloud, warnings = with_classes(cloud)
+    for warning in warnings:
+        log.warning("warning: %s", warning)
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)
     classification = cloud.classification[cropped.point]

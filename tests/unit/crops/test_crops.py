@@ -13,7 +13,7 @@ import shapely
 from places import SHARED
 from toy_scene import TILE, TILE_SIZE_M, house, houses, scans_inputs, table, terrain, write_scene
 
-from p2wss import crops, scans, scenes
+from p2wss import crops, scans
 from p2wss.cli import main
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.crops import ground_height
@@ -23,6 +23,7 @@ from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
 from p2wss.data.tiling import tile_name
+from p2wss.footprints import cleaning
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
@@ -288,7 +289,7 @@ def test_clouds_of_different_crs(tmp_path):
 
 
 def lidar_columns(footprint_file, clouds, tile, size_m):
-    frame = scenes.clean_footprints(scenes.read_footprints(footprint_file), ScenesConfig())
+    frame = cleaning.clean_footprints(cleaning.read_footprints(footprint_file), ScenesConfig())
     return crops.crop_real(frame, clouds, tile, size_m, Crops())
 
 
@@ -307,6 +308,21 @@ def test_real_lidar_of_delft():
     assert np.median(columns["visible_roof_share"]) > 0.9
     ok = columns["num_roof_points"] > 100
     assert ok.sum() > 30
+
+
+@needs_data
+def test_a_cloud_without_classes_gets_some(tmp_path, caplog):
+    folder = DATA / "bresse_ign"
+    cloud = laspy.read(folder / "lidar.laz")
+    cloud.classification = np.ones(len(cloud), np.uint8)
+    cloud.write(tmp_path / "lidar.laz")
+    of_ign, ours = (
+        lidar_columns(folder / "footprints.gpkg", [path], "0870_6618", 1000)[0]
+        for path in (folder / "lidar.laz", tmp_path / "lidar.laz")
+    )
+    assert "has class 2 (ground)" in caplog.text
+    assert list(ours["building_id"]) == list(of_ign["building_id"])
+    assert np.abs(np.asarray(ours["ground_z_m"]) - np.asarray(of_ign["ground_z_m"])).max() < 0.15
 
 
 @needs_data
