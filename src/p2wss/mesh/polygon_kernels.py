@@ -176,20 +176,6 @@ def _rule_of_holes(
 
 
 @entry
-def closest_vertices(vertex_m: np.ndarray, within_m: float) -> tuple[int, int]:
-    """(first, second): two vertices within ``within_m`` of each other, or (-1, -1)."""
-    for i in range(len(vertex_m)):
-        for j in range(i + 1, len(vertex_m)):
-            dx = vertex_m[i, 0] - vertex_m[j, 0]
-            if abs(dx) > within_m:
-                continue
-            dy, dz = vertex_m[i, 1] - vertex_m[j, 1], vertex_m[i, 2] - vertex_m[j, 2]
-            if dx * dx + dy * dy + dz * dz <= within_m * within_m:
-                return i, j
-    return -1, -1
-
-
-@entry
 def merged_vertices(vertex_m: np.ndarray, within_m: float) -> np.ndarray:
     """int64 (v,): for each vertex the first one within ``within_m`` of it that is not merged with another itself."""
     result = np.arange(len(vertex_m))

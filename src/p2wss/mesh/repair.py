@@ -1,23 +1,22 @@
-"""Repair solids that violate a rule of ISO 19107, by moving vertices by millimetres."""
+"""Repair solids that violate a rule of ISO 19107, by merging vertices within millimetres."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.polygon_kernels import closest_vertices
 from p2wss.mesh.rules import WRITING, Breach, breaches
+from p2wss.mesh.topology import NEXT
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
 SCALE_M = 1e-4
-# vertices nearer than this are merged or, where no edge joins them, moved apart
+# ends of an edge that are nearer than this are merged
 _NEAR_M = 2e-3
-_MAX_MOVES = 40
+_MAX_MERGERS = 40
 
 
 def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
@@ -70,36 +69,31 @@ def _stored_breaches(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> list[
 
 
 def repaired(mesh: Mesh) -> tuple[Mesh, list[Surface]] | None:
-    """The mesh, in the CRS, and its planar polygons, if its solid is valid; else those of one with vertices merged or
-    moved by millimetres that is; None if there is none."""
-    for candidate in chain([mesh], _attempts(mesh)):
-        surfaces, broken = surfaces_to_write(candidate)
-        if not broken:
-            return candidate, surfaces
-    return None
+    """The mesh, in the CRS, and its planar polygons, if its solid is valid; else those of the mesh without its shortest
+    edges; None if that is not valid either."""
+    surfaces, broken = surfaces_to_write(mesh)
+    if broken:
+        mesh = _without_shortest_edges(mesh)
+        surfaces, broken = surfaces_to_write(mesh)
+    return None if broken else (mesh, surfaces)
 
 
-def _attempts(mesh: Mesh) -> Iterator[Mesh]:
-    for keeps_first in (True, False):
-        moved = mesh
-        for _ in range(_MAX_MOVES):
-            pair = _near_pair(moved.vertex_m)
-            if pair is None:
-                break
-            merged = _merged(moved, *(pair if keeps_first else pair[::-1]))
-            moved = merged if merged is not None else _apart(moved, *pair)
-        if moved is not mesh:
-            yield moved
-
-
-def _near_pair(vertex_m: np.ndarray) -> tuple[int, int] | None:
-    first, second = closest_vertices(np.ascontiguousarray(vertex_m), _NEAR_M)
-    return (int(first), int(second)) if first >= 0 else None
+def _without_shortest_edges(mesh: Mesh) -> Mesh:
+    """The mesh with the ends of edges up to ``_NEAR_M`` merged, as far as it stays manifold."""
+    for _ in range(_MAX_MERGERS):
+        shortest = int(mesh.edge_m.argmin())
+        if mesh.edge_m.flat[shortest] > _NEAR_M:
+            break
+        ends = mesh.triangle.flat[shortest], mesh.triangle[:, NEXT].flat[shortest]
+        merged = _merged(mesh, min(ends), max(ends))
+        if merged is None:
+            break
+        mesh = merged
+    return mesh
 
 
 def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
-    """The mesh after vertex ``moved`` has moved along an edge to ``end``; None if no edge joins them, or if it would
-    not be manifold."""
+    """The mesh after vertex ``moved`` has moved along an edge to ``end``; None if it would not be manifold."""
     triangle = mesh.triangle
     at_end, at_moved = (triangle == end).any(axis=1), (triangle == moved).any(axis=1)
     gone = at_end & at_moved
@@ -107,15 +101,3 @@ def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
     if gone.sum() != 2 or len(common) != 4:
         return None
     return replace(mesh, triangle=np.where(triangle == moved, end, triangle)).part(~gone)
-
-
-def _apart(mesh: Mesh, *pair: int) -> Mesh:
-    """The mesh after each of two vertices has moved by ``_NEAR_M`` towards its neighbours."""
-    vertex_m = mesh.vertex_m.copy()
-    for vertex in pair:
-        around = mesh.triangle[(mesh.triangle == vertex).any(axis=1)]
-        neighbours = np.setdiff1d(around, [*pair])
-        if len(neighbours):
-            step = mesh.vertex_m[neighbours].mean(axis=0) - mesh.vertex_m[vertex]
-            vertex_m[vertex] += step * min(1.0, _NEAR_M / max(float(np.linalg.norm(step)), 1e-9))
-    return mesh.moved(vertex_m)

@@ -259,22 +259,3 @@ def test_a_hole_that_touches_the_outside_is_a_ring_of_its_own() -> None:
     roof = next(s for s in mesh.surfaces if s.label == 6)
     assert [sorted(ring.tolist()) for ring in roof.rings] == [[5, 6, 7, 8, 9], [9, 10, 11, 12]]
     assert repaired(mesh)[0] is mesh and independent_codes(mesh) == []
-
-
-def test_parts_that_touch_in_a_point_are_moved_apart() -> None:
-    """A yard whose mouth is closed by two corners at one place."""
-    ring = [(0, 0), (9, 0), (9, 9), (0, 9), (0, 4.6), (3, 7), (6, 4.5), (3, 2), (0, 4.4)]
-    meshes = skeleton.build(
-        Polygons.from_rings([[np.array(ring, float)]]), np.zeros(len(ring)), np.array([4.0])
-    )
-    mesh = Mesh.of_kernel(meshes, 0)
-    assert repaired(mesh)[0] is mesh
-    at_mouth = (mesh.vertex_m[:, 0] < 0.1) & (np.abs(mesh.vertex_m[:, 1] - 4.5) < 0.2)
-    vertex_m = mesh.vertex_m.copy()
-    vertex_m[at_mouth, 1] = 4.5
-    touching = mesh.moved(vertex_m)
-    assert surfaces_to_write(touching)[1]
-    better, _ = repaired(touching)
-    assert independent_codes(better) == []
-    assert len(better.triangle) == len(mesh.triangle)
-    assert np.abs(better.vertex_m - vertex_m).max() < 0.003
