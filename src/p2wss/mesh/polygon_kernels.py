@@ -189,38 +189,3 @@ def merged_vertices(vertex_m: np.ndarray, within_m: float) -> np.ndarray:
                 result[i] = j
                 break
     return result
-
-
-@entry
-def largest_fold_deg(vertex_m: np.ndarray, triangle: np.ndarray) -> float:
-    """The largest angle between the normals of two of the triangles (t, 3) of a face, in degrees."""
-    normal = np.zeros((len(triangle), 3))
-    for t in range(len(triangle)):
-        size = area_normal(vertex_m, triangle[t, 0], triangle[t, 1], triangle[t, 2], normal[t])
-        for i in range(3):
-            normal[t, i] /= max(size, 1e-300)
-    lowest = 1.0
-    for s in range(len(triangle)):
-        for t in range(s + 1, len(triangle)):
-            lowest = min(
-                lowest,
-                normal[s, 0] * normal[t, 0] + normal[s, 1] * normal[t, 1] + normal[s, 2] * normal[t, 2],
-            )
-    return np.degrees(np.arccos(max(lowest, -1.0)))
-
-
-@inner
-def area_normal(vertex_m: np.ndarray, a: int, b: int, c: int, out: np.ndarray) -> float:
-    """Fills ``out`` with the normal of a triangle, as long as twice its area; returns that length."""
-    ux, uy, uz = (
-        vertex_m[b, 0] - vertex_m[a, 0],
-        vertex_m[b, 1] - vertex_m[a, 1],
-        vertex_m[b, 2] - vertex_m[a, 2],
-    )
-    vx, vy, vz = (
-        vertex_m[c, 0] - vertex_m[a, 0],
-        vertex_m[c, 1] - vertex_m[a, 1],
-        vertex_m[c, 2] - vertex_m[a, 2],
-    )
-    out[0], out[1], out[2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return np.sqrt(out[0] * out[0] + out[1] * out[1] + out[2] * out[2])

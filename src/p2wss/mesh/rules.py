@@ -15,7 +15,7 @@ import shapely
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.topology import NEXT, doubled_plan_areas, twins
+from p2wss.mesh.topology import NEXT, doubled_areas, doubled_plan_areas, groups, twins
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -80,12 +80,11 @@ def breaches(
         result = [Breach(301)]
     if result:
         return result
-    triangle = np.concatenate(faces.triangles)
+    triangle, corner = faces.triangle, faces.vertex_m[faces.triangle]
     code = shell_code(triangle)
-    if code == 0 and shell_kernels.intersecting_triangles(faces.vertex_m, triangle)[0] >= 0:
+    if code == 0 and shell_kernels.any_intersect(faces.vertex_m, triangle, corner, unit_normals(corner)):
         code = 306
     if code == 0:
-        corner = faces.vertex_m[triangle]
         volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
         code = 0 if (volume > 0) == is_outer else 405
     return [Breach(code)] if code else []
@@ -94,13 +93,13 @@ def breaches(
 @dataclass
 class _Faces:
     """Polygons as the compiled tests take them. vertex_m: near the origin, so that rounding does not matter.
-    triangles: of each face, filled by :meth:`breaches`."""
+    triangle: vertices of the triangles of all faces, int64 (t, 3), filled by :meth:`breaches`."""
 
     vertex_m: np.ndarray
     corner: np.ndarray
     ring_offset: np.ndarray
     face_ring: np.ndarray
-    triangles: list[np.ndarray]
+    triangle: np.ndarray
 
     @classmethod
     def of(cls, vertex_m: np.ndarray, surfaces: Sequence[Surface], snap_m: float) -> _Faces:
@@ -114,7 +113,7 @@ class _Faces:
         if len(near):
             near = near - near.min(axis=0)
         merged = polygon_kernels.merged_vertices(near, snap_m)
-        return cls(near, merged[local.reshape(-1)], ring_offset, face_ring, [])
+        return cls(near, merged[local.reshape(-1)], ring_offset, face_ring, np.zeros((0, 3), np.int64))
 
     def breaches(self, tolerances: Tolerances) -> list[Breach]:
         """Rules of single faces."""
@@ -131,12 +130,12 @@ class _Faces:
         result = [Breach(int(codes[f]), f) for f in np.flatnonzero(codes).tolist()]
         if result:
             return result
-        self.triangles = self._triangulated(plane_m)
-        return [
-            Breach(204, f)
-            for f, triangle in enumerate(self.triangles)
-            if polygon_kernels.largest_fold_deg(self.vertex_m, triangle) > tolerances.fold_deg
-        ]
+        self.triangle, face = self._triangulated(plane_m)
+        normal = unit_normals(self.vertex_m[self.triangle])
+        of_faces = np.split(normal, np.searchsorted(face, np.arange(1, len(size))))
+        lowest = np.array([(of_face @ of_face.T).min() for of_face in of_faces])
+        is_folded = lowest < np.cos(np.radians(tolerances.fold_deg))
+        return [Breach(204, f) for f in np.flatnonzero(is_folded).tolist()]
 
     def _in_planes(self) -> tuple[np.ndarray, np.ndarray]:
         """Corners (k, 2) in the plane of least squares of their face, seen from the side from which its exterior turns
@@ -157,9 +156,9 @@ class _Faces:
         plane_m[:, 1] *= np.where(np.add.reduceat(area_m2, first) < 0.0, -1.0, 1.0)[face]
         return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)
 
-    def _triangulated(self, plane_m: np.ndarray) -> list[np.ndarray]:
-        """Vertices of the triangles of each face, int64 (t, 3): constrained Delaunay triangulations, as validators use
-        them."""
+    def _triangulated(self, plane_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(vertices of the triangles of all faces, int64 (t, 3); the face of each triangle, ascending): constrained
+        Delaunay triangulations, as validators use them."""
         face_of_ring = np.repeat(np.arange(len(self.face_ring) - 1), np.diff(self.face_ring))
         ring = np.repeat(np.arange(len(face_of_ring)), np.diff(self.ring_offset))
         rings = np.asarray(shapely.linearrings(plane_m, indices=ring), object)
@@ -172,8 +171,13 @@ class _Faces:
         of_corner = zip(face_of_ring[ring].tolist(), map(tuple, plane_m.tolist()), strict=True)
         vertex_at = dict(zip(of_corner, self.corner.tolist(), strict=True))
         of_place = zip(np.repeat(face, 3).tolist(), map(tuple, place_m.reshape(-1, 2).tolist()), strict=True)
-        triangle = np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3)
-        return np.split(triangle, np.searchsorted(face, np.arange(1, len(polygons))))
+        return np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3), face
+
+
+def unit_normals(corner_m: np.ndarray) -> np.ndarray:
+    """(t, 3), the unit normals of triangles (t, 3, 3)."""
+    normal = doubled_areas(corner_m)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
 
 
 def shell_code(triangle: np.ndarray) -> int:
@@ -181,14 +185,18 @@ def shell_code(triangle: np.ndarray) -> int:
     triangle = np.asarray(triangle, np.int64)
     if (triangle == triangle[:, NEXT]).any():
         return 303
-    sides = np.stack([triangle, triangle[:, NEXT]], axis=-1).reshape(-1, 2)
-    if len(np.unique(sides, axis=0)) < len(sides):
-        _, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
-        return 303 if (count > 2).any() else 307
-    twin = twins(triangle).ravel()
+    size = int(triangle.max(initial=-1)) + 1
+    start, end = triangle.ravel(), triangle[:, NEXT].ravel()
+    if len(np.unique(start * size + end)) < len(start):
+        sides = np.minimum(start, end) * size + np.maximum(start, end)
+        return 303 if (np.unique(sides, return_counts=True)[1] > 2).any() else 307
+    twin = twins(triangle)
     if (twin < 0).any():
         return 302
-    num_fans, num_parts = shell_kernels.fans_and_parts(twin)
-    if num_fans != len(np.unique(triangle)):
+    half = np.arange(twin.size).reshape(-1, 3)
+    # the half-edges that leave a vertex, from one triangle to the next around it: a fan
+    fan = groups(twin.size, np.column_stack([half.ravel(), twin[:, [2, 0, 1]].ravel()]))
+    if fan.max() + 1 != len(np.unique(triangle)):
         return 303
-    return 305 if num_parts > 1 else 0
+    part = groups(len(triangle), np.column_stack([half.ravel(), twin.ravel()]) // 3)
+    return 305 if part.max() > 0 else 0

@@ -1,10 +1,10 @@
-"""Tests of the shell of a solid, compiled: its triangles, whether they cross, how they are connected."""
+"""The test whether triangles of a solid cross, compiled."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from p2wss.mesh.polygon_kernels import TOUCH_M, area_normal, segment_distance_m2
+from p2wss.mesh.polygon_kernels import TOUCH_M, segment_distance_m2
 from p2wss.skeleton.compiled import ZERO, entry, inner
 
 # faces at a common edge that enclose a smaller angle, in radians, lie on each other
@@ -12,17 +12,17 @@ _FOLD_RAD = 1e-3
 
 
 @entry
-def intersecting_triangles(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[int, int]:
-    """(first, second): two triangles (t, 3) that have more in common than a vertex or an edge; or (-1, -1)."""
+def any_intersect(
+    vertex_m: np.ndarray, triangle: np.ndarray, corner_m: np.ndarray, normal: np.ndarray
+) -> bool:
+    """Whether two of the triangles (t, 3) have more in common than a vertex or an edge. corner_m: (t, 3, 3). normal:
+    (t, 3), unit vectors."""
     num = len(triangle)
     low, high = np.empty((num, 3)), np.empty((num, 3))
-    normal = np.empty((num, 3))
     for t in range(num):
-        size = area_normal(vertex_m, triangle[t, 0], triangle[t, 1], triangle[t, 2], normal[t])
         for i in range(3):
-            a, b, c = vertex_m[triangle[t, 0], i], vertex_m[triangle[t, 1], i], vertex_m[triangle[t, 2], i]
+            a, b, c = corner_m[t, 0, i], corner_m[t, 1, i], corner_m[t, 2, i]
             low[t, i], high[t, i] = min(a, min(b, c)) - TOUCH_M, max(a, max(b, c)) + TOUCH_M
-            normal[t, i] /= max(size, 1e-300)
     for s in range(num):
         for t in range(s + 1, num):
             if low[s, 0] > high[t, 0] or low[t, 0] > high[s, 0] or low[s, 1] > high[t, 1]:
@@ -30,8 +30,8 @@ def intersecting_triangles(vertex_m: np.ndarray, triangle: np.ndarray) -> tuple[
             if low[t, 1] > high[s, 1] or low[s, 2] > high[t, 2] or low[t, 2] > high[s, 2]:
                 continue
             if _triangles_intersect(vertex_m, triangle, normal, s, t):
-                return s, t
-    return -1, -1
+                return True
+    return False
 
 
 @inner
@@ -146,35 +146,3 @@ def _edge_meets(
         else:
             num_right += 1
     return num_left == 3 or num_right == 3
-
-
-@entry
-def fans_and_parts(twin: np.ndarray) -> tuple[int, int]:
-    """(fans of triangles around all vertices, connected parts) of a closed surface of triangles. twin: the opposite of
-    each half-edge; half-edge 3 t + k leaves corner k of triangle t."""
-    num_fans, num_parts = 0, 0
-    seen = np.zeros(len(twin), np.bool_)
-    for h in range(len(twin)):
-        if seen[h]:
-            continue
-        num_fans += 1
-        k = h
-        while not seen[k]:
-            seen[k] = True
-            k = twin[k - 1 if k % 3 > 0 else k + 2]
-    reached = np.zeros(len(twin) // 3, np.bool_)
-    pending = np.empty(len(twin) // 3, np.int64)
-    for t in range(len(reached)):
-        if reached[t]:
-            continue
-        num_parts += 1
-        reached[t], pending[0], num_pending = True, t, 1
-        while num_pending > 0:
-            num_pending -= 1
-            here = pending[num_pending]
-            for k in range(3):
-                other = twin[3 * here + k] // 3
-                if not reached[other]:
-                    reached[other], pending[num_pending] = True, other
-                    num_pending += 1
-    return num_fans, num_parts

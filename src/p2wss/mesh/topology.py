@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+
+from p2wss.skeleton.compiled import entry
+from p2wss.skeleton.half_edges import find
+from p2wss.skeleton.types import writable
 
 # the corner of a triangle after each; numpy's ``roll`` takes three times as long for a small mesh
 NEXT = np.array([1, 2, 0])
@@ -19,8 +21,25 @@ def groups(size: int, pairs: np.ndarray) -> np.ndarray:
     >>> groups(4, np.array([[0, 2]])).tolist()
     [0, 1, 0, 2]
     """
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(size, size))
-    return np.asarray(connected_components(links, directed=False)[1], int)
+    # scipy's function takes many times as long for the few triangles of a building
+    return np.asarray(_groups(int(size), writable(pairs, np.int64)))
+
+
+@entry
+def _groups(size: int, pairs: np.ndarray) -> np.ndarray:
+    first = np.arange(size)
+    for k in range(len(pairs)):
+        a, b = find(first, pairs[k, 0]), find(first, pairs[k, 1])
+        first[max(a, b)] = min(a, b)
+    number = np.empty(size, np.int64)
+    num_groups = 0
+    for k in range(size):
+        if first[k] == k:
+            number[k] = num_groups
+            num_groups += 1
+        else:
+            number[k] = number[find(first, k)]
+    return number
 
 
 def twins(triangle: np.ndarray) -> np.ndarray:

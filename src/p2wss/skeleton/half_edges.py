@@ -40,7 +40,8 @@ def _face_label(
 
 
 @inner
-def _find(parent: np.ndarray, a: int) -> int:
+def find(parent: np.ndarray, a: int) -> int:
+    """The number that stands for all that a has been merged with."""
     while parent[a] != a:
         parent[a] = parent[parent[a]]
         a = parent[a]
@@ -50,7 +51,7 @@ def _find(parent: np.ndarray, a: int) -> int:
 @inner
 def _weld(parent: np.ndarray, a: int, b: int, num_edges: int) -> None:
     """Merge two nodes. The footprint's corners keep their numbers and are not merged with each other."""
-    a, b = _find(parent, a), _find(parent, b)
+    a, b = find(parent, a), find(parent, b)
     if a > b:
         a, b = b, a
     if a != b and b >= num_edges:
@@ -115,8 +116,8 @@ def _join_coplanar_labels(
         if i >= num_edges or j >= num_edges or i == j:
             continue
         if edge[i].angle_deg == edge[j].angle_deg and edge[i].angle_deg > 0.0 and _same_line(edge, i, j):
-            a = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, i))
-            b = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, j))
+            a = find(label_parent, _face_label(edge, num_edges, cap_height, counts, i))
+            b = find(label_parent, _face_label(edge, num_edges, cap_height, counts, j))
             label_parent[max(a, b)] = min(a, b)
 
 
@@ -229,14 +230,14 @@ def collect_half_edges(
     ground = ground_label(num_edges, counts)
     for k in range(counts[NUM_ARCS] + num_edges):
         if k < counts[NUM_ARCS]:
-            a, b = _find(parent, arc[k].start), _find(parent, arc[k].end)
-            left = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].left))
-            right = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].right))
+            a, b = find(parent, arc[k].start), find(parent, arc[k].end)
+            left = find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].left))
+            right = find(label_parent, _face_label(edge, num_edges, cap_height, counts, arc[k].right))
         else:
             a = k - counts[NUM_ARCS]
             b = edge[a].next
-            left = _find(label_parent, _face_label(edge, num_edges, cap_height, counts, a))
-            right = _find(label_parent, wall_label(num_edges, counts, a))
+            left = find(label_parent, _face_label(edge, num_edges, cap_height, counts, a))
+            right = find(label_parent, wall_label(num_edges, counts, a))
             if num_half + 4 > len(half):
                 return _OVERFLOW, 0
             num_half = _add(half, label_head, num_half, num_nodes + b, num_nodes + a, ground)
