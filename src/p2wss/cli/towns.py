@@ -2,21 +2,53 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from p2wss.cli.common import log
 from p2wss.cli.parser import Command, file_option, option
 
+if TYPE_CHECKING:
+    from p2wss.towns.buildings import DrawnBuilding
+
+ROOFS = "roofs/roofs.city.jsonl"
+
 
 @click.command(cls=Command)
 @option("--seed", type=int, required=True, help="seed of the town; each seed gives a different town")
-@file_option("--out", "output folder, with bdtopo/, rgealti/ and lidar/")
+@file_option("--out", "output folder, with bdtopo/, rgealti/, lidar/ and roofs/")
 @option("--lidar", is_flag=True, help="also simulate stand-in LiDAR for tile 0653_6861")
-def towns(seed: int, out: Path, lidar: bool) -> None:
+@option(
+    "--kind",
+    type=click.Choice(["streets", "wings"]),
+    default="streets",
+    show_default=True,
+    help="wings: houses whose roofs consist of several bodies, with their true roofs as CityJSON",
+)
+def towns(seed: int, out: Path, lidar: bool, kind: str) -> None:
     """Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats."""
     from p2wss.towns import write_town
 
-    num_buildings = write_town(out, seed, lidar)
-    log.info(f"{out}: town {seed} with {num_buildings} buildings")
+    town = write_town(out, seed, lidar, kind)
+    if kind == "wings":
+        _write_roofs(town, out / ROOFS)
+    log.info(f"{out}: town {seed} with {len(town)} buildings")
+
+
+def _write_roofs(town: Sequence[DrawnBuilding], path: Path) -> None:
+    """The true solids of a town as CityJSON, by the ids of the footprints."""
+    from p2wss.formats.cityjson import Solid, lines
+    from p2wss.mesh import Mesh
+    from p2wss.storage import files
+    from p2wss.towns.ign import building_id
+    from p2wss.towns.site import CRS
+    from p2wss.towns.wings import true_solids
+
+    solids = []
+    for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True)):
+        mesh = Mesh.of_triangles(*corners)
+        solids.append(Solid(building_id(index), mesh.vertex_m, mesh.surfaces, {"shape": building.kind}))
+    files.write_text(path, "\n".join(lines(solids, int(CRS.removeprefix("EPSG:")))) + "\n")

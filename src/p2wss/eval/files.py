@@ -165,7 +165,7 @@ def _measures(
         "num_triangles": len(mesh.triangle),
         "is_watertight": mesh_facts(mesh.vertex_m, mesh.triangle).watertight,
     }
-    roof_m = _samples(mesh.corner_m[mesh.kind == FaceKind.ROOF], NUM_SAMPLES, draw)
+    roof_m = _samples(mesh.corner_m[np.isin(mesh.kind, (FaceKind.ROOF, FaceKind.FLAT))], NUM_SAMPLES, draw)
     if len(on_building_m) >= MIN_ROOF_POINTS:
         dense_m = _samples(mesh.corner_m, NUM_DENSE_SAMPLES, draw)
         row["points_to_mesh_m"] = cKDTree(dense_m).query(on_building_m)[0].mean()

@@ -2,8 +2,8 @@
 
 A town consists of footprints as BD TOPO delivers them, with its gaps and defects, terrain as RGE ALTI delivers it, and
 on request a *stand-in* for one LiDAR HD tile. All towns have the same terrain; the seed decides the rest.
-The roofs of the stand-in come from the wings generated here and never from the package's geometry kernel: the
-ground truth has to be independent, so nothing here imports ``p2wss.skeleton``.
+The roofs come from the wings generated here and never from the package's geometry kernel: the ground truth has to be
+independent, so nothing here imports ``p2wss.skeleton``.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import write_footprints, write_terrain
 from p2wss.towns.lidar import write_lidar
 from p2wss.towns.plan import draw_town
+from p2wss.towns.wings import draw_wings
 
 __all__ = ["MINIATURE_SEED", "draw_town", "write_footprints", "write_lidar", "write_terrain", "write_town"]
 
@@ -24,15 +26,16 @@ TERRAIN = "rgealti"
 LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
 
 
-def write_town(folder: Path, seed: int, with_lidar: bool) -> int:
-    """Draw the town of ``seed`` and write its files into ``folder``. Returns its number of buildings.
+def write_town(folder: Path, seed: int, with_lidar: bool, kind: str = "streets") -> list[DrawnBuilding]:
+    """Draw the town of ``seed``, write its files into ``folder`` and return its buildings.
 
-    Footprints and terrain are the same with and without the LiDAR.
+    Footprints and terrain are the same with and without the LiDAR. kind: ``streets``, or ``wings`` for houses whose
+    roofs consist of several bodies (:mod:`p2wss.towns.wings`).
     """
     rng = np.random.Generator(np.random.PCG64(seed))
-    town = draw_town(rng)
+    town = draw_wings(rng) if kind == "wings" else draw_town(rng)
     write_terrain(folder / TERRAIN)
     write_footprints(town, folder / FOOTPRINTS, rng)
     if with_lidar:
         write_lidar(town, folder / LIDAR, rng)
-    return len(town)
+    return town

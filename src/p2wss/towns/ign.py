@@ -72,24 +72,27 @@ def write_footprints(town: list[DrawnBuilding], path: Path, rng: np.random.Gener
     files.write_bytes(path, file.getvalue())
 
 
+def building_id(index: int) -> str:
+    """The identifier of a building in BD TOPO, ``cleabs``. index: of the building in its town."""
+    return f"BATIMENT{2_000_000_000 + 17 * index:016d}"
+
+
 def _row(index: int, building: DrawnBuilding, rng: np.random.Generator) -> tuple[dict[str, Any], float]:
     """The columns of a building, and the height of its eaves above sea level. index: of the building in its town."""
     corner = shapely.get_coordinates(building.footprint)
     around = ground_z_m(corner[:, 0], corner[:, 1])
     low, high = round(float(around.min()), 1), round(float(around.max()), 1)
     eave = round(building.eave_m, 1)
-    ridge = max(
-        w.eave_m + w.rise_m(np.vstack([w.outline.mean(axis=0), w.outline])).max() for w in building.wings
-    )
+    ridge = max(wing.ridge_m for wing in building.wings)
     gap = rng.random()
     height = None if gap < _WITHOUT_HEIGHT else 0.0 if gap < _WITHOUT_HEIGHT + _ZERO_HEIGHT else eave
     roof_known = (height is not None and height > 0) or rng.random() < _ROOF_WITHOUT_HEIGHT
     floors_known = building.kind in ("house", "row", "block") and rng.random() < _WITH_FLOORS
     flats = {"house": 1, "row": 1, "block": int(rng.integers(4, 12))}.get(building.kind)
     row = {
-        "cleabs": f"BATIMENT{2_000_000_000 + 17 * index:016d}",
+        "cleabs": building_id(index),
         "nature": "Industriel, agricole ou commercial" if building.kind == "hall" else "Indifférenciée",
-        "usage_1": USAGE[building.kind],
+        "usage_1": USAGE.get(building.kind, "Indifférencié"),
         "usage_2": None,
         "construction_legere": False,
         "etat_de_l_objet": "En service",

@@ -37,8 +37,7 @@ class Surface:
         self.z = ground_z_m(x, y)
         self.kind = np.full(self.z.shape, GROUND_CLASS, np.uint8)
         for building in buildings:
-            corner = shapely.get_coordinates(building.footprint)
-            floor = float(np.median(ground_z_m(corner[:, 0], corner[:, 1])))
+            floor = building.floor_m
             for wing in building.wings:
                 self._raise(wing.outline, _roof(wing, floor))
             for detail in draw_details(building, rng):

@@ -74,6 +74,15 @@ def test_the_distance_to_a_box_is_the_height_above_it(place: tuple[Path, Path]) 
     assert summary(table).loc["mean", "num_triangles"] == 11.5
 
 
+def test_level_faces_of_a_reconstruction_are_roofs_too(place: tuple[Path, Path]) -> None:
+    solid = box("a", 0.0)
+    is_roof = solid.mesh.kind == FaceKind.ROOF
+    level = replace(solid.mesh, kind=np.where(is_roof, FaceKind.FLAT, solid.mesh.kind).astype(np.uint8))
+    footprints, cloud = place
+    tables = [evaluate([each], footprints, [cloud]) for each in (solid, replace(solid, mesh=level))]
+    assert tables[0].equals(tables[1])
+
+
 def test_buildings_without_a_known_id_are_those_of_the_footprints_that_they_overlap(
     place: tuple[Path, Path],
 ) -> None:

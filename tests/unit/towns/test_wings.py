@@ -1,0 +1,74 @@
+"""Towns of houses of several bodies: their true roofs are closed, under the points and over the footprints."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pytest
+import shapely
+
+import p2wss
+from p2wss.cli import main
+from p2wss.cli.towns import ROOFS
+from p2wss.eval.metrics.height import surface_height_m
+from p2wss.mesh import Mesh
+from p2wss.reconstruct.scene import Scene, SceneBuilding
+from p2wss.towns import FOOTPRINTS, draw_wings
+from p2wss.towns.ign import building_id
+from p2wss.towns.wings import SHAPES
+
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wings")
+    assert main(["towns", "--kind", "wings", "--seed", str(SEED), "--out", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def roofs(folder: Path) -> Scene:
+    return p2wss.read(folder / ROOFS)
+
+
+def solid_of(building: SceneBuilding) -> Mesh:
+    assert building.solid is not None
+    return building.solid
+
+
+def test_every_footprint_has_a_closed_true_roof(folder: Path, roofs: Scene) -> None:
+    footprints = gpd.read_file(folder / FOOTPRINTS)
+    assert list(roofs) == footprints["cleabs"].tolist() and len(roofs) > 80
+    assert all(solid_of(building).is_closed for building in roofs.values())
+    assert set(Counter(building.attributes["shape"] for building in roofs.values())) == set(SHAPES)
+    # errors of the map are smaller than the distance at which an edge is false
+    for shape, building in zip(footprints.geometry, roofs.values(), strict=True):
+        ring = shapely.convex_hull(shapely.MultiPoint(solid_of(building).vertex_m[:, :2]))
+        assert shapely.hausdorff_distance(shapely.convex_hull(shapely.force_2d(shape)), ring) < 0.75
+
+
+def test_the_true_roof_is_the_highest_of_the_bodies(roofs: Scene) -> None:
+    town = draw_wings(np.random.Generator(np.random.PCG64(SEED)))
+    rng = np.random.default_rng(1)
+    for index, building in enumerate(town[::7]):
+        solid = solid_of(roofs[building_id(7 * index)])
+        low_x, low_y, high_x, high_y = building.footprint.bounds
+        xy = rng.uniform((low_x, low_y), (high_x, high_y), (200, 2))
+        z = np.full(len(xy), np.nan)
+        for wing in building.wings:
+            inside = shapely.contains_xy(shapely.Polygon(wing.outline), *xy.T) & (not wing.is_detail)
+            z[inside] = np.fmax(z, building.floor_m + wing.eave_m + wing.rise_m(xy))[inside]
+        found = surface_height_m(xy, solid.vertex_m, solid.triangle)
+        both = np.isfinite(z) & np.isfinite(found)
+        # a point within a millimetre of a step may be on either side
+        assert both.sum() > 40 and np.mean(np.abs(z - found)[both] < 0.01) > 0.98
+
+
+def test_a_second_drawing_writes_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    assert main(["towns", "--kind", "wings", "--seed", str(SEED), "--out", str(tmp_path)]) == 0
+    for name in (ROOFS, FOOTPRINTS):
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
