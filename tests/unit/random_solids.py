@@ -192,5 +192,7 @@ def validated(
             continue
         mesh = after.placed_mesh
         solid = cityjson.Solid(after.building_id, mesh.vertex_m, surfaces_to_write(mesh)[0])
-        (codes,) = solid_rules.codes_of_text("\n".join(cityjson.lines([solid], 2154))).values()
+        (codes,) = solid_rules.codes_of_text(
+            "\n".join(cityjson.lines([solid], cityjson.Metadata(2154)))
+        ).values()
         yield before, after, codes

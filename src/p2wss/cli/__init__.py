@@ -42,13 +42,6 @@ COMMANDS = {
         "eval": "evaluate the methods and write the report",
     },
 }
-RENAMED = {
-    "--register": "--registration auto, always or never",
-    "--schema": "--footprint-schema",
-    "--attributes": "--attribute-names",
-    "--lod": "--lods",
-    "--configfile": "--config",
-}
 _COMPLETE = "_P2WSS_COMPLETE"
 
 
@@ -135,7 +128,5 @@ def _message(error: InputError | click.UsageError) -> str:
     """One line, with the command whose help explains the arguments."""
     if isinstance(error, InputError):
         return str(error)
-    if isinstance(error, click.NoSuchOption) and error.option_name in RENAMED:
-        return f"{error.option_name} is now {RENAMED[error.option_name]}"
     text = " ".join(error.format_message().split())
     return f"{text} (see {error.ctx.command_path} --help)" if error.ctx else text

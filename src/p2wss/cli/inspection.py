@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import struct
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -283,30 +282,6 @@ def _city(parts: list[Facts]) -> Facts:
     }
 
 
-def _glb(path: Path) -> Facts:
-    with path.open("rb") as file:
-        magic, version, total, size, _ = struct.unpack("<4s4I", file.read(20))
-        document = json.loads(file.read(size))
-    if magic != b"glTF" or total != path.stat().st_size:
-        raise InputError(f"{path}: not a glTF file, or truncated")
-    stored = document.get("asset", {}).get("extras", {}).get("p2wss")
-    return {
-        "kind": f"glTF {version}, binary",
-        "num_nodes": len(document.get("nodes", [])),
-        "num_meshes": len(document.get("meshes", [])),
-        **_provenance(stored),
-    }
-
-
-def _table(path: Path) -> Facts:
-    import pandas as pd
-
-    table = pd.read_csv(
-        path, sep="\t" if path.suffix == ".tsv" else ",", comment="#" if path.suffix == ".tsv" else None
-    )
-    return {"kind": "table", "num_rows": len(table), "columns": list(table.columns)}
-
-
 _READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
     ((".parquet",), _parquet),
     ((".gpkg", ".shp", ".geojson", ".fgb"), _vector),
@@ -315,6 +290,4 @@ _READERS: list[tuple[tuple[str, ...], Callable[[Path], Facts]]] = [
     ((".safetensors",), _weights),
     ((".jsonl",), _json_lines),
     ((".json",), _json),
-    ((".glb",), _glb),
-    ((".csv", ".tsv"), _table),
 ]

@@ -68,19 +68,14 @@ def reference_system(epsg: int) -> str:
     return f"https://www.opengis.net/def/crs/EPSG/0/{epsg}"
 
 
-def lines(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[str]:
-    """The lines of a CityJSONSeq, header first, without line ends. The first solid defines the local origin.
-
-    metadata: of the header; a number is the EPSG code alone.
-    """
+def lines(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
+    """The lines of a CityJSONSeq, header first, without line ends. The first solid defines the local origin."""
     for city in _objects(solids, metadata):
         yield _compact(city)
 
 
-def _objects(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[dict[str, Any]]:
+def _objects(solids: Iterable[Solid], metadata: Metadata) -> Iterator[dict[str, Any]]:
     """The objects of :func:`lines`."""
-    if not isinstance(metadata, Metadata):
-        metadata = Metadata(metadata)
     translate = np.zeros(3)
     has_header = False
     for solid in solids:
@@ -94,12 +89,12 @@ def _objects(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterat
         yield _header(translate, metadata)
 
 
-def document(solids: Iterable[Solid], metadata: Metadata | int | None) -> str:
+def document(solids: Iterable[Solid], metadata: Metadata) -> str:
     """The same content as :func:`lines`, as a single CityJSON object."""
     return "".join(document_pieces(solids, metadata))
 
 
-def document_pieces(solids: Iterable[Solid], metadata: Metadata | int | None) -> Iterator[str]:
+def document_pieces(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
     """The text of :func:`document`, building by building. In memory are only the coordinates, as text."""
     objects = _objects(solids, metadata)
     city = next(objects)

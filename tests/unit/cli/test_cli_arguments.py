@@ -83,7 +83,6 @@ def test_options_stand_anywhere_among_the_paths(place: Path) -> None:
     ("words", "message"),
     [
         (["reconstruct", "a", "b", "c", "--terain", "d"], "No such option '--terain'. (Did you mean"),
-        (["reconstruct", "a", "b", "c", "--register", "off"], "--register is now --registration auto, always or never"),
         (["reconstruct", "a", "b", "c", "--detail", "lo"], "Invalid value for '--detail': 'lo' is not one of"),
         (["reconstruct", "a", "b", "c", "--max-parts", "0"], "reconstruct.max_parts: Input should be greater"),
         (["reconstruct", "a", "b", "c", "--threads", "0"], "Invalid value for '--threads': 0 is not in the range"),

@@ -1,10 +1,8 @@
-"""``p2wss check``: valid and invalid files, and the report of val3dity."""
+"""``p2wss check``: valid and invalid files."""
 
 from __future__ import annotations
 
 import json
-import stat
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +26,7 @@ def city(tmp_path: Path) -> Path:
         for name, x in (("a", 0), ("b", 20))
     ]
     path = tmp_path / "city.city.json"
-    path.write_text(cityjson.document(solids, 2154))
+    path.write_text(cityjson.document(solids, cityjson.Metadata(2154)))
     return path
 
 
@@ -76,45 +74,7 @@ def test_a_sequence_is_read_too(city: Path, tmp_path: Path, capsys: pytest.Captu
 
 def test_files_without_solids_are_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "empty.json"
-    path.write_text(cityjson.document([], 2154))
+    path.write_text(cityjson.document([], cityjson.Metadata(2154)))
     assert cli.main(["check", str(path)]) == 2
     assert "has no solids" in capsys.readouterr().err
     assert cli.main(["check", str(tmp_path / "missing")]) == 2
-
-
-def program(folder: Path, body: str) -> str:
-    path = folder / "val3dity"
-    path.write_text(f"#!{sys.executable}\nimport json, sys\n{body}\n")
-    path.chmod(path.stat().st_mode | stat.S_IXUSR)
-    return str(path)
-
-
-def test_the_report_of_val3dity_is_merged(
-    city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    report = {
-        "features": [
-            {"id": "a", "validity": True, "errors": [], "primitives": [{"id": "0", "errors": []}]},
-            {
-                "id": "b",
-                "validity": False,
-                "errors": [],
-                "primitives": [{"errors": [{"code": 306, "description": "SHELL_SELF_INTERSECTION"}] * 2}],
-            },
-        ]
-    }
-    val3dity = program(
-        tmp_path, f"open(sys.argv[sys.argv.index('--report') + 1], 'w').write(json.dumps({report!r}))"
-    )
-    assert cli.main(["check", "--val3dity", val3dity, str(city)]) == 1
-    assert f"{city}: b: val3dity: 306 SHELL_SELF_INTERSECTION\n" in capsys.readouterr().out
-
-
-def test_a_val3dity_that_fails_is_an_error(
-    city: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["check", "--val3dity", str(tmp_path / "none"), str(city)]) == 2
-    assert "cannot be run" in capsys.readouterr().err
-    val3dity = program(tmp_path, "sys.exit('unknown option')")
-    assert cli.main(["check", "--val3dity", val3dity, str(city)]) == 2
-    assert "unknown option" in capsys.readouterr().err

@@ -112,8 +112,6 @@ def test_tables(tmp_path: Path) -> None:
     facts = describe(tmp_path / "b.parquet")
     assert facts["kind"] == "GeoParquet" and "EPSG:2154" in facts["crs"]
     assert facts["rows by status"]["ok"] == (frame["status"] == "ok").sum()
-    (tmp_path / "c.tsv").write_text("tile\tnum_buildings\n0652_6862\t7\n")
-    assert describe(tmp_path / "c.tsv")["columns"] == ["tile", "num_buildings"]
 
 
 def test_weights(tmp_path: Path) -> None:
@@ -140,9 +138,7 @@ def test_text_has_one_fact_per_line() -> None:
     assert shown.splitlines() == ["a: 1.5", "b:", "  c: 1, 2", "  d: -", "e:", "  -:", "    f: g"]
 
 
-@pytest.mark.parametrize(
-    "suffix", ["laz", "gpkg", "tif", "asc", "parquet", "json", "jsonl", "glb", "safetensors"]
-)
+@pytest.mark.parametrize("suffix", ["laz", "gpkg", "tif", "asc", "parquet", "json", "jsonl", "safetensors"])
 def test_a_broken_file_is_an_error_of_one_line(tmp_path: Path, suffix: str, capsys: Any) -> None:
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(b"<html>nothing of the kind</html>")

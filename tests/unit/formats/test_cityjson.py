@@ -50,7 +50,7 @@ def solid_of(name: str) -> tuple[Solid, np.ndarray, np.ndarray]:
 def test_written_files_are_read_back(name: str, tmp_path: Path) -> None:
     solid, vertex, triangle = solid_of(name)
     path = tmp_path / "a.city.jsonl"
-    path.write_text("\n".join(cityjson.lines([solid], 2154)))
+    path.write_text("\n".join(cityjson.lines([solid], cityjson.Metadata(2154))))
     (back,) = cityjson_read.read(path)
     ours, theirs = trimesh.Trimesh(vertex, triangle), trimesh.Trimesh(back.mesh.vertex_m, back.mesh.triangle)
     assert theirs.is_watertight and theirs.is_winding_consistent
@@ -69,7 +69,7 @@ def test_open_ground_is_an_outer_floor(tmp_path: Path) -> None:
     row = yard_house()
     placed = row.mesh.vertex_m + np.array([*row.origin_xy_m, row.ground_z_m])
     surfaces = row.mesh.surfaces
-    text = "\n".join(cityjson.lines([Solid("yard", placed, surfaces, {})], 2154))
+    text = "\n".join(cityjson.lines([Solid("yard", placed, surfaces, {})], cityjson.Metadata(2154)))
     assert cityjson_rules.assert_sequence([json.loads(line) for line in text.splitlines()]) == 1
     (geometry,) = json.loads(text.splitlines()[1])["CityObjects"]["yard"]["geometry"]
     types = [surface["type"] for surface in geometry["semantics"]["surfaces"]]
@@ -125,7 +125,9 @@ def solid_area(ring: np.ndarray) -> float:
 def test_header_and_features_follow_the_specification() -> None:
     solid, _, _ = solid_of("gables")
     without_mesh = Solid("none", np.zeros((0, 3)), [], {"status": "none", "reason": "no-points"})
-    header, feature, empty = (json.loads(line) for line in cityjson.lines([solid, without_mesh], 28992))
+    header, feature, empty = (
+        json.loads(line) for line in cityjson.lines([solid, without_mesh], cityjson.Metadata(28992))
+    )
     assert (header["type"], header["version"]) == ("CityJSON", "2.0")
     assert header["metadata"]["referenceSystem"] == "https://www.opengis.net/def/crs/EPSG/0/28992"
     assert header["CityObjects"] == {} and header["vertices"] == []
@@ -144,7 +146,7 @@ def test_each_roof_plane_is_a_semantic_surface() -> None:
     ring = [np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)]
     meshes = skeleton.build(Polygons.from_rings([ring]), np.array([45, 90, 30, 90.0]), np.array([5.0]))
     mesh = Mesh.of_kernel(meshes, 0)
-    (line,) = list(cityjson.lines([Solid("a", mesh.vertex_m, mesh.surfaces)], None))[1:]
+    (line,) = list(cityjson.lines([Solid("a", mesh.vertex_m, mesh.surfaces)], cityjson.Metadata()))[1:]
     (geometry,) = json.loads(line)["CityObjects"]["a"]["geometry"]
     surfaces = geometry["semantics"]["surfaces"]
     roofs = sorted((s for s in surfaces if s["type"] == "RoofSurface"), key=lambda s: s["slope_deg"])
@@ -159,7 +161,7 @@ def test_each_roof_plane_is_a_semantic_surface() -> None:
     ]
     assert [s["area_m2"] for s in roofs] == pytest.approx(area, rel=1e-3)
     flat = solid_of("flat")[0]
-    feature = json.loads(list(cityjson.lines([flat], None))[1])
+    feature = json.loads(list(cityjson.lines([flat], cityjson.Metadata()))[1])
     (roof,) = [
         s
         for s in feature["CityObjects"]["flat"]["geometry"][0]["semantics"]["surfaces"]
@@ -171,8 +173,8 @@ def test_each_roof_plane_is_a_semantic_surface() -> None:
 def test_both_forms_follow_the_rules(tmp_path: Path) -> None:
     solids = [solid_of(name)[0] for name in CASES]
     solids.append(Solid("none", np.zeros((0, 3)), [], {"status": "none"}))
-    sequence = [json.loads(line) for line in cityjson.lines(solids, 2154)]
-    document = json.loads(cityjson.document(solids, 2154))
+    sequence = [json.loads(line) for line in cityjson.lines(solids, cityjson.Metadata(2154))]
+    document = json.loads(cityjson.document(solids, cityjson.Metadata(2154)))
     assert cityjson_rules.assert_sequence(sequence) == cityjson_rules.assert_document(document) == len(CASES)
     path = tmp_path / "a.city.json"
     path.write_text(json.dumps(document))
@@ -192,13 +194,13 @@ def test_a_vertex_within_a_face_is_not_stored() -> None:
     kind = np.array([3] * 4 + [0] * 2 + [1] * 8)
     edge = np.array([-1] * 6 + [0, 1, 2, 3] * 2)
     surfaces = Mesh(vertex, np.array(triangle), kind, edge).surfaces
-    document = json.loads(cityjson.document([Solid("a", vertex, surfaces)], 2154))
+    document = json.loads(cityjson.document([Solid("a", vertex, surfaces)], cityjson.Metadata(2154)))
     assert len(document["vertices"]) == 8 and cityjson_rules.assert_document(document) == 1
 
 
 def test_the_rules_detect_errors() -> None:
     def broken(change: str) -> dict[str, Any]:
-        document = json.loads(cityjson.document([solid_of("gables")[0]], 2154))
+        document = json.loads(cityjson.document([solid_of("gables")[0]], cityjson.Metadata(2154)))
         geometry = document["CityObjects"]["gables"]["geometry"][0]
         shell = geometry["boundaries"][0]
         if change == "open":
@@ -223,13 +225,13 @@ def test_cjio_reads_both_forms(tmp_path: Path) -> None:
     pytest.importorskip("cjio")
     solids = [solid_of(name)[0] for name in CASES]
     path = tmp_path / "a.city.json"
-    path.write_text(cityjson.document(solids, 2154))
+    path.write_text(cityjson.document(solids, cityjson.Metadata(2154)))
 
     def cjio(*arguments: str, stdin: str | None = None) -> str:
         command = [sys.executable, "-c", "from cjio.cjio import cli; cli()", *arguments]
         return subprocess.run(command, input=stdin, capture_output=True, text=True, check=True).stdout
 
-    sequence = "\n".join(cityjson.lines(solids, 2154)) + "\n"
+    sequence = "\n".join(cityjson.lines(solids, cityjson.Metadata(2154))) + "\n"
     for output in (cjio(str(path), "info"), cjio("stdin", "info", stdin=sequence)):
         assert "CityJSON version = 2.0" in output and "EPSG = 2154" in output
         assert f"Building ({len(CASES)})" in output
@@ -238,12 +240,14 @@ def test_cjio_reads_both_forms(tmp_path: Path) -> None:
 
 
 def test_a_sequence_without_buildings_is_a_header() -> None:
-    assert [json.loads(line)["type"] for line in cityjson.lines([], None)] == ["CityJSON"]
+    assert [json.loads(line)["type"] for line in cityjson.lines([], cityjson.Metadata())] == ["CityJSON"]
 
 
 def test_vertices_closer_than_the_scale_become_one() -> None:
     vertex = np.array([[0, 0, 0], [1, 0, 0], [1, 1e-6, 0], [1, 1, 0]], float)
-    line = list(cityjson.lines([Solid("a", vertex, [Surface(0, -1, [np.arange(4)])])], None))[1]
+    line = list(cityjson.lines([Solid("a", vertex, [Surface(0, -1, [np.arange(4)])])], cityjson.Metadata()))[
+        1
+    ]
     feature = json.loads(line)
     assert len(feature["CityObjects"]["a"]["geometry"][0]["boundaries"][0][0][0]) == 3
 
