@@ -24,7 +24,7 @@ from figures import Figures
 from p2wss.reconstruct.warm_up import sample
 
 BARS = {
-    "compilation, CPU s": 75,
+    "compilation, CPU s": 60,
     "functions compiled twice": 0,
     "start after warm-up, CPU s": 10,
     "warm-up again, CPU s": 5,

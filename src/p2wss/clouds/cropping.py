@@ -110,7 +110,9 @@ def _sort_points(x: np.ndarray, y: np.ndarray, grid: _Grid, boxes: np.ndarray, a
     rows, columns = grid.rows, grid.columns
     is_needed = np.zeros((rows, columns), np.bool_)
     for p in range(len(boxes)):
-        is_needed[boxes[p, 2] : boxes[p, 3] + 1, boxes[p, 0] : boxes[p, 1] + 1] = True
+        for row in range(boxes[p, 2], boxes[p, 3] + 1):
+            for column in range(boxes[p, 0], boxes[p, 1] + 1):
+                is_needed[row, column] = True
     cell = np.empty(len(x), np.int32)
     start = np.zeros(rows * columns + 1, np.int64)
     for i in range(len(x)):

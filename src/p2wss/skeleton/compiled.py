@@ -24,6 +24,8 @@ import numpy as np
 from numba import config, njit, typeof, types
 from numba.core import cgutils, event
 from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.errors import TypingError
 from numba.core.typing import signature
 from numba.extending import intrinsic
@@ -174,14 +176,55 @@ def expect_compilation() -> None:
     _notice.is_logged = True
 
 
+# the functions that are called by address
+_with_address: set[Callable] = set()
+
+
+class _PartOfCallers(JITCodeLibrary):
+    """A function that only compiled code calls: its machine code is a part of that of its callers, and it has none
+    of its own, which would be translated and stored for nobody."""
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Without machine code there is no variable for the environment."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        self._ensure_finalized()
+        return 0
+
+    def serialize_using_object_code(self) -> tuple:
+        return self.serialize_using_bitcode()
+
+
+class _CompilerForCallers(Compiler):
+    def define_pipelines(self) -> list:
+        function = self.state.func_id
+        if function.func not in _with_address:
+            self.state.library = _PartOfCallers(self.state.targetctx.codegen(), function.func_qualname)
+        return super().define_pipelines()
+
+
 # called from Python
 entry = _compiled(no_cfunc_wrapper=True)
 # called from compiled code only: compiles faster, without the wrapper for Python
-allocating = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_for_callers: dict[str, Any] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": _CompilerForCallers,
+}
+allocating = _compiled(**_for_callers)
 # the same without reference counts of arrays, faster still; such a function cannot create arrays
-inner = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False)
+inner = _compiled(**_for_callers, _nrt=False)
 # the same, as a part of its callers: a call passes seven numbers for each array, and all arrays of a tuple
-embedded = _compiled(no_cpython_wrapper=True, no_cfunc_wrapper=True, _nrt=False, forceinline=True)
+embedded = _compiled(**_for_callers, _nrt=False, forceinline=True)
 # a few lines that numba inserts in place of their call
 inlined = _compiled(inline="always")
 
@@ -209,6 +252,7 @@ def by_address(function: Any) -> Any:
     translated once.
     """
     name = function.py_func.__name__
+    _with_address.add(function.py_func)
 
     def define(typing_context: Any, code: Any, *arguments: Any) -> Any:
         compiled = function.overloads[_argument_types[function]].signature

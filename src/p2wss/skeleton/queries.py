@@ -87,10 +87,15 @@ def query_work(max_edges: int) -> QueryWork:
 
 @embedded
 def _put_segment(
-    segment: np.ndarray, k: int, a: np.record, b: np.record, left_face: int, right_face: int
+    segment: np.ndarray,
+    k: int,
+    a: tuple[float, float],
+    b: tuple[float, float],
+    left_face: int,
+    right_face: int,
 ) -> int:
-    """Store the piece from a to b with the faces on its left and right. Returns the number of segments."""
-    a_x, a_y, b_x, b_y = a.x, a.y, b.x, b.y
+    """Store the piece from a to b (x, y) with the faces on its left and right. Returns the number of segments."""
+    (a_x, a_y), (b_x, b_y) = a, b
     if a_x == b_x:
         return k
     if a_x < b_x:
@@ -115,9 +120,13 @@ def _fill_segments(
     outside = num_edges + counts[NUM_CAPS]
     k = ZERO
     for i in range(num_edges):
-        k = _put_segment(segment, k, edge[i], edge[edge[i].next], i, outside)
+        after = edge[i].next
+        a, b = (edge[i].x, edge[i].y), (edge[after].x, edge[after].y)
+        k = _put_segment(segment, k, a, b, i, outside)
     for m in range(counts[NUM_ARCS]):
-        k = _put_segment(segment, k, node[arc[m].start], node[arc[m].end], arc[m].left, arc[m].right)
+        start, end = arc[m].start, arc[m].end
+        a, b = (node[start].x, node[start].y), (node[end].x, node[end].y)
+        k = _put_segment(segment, k, a, b, arc[m].left, arc[m].right)
     return k
 
 

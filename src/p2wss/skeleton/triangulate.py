@@ -84,7 +84,7 @@ def join_holes(
         joined[ring] = 0
     joined[0] = 1
     for _ in range(num_rings - 1):
-        best, best_p, best_q, best_ring = np.inf, -1, -1, -1
+        best, best_p, best_q, best_ring = np.inf, ZERO, ZERO, ZERO - 1
         for ring in range(1, num_rings):
             if joined[ring] == 1:
                 continue

@@ -101,9 +101,9 @@ def _best_nearby(part: Roofed, sample: Roofed, line: Line, low: Side, high: Side
     best, best_cost = line.position, np.inf
     for k in range(count):
         moved = Line(line.axis, nearby[k])
-        cost = _moved_cost_m(part, sample, line, moved, False, low, rules)
-        cost += _moved_cost_m(part, sample, line, moved, True, high, rules)
-        gap = np.inf
+        cost, gap = 0.0, np.inf
+        for is_high in (False, True):
+            cost += _moved_cost_m(part, sample, line, moved, is_high, high if is_high else low, rules)
         for corner in corners:
             gap = min(gap, abs(corner - nearby[k]))
         cost *= CUTS.off_corner_ratio if gap >= _ON_CORNER_M else 1.0

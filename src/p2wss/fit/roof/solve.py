@@ -11,7 +11,7 @@ import numpy as np
 from p2wss.fit.roof.envelope import lower_envelope
 from p2wss.fit.roof.work import FitWork, Polygon, Problem, fit_work_at
 from p2wss.fit.settings import SOLVING
-from p2wss.skeleton.compiled import ZERO, by_address, embedded, inner
+from p2wss.skeleton.compiled import ONE, ZERO, by_address, embedded, inner
 from p2wss.skeleton.footprint import load_footprint, set_angles
 from p2wss.skeleton.ordering import select
 from p2wss.skeleton.queries import OUTSIDE, QueryPoints, assign
@@ -206,7 +206,7 @@ def _least_squares(
             work.group_tangent[problem.direction[e]] += work.tangent[e]
             work.group_count[problem.direction[e]] += 1.0
     # the eave is the first unknown, then the slopes of the directions that have any
-    size = 1
+    size = ONE
     for g in range(groups):
         if work.group_count[g] > 0.0:
             work.group_row[g] = size
