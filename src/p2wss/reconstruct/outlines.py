@@ -24,7 +24,7 @@ from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.mesh.topology import groups
-from p2wss.reconstruct.outline_rings import EdgePoints, directions, mean_directions, regularised, seam_lines
+from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
 from p2wss.storage.errors import InputError
 
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
@@ -38,9 +38,6 @@ _CROSS = ndimage.generate_binary_structure(2, 1)
 _LEAST_JUMP_M = 0.4
 # around the trace of a block
 _POINTS_MARGIN_M = 2.0
-# largest share of its boundary that a part within a roof has in common with the outside, and the least share that it
-# has in common with one neighbour
-_ENCLOSED, _AROUND = 0.1, 0.8
 # the grid of seams, and how far a face may reach beyond the outline by rounding
 _GRID_M, _TOLERANCE_M = 1e-3, 0.01
 
@@ -179,7 +176,7 @@ def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: 
 
 
 def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells: float) -> np.ndarray:
-    """The labels (cells,), small parts and parts within a roof joined with the neighbour of the longest wall."""
+    """The labels (cells,), small parts joined with the neighbour of the longest wall."""
     count = np.bincount(label).astype(float)
     a, b = label[first], label[second]
     differs = a != b
@@ -191,13 +188,9 @@ def _joined(label: np.ndarray, first: np.ndarray, second: np.ndarray, min_cells:
     # smallest first; a part that grows is seen again in its turn
     for part in np.argsort(count, kind="stable").tolist():
         around = {other: number for other, number in walls[part].items() if other}
-        if part == 0 or not around:
+        if part == 0 or not around or count[part] >= min_cells:
             continue
         longest = max(around, key=lambda other: (around[other], -other))
-        total = sum(walls[part].values())
-        is_enclosed = walls[part].get(0, 0) <= _ENCLOSED * total and around[longest] >= _AROUND * total
-        if count[part] >= min_cells and not is_enclosed:
-            continue
         target[target == part] = longest
         count[longest] += count[part]
         for other, number in walls[part].items():
@@ -214,7 +207,6 @@ class _Trace:
     polygon: shapely.Polygon
     label: np.ndarray
     origin_m: tuple[float, float]
-    main_deg: list[float]
 
 
 def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
@@ -231,13 +223,12 @@ def _block_traces(raster: Raster, settings: Outlines) -> list[_Trace]:
             raster.origin_m[1] + rows.start * raster.cell_m,
         )
         smooth = ndimage.gaussian_filter(is_block.astype(float), _SMOOTH_CELLS)
-        main_deg = directions(ndimage.gaussian_filter(smooth, 1.0))
         fine = ndimage.zoom(smooth, _FINER, order=1, mode="grid-constant", grid_mode=True) >= 0.5
         traces = _traces(
             fine.astype(np.int32), Raster(label, label, origin_m, fine_m, 0.0), settings.min_hole_m2
         )
         largest = max(traces, key=lambda trace: trace[1].area)[1]
-        result.append(_Trace(largest, label, origin_m, main_deg))
+        result.append(_Trace(largest, label, origin_m))
     return result
 
 
@@ -255,7 +246,7 @@ def _traces(label: np.ndarray, raster: Raster, min_hole_m2: float) -> list[tuple
 def _of_block(trace: _Trace, points: EdgePoints, raster: Raster, settings: Outlines) -> list[shapely.Polygon]:
     """The outlines of the buildings of a block."""
     label, cell_m = trace.label, raster.cell_m
-    main_deg = mean_directions(trace.polygon, trace.main_deg, cell_m)
+    main_deg = directions(trace.polygon, cell_m)
     outline = regularised(trace.polygon, main_deg, points, settings, cell_m)
     if len(np.unique(label[label > 0])) < 2:
         return [outline]
