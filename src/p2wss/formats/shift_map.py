@@ -45,15 +45,13 @@ class Footprint:
 class Block:
     """What was done with a block.
 
-    action: a key of :data:`LEGEND`. rotation_deg: counter-clockwise, around the centre of the block. shift_sd_m,
-    overhang_m: None without evidence.
+    action: a key of :data:`LEGEND`. shift_sd_m, overhang_m: None without evidence.
     """
 
     action: str
     shift_x_m: float
     shift_y_m: float
     shift_sd_m: float | None
-    rotation_deg: float
     overhang_m: float | None
 
 

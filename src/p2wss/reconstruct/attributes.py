@@ -99,7 +99,7 @@ def _attributes(result: Result) -> dict[str, Any]:
 
 
 def _registration_attributes(registration: Registration | None) -> dict[str, Any]:
-    movement = ("shift_x_m", "shift_y_m", "shift_sd_m", "rotation_deg", "shift_source")
+    movement = ("shift_x_m", "shift_y_m", "shift_sd_m", "shift_source")
     names = (*movement, "footprint_flags", "ground_inside_m2", "roof_outside_m2")
     if registration is None:
         return dict.fromkeys(names)
@@ -107,7 +107,6 @@ def _registration_attributes(registration: Registration | None) -> dict[str, Any
         _rounded(registration.shift_m[0]),
         _rounded(registration.shift_m[1]),
         _rounded(registration.shift_sd_m),
-        _rounded(registration.rotation_deg),
         registration.source,
         " ".join(registration.flags) or None,
         registration.ground_inside_m2,

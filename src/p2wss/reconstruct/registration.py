@@ -1,8 +1,8 @@
 """Registration: footprints moved to where the cloud shows the buildings, block by block.
 
 Each block of footprints that share walls has one shift (:mod:`p2wss.reconstruct.shifts`). It is used only where the
-evidence of the points is clear. Weak evidence is drawn to no shift; without evidence the block is not moved. A block's
-shift depends only on the points around it and on the blocks that compete with it for them.
+evidence of the points is clear; else the block is not moved. A block's shift depends only on the points around it and
+on the blocks that compete with it for them.
 """
 
 from __future__ import annotations
@@ -37,10 +37,8 @@ from p2wss.skeleton.types import Polygons
 _BESIDE_M = 20.0
 # points this far from a block matter to it: the largest shift, the strip of an edge, and a cell of the search
 REACH_M = MAX_SHIFT_M + WINDOW_M + SEARCH.cell_m
-# how often the steps of the edges are solved for, each time with the other blocks where the last time put them
-_NUM_SOLUTIONS = 2
-# the search and each solution look at the places of the next blocks once
-_HOPS = _NUM_SOLUTIONS + 2
+# the search, the steps of the edges and the gain look at the places of the next blocks once each
+_HOPS = 3
 
 EDGES, NOTHING = "edges", "none"
 
@@ -50,26 +48,17 @@ class Evidence:
     """Which evidence moves a block. Chosen on Delft, with blocks moved by known vectors, so that what is in place stays
     (``benchmarks/registration.py``, seeds 0 to 2).
 
-    reach_margin_m: steps move a block no farther than to this distance from the reach of its points, so that there are
-    points in front of its edges. min_steps, min_step_share, max_sd_m: evidence is clear with as many edges with steps,
-    on this share of the length, and with a standard deviation of at most this; weak with one direction as certain.
-    min_gain: of the weights inside, by the shift, as a share of what the swept points could give. min_shift_m,
-    min_sigmas: a shift is used from this length, and from this many standard deviations. weak_sd_m: weak evidence is
-    drawn to no shift, by a prior with this standard deviation. min_rotated_m, min_rotation_m, min_rotation_sigmas:
-    blocks from this size rotate too, where that moves their ends by this much, and by this many standard deviations.
+    min_steps, max_sd_m: evidence is clear with as many edges with steps, and
+    with a standard deviation of at most this. min_gain: of the weights inside, by the shift, as a share of what the
+    swept points could give. min_shift_m, min_sigmas: a shift is used from this length, and from this many standard
+    deviations.
     """
 
-    reach_margin_m: float = 0.5
     min_steps: int = 3
-    min_step_share: float = 0.5
     max_sd_m: float = 0.25
     min_gain: float = -0.1
     min_shift_m: float = 0.25
     min_sigmas: float = 3.0
-    weak_sd_m: float = 0.5
-    min_rotated_m: float = 25.0
-    min_rotation_m: float = 0.25
-    min_rotation_sigmas: float = 4.0
 
 
 EVIDENCE = Evidence()
@@ -79,14 +68,12 @@ EVIDENCE = Evidence()
 class Shifts:
     """The movement of n blocks.
 
-    shift_m: (n, 2). sd_m: (n,), the larger standard deviation of the shift; NaN without evidence. rotation_rad: (n,),
-    counter-clockwise around the centre of the block. source: object (n,), :data:`EDGES` or :data:`NOTHING`.
-    overhang_m: (n,), how far roofs reach beyond the footprints, NaN without evidence.
+    shift_m: (n, 2). sd_m: (n,), the larger standard deviation of the shift; NaN without evidence. source: object (n,),
+    :data:`EDGES` or :data:`NOTHING`. overhang_m: (n,), how far roofs reach beyond the footprints, NaN without evidence.
     """
 
     shift_m: np.ndarray
     sd_m: np.ndarray
-    rotation_rad: np.ndarray
     source: np.ndarray
     overhang_m: np.ndarray
 
@@ -95,8 +82,8 @@ class Shifts:
 class Registration:
     """What registration did to a footprint.
 
-    input_polygon: the footprint before. shift_m, rotation_deg: its movement; the rotation is counter-clockwise around
-    the centre of its block. shift_sd_m: standard deviation of the shift in its worse direction; None without evidence.
+    input_polygon: the footprint before. shift_m: its movement. shift_sd_m: standard deviation of the
+    shift in its worse direction; None without evidence.
     source: :data:`EDGES` or :data:`NOTHING`. overhang_m: how far the roofs of the block reach
     beyond its edges, negative where they end inside; None without evidence. flags, ground_inside_m2, roof_outside_m2:
     how the cloud contradicts the moved footprint (:mod:`p2wss.reconstruct.footprint_flags`). block: the least id of
@@ -106,7 +93,6 @@ class Registration:
     input_polygon: shapely.Polygon
     shift_m: tuple[float, float]
     shift_sd_m: float | None
-    rotation_deg: float
     source: str
     overhang_m: float | None = None
     flags: tuple[str, ...] = ()
@@ -126,7 +112,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, l
     shifts = block_shifts(blocks, cloud)
     polygons = polygon_arrays.to_polygons(shapes)
     of_vertex = np.repeat(blocks.of_footprint, np.diff(polygons.vertex_offset))
-    xy_m = moved(polygons.xy_m, of_vertex, blocks, shifts.shift_m, shifts.rotation_rad)
+    xy_m = moved(polygons.xy_m, of_vertex, shifts.shift_m)
     moved_polygons = Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
     geometries = polygon_arrays.to_geometries(moved_polygons)
     result = frame.set_geometry(gpd.GeoSeries(geometries, index=frame.index, crs=frame.crs))
@@ -137,7 +123,7 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, l
     rows = []
     for k, block in enumerate(blocks.of_footprint.tolist()):
         if block < 0:
-            rows.append(Registration(shapes[k], (0.0, 0.0), None, 0.0, NOTHING))
+            rows.append(Registration(shapes[k], (0.0, 0.0), None, NOTHING))
             continue
         shift_m, sd_m, overhang_m = shifts.shift_m[block], shifts.sd_m[block], shifts.overhang_m[block]
         rows.append(
@@ -145,7 +131,6 @@ def register(frame: gpd.GeoDataFrame, cloud: Cloud) -> tuple[gpd.GeoDataFrame, l
                 shapes[k],
                 (float(shift_m[0]), float(shift_m[1])),
                 float(sd_m) if np.isfinite(sd_m) else None,
-                float(np.rad2deg(shifts.rotation_rad[block])),
                 str(shifts.source[block]),
                 float(overhang_m) if np.isfinite(overhang_m) else None,
                 evidence.flags[k],
@@ -171,7 +156,7 @@ def summary(registrations: Iterable[Registration | None]) -> str:
         num_without += row is None or row.source == NOTHING
         if row is not None:
             flags.update(row.flags)
-            if row.shift_m != (0.0, 0.0) or row.rotation_deg:
+            if row.shift_m != (0.0, 0.0):
                 length_m.append(float(np.hypot(*row.shift_m)))
     text = f"registration: {len(length_m)} of {num_rows} footprints moved"
     if length_m:
@@ -218,26 +203,15 @@ class Surroundings:
         return result
 
 
-def moved(
-    xy_m: np.ndarray, of_vertex: np.ndarray, blocks: Blocks, shift_m: np.ndarray, rotation_rad: np.ndarray
-) -> np.ndarray:
-    """Vertices (v, 2) of blocks, moved; equal vertices of a block stay bit-identical."""
-    if not len(blocks):
-        return xy_m
-    result = xy_m + shift_m[of_vertex]
-    rotates = rotation_rad[of_vertex] != 0
-    block = of_vertex[rotates]
-    cosine, sine = np.cos(rotation_rad[block]), np.sin(rotation_rad[block])
-    x, y = (xy_m[rotates] - blocks.centre_m[block]).T
-    turned = np.column_stack([cosine * x - sine * y, sine * x + cosine * y])
-    result[rotates] = blocks.centre_m[block] + turned + shift_m[block]
-    return result
+def moved(xy_m: np.ndarray, block: np.ndarray, shift_m: np.ndarray) -> np.ndarray:
+    """Vertices (v, 2) of blocks, moved by the shifts of these, (n, 2)."""
+    return xy_m + shift_m[block] if len(shift_m) else xy_m
 
 
 def block_shifts(blocks: Blocks, cloud: Cloud) -> Shifts:
     """The movement of every block."""
     near = _Near(blocks, cloud)
-    return decide(near.extent_m, *near.estimates())
+    return decide(*near.estimates())
 
 
 class _Near:
@@ -259,16 +233,12 @@ class _Near:
         self.edges = np.searchsorted(blocks.of_edge, np.arange(len(blocks) + 1))
         areas = shapely.area(polygon_arrays.to_geometries(blocks.outline))
         self.area_m2 = np.bincount(blocks.of_outline, areas, len(blocks))
-        self.extent_m = np.zeros(len(blocks))
-        for block in range(len(blocks)):
-            corner = blocks.edge[self.edges[block] : self.edges[block + 1]].reshape(-1, 2)
-            self.extent_m[block] = np.linalg.norm(np.ptp(corner, axis=0))
 
-    def block_of_points(self, shift_m: np.ndarray, rotation_rad: np.ndarray) -> np.ndarray:
+    def block_of_points(self, shift_m: np.ndarray) -> np.ndarray:
         """The block in whose outline each point is when the blocks are moved so, -1 for none."""
         outline = self.blocks.outline
         of_vertex = np.repeat(self.blocks.of_outline, np.diff(outline.vertex_offset))
-        xy_m = moved(outline.xy_m, of_vertex, self.blocks, shift_m, rotation_rad)
+        xy_m = moved(outline.xy_m, of_vertex, shift_m)
         polygons = Polygons(xy_m, outline.ring_offset, outline.polygon_offset)
         point, inside, offset = crop_points(self.x_m, self.y_m, polygons, 0.0)
         of_pair = np.repeat(self.blocks.of_outline, np.diff(offset))
@@ -281,24 +251,18 @@ class _Near:
         """The estimate of every block, and the gain: by how much the weights inside rise with the shift, as a share of
         what they would if all swept points were on buildings in front and on the ground behind."""
         blocks, count = self.blocks, len(self.blocks)
-        shift_m, rotation_rad = np.zeros((count, 2)), np.zeros(count)
-        inside = in_place = self.block_of_points(shift_m, rotation_rad)
+        shift_m = np.zeros((count, 2))
+        inside = in_place = self.block_of_points(shift_m)
         for block in range(count):
             point = self.points[block]
             point = point[(inside[point] == block) | (inside[point] < 0)]
             xy_m = np.column_stack([self.x_m[point], self.y_m[point]])
             edge = blocks.edge[self.edges[block] : self.edges[block + 1]]
             shift_m[block] = search_shift(edge, xy_m, self.weight[point])
-        estimates: list[Estimate] = []
-        for _ in range(_NUM_SOLUTIONS):
-            inside = self.block_of_points(shift_m, rotation_rad)
-            estimates = self._solved(shift_m, rotation_rad, inside)
-            shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
-            length_m = np.linalg.norm(shift_m, axis=1, keepdims=True)
-            shift_m *= np.minimum(1, (REACH_M - EVIDENCE.reach_margin_m) / np.maximum(length_m, 1e-9))
-            rotation_rad = np.array([each.rotation_rad for each in estimates])
+        estimates = self._solved(shift_m, self.block_of_points(shift_m))
+        shift_m = np.array([each.shift_m for each in estimates]).reshape(-1, 2)
         before, _ = self._sums(in_place)
-        after, on_building = self._sums(self.block_of_points(shift_m, rotation_rad))
+        after, on_building = self._sums(self.block_of_points(shift_m))
         gain = np.zeros(count)
         for block, each in enumerate(estimates):
             ends = blocks.edge[self.edges[block] : self.edges[block + 1]].reshape(-1, 2)
@@ -313,59 +277,31 @@ class _Near:
         sums = np.bincount(inside[used], self.weight[used], len(self.blocks))
         return sums, np.bincount(inside[used], self.weight[used] > 0, len(self.blocks))
 
-    def _solved(self, shift_m: np.ndarray, rotation_rad: np.ndarray, inside: np.ndarray) -> list[Estimate]:
+    def _solved(self, shift_m: np.ndarray, inside: np.ndarray) -> list[Estimate]:
         blocks = self.blocks
         ends = blocks.edge.reshape(-1, 2)
-        edge = moved(ends, np.repeat(blocks.of_edge, 2), blocks, shift_m, rotation_rad).reshape(-1, 4)
+        edge = moved(ends, np.repeat(blocks.of_edge, 2), shift_m).reshape(-1, 4)
         steps = edge_steps(edge, blocks.of_edge, self.x_m, self.y_m, self.weight, inside)
         return [
-            solve_shift(
-                edge[first:last],
-                steps.of(slice(first, last)),
-                shift_m[block],
-                rotation_rad[block],
-                blocks.centre_m[block] + shift_m[block],
-                bool(self.extent_m[block] >= EVIDENCE.min_rotated_m),
-            )
+            solve_shift(edge[first:last], steps.of(slice(first, last)), shift_m[block])
             for block, (first, last) in enumerate(pairwise(self.edges))
         ]
 
 
-def decide(extent_m: np.ndarray, estimates: list[Estimate], gain: np.ndarray) -> Shifts:
+def decide(estimates: list[Estimate], gain: np.ndarray) -> Shifts:
     """The movements that are applied, decided by the evidence."""
     count = len(estimates)
-    shift_m, sd_m = np.zeros((count, 2)), np.full(count, np.nan)
+    shift_m, sd_m, overhang_m = np.zeros((count, 2)), np.full(count, np.nan), np.full(count, np.nan)
     source = np.full(count, NOTHING, dtype=object)
-    rotation_rad, overhang_m = np.zeros(count), np.full(count, np.nan)
     for block, each in enumerate(estimates):
-        if not each.num_steps or each.step_share < EVIDENCE.min_step_share:
+        if each.num_steps < EVIDENCE.min_steps:
             continue
-        information, mean_m = each.information, each.shift_m
-        sds_m = _standard_deviations(information)
-        if not np.linalg.norm(mean_m) <= MAX_SHIFT_M or sds_m.min() > EVIDENCE.max_sd_m:
+        block_sd_m = 1 / np.sqrt(max(np.linalg.eigvalsh(each.information)[0], 1e-12))
+        length_m = np.linalg.norm(each.shift_m)
+        if not length_m <= MAX_SHIFT_M or block_sd_m > EVIDENCE.max_sd_m:
             continue
-        is_clear = each.num_steps >= EVIDENCE.min_steps and sds_m.max() <= EVIDENCE.max_sd_m
-        if not is_clear:
-            with_prior = information + np.eye(2) / EVIDENCE.weak_sd_m**2
-            mean_m, information = np.linalg.solve(with_prior, information @ mean_m), with_prior
-        source[block] = EDGES
-        sd_m[block] = _standard_deviations(information).max()
-        overhang_m[block] = each.overhang_m
-        is_significant = mean_m @ information @ mean_m >= EVIDENCE.min_sigmas**2
-        is_significant &= gain[block] >= EVIDENCE.min_gain
-        if is_significant and np.linalg.norm(mean_m) >= EVIDENCE.min_shift_m:
-            shift_m[block] = np.round(mean_m, 3)
-        can_turn = is_clear and extent_m[block] >= EVIDENCE.min_rotated_m
-        angle_rad = abs(each.rotation_rad)
-        if (
-            can_turn
-            and angle_rad * extent_m[block] / 2 >= EVIDENCE.min_rotation_m
-            and angle_rad >= EVIDENCE.min_rotation_sigmas * each.rotation_sd_rad
-        ):
-            rotation_rad[block] = np.deg2rad(np.round(np.rad2deg(each.rotation_rad), 4))
-    return Shifts(shift_m, sd_m, rotation_rad, source, overhang_m)
-
-
-def _standard_deviations(information: np.ndarray) -> np.ndarray:
-    """The two principal standard deviations of an information matrix; infinite where it has none."""
-    return 1 / np.sqrt(np.maximum(np.linalg.eigvalsh(information), 1e-12))
+        source[block], sd_m[block], overhang_m[block] = EDGES, block_sd_m, each.overhang_m
+        is_significant = each.shift_m @ each.information @ each.shift_m >= EVIDENCE.min_sigmas**2
+        if is_significant and gain[block] >= EVIDENCE.min_gain and length_m >= EVIDENCE.min_shift_m:
+            shift_m[block] = np.round(each.shift_m, 3)
+    return Shifts(shift_m, sd_m, source, overhang_m)

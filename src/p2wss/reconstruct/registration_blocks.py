@@ -28,19 +28,18 @@ class Blocks:
 
     of_footprint: int64 (footprints,), the block of each footprint, -1 for an empty one. outline: the polygons of all
     blocks, without party walls, counter-clockwise. of_outline: the block of each, int64. edge: (e, 4), the ends of all
-    edges, long ones in pieces, the outside on their right. of_edge: the block of each edge, int64 (e,). centre_m:
-    (n, 2).
+    edges, long ones in pieces, the outside on their right. of_edge: the block of each edge, int64 (e,).
     """
 
+    count: int
     of_footprint: np.ndarray
     outline: Polygons
     of_outline: np.ndarray
     edge: np.ndarray
     of_edge: np.ndarray
-    centre_m: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.centre_m)
+        return self.count
 
 
 def find_blocks(footprints: np.ndarray) -> Blocks:
@@ -60,8 +59,7 @@ def find_blocks(footprints: np.ndarray) -> Blocks:
     polygons = polygon_arrays.to_polygons(np.concatenate([*outlines, np.zeros(0, object)]))
     edge, of_polygon = _pieces(*edges_of(polygons))
     of_edge = of_outline[of_polygon] if count else of_polygon
-    box = np.array([shapely.total_bounds(parts) for parts in outlines]).reshape(-1, 4)
-    return Blocks(of_footprint, polygons, of_outline, edge, of_edge, (box[:, :2] + box[:, 2:]) / 2)
+    return Blocks(count, of_footprint, polygons, of_outline, edge, of_edge)
 
 
 def connected(shapes: np.ndarray) -> np.ndarray:

@@ -32,9 +32,7 @@ def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
         footprints.append(
             Footprint(reconstruction.building_id, row.block, row.input_polygon, used, *evidence)
         )
-        blocks[row.block] = Block(
-            _action(row), *row.shift_m, row.shift_sd_m, row.rotation_deg, row.overhang_m
-        )
+        blocks[row.block] = Block(_action(row), *row.shift_m, row.shift_sd_m, row.overhang_m)
     text = (
         registration_summary(rows)
         if rows
@@ -46,6 +44,6 @@ def shift_page(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
 def _action(row: Registration) -> str:
     if row.source == NOTHING:
         return shift_map.UNKNOWN
-    if row.shift_m == (0.0, 0.0) and not row.rotation_deg:
+    if row.shift_m == (0.0, 0.0):
         return shift_map.STAYED
     return shift_map.MOVED

@@ -47,10 +47,8 @@ class StepRules:
     """The step of an edge. Chosen on Delft with blocks moved by known vectors (``benchmarks/registration.py``).
 
     end_m: part at either end of the edge that is not used, because the points there may belong to the next wall.
-    min_edge_m: shorter edges have no step. min_points: fewer cannot show that there is no building. beyond_m: a point
-    of the block itself so far outside is on another part of it, across a narrow yard; one of no block so far inside is
-    on the ground behind a narrow part. min_gain_points, min_gain_share: the weights inside a clear step exceed those of
-    a strip that is all inside, and of one that is all outside, by so many points, and by this share of the points of
+    min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: the weights inside a clear step exceed those
+    of a strip that is all inside, and of one that is all outside, by so many points, and by this share of the points of
     the side with fewer. nearly_points: steps whose weights are less than the best by at most so many are nearly as
     good; half the distance to the farthest is what the points leave uncertain. sd_m, double_variance_m,
     least_length_m: standard deviation of the step of a long edge, from the accuracy of footprints and points; length of
@@ -59,8 +57,6 @@ class StepRules:
 
     end_m: float = 0.3
     min_edge_m: float = 1.0
-    min_points: int = 6
-    beyond_m: float = 0.3
     min_gain_points: float = 4.0
     min_gain_share: float = 0.5
     nearly_points: float = 3.0
@@ -73,16 +69,15 @@ class StepRules:
 class Expected:
     """What is expected before the steps are used, and how far they are trusted.
 
-    shift_sd_m, overhang_m, overhang_sd_m, rotation_sd_deg: roofs overhang walls by some decimetres, and footprints are
-    rarely turned by more than a degree. half_weight_m: a step with this residual has half its weight (Cauchy); the
-    weights settle in ``num_rounds``. rest_of_prior: what remains of the prior of the shift, 1/m2, in the information of
-    the edges alone, as a direction that no edge determines must not make the matrix singular.
+    shift_sd_m, overhang_m, overhang_sd_m: roofs overhang walls by some decimetres.
+    half_weight_m: a step with this residual has half its weight (Cauchy); the weights settle in ``num_rounds``.
+    rest_of_prior: what remains of the prior of the shift, 1/m2, in the information of the edges alone, as a direction
+    that no edge determines must not make the matrix singular.
     """
 
     shift_sd_m: float = 1.0
     overhang_m: float = 0.1
     overhang_sd_m: float = 0.3
-    rotation_sd_deg: float = 1.0
     half_weight_m: float = 0.25
     num_rounds: int = 8
     rest_of_prior: float = 1e-6
@@ -96,35 +91,29 @@ class Steps:
     """The step of each of e edges: NaN where the points show none.
 
     offset_m: where the building ends, along the outward normal from the edge, (e,). sd_m: its standard deviation, (e,).
-    is_missing: bool (e,), whether there are points enough for a step, but no building inside.
     """
 
     offset_m: np.ndarray
     sd_m: np.ndarray
-    is_missing: np.ndarray
 
     def of(self, rows: np.ndarray | slice) -> Steps:
         """The steps of some of the edges."""
-        return Steps(self.offset_m[rows], self.sd_m[rows], self.is_missing[rows])
+        return Steps(self.offset_m[rows], self.sd_m[rows])
 
 
 @dataclass(frozen=True)
 class Estimate:
     """The shift of a block as its own edges show it.
 
-    shift_m: (2,). information: (2, 2), the inverse covariance of the shift from the edges alone, after overhang and
-    rotation; zero without any. rotation_rad: counter-clockwise around the centre of the block. overhang_m: how far the
-    roof reaches beyond the edges. num_steps: edges with a step. step_share: their share of the length of these and
-    of the edges that show no building.
+    shift_m: (2,). information: (2, 2), the inverse covariance of the shift from the edges alone, after the
+    overhang; zero without any. overhang_m: how far the
+    roof reaches beyond the edges. num_steps: edges with a step.
     """
 
     shift_m: np.ndarray
     information: np.ndarray
-    rotation_rad: float
-    rotation_sd_rad: float
     overhang_m: float
     num_steps: int
-    step_share: float
 
 
 def point_weights(classification: np.ndarray) -> np.ndarray:
@@ -216,9 +205,7 @@ def edge_steps(
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
     distance = (x_m[point] - edge[of_edge, 0]) * along[of_edge, 1]
     distance -= (y_m[point] - edge[of_edge, 1]) * along[of_edge, 0]
-    in_block = block_of_point[point] == block[of_edge]
-    in_other = (block_of_point[point] >= 0) & ~in_block
-    keep = ~in_other & ~(in_block & (distance > STEP.beyond_m)) & ~(~in_block & (distance < -STEP.beyond_m))
+    keep = (block_of_point[point] == block[of_edge]) | (block_of_point[point] < 0)
     of_edge, distance, value = of_edge[keep], distance[keep], weight[point[keep]]
     order = np.lexsort([value, distance, of_edge])
     return _steps(of_edge[order], distance[order], value[order], edge)
@@ -234,7 +221,7 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: n
     score = running - before[of_edge]  # of a step just behind each point
     some = np.flatnonzero(count > 0)
     if not len(some):
-        return Steps(offset_m, sd_m, count > 0)
+        return Steps(offset_m, sd_m)
     best = np.full(len(edge), -np.inf)
     best[some] = np.maximum.reduceat(score, start[some])
     total = np.zeros(len(edge))
@@ -260,52 +247,28 @@ def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: n
     spread = lower - distance[np.minimum(nearly_first[rows], len(distance) - 1)]
     of_length = 1 + STEP.double_variance_m / np.maximum(length, STEP.least_length_m)
     sd_m[rows] = np.sqrt(STEP.sd_m**2 * of_length + (spread / 2) ** 2)
-    is_missing = ~clear & (count >= STEP.min_points) & (positive < negative)
-    return Steps(offset_m, sd_m, is_missing)
+    return Steps(offset_m, sd_m)
 
 
-def solve_shift(
-    edge: np.ndarray,
-    steps: Steps,
-    start_m: np.ndarray,
-    start_rad: float,
-    centre_m: np.ndarray,
-    with_rotation: bool,
-) -> Estimate:
+def solve_shift(edge: np.ndarray, steps: Steps, start_m: np.ndarray) -> Estimate:
     """The shift of one block from the steps of its edges, by robust least squares.
 
     The step of an edge is the shift along its normal, plus an overhang that all edges share.
 
-    edge: ends of the edges, (e, 4), metres, already with the shift ``start_m``, (2,), and the rotation ``start_rad``.
-    steps: of these edges. centre_m: around which the block rotates, (2,). with_rotation: whether it may rotate. The
-    shift and the rotation that are returned include ``start_m`` and ``start_rad``.
+    edge: ends of the edges, (e, 4), metres, already with the shift ``start_m``, (2,), which is part of the result.
+    steps: of these edges.
     """
     rows = np.flatnonzero(np.isfinite(steps.offset_m))
     if not len(rows):
-        return Estimate(start_m, np.zeros((2, 2)), start_rad, np.inf, 0.0, 0, 0.0)
-    along = edge[:, 2:] - edge[:, :2]
-    length = np.linalg.norm(along, axis=1)
-    step_share = length[rows].sum() / (length[rows].sum() + length[steps.is_missing].sum())
-    along, length = along[rows], length[rows]
-    normal = np.column_stack([along[:, 1], -along[:, 0]]) / length[:, None]
-    middle = (edge[rows, 2:] + edge[rows, :2]) / 2 - centre_m
-    design = np.column_stack(
-        [normal, np.ones(len(rows)), normal[:, 1] * middle[:, 0] - normal[:, 0] * middle[:, 1]]
-    )
+        return Estimate(start_m, np.zeros((2, 2)), 0.0, 0)
+    along = edge[rows, 2:] - edge[rows, :2]
+    normal = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+    design = np.column_stack([normal, np.ones(len(rows))])
     of_shift = 1 / EXPECTED.shift_sd_m**2
-    prior = np.diag(
-        [of_shift, of_shift, 1 / EXPECTED.overhang_sd_m**2, 1 / np.deg2rad(EXPECTED.rotation_sd_deg) ** 2]
-    )
-    expected = np.array([0.0, 0.0, EXPECTED.overhang_m, 0.0])
-    num_unknown = 4 if with_rotation else 3
-    design, prior, expected = (
-        design[:, :num_unknown],
-        prior[:num_unknown, :num_unknown],
-        expected[:num_unknown],
-    )
+    prior = np.diag([of_shift, of_shift, 1 / EXPECTED.overhang_sd_m**2])
+    expected = np.array([0.0, 0.0, EXPECTED.overhang_m])
     target, weight = steps.offset_m[rows], 1 / steps.sd_m[rows] ** 2
     robust = np.ones(len(rows))
-    value = np.zeros(num_unknown)
     for _ in range(EXPECTED.num_rounds):
         normal_matrix = design.T @ (design * (weight * robust)[:, None]) + prior
         value = np.linalg.solve(normal_matrix, design.T @ (weight * robust * target) + prior @ expected)
@@ -314,14 +277,6 @@ def solve_shift(
     num_redundant = max(robust.sum() - _NUM_COMPONENTS, 1.0)
     scale = max(1.0, float((weight * robust * residual**2).sum() / num_redundant))
     without_prior = of_shift - EXPECTED.rest_of_prior
-    from_edges = normal_matrix - np.diag([without_prior, without_prior, 0.0, 0.0][:num_unknown])
-    covariance = np.linalg.inv(from_edges / scale)
-    return Estimate(
-        start_m + value[:2],
-        np.linalg.inv(covariance[:2, :2]),
-        start_rad + float(value[3]) if with_rotation else start_rad,
-        float(np.sqrt(covariance[3, 3])) if with_rotation else np.inf,
-        float(value[2]),
-        len(rows),
-        float(step_share),
-    )
+    covariance = np.linalg.inv((normal_matrix - np.diag([without_prior, without_prior, 0.0])) / scale)
+    information = np.linalg.inv(covariance[:2, :2])
+    return Estimate(start_m + value[:2], information, float(value[2]), len(rows))

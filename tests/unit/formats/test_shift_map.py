@@ -29,9 +29,9 @@ def page() -> str:
         Footprint("empty", "", shapely.Polygon(), shapely.Polygon()),
     ]
     blocks = {
-        "A": Block(MOVED, 0.6, -0.8, 0.07, 0.0, 0.31),
-        HOSTILE: Block(STAYED, 0.0, 0.0, 0.2, 0.0, -0.1),
-        "D": Block(UNKNOWN, 0.0, 0.0, None, 0.0, None),
+        "A": Block(MOVED, 0.6, -0.8, 0.07, 0.31),
+        HOSTILE: Block(STAYED, 0.0, 0.0, 0.2, -0.1),
+        "D": Block(UNKNOWN, 0.0, 0.0, None, None),
     }
     return shift_map.page(HOSTILE, "Lambert & Co", ["5 buildings"], footprints, blocks)
 
@@ -78,8 +78,8 @@ def test_footprints_before_and_after(page: str) -> None:
 def test_tables(page: str) -> None:
     rows = [re.sub(r"<[^>]+>", "|", row) for row in re.findall(r"<tr><td.*?</tr>", page)]
     cells = [[cell for cell in row.split("|") if cell] for row in rows]
-    assert cells[0] == ["A and 1 more", "0.60", "-0.80", "0.07", "0.00", "0.31", MOVED]
-    assert cells[1][1:] == ["0.00", "0.00", "0.20", "0.00", "-0.10", STAYED]
+    assert cells[0] == ["A and 1 more", "0.60", "-0.80", "0.07", "0.31", MOVED]
+    assert cells[1][1:] == ["0.00", "0.00", "0.20", "-0.10", STAYED]
     assert cells[2] == ["D", "0.00", "0.00", "–", "0.00", "–", UNKNOWN]
     assert cells[3] == ["B", "extended", "0", "42"]
     assert re.findall(r"</svg>(\d+) blocks? ", page) == ["1", "1", "1"]
@@ -91,6 +91,6 @@ def test_a_run_without_footprints() -> None:
 
 def test_long_lists_are_cut() -> None:
     footprints = [Footprint(f"f{i}", f"f{i}", square(20 * i), square(20 * i)) for i in range(2100)]
-    blocks = {f"f{i}": Block(STAYED, 0.0, 0.0, 0.1, 0.0, 0.1) for i in range(2100)}
+    blocks = {f"f{i}": Block(STAYED, 0.0, 0.0, 0.1, 0.1) for i in range(2100)}
     page = shift_map.page("x", "y", [], footprints, blocks)
     assert page.count("<tr><td") == 2000 and "100 more blocks" in page

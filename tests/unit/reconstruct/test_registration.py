@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import geopandas as gpd
 import numpy as np
 import pytest
@@ -137,22 +135,6 @@ def test_a_shed_beside_a_roof_that_has_no_footprint_stays() -> None:
         assert np.array_equal(shift_of(register(frame_of([shed]), cloud_of(roof))[1]), [0, 0])
 
 
-def test_long_blocks_turn_back_and_keep_shared_walls() -> None:
-    row = [shapely.box(7 * k, 0, 7 * k + 7, 10) for k in range(6)]
-    cloud = cloud_of(shapely.union_all(row), around=shapely.box(-14, -14, 56, 26))
-    turned = [affinity.rotate(shape, 1.5, origin=(21, 5)) for shape in row]
-    result, rows = register(frame_of(turned, (0.8, 0.3)), cloud)
-    after = result.geometry.to_numpy()
-    wanted = frame_of(row).geometry.to_numpy()
-    assert max(shapely.hausdorff_distance(after, wanted)) < 0.15
-    assert rows[0].rotation_deg == pytest.approx(-1.5, abs=0.3)
-    for first, second in pairwise(after):
-        shared = {*map(tuple, shapely.get_coordinates(first))} & {
-            *map(tuple, shapely.get_coordinates(second))
-        }
-        assert len(shared) == 2
-
-
 def test_blocks_are_footprints_that_share_walls() -> None:
     corner, apart, across = (
         shapely.box(18, 5, 22, 9),
@@ -174,12 +156,11 @@ def test_footprints_that_overlap_share_no_wall(overlap_m: float, num_blocks: int
 
 
 def estimate(shift: tuple[float, float], sd: tuple[float, float], num_steps: int = 4) -> Estimate:
-    return Estimate(np.array(shift), np.diag(1 / np.square(sd)), 0.0, np.inf, 0.1, num_steps, 1.0)
+    return Estimate(np.array(shift), np.diag(1 / np.square(sd)), 0.1, num_steps)
 
 
 def decided(estimates: list[Estimate], gain: float = 0.5) -> registration.Shifts:
-    count = len(estimates)
-    return decide(np.full(count, 10.0), estimates, np.full(count, gain))
+    return decide(estimates, np.full(len(estimates), gain))
 
 
 def test_only_clear_evidence_moves_a_block() -> None:
@@ -189,13 +170,9 @@ def test_only_clear_evidence_moves_a_block() -> None:
     # below a quarter of a metre, footprints and roofs say the same
     assert (decided([estimate((0.2, 0.1), (0.05, 0.05))]).shift_m == 0).all()
     assert (decided([estimate((3.2, 0.0), (0.1, 0.1))]).shift_m == 0).all()
-    assert (decided([estimate((1.0, 0.0), (0.6, 0.6))]).shift_m == 0).all()
-
-
-def test_weak_evidence_moves_a_block_in_its_direction_alone_and_less() -> None:
-    # the edges say something in y alone
-    alone = decided([estimate((0.0, 0.5), (50.0, 0.1), num_steps=2)])
-    assert alone.shift_m[0, 0] == pytest.approx(0, abs=1e-3) and 0.4 < alone.shift_m[0, 1] < 0.5
+    # edges of one direction alone say nothing across it
+    assert (decided([estimate((0.0, 0.5), (50.0, 0.1))]).shift_m == 0).all()
+    assert (decided([estimate((1.0, 0.5), (0.1, 0.1), num_steps=2)]).shift_m == 0).all()
 
 
 def test_a_shift_depends_on_the_neighbourhood_alone() -> None:
