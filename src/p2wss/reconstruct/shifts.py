@@ -47,12 +47,12 @@ class StepRules:
     """The step of an edge. Chosen on Delft with blocks moved by known vectors (``benchmarks/registration.py``).
 
     end_m: part at either end of the edge that is not used, because the points there may belong to the next wall.
-    min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: the weights inside a clear step exceed those
-    of a strip that is all inside, and of one that is all outside, by so many points, and by this share of the points of
-    the side with fewer. nearly_points: steps whose weights are less than the best by at most so many are nearly as
-    good; half the distance to the farthest is what the points leave uncertain. sd_m, double_variance_m,
-    least_length_m: standard deviation of the step of a long edge, from the accuracy of footprints and points; length of
-    an edge with twice its variance; shorter edges count as this long.
+    min_edge_m: shorter edges have no step. min_gain_points, min_gain_share: the weights inside a clear step exceed
+    those of a strip that is all inside, and of one that is all outside, by so many points, and by this share of those
+    of the side with fewer. nearly_points: steps whose weights are less than the best by at most so many are nearly as
+    good; half the distance to the farthest is what the points leave uncertain. sd_m, double_variance_m, least_length_m:
+    standard deviation of the step of a long edge, from the accuracy of footprints and points; length of an edge with
+    twice its variance; shorter edges count as this long.
     """
 
     end_m: float = 0.3

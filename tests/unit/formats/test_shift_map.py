@@ -80,7 +80,7 @@ def test_tables(page: str) -> None:
     cells = [[cell for cell in row.split("|") if cell] for row in rows]
     assert cells[0] == ["A and 1 more", "0.60", "-0.80", "0.07", "0.31", MOVED]
     assert cells[1][1:] == ["0.00", "0.00", "0.20", "-0.10", STAYED]
-    assert cells[2] == ["D", "0.00", "0.00", "–", "0.00", "–", UNKNOWN]
+    assert cells[2] == ["D", "0.00", "0.00", "–", "–", UNKNOWN]
     assert cells[3] == ["B", "extended", "0", "42"]
     assert re.findall(r"</svg>(\d+) blocks? ", page) == ["1", "1", "1"]
 
