@@ -110,10 +110,7 @@ def building_table(scene: gpd.GeoDataFrame) -> pa.Table:
 
 def footprints(buildings: pa.Table) -> Polygons:
     """The footprints of such a table in its CRS."""
-    local = polygon_arrays.from_columns(buildings)
-    origin = np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
-    shift = np.repeat(origin, np.diff(local.vertex_offset), axis=0)
-    return Polygons(local.xy_m + shift, local.ring_offset, local.polygon_offset)
+    return polygon_arrays.in_crs(buildings)
 
 
 def as_cloud(scan: scans.Scan) -> tuple[Cloud, np.ndarray, np.ndarray]:

@@ -29,6 +29,7 @@ def crops() -> None:
 def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> None:
     """Crop a simulated scan, with labels."""
     from p2wss import crops
+    from p2wss.clouds.reading import check_crs
     from p2wss.clouds.scan_files import read_scan
     from p2wss.storage.schemas.buildings import BUILDINGS
 
@@ -40,7 +41,7 @@ def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> N
             f"{config.crops.guard_m}; raise scenes.margin_m"
         )
     points = read_scan(scan)
-    crops.check_crs(points[0].crs, facts["crs"], str(scan))
+    check_crs(points[0].crs, facts["crs"], scan, "the footprints are", "reproject one of them")
     columns, num_excluded = crops.crop_simulated(table, points, config.crops)
     settings = section_json(config, "crops")
     tile = facts.get("place", "") + facts["tile"]

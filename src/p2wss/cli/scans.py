@@ -37,6 +37,7 @@ def scans(
     import pyproj
 
     from p2wss import scans
+    from p2wss.clouds.reading import check_crs
     from p2wss.data.terrain import read_terrain
     from p2wss.storage.schemas.buildings import BUILDINGS
 
@@ -47,7 +48,7 @@ def scans(
         raise InputError(f"{buildings}: is not of tile {facts['tile']}, unlike {scene}")
     terrain, dtm_crs = read_terrain(dtm)
     crs = pyproj.CRS.from_user_input(facts["crs"])
-    scans.check_dtm_crs(dtm_crs, crs, dtm)
+    check_crs(dtm_crs, crs, dtm, "the buildings are", "reproject it")
     scan = scans.simulate(table, terrain, facts["tile"], facts["tile_size_m"], config.scans, threads=threads)
     bare = scan.facts["buildings_on_nodata"]
     if bare:

@@ -59,7 +59,7 @@ def scenes_cut(
     tile: str, place: str, footprints: Path, dtm: Path, out: Path, out_dtm: Path, config: Config
 ) -> None:
     """Cut the scene of one tile and its margin."""
-    from p2wss.clouds.reading import same_crs
+    from p2wss.clouds.reading import check_crs
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.footprints.cleaning import read_whole_blocks
     from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction
@@ -69,10 +69,7 @@ def scenes_cut(
     bounds = bounds_of_tile(tile, config, margin_m + NEIGHBOUR_DISTANCE_M)
     frame = read_whole_blocks(footprints, bounds, config.scenes.snap_m)
     terrain, dtm_crs = read_terrain(dtm)
-    if not same_crs(dtm_crs, frame.crs):
-        raise InputError(
-            f"{dtm}: is in {dtm_crs.name}, but {footprints} is in {frame.crs.name}; reproject one of them"
-        )
+    check_crs(dtm_crs, frame.crs, dtm, f"{footprints} is", "reproject one of them")
     window = terrain.cut(bounds_of_tile(tile, config, margin_m))
     if not window.height_m.size:
         raise InputError(f"{dtm}: does not cover tile {tile}")

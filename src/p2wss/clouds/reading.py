@@ -246,7 +246,10 @@ def check_crs(
     other: str = "the region is",
     remedy: str = "reproject the file or change region.crs",
 ) -> None:
-    """Raise :class:`InputError` if a file states another CRS than ``expected``. other: what is in that."""
+    """Raise :class:`InputError` if a file states another CRS than ``expected``. other: what is in that. None of the two
+    passes."""
+    if found is None or expected is None:
+        return
     expected = pyproj.CRS.from_user_input(expected)
-    if found is not None and not same_crs(found, expected):
+    if not same_crs(found, expected):
         raise InputError(f"{path}: is in {found.name}, but {other} in {expected.name}; {remedy}")

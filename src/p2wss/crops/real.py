@@ -11,10 +11,9 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pyarrow as pa
-import pyproj
 
 from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
-from p2wss.clouds.reading import read_clouds, same_crs
+from p2wss.clouds.reading import check_crs, read_clouds
 from p2wss.clouds.unclassified import with_classes
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
@@ -22,7 +21,6 @@ from p2wss.data import polygon_arrays, tiling
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
 from p2wss.skeleton.types import Polygons
-from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.crops import CROPS
 
 log = logging.getLogger("p2wss")
@@ -53,7 +51,7 @@ def crop_real(
     frame = frame[is_usable]
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)), classes)
-    check_crs(cloud.crs, frame.crs, f"{clouds[0]}")
+    check_crs(cloud.crs, frame.crs, clouds[0], "the footprints are", "reproject one of them")
     cloud, warnings = with_classes(cloud)
     for warning in warnings:
         log.warning("warning: %s", warning)
@@ -72,21 +70,6 @@ def crop_real(
     columns["tile"] = np.full(len(selection), tile, dtype=object)
     columns["split"] = np.full(len(selection), "none", dtype=object)
     return columns, num_excluded
-
-
-def check_crs(cloud_crs: pyproj.CRS | None, footprint_crs: Any, name: str) -> None:
-    """Raise :class:`InputError` if the CRS of a cloud differs from that of the footprints.
-
-    A cloud or footprints that do not state a CRS pass. name: path of the cloud, used in the message.
-    """
-    if cloud_crs is None or footprint_crs is None:
-        return
-    footprint_crs = pyproj.CRS.from_user_input(footprint_crs)
-    if not same_crs(cloud_crs, footprint_crs):
-        raise InputError(
-            f"{name}: is in {cloud_crs.name}, but the footprints are in {footprint_crs.name}; "
-            "reproject one of them"
-        )
 
 
 def _window(polygons: Polygons, tile_bounds: tiling.Bounds) -> tiling.Bounds:

@@ -11,10 +11,10 @@ import pyarrow as pa
 from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Crops
-from p2wss.crops.rows import count_true, crop_columns, repeat_per_vertex
+from p2wss.crops.rows import count_true, crop_columns
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
-from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.skeleton.types import FaceKind
 
 _LABELS = ("building_id", "tile", "eave_height_m", "angle_deg", "roof_type")
 
@@ -29,7 +29,7 @@ def crop_simulated(
     not cropped, but may put buildings of the tile on guard. scan: see :func:`p2wss.clouds.scan_files.read_scan`.
     """
     cloud, building_of_point, face_of_point = scan
-    polygons = _footprints(buildings)
+    polygons = polygon_arrays.in_crs(buildings)
     split = assign_splits(polygons, settings)
     num_excluded: Counter[str] = Counter()
     tile_rows = np.flatnonzero(buildings["in_tile"].to_numpy())
@@ -58,10 +58,3 @@ def crop_simulated(
 
 def _origins(buildings: pa.Table) -> np.ndarray:
     return np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
-
-
-def _footprints(buildings: pa.Table) -> Polygons:
-    """Footprints in the CRS of the file, not in local coordinates."""
-    local = polygon_arrays.from_columns(buildings)
-    xy_m = local.xy_m + repeat_per_vertex(local, _origins(buildings))
-    return Polygons(xy_m, local.ring_offset, local.polygon_offset)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -112,3 +113,11 @@ def from_columns(table: pa.Table) -> Polygons:
     )
     assert np.array_equal(2 * polygons.vertex_offset, vertex_offset)
     return polygons
+
+
+def in_crs(table: pa.Table, zero_xy_m: Sequence[float] | np.ndarray = (0.0, 0.0)) -> Polygons:
+    """The polygons of a table in its CRS, relative to ``zero_xy_m``; the inverse of :func:`to_columns`, too."""
+    local = from_columns(table)
+    origin_xy_m = np.column_stack([table["origin_x_m"].to_numpy(), table["origin_y_m"].to_numpy()])
+    shift_m = np.repeat(origin_xy_m - zero_xy_m, np.diff(local.vertex_offset), axis=0)
+    return replace(local, xy_m=local.xy_m + shift_m)

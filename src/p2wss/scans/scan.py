@@ -13,7 +13,6 @@ import pyarrow as pa
 import pyproj
 
 from p2wss.clouds import scan_files as schema
-from p2wss.clouds.reading import same_crs
 from p2wss.config import Scans
 from p2wss.data.seeds import derive_seed
 from p2wss.data.terrain import Terrain
@@ -44,12 +43,6 @@ class Scan:
     points: Points
     survey: Survey
     facts: dict[str, Any]
-
-
-def check_dtm_crs(dtm: pyproj.CRS, buildings: pyproj.CRS, name: str | Path) -> None:
-    """Raise :class:`InputError` if the terrain ``name`` is in another CRS than the buildings."""
-    if not same_crs(dtm, buildings):
-        raise InputError(f"{name} is in {dtm.name}, but the buildings are in {buildings.name}; reproject it")
 
 
 def simulate(

@@ -13,7 +13,7 @@ from p2wss.data.tiling import Bounds
 from p2wss.scans.clutter import LocalBuildings
 from p2wss.scans.surface import Surface, encode_face
 from p2wss.scans.terrain import local_grid
-from p2wss.skeleton.types import FaceKind, Polygons
+from p2wss.skeleton.types import FaceKind
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 
@@ -73,22 +73,12 @@ def _optics(building_ids: list[str], settings: Scans) -> tuple[np.ndarray, np.nd
 
 def local_buildings(buildings: pa.Table, origin_m: np.ndarray, seed: int) -> LocalBuildings:
     """The buildings that get clutter, relative to ``origin_m`` (3,)."""
-    polygons = polygon_arrays.from_columns(buildings)
-    xy = np.stack([buildings["origin_x_m"].to_numpy(), buildings["origin_y_m"].to_numpy()], axis=1)
-    shift = np.repeat(xy - origin_m[:2], np.diff(polygons.vertex_offset), axis=0)
-    has_mesh = np.array(buildings["status"].to_pylist(), dtype=object) == "ok"
-    num_rings = np.diff(polygons.polygon_offset)
-    ring_is_used = np.repeat(has_mesh, num_rings)
-    num_vertices = np.diff(polygons.ring_offset)
-    vertex_is_used = np.repeat(ring_is_used, num_vertices)
+    shapes = polygon_arrays.to_geometries(polygon_arrays.in_crs(buildings, origin_m[:2]))
+    shapes[np.array(buildings["status"].to_pylist(), dtype=object) != "ok"] = None
     terrain_z_m = buildings["terrain_z_m"].to_numpy() - origin_m[2]
     keys = [derive_seed(seed, "scans", "clutter", name) for name in buildings["building_id"].to_pylist()]
     return LocalBuildings(
-        polygons=Polygons(
-            (polygons.xy_m + shift)[vertex_is_used],
-            np.concatenate([[0], np.cumsum(num_vertices[ring_is_used])]).astype(np.int64),
-            np.concatenate([[0], np.cumsum(num_rings * has_mesh)]).astype(np.int64),
-        ),
+        polygons=polygon_arrays.to_polygons(shapes),
         eave_z_m=terrain_z_m + buildings["eave_height_m"].to_numpy().astype(float),
         terrain_z_m=terrain_z_m,
         base_z_m=buildings["base_z_m"].to_numpy() - origin_m[2],
@@ -98,9 +88,9 @@ def local_buildings(buildings: pa.Table, origin_m: np.ndarray, seed: int) -> Loc
 
 def scan_bounds(buildings: pa.Table, tile_bounds: Bounds, margin_m: float) -> Bounds:
     """The tile and the footprints of its own buildings, which may extend beyond it, grown by ``margin_m``."""
-    in_tile = buildings["in_tile"].to_numpy()
-    x, y, row = _footprint_vertices(buildings)
-    x, y = x[in_tile[row]], y[in_tile[row]]
+    footprints = polygon_arrays.in_crs(buildings)
+    in_tile = np.repeat(buildings["in_tile"].to_numpy(), np.diff(footprints.vertex_offset))
+    x, y = footprints.xy_m[in_tile].T
     return (
         min(tile_bounds[0], x.min(initial=np.inf)) - margin_m,
         min(tile_bounds[1], y.min(initial=np.inf)) - margin_m,
@@ -111,16 +101,7 @@ def scan_bounds(buildings: pa.Table, tile_bounds: Bounds, margin_m: float) -> Bo
 
 def buildings_without_terrain(buildings: pa.Table, terrain: Terrain) -> list[str]:
     """Ids of the tile's own buildings with a footprint vertex where the terrain has no data."""
-    x, y, row = _footprint_vertices(buildings)
-    without = np.isnan(terrain.interpolated(x, y)) & buildings["in_tile"].to_numpy()[row]
+    footprints = polygon_arrays.in_crs(buildings)
+    row = np.repeat(np.arange(len(footprints)), np.diff(footprints.vertex_offset))
+    without = np.isnan(terrain.interpolated(*footprints.xy_m.T)) & buildings["in_tile"].to_numpy()[row]
     return [buildings["building_id"][int(i)].as_py() for i in np.unique(row[without])]
-
-
-def _footprint_vertices(buildings: pa.Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x and y in the CRS and row of the building of every footprint vertex."""
-    values, offset = files.list_column(buildings, "footprint_xy_m")
-    row = np.repeat(np.arange(len(buildings)), np.diff(offset) // 2)
-    xy = values.reshape(-1, 2)
-    x = xy[:, 0] + buildings["origin_x_m"].to_numpy()[row]
-    y = xy[:, 1] + buildings["origin_y_m"].to_numpy()[row]
-    return x, y, row

@@ -107,7 +107,7 @@ def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
     polygon. Edges are numbered over all rings."""
     rings = polygon_arrays.to_polygons(polygons)
     offset = rings.vertex_offset
-    starts, ends = rings.xy_m, rings.xy_m[_next_vertex(rings.ring_offset)]
+    starts, ends = rings.xy_m, rings.xy_m[rings.next_vertex]
     edges = np.asarray(shapely.linestrings(np.stack([starts, ends], axis=1)), dtype=object)
     polygon_of_edge = np.repeat(np.arange(len(rings)), np.diff(offset))
     edge, polygon = shapely.STRtree(polygons).query(edges, predicate="dwithin", distance=_PARTY_GAP_M)
@@ -122,13 +122,6 @@ def party_walls(polygons: np.ndarray) -> list[np.ndarray]:
     # a neighbour that only touches a corner covers the end of the edge up to the gap: less than the share
     is_party = share >= _PARTY_SHARE
     return [is_party[offset[p] : offset[p + 1]] for p in range(len(rings))]
-
-
-def _next_vertex(ring_offset: np.ndarray) -> np.ndarray:
-    following = np.arange(1, ring_offset[-1] + 1)
-    last = ring_offset[1:] - 1
-    following[last] = ring_offset[:-1]
-    return following
 
 
 def _tile_names(parts: gpd.GeoDataFrame, tile_size_m: float) -> np.ndarray:

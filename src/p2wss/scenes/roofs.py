@@ -14,6 +14,7 @@ import numpy as np
 from p2wss.config import Scenes
 from p2wss.data.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.data.seeds import generator
+from p2wss.skeleton.types import Polygons
 
 SLOPES_DEG = np.arange(MIN_SLOPE_DEG, MAX_SLOPE_DEG + 1)
 ANGLES_DEG = np.array([FLAT_DEG, VERTICAL_DEG, *SLOPES_DEG])
@@ -52,12 +53,9 @@ class FootprintEdges:
     def from_rings(cls, rings: list[np.ndarray], is_party: np.ndarray, radius_m: float) -> FootprintEdges:
         """From rings (n, 2), exterior first, without a repeated first vertex."""
         sizes = [len(ring) for ring in rings]
-        first = np.cumsum([0, *sizes[:-1]])
         return cls(
             xy_m=np.concatenate(rings),
-            next_edge=np.concatenate(
-                [start + np.roll(np.arange(n), -1) for start, n in zip(first, sizes, strict=True)]
-            ),
+            next_edge=Polygons.from_rings([rings]).next_vertex,
             is_courtyard=np.repeat(np.arange(len(rings)) > 0, sizes),
             is_party=np.asarray(is_party, bool),
             radius_m=radius_m,

@@ -56,6 +56,13 @@ class Polygons:
         """int64 (num_polygons + 1,): polygon p owns vertices ``vertex_offset[p]:vertex_offset[p + 1]``."""
         return self.ring_offset[self.polygon_offset]
 
+    @property
+    def next_vertex(self) -> IntArray:
+        """int64 (num_vertices,): the vertex at which the edge from each vertex ends."""
+        result = np.arange(1, len(self.xy_m) + 1)
+        result[self.ring_offset[1:] - 1] = self.ring_offset[:-1]
+        return result
+
     def rings(self, polygon: int) -> list[FloatArray]:
         """The rings of one polygon, each float64 (n, 2), exterior first."""
         first, last = self.polygon_offset[polygon], self.polygon_offset[polygon + 1]

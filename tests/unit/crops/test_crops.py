@@ -17,7 +17,7 @@ from p2wss import crops, scans
 from p2wss.cli import main
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.crops import ground_height
-from p2wss.clouds.reading import Cloud, read_clouds, same_crs
+from p2wss.clouds.reading import Cloud, check_crs, read_clouds, same_crs
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
@@ -281,9 +281,9 @@ def test_clouds_of_different_crs(tmp_path):
         read_clouds([tmp_path / "a.las", tmp_path / "b.las"])
     assert read_clouds([tmp_path / "c.las"]).crs is None
     assert read_clouds([tmp_path / "c.las", tmp_path / "a.las"]).crs.to_epsg() == 2154
-    crops.check_crs(None, "EPSG:2154", "c.las")
+    check_crs(None, "EPSG:2154", "c.las")
     with pytest.raises(InputError, match="footprints"):
-        crops.check_crs(pyproj.CRS(28992), "EPSG:2154", "b.las")
+        check_crs(pyproj.CRS(28992), "EPSG:2154", "b.las", "the footprints are")
     assert same_crs(pyproj.CRS("EPSG:2154+5720"), pyproj.CRS(2154))
     assert not same_crs(pyproj.CRS("EPSG:2154+5720"), pyproj.CRS(32631))
 

@@ -60,17 +60,9 @@ def rectangles(middle: np.ndarray, along: np.ndarray, half_m: np.ndarray) -> np.
     return middle[:, None] + a + b
 
 
-def next_edge(polygons: Polygons) -> np.ndarray:
-    """Number of the edge that starts where each edge ends, int64, aligned with the vertices."""
-    result = np.arange(len(polygons.xy_m)) + 1
-    filled = np.diff(polygons.ring_offset) > 0
-    result[polygons.ring_offset[1:][filled] - 1] = polygons.ring_offset[:-1][filled]
-    return result
-
-
 def edges(polygons: Polygons) -> tuple[np.ndarray, np.ndarray]:
     """Start (n, 2) and end (n, 2) of every edge, aligned with the vertices."""
-    return polygons.xy_m, polygons.xy_m[next_edge(polygons)]
+    return polygons.xy_m, polygons.xy_m[polygons.next_vertex]
 
 
 def draw_edges(

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.data.polygon_arrays import to_geometries
-from p2wss.scans.clutter.buildings import LocalBuildings, between, draw_buildings, edges, left_of, next_edge
+from p2wss.scans.clutter.buildings import LocalBuildings, between, draw_buildings, edges, left_of
 from p2wss.scans.surface import Surface
 from p2wss.skeleton.types import FaceKind
 
@@ -34,7 +34,7 @@ def set_walls_back(
     distance = np.zeros(len(buildings.key))
     distance[rows] = between(u[:, 0], *overhang_m)
     start, _ = edges(buildings.polygons)
-    following = next_edge(buildings.polygons)
+    following = buildings.polygons.next_vertex
     num_edges = np.diff(buildings.polygons.vertex_offset)
     new_start, is_moved = _offset_corners(buildings, distance)
     moved = np.flatnonzero(is_moved)
@@ -62,7 +62,7 @@ def _offset_corners(buildings: LocalBuildings, distance: np.ndarray) -> tuple[np
     """Start of every edge after its building's walls have moved inwards by ``distance`` (n,), and which
     buildings have moved, bool (n,)."""
     start, end = edges(buildings.polygons)
-    following = next_edge(buildings.polygons)
+    following = buildings.polygons.next_vertex
     num_edges = np.diff(buildings.polygons.vertex_offset)
     building = np.repeat(np.arange(len(num_edges)), num_edges)
     length, along = _lengths_and_directions(buildings)
