@@ -71,7 +71,7 @@ def town(seed: int, folder: Path) -> tuple[list[Building], list[Chimney]]:
         if not in_lidar_tile(building.footprint):
             continue
         for detail in draw_details(building, of_details):
-            if detail.is_chimney:
+            if detail.detail == "chimney":
                 outline = shapely.Polygon(detail.outline)
                 z = np.unique(xyz[shapely.contains_xy(outline, *xyz[:, :2].T)], axis=0)[:, 2]
                 chimneys.append(Chimney(outline, int((z > z.max(initial=-np.inf) - _ON_TOP_M).sum())))

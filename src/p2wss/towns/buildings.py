@@ -20,7 +20,7 @@ class Wing:
     pitch_deg: float
     slopes: tuple[int, ...]  # edge i runs from vertex i to i + 1; none = a flat roof
     more: tuple[tuple[int, float, float], ...] = ()  # other planes: edge, metres above the eave there, pitch
-    is_detail: bool = False  # what a model of the building leaves out
+    detail: str = ""  # what a model of the building leaves out: a chimney, a parapet, ..
 
     def planes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The planes that rise from edges: points (p, 2), unit vectors of the edges (p, 2), metres above the eave at

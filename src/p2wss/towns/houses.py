@@ -57,7 +57,7 @@ def draw_closed_block(block: np.ndarray, rng: np.random.Generator) -> list[Drawn
     return buildings
 
 
-def draw_courtyard_building(block: np.ndarray, rng: np.random.Generator) -> DrawnBuilding:
+def draw_courtyard_building(block: np.ndarray, rng: np.random.Generator) -> list[DrawnBuilding]:
     """A school or a town hall: one building around its court."""
     outer = inset(block, rng.uniform(3, 8))
     outer = block if outer is None else outer
@@ -65,13 +65,8 @@ def draw_courtyard_building(block: np.ndarray, rng: np.random.Generator) -> Draw
     if inner is None:
         return draw_hall(block, rng)
     eave, pitch = draw_eave_m(3, rng), draw_pitch_deg(rng)
-    return DrawnBuilding(
-        [
-            Wing(np.array([outer[k], outer[(k + 1) % 4], inner[(k + 1) % 4], inner[k]]), eave, pitch, (0, 2))
-            for k in range(4)
-        ],
-        "block",
-    )
+    sides = [np.array([outer[k], outer[(k + 1) % 4], inner[(k + 1) % 4], inner[k]]) for k in range(4)]
+    return [DrawnBuilding([Wing(side, eave, pitch, (0, 2)) for side in sides], "block")]
 
 
 def draw_rows(block: np.ndarray, rng: np.random.Generator) -> list[DrawnBuilding]:
@@ -164,20 +159,14 @@ def _house(
         return DrawnBuilding([main, Wing(side, 2.5, 20, ())], "house")
     # a wing reaches half into the main roof, so that its ridge runs into it
     inner = depth / 2
-    if shape == "L":
-        return DrawnBuilding(
-            [main, Wing(outline(width - part, inner, width, depth + reach), eave, pitch, (1, 3))], "house"
-        )
-    if shape == "T":
-        left = (width - part) / 2
-        return DrawnBuilding(
-            [main, Wing(outline(left, inner, left + part, depth + reach), eave, pitch, (1, 3))], "house"
-        )
-    if shape == "U":
-        ends = [(0, 0.35 * width), (0.65 * width, width)]
-        wings = [Wing(outline(a, inner, b, depth + reach), eave, pitch, (1, 3)) for a, b in ends]
-        return DrawnBuilding([main, *wings], "house")
-    return DrawnBuilding([main], "house")
+    left = (width - part) / 2
+    ends = {
+        "L": [(width - part, width)],
+        "T": [(left, left + part)],
+        "U": [(0, 0.35 * width), (0.65 * width, width)],
+    }.get(shape, [])
+    wings = [Wing(outline(a, inner, b, depth + reach), eave, pitch, (1, 3)) for a, b in ends]
+    return DrawnBuilding([main, *wings], "house")
 
 
 def _garden_shed(
@@ -193,7 +182,7 @@ def _garden_shed(
     return shed
 
 
-def draw_hall(block: np.ndarray, rng: np.random.Generator) -> DrawnBuilding:
+def draw_hall(block: np.ndarray, rng: np.random.Generator) -> list[DrawnBuilding]:
     """A large hall, some with an office in front."""
     _, along, inward, length = block_side(block, 0)
     depth = block_side(block, 1)[3]
@@ -206,4 +195,4 @@ def draw_hall(block: np.ndarray, rng: np.random.Generator) -> DrawnBuilding:
         wings.append(
             Wing(to_world(origin, along, inward, rectangle(width, 2, width + 8, 2 + 0.6 * deep)), 3.5, 20, ())
         )
-    return DrawnBuilding(wings, "hall")
+    return [DrawnBuilding(wings, "hall")]

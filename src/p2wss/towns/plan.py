@@ -11,6 +11,20 @@ from p2wss.towns.site import CENTRE, LIDAR_RADIUS_M, LIDAR_TILE, X_MAX, X_MIN, Y
 
 BLOCK_M = (80.0, 62.0)
 HALF_STREET_M = 5.0
+# what is drawn on a block; nothing on a park
+_DRAW = {
+    "closed": draw_closed_block,
+    "courtyard": draw_courtyard_building,
+    "rows": draw_rows,
+    "houses": draw_houses,
+    "halls": draw_hall,
+}
+# up to which distance from the centre, and what its blocks are
+_SHARES = (
+    (190, {"closed": 0.6, "courtyard": 0.15, "rows": 0.2, "halls": 0.05}),
+    (400, {"closed": 0.1, "rows": 0.5, "houses": 0.28, "halls": 0.05, "park": 0.07}),
+    (960, {"rows": 0.08, "houses": 0.36, "halls": 0.05, "park": 0.51}),
+)
 
 
 def draw_town(rng: np.random.Generator) -> list[DrawnBuilding]:
@@ -20,16 +34,8 @@ def draw_town(rng: np.random.Generator) -> list[DrawnBuilding]:
         centre = block.mean(axis=0)
         radius_m = float(np.hypot(*(centre - CENTRE)))
         kind = _block_kind(radius_m, rng)
-        if kind == "closed":
-            town += draw_closed_block(block, rng)
-        elif kind == "courtyard":
-            town.append(draw_courtyard_building(block, rng))
-        elif kind == "rows":
-            town += draw_rows(block, rng)
-        elif kind == "halls":
-            town.append(draw_hall(block, rng))
-        elif kind == "houses":
-            town += draw_houses(block, rng)
+        if kind in _DRAW:
+            town += _DRAW[kind](block, rng)
     return [building for building in town if _has_room(building.footprint)]
 
 
@@ -67,10 +73,7 @@ def _blocks(rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def _block_kind(radius_m: float, rng: np.random.Generator) -> str:
-    if radius_m < 190:
-        return str(rng.choice(["closed", "courtyard", "rows", "halls"], p=[0.6, 0.15, 0.2, 0.05]))
-    if radius_m < 400:
-        return str(rng.choice(["closed", "rows", "houses", "halls", "park"], p=[0.1, 0.5, 0.28, 0.05, 0.07]))
-    if radius_m < 960:
-        return str(rng.choice(["rows", "houses", "halls", "park"], p=[0.08, 0.36, 0.05, 0.51]))
+    for limit_m, shares in _SHARES:
+        if radius_m < limit_m:
+            return str(rng.choice(list(shares), p=list(shares.values())))
     return "park"

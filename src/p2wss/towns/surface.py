@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import numpy as np
 import shapely
 
@@ -15,14 +12,6 @@ from p2wss.towns.site import ground_z_m, in_lidar_tile
 
 CELL_M = 0.1
 AROUND_M = 4.0  # points further from a building are not written, to keep the file small
-
-
-class Detail(NamedTuple):
-    """A chimney or a dormer with a level top. outline: (4, 2). top_m: above the ground."""
-
-    outline: np.ndarray
-    top_m: float
-    is_chimney: bool
 
 
 class Surface:
@@ -38,18 +27,17 @@ class Surface:
         self.kind = np.full(self.z.shape, GROUND_CLASS, np.uint8)
         for building in buildings:
             floor = building.floor_m
-            for wing in building.wings:
-                self._raise(wing.outline, _roof(wing, floor))
-            for detail in draw_details(building, rng):
-                self._raise(detail.outline, _flat_top(floor + detail.top_m))
+            for wing in [*building.wings, *draw_details(building, rng)]:
+                self._raise(wing, floor)
         coarse = max(1, round(0.5 / CELL_M))
         near = shapely.union_all([outline.buffer(AROUND_M) for outline in outlines])
         shapely.prepare(near)
         self.coarse = coarse
         self.mask = shapely.contains_xy(near, x[::coarse, ::coarse], y[::coarse, ::coarse])
 
-    def _raise(self, outline: np.ndarray, height: Callable[[np.ndarray], np.ndarray]) -> None:
-        """Lift the surface to ``height`` inside a convex outline."""
+    def _raise(self, wing: Wing, floor_m: float) -> None:
+        """Lift the surface to the roof of a wing."""
+        outline = wing.outline
         low = np.floor((outline.min(axis=0) - (self.x_min, self.y_min)) / CELL_M).astype(int)
         high = np.ceil((outline.max(axis=0) - (self.x_min, self.y_min)) / CELL_M).astype(int) + 1
         window = (slice(low[1], high[1]), slice(low[0], high[0]))
@@ -57,7 +45,7 @@ class Surface:
             self.x_min + CELL_M * np.arange(low[0], high[0]), self.y_min + CELL_M * np.arange(low[1], high[1])
         )
         inside = shapely.contains_xy(shapely.Polygon(outline), x, y)
-        top = height(np.column_stack([x[inside], y[inside]]))
+        top = floor_m + wing.eave_m + wing.rise_m(np.column_stack([x[inside], y[inside]]))
         z, kind = self.z[window], self.kind[window]
         z[inside] = np.where(kind[inside] == BUILDING_CLASS, np.maximum(z[inside], top), top)
         kind[inside] = BUILDING_CLASS
@@ -79,32 +67,25 @@ class Surface:
         return self.z[row, column], self.kind[row, column]
 
 
-def _roof(wing: Wing, floor_m: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda xy: floor_m + wing.eave_m + wing.rise_m(xy)
-
-
-def _flat_top(top_m: float) -> Callable[[np.ndarray], np.ndarray]:
-    return lambda xy: np.full(len(xy), top_m)
-
-
-def draw_details(building: DrawnBuilding, rng: np.random.Generator) -> list[Detail]:
-    """The chimney, if there is one, and the dormers of a building."""
+def draw_details(building: DrawnBuilding, rng: np.random.Generator) -> list[Wing]:
+    """The chimney, if there is one, and the dormers of a building, all level."""
     main = building.wings[0]
     if building.kind not in ("house", "row", "block") or len(main.slopes) < 2:
         return []
     start, along, inward, length = block_side(main.outline, main.slopes[0])
     depth = block_side(main.outline, main.slopes[0] + 1)[3]
     tangent = np.tan(np.radians(main.pitch_deg))
-    details: list[Detail] = []
+    details: list[Wing] = []
     if rng.random() < 0.6:
         u = rng.uniform(0.15, 0.75) * length
         outline = to_world(start, along, inward, rectangle(u, 0.55 * depth, u + 0.7, 0.55 * depth + 0.6))
-        details.append(Detail(outline, main.eave_m + depth / 2 * tangent + rng.uniform(0.5, 1), True))
+        top_m = main.eave_m + depth / 2 * tangent + rng.uniform(0.5, 1)
+        details.append(Wing(outline, top_m, 0.0, (), detail="chimney"))
     if depth / 2 * tangent > 2.4 and rng.random() < 0.45:
         number = int(rng.integers(1, 3))
         for u in (np.arange(number) + 0.5) * length / number - 0.8:
             outline = to_world(start, along, inward, rectangle(u, 0.7, u + 1.6, 0.7 + 1.6 / tangent))
-            details.append(Detail(outline, main.eave_m + rng.uniform(1.8, 2.1), False))
+            details.append(Wing(outline, main.eave_m + rng.uniform(1.8, 2.1), 0.0, (), detail="dormer"))
     return details
 
 

@@ -145,7 +145,7 @@ def _draw_group(shape: str, rng: np.random.Generator) -> list[list[Wing]]:
     if rng.random() < 0.5:
         u, v = rng.uniform(0.1, 0.9) * length, rng.uniform(-0.2, 0.2) * width
         chimney = _body((u, v), 0, (0, 0, 0.7, 0.6), main.ridge_m + rng.uniform(0.3, 1), 0, "flat")
-        wings.append(replace(chimney, is_detail=True))
+        wings.append(replace(chimney, detail="chimney"))
     return [wings]
 
 
@@ -228,7 +228,7 @@ def _draw_flat(rng: np.random.Generator) -> list[Wing]:
             (x1 - 0.3, y0, x1, y1),
         ]
         details += [_body((0, 0), 0, strip, top + high, 0, "flat") for strip in strips if high]
-    return wings + [replace(detail, is_detail=True) for detail in details]
+    return wings + [replace(detail, detail="parapet or camber") for detail in details]
 
 
 def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
@@ -262,7 +262,7 @@ def true_solids(town: Sequence[DrawnBuilding]) -> Iterator[tuple[np.ndarray, np.
     for building in town:
         # in the frame in which it was drawn, to the millimetre, so that bodies side by side have the same coordinates
         origin, rotation = building.wings[0].outline[0], _axes(building.wings[0])
-        bodies = [_prism(wing, origin, rotation) for wing in building.wings if not wing.is_detail]
+        bodies = [_prism(wing, origin, rotation) for wing in building.wings if not wing.detail]
         mesh = Manifold.batch_boolean(bodies, OpType.Add).as_original().simplify(_SIMPLIFY_M).to_mesh64()
         vertex_m = np.add(mesh.vert_properties[:, :3], (0.0, 0.0, building.floor_m))
         vertex_m[:, :2] = vertex_m[:, :2] @ rotation.T + origin

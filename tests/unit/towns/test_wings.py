@@ -60,7 +60,7 @@ def test_the_true_roof_is_the_highest_of_the_bodies(roofs: Scene) -> None:
         xy = rng.uniform((low_x, low_y), (high_x, high_y), (200, 2))
         z = np.full(len(xy), np.nan)
         for wing in building.wings:
-            inside = shapely.contains_xy(shapely.Polygon(wing.outline), *xy.T) & (not wing.is_detail)
+            inside = shapely.contains_xy(shapely.Polygon(wing.outline), *xy.T) & (wing.detail == "")
             z[inside] = np.fmax(z, building.floor_m + wing.eave_m + wing.rise_m(xy))[inside]
         found = surface_height_m(xy, solid.vertex_m, solid.triangle)
         both = np.isfinite(z) & np.isfinite(found)
