@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import os
 import platform
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -35,36 +34,24 @@ def warm_up(with_scans: bool, jobs: int | None) -> None:
     from p2wss.scans.warm_up import warm_survey
     from p2wss.storage.progress import Progress
 
-    first: tuple[Task, ...] = of_reconstruct.TASKS
-    others: tuple[Task, ...] = (warm_survey,) if with_scans else ()
-    total = len(first) + len(others) + 1
+    tasks = (*of_reconstruct.TASKS, warm_survey) if with_scans else of_reconstruct.TASKS
     log.info("compiling for this computer, with %d processes: up to a minute", jobs)
     start = time.monotonic()
-    with Progress("compiling", total, "parts") as progress:
-        run_tasks(first, of_reconstruct.warm_product, others, jobs, progress.update)
+    with Progress("compiling", len(tasks) + 1, "parts") as progress:
+        run_tasks(tasks, of_reconstruct.warm_product, jobs, progress.update)
     log.info("compiled in %.0f s", time.monotonic() - start)
     if marker is not None:
         marker.touch()
 
 
-def run_tasks(
-    first: tuple[Task, ...],
-    last: Task,
-    others: tuple[Task, ...],
-    jobs: int,
-    progress: Callable[[int], object],
-) -> None:
-    """Run all tasks in processes, ``last`` once all of ``first`` are done. progress: called with how many are."""
-    num_done = itertools.count(1)
+def run_tasks(first: Sequence[Task], last: Task, jobs: int, progress: Callable[[int], object]) -> None:
+    """Run tasks in processes, ``last`` once all of ``first`` are done. progress: called with how many are."""
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin) as pool:
-        needed = [pool.submit(task) for task in first]
-        rest = [pool.submit(task) for task in others]
-        for future in as_completed(needed):
+        for num_done, future in enumerate(as_completed([pool.submit(task) for task in first]), 1):
             future.result()
-            progress(next(num_done))
-        for future in as_completed([pool.submit(last), *rest]):
-            future.result()
-            progress(next(num_done))
+            progress(num_done)
+        pool.submit(last).result()
+        progress(len(first) + 1)
 
 
 def _begin() -> None:

@@ -235,9 +235,6 @@ def _distributions(frame: pd.DataFrame, names: Mapping[str, str], titles: Mappin
     return images
 
 
-_STEP_NAMES = ("step", "epoch")
-
-
 def read_training(path: Path) -> list[dict[str, Any]]:
     """Records of a ``metrics.jsonl``.
 
@@ -248,8 +245,8 @@ def read_training(path: Path) -> list[dict[str, Any]]:
         if line.strip():
             with reading(path, f"JSON lines of numbers by name: line {number}"):
                 records.append(_RECORD.validate_json(line))
-                if all(records[-1].get(name) is None for name in _STEP_NAMES):
-                    raise ValueError(f"it has no {' or '.join(_STEP_NAMES)}")
+                if records[-1].get("step") is None:
+                    raise ValueError("it has no step")
     return records
 
 
@@ -258,13 +255,10 @@ def _training(stages: Mapping[str, Sequence[dict[str, Any]]]) -> list[tuple[str,
     images = []
     for stage, records in stages.items():
         frame = pd.DataFrame(records).astype(float)
-        step = next((name for name in _STEP_NAMES if name in frame), None)
-        if step is None:
-            continue
         for title, pattern in (("losses", "loss"), ("errors (m)", "_m$"), ("errors (°)", "_deg$")):
-            chosen = frame.set_index(step).filter(regex=pattern)
+            chosen = frame.set_index("step").filter(regex=pattern)
             curves = {str(name): values.dropna() for name, values in chosen.items()}
             if curves:
-                figure = figures.curves(curves, step, f"{stage}: {title}")
+                figure = figures.curves(curves, "step", f"{stage}: {title}")
                 images.append((stage, figures.data_uri(figure)))
     return images
