@@ -277,25 +277,40 @@ def report_of(manifest: Path, folder: Path, parts: list[Path], *others: object) 
     run("report", "--out", folder, "--manifest", manifest, *measures, *rows, *others)
 
 
-@pytest.fixture
-def true_weights(hamlet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def use_true_weights(hamlet: Path, patch: pytest.MonkeyPatch) -> None:
     """Weights of a predictor that knows the truth."""
     predictor = TruthNetwork(all_test_cases(hamlet), 0.1)
-    monkeypatch.setattr(predictor_module, "load_predictor", lambda path, device: predictor)
-    monkeypatch.setattr(weights, "read_weights", lambda path, kind: ({}, WEIGHTS_FACTS))
+    patch.setattr(predictor_module, "load_predictor", lambda path, device: predictor)
+    patch.setattr(weights, "read_weights", lambda path, kind: ({}, WEIGHTS_FACTS))
+
+
+@pytest.fixture
+def true_weights(hamlet: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    use_true_weights(hamlet, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def whole(hamlet: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The only part of an evaluation of both shards at once; not to be changed."""
+    with pytest.MonkeyPatch.context() as patch:
+        use_true_weights(hamlet, patch)
+        shards = [hamlet.parent / "a.parquet", hamlet.parent / "b.parquet"]
+        return evaluate(hamlet, [shards], tmp_path_factory.mktemp("whole"))
 
 
 @pytest.mark.usefixtures("true_weights")
-def test_groups_of_shards_give_the_same_tables_as_all_shards_at_once(hamlet: Path, tmp_path: Path) -> None:
+def test_groups_of_shards_give_the_same_tables_as_all_shards_at_once(
+    hamlet: Path, whole: list[Path], tmp_path: Path
+) -> None:
     shards = [hamlet.parent / "a.parquet", hamlet.parent / "b.parquet"]
+    split = evaluate(hamlet, [[shard] for shard in shards], tmp_path / "split")
     folders = [tmp_path / "whole", tmp_path / "split"]
-    for folder, groups in zip(folders, ([shards], [[shard] for shard in shards]), strict=True):
-        parts = evaluate(hamlet, groups, folder)
+    for folder, parts in zip(folders, (whole, split), strict=True):
         report_of(hamlet, folder, parts, "--metrics")
-    assert pq.read_metadata(folders[0] / "parts/0000/measures.parquet").num_rows == 5 * 28 + 3 * 16
+    assert pq.read_metadata(whole[0] / "measures.parquet").num_rows == 5 * 28 + 3 * 16
     for name in report.CAPTIONS:
-        whole, split = ((folder / f"{name}.csv").read_text() for folder in folders)
-        assert whole == split, name
+        at_once, by_shard = ((folder / f"{name}.csv").read_text() for folder in folders)
+        assert at_once == by_shard, name
 
 
 @pytest.mark.usefixtures("true_weights")
@@ -325,14 +340,15 @@ def test_a_shard_that_the_manifest_does_not_list_is_one_clear_line(hamlet: Path)
 
 
 @pytest.mark.usefixtures("true_weights")
-def test_report_from_files_is_one_self_contained_page(hamlet: Path, tmp_path: Path) -> None:
+def test_report_from_files_is_one_self_contained_page(
+    hamlet: Path, whole: list[Path], tmp_path: Path
+) -> None:
     """The commands as the rules run them, with a predictor that knows the truth."""
-    parts = evaluate(hamlet, [[hamlet.parent / "a.parquet", hamlet.parent / "b.parquet"]], tmp_path)
     training = tmp_path / "model" / "metrics.jsonl"
     (tmp_path / "0652_6862.png").write_bytes(b"\x89PNG of a scan")
     training.parent.mkdir()
     training.write_text("".join(json.dumps({"step": i, "loss": 9 / (i + 1)}) + "\n" for i in range(5)))
-    report_of(hamlet, tmp_path, parts, "--metrics", training, "--scans", tmp_path / "0652_6862.png")
+    report_of(hamlet, tmp_path, whole, "--metrics", training, "--scans", tmp_path / "0652_6862.png")
     page = (tmp_path / "report.html").read_text()
     # nothing is loaded from elsewhere: scripts, style sheets and images are embedded in the page
     assert not re.search(r"<script[^>]* src|<link|@import|url\(", page)

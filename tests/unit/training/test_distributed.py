@@ -112,13 +112,13 @@ def everything(folder: Path) -> dict[str, dict[str, Tensor]]:
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The results of one process and of two; run by torchrun, as a user would, both at the same time."""
+    """The results of one process and of two, run by torchrun, as a user would; both at the same time."""
     folder = tmp_path_factory.mktemp("distributed")
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
     runs = []
-    for count in (1, 2):
-        command = [sys.executable, "-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={count}"]
-        command += [__file__, str(folder / str(count))]
+    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
+    for count, launcher in (("1", []), ("2", torchrun)):
+        command = [sys.executable, *launcher, __file__, str(folder / count)]
         runs.append(subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True))
     for run in runs:
         _, error = run.communicate()
