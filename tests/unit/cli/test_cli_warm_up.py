@@ -43,7 +43,7 @@ def test_the_last_task_waits_for_the_first(tmp_path: Path, monkeypatch: pytest.M
 def test_a_task_that_fails_is_no_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path))
     with pytest.raises(ValueError, match="no compiler"):
-        warm_up.run_tasks((first_a, fails), last, 2, lambda done: None)
+        warm_up.run_tasks((first_a, fails), last, 1, lambda done: None)
 
 
 def test_nothing_to_do_the_second_time(
