@@ -18,14 +18,25 @@ from p2wss.data import polygon_arrays, reasons
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.skeleton.types import Polygons
 
-# how far beyond a footprint roofs are counted, and how near the nearest must be
-_BEYOND_M, _CONTACT_M = 6.0, 1.5
-# least cells with evidence of a square of nine
-_MIN_CELLS = 5
-_MIN_AREA_M2 = 10.0
-# share of ground among the cells with points from which there is no building, and the largest share of roofs then
-_MIN_GROUND_SHARE, _MAX_ROOF_SHARE = 0.7, 0.1
-_NEIGHBOURS = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
+
+@dataclass(frozen=True)
+class Rules:
+    """What contradicts a footprint.
+
+    beyond_m, contact_m: how far beyond a footprint roofs are counted, and how near the nearest must be. min_cells:
+    least cells with evidence of a square of nine, and of a footprint. min_area_m2: of ground inside or roofs outside
+    that is flagged. min_ground_share, max_roof_share: of the cells with points, where there is no building.
+    """
+
+    beyond_m: float = 6.0
+    contact_m: float = 1.5
+    min_cells: int = 5
+    min_area_m2: float = 10.0
+    min_ground_share: float = 0.7
+    max_roof_share: float = 0.1
+
+
+RULES = Rules()
 
 
 @dataclass(frozen=True)
@@ -45,32 +56,34 @@ class Evidence:
 def contradictions(polygons: Polygons, cloud: Cloud) -> Evidence:
     """The evidence against footprints."""
     count = len(polygons)
-    point, _, _ = crop_points(cloud.x_m, cloud.y_m, polygons, _BEYOND_M + 2)
+    point, _, _ = crop_points(cloud.x_m, cloud.y_m, polygons, RULES.beyond_m + 2)
     used = np.zeros(len(cloud), bool)
     used[point] = True
     cells = _Cells(cloud.x_m[used], cloud.y_m[used], cloud.classification[used])
-    cell, inside, offset = crop_points(cells.x_m, cells.y_m, polygons, _BEYOND_M)
+    cell, inside, offset = crop_points(cells.x_m, cells.y_m, polygons, RULES.beyond_m)
     footprint = np.repeat(np.arange(count), np.diff(offset))
     of_cell = np.full(len(cells.x_m), -1)
     of_cell[cell[inside][::-1]] = footprint[inside][::-1]
     in_any = of_cell >= 0
 
     num_ground, num_roof = cells.around(cells.is_ground), cells.around(cells.is_roof)
-    demolished = cells.spread((cells.around(in_any) == 9) & (num_roof == 0) & (num_ground >= _MIN_CELLS))
+    demolished = cells.spread((cells.around(in_any) == 9) & (num_roof == 0) & (num_ground >= RULES.min_cells))
     ground_inside_m2 = np.bincount(of_cell[demolished & in_any], minlength=count).astype(float)
-    beyond = cells.spread((cells.around(in_any) == 0) & (num_ground == 0) & (num_roof >= _MIN_CELLS))
+    beyond = cells.spread((cells.around(in_any) == 0) & (num_ground == 0) & (num_roof >= RULES.min_cells))
     roof_outside_m2 = _of_nearest(polygons, cells, footprint, cell, beyond)
 
     has_points = np.bincount(of_cell[in_any], minlength=count)
     ground_share = np.bincount(of_cell[in_any & cells.is_ground], minlength=count) / np.maximum(has_points, 1)
     roof_share = np.bincount(of_cell[in_any & cells.is_roof], minlength=count) / np.maximum(has_points, 1)
     is_empty = (
-        (has_points >= _MIN_CELLS) & (ground_share >= _MIN_GROUND_SHARE) & (roof_share <= _MAX_ROOF_SHARE)
+        (has_points >= RULES.min_cells)
+        & (ground_share >= RULES.min_ground_share)
+        & (roof_share <= RULES.max_roof_share)
     )
     rules = (
         (reasons.NO_BUILDING, is_empty),
-        (reasons.PARTLY_DEMOLISHED, ~is_empty & (ground_inside_m2 >= _MIN_AREA_M2)),
-        (reasons.EXTENDED, ~is_empty & (roof_outside_m2 >= _MIN_AREA_M2)),
+        (reasons.PARTLY_DEMOLISHED, ~is_empty & (ground_inside_m2 >= RULES.min_area_m2)),
+        (reasons.EXTENDED, ~is_empty & (roof_outside_m2 >= RULES.min_area_m2)),
     )
     flags = [tuple(name for name, rows in rules if rows[k]) for k in range(count)]
     return Evidence(ground_inside_m2, roof_outside_m2, flags)
@@ -89,7 +102,7 @@ def _of_nearest(
     area = np.bincount(footprint[nearest], minlength=len(polygons)).astype(float)
     closest_m = np.full(len(polygons), np.inf)
     np.minimum.at(closest_m, footprint[nearest], distance_m[nearest])
-    return np.where(closest_m <= _CONTACT_M, area, 0.0)
+    return np.where(closest_m <= RULES.contact_m, area, 0.0)
 
 
 class _Cells:
@@ -109,7 +122,7 @@ class _Cells:
         self.is_ground = (num_ground > 0) & (num_roof == 0)
         self.x_m = self._key % self._width + self._left + 0.5
         self.y_m = self._key // self._width + 0.5
-        steps = [row * self._width + column for row, column in _NEIGHBOURS]
+        steps = [row * self._width + column for row in (-1, 0, 1) for column in (-1, 0, 1)]
         self._neighbour = np.full((9, count), count)
         for k, step in enumerate(steps):
             place = np.minimum(np.searchsorted(self._key, self._key + step), max(count - 1, 0))

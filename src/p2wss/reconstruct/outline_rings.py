@@ -1,8 +1,8 @@
 """Traced outlines of buildings, regularised to their main directions with few vertices, and fitted to the points.
 
 A ring is a cycle of lines, each with a direction and an offset along its normal. Lines of nearly one direction get it
-exactly; lines whose edge would be short go; parallel neighbours join, or get a step between them. Then each line moves
-to where it best separates the points on roofs from those on the ground.
+exactly; lines whose edge would be short go; parallel neighbours join. Then each line moves to where it best separates
+the points on roofs from those on the ground.
 """
 
 from __future__ import annotations
@@ -16,29 +16,40 @@ from shapely.geometry.base import BaseGeometry
 
 from p2wss.config import Outlines
 
-# Douglas-Peucker on the trace, in cells: the staircase of a raster is within 0.71 of its line
-_TOLERANCE_CELLS = 0.7
-# edges at most this far from a main direction get it
-_SNAP_DEG = 22.0
-# edges this near have one direction; the least share of the cubes of lengths that a second one needs
-_NEAR_DEG, _MIN_SHARE = 8.0, 0.02
-# fewest vertices of the trace along an edge whose line has a direction of its own, and how far that may be from the
-# direction of the edge
-_MIN_TRACE_VERTICES, _MAX_TURN_DEG = 8, 10
-# of the length of an edge in no main direction
-_OBLIQUE_SHARE = 0.4
-# lines whose directions differ by less are parallel
-_PARALLEL_DEG = 3
-# seams reach this many cells beyond the ends of their traces, so that they meet the outline
-_REACH_CELLS = 3
-# the grid of all coordinates, and the least length that an edge counts with
-_GRID_M, _LEAST_LENGTH_M = 1e-3, 0.01
-# a fitted line moves by at most this, and not with fewer points on the roof
-_MAX_MOVE_M, _MIN_POINTS = 0.8, 4
-# from the trace, as a share of its area
-_MAX_DIFFERENCE = 0.3
-# before an edge, as a share of the density of roofs
-_LEAST_DENSITY = 0.5
+
+@dataclass(frozen=True)
+class Rules:
+    """How traces become outlines; what each pays shows ``benchmarks/outlines.py``.
+
+    tolerance_cells: of Douglas-Peucker on a trace; the staircase of a raster is within 0.71 of its line. snap_deg:
+    edges at most this far from a main direction get it. near_deg: edges this near have one direction. min_share: of the
+    cubes of the lengths of edges, which a second main direction needs. min_trace_vertices, max_turn_deg: an edge with
+    as many vertices of the trace has the direction of the line through them, unless that is this far from its own.
+    oblique_share: of the length of an edge in no main direction, with which a raster cuts a corner off. parallel_deg:
+    lines whose directions differ by less are parallel. reach_cells: of seams beyond the ends of their traces, so that
+    they meet the outline. grid_m: of all coordinates. least_length_m: that an edge counts with. max_move_m, min_points:
+    an edge moves by at most this, and not with fewer points on the roof near it. least_density: in front of an edge, as
+    a share of that of roofs. max_difference: of an outline from its trace, as a share of the area.
+    """
+
+    tolerance_cells: float = 0.7
+    snap_deg: float = 22.0
+    near_deg: float = 8.0
+    min_share: float = 0.02
+    min_trace_vertices: int = 8
+    max_turn_deg: float = 10.0
+    oblique_share: float = 0.4
+    parallel_deg: float = 3.0
+    reach_cells: int = 3
+    grid_m: float = 1e-3
+    least_length_m: float = 0.01
+    max_move_m: float = 0.8
+    min_points: int = 4
+    least_density: float = 0.5
+    max_difference: float = 0.3
+
+
+RULES = Rules()
 
 
 @dataclass(frozen=True)
@@ -80,7 +91,7 @@ def directions(trace: shapely.Polygon, cell_m: float) -> list[float]:
     angle_deg = np.degrees([line.angle for line in lines])
     weight = np.array([line.length**3 for line in lines])
     turn_deg = (angle_deg - angle_deg[:, None] + 45) % 90 - 45
-    is_near, least = np.abs(turn_deg) <= _NEAR_DEG, _MIN_SHARE * weight.sum()
+    is_near, least = np.abs(turn_deg) <= RULES.near_deg, RULES.min_share * weight.sum()
     result: list[float] = []
     while len(result) < 2 and weight.max() > 0:
         total = is_near @ weight
@@ -88,7 +99,7 @@ def directions(trace: shapely.Polygon, cell_m: float) -> list[float]:
         if result and total[best] < least:
             break
         result.append(float(angle_deg[best] + turn_deg[best] @ (is_near[best] * weight) / total[best]))
-        weight = np.where(np.abs(turn_deg[best]) <= _SNAP_DEG, 0.0, weight)
+        weight = np.where(np.abs(turn_deg[best]) <= RULES.snap_deg, 0.0, weight)
     return result
 
 
@@ -113,7 +124,7 @@ def regularised(
     for hole in rings[1:]:
         if result.buffer(-settings.min_edge_m / 2).contains(hole):
             result = result.difference(hole)
-    parts = shapely.get_parts(shapely.set_precision(result, _GRID_M))
+    parts = shapely.get_parts(shapely.set_precision(result, RULES.grid_m))
     largest: shapely.Polygon = parts[np.argmax(shapely.area(parts))]
     return largest
 
@@ -150,9 +161,9 @@ def _seam(
     if line.length < settings.min_edge_m or line.is_ring:
         return line if line.is_ring else None
     # twice the tolerance of an outline: a jump in height is not as sharp as an edge
-    xy_m = np.asarray(shapely.simplify(line, 2 * _TOLERANCE_CELLS * cell_m).coords)
+    xy_m = np.asarray(shapely.simplify(line, 2 * RULES.tolerance_cells * cell_m).coords)
     lines = _lines(xy_m, np.asarray(line.coords), main_deg)
-    reach_m = _REACH_CELLS * cell_m
+    reach_m = RULES.reach_cells * cell_m
     first, last = lines[0], lines[-1]
     start, end = _foot(first, xy_m[0]), _foot(last, xy_m[-1])
     corners = [_corner(a, b) for a, b in itertools.pairwise(lines)]
@@ -179,7 +190,7 @@ def _simple(ring: shapely.LinearRing, cell_m: float) -> np.ndarray:
     xy_m = np.asarray(ring.coords)[:-1]
     start = int(np.argmax(np.hypot(*(xy_m - xy_m.mean(axis=0)).T)))
     closed = np.vstack([xy_m[start:], xy_m[: start + 1]])
-    result = np.asarray(shapely.simplify(shapely.LineString(closed), _TOLERANCE_CELLS * cell_m).coords)
+    result = np.asarray(shapely.simplify(shapely.LineString(closed), RULES.tolerance_cells * cell_m).coords)
     return result if len(result) > 3 else closed
 
 
@@ -201,7 +212,7 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
         )
         angle = _angle_of_points(sides_m[members], weight[members], angle)
         turn = min(((np.degrees(angle) - main + 45) % 90 - 45 for main in main_deg), key=abs, default=90.0)
-        is_main = bool(abs(turn) <= _SNAP_DEG)
+        is_main = bool(abs(turn) <= RULES.snap_deg)
         if is_main:
             angle -= float(np.radians(turn))
         line = _Line(angle, 0.0, length, is_main)
@@ -213,13 +224,13 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
 
 def _angle_of_points(xy_m: np.ndarray, weight: np.ndarray, angle: float) -> float:
     """The direction of the line through points, on the side of ``angle``; ``angle`` for few points."""
-    if len(xy_m) < _MIN_TRACE_VERTICES:
+    if len(xy_m) < RULES.min_trace_vertices:
         return angle
     local = xy_m - np.average(xy_m, axis=0, weights=weight)
     xx, yy, xy = (local[:, [0, 1, 0]] * local[:, [0, 1, 1]]).T @ weight
     axis = 0.5 * np.arctan2(2 * xy, xx - yy)
     turn = (axis - angle + np.pi / 2) % np.pi - np.pi / 2
-    return float(angle + turn) if abs(turn) < np.radians(_MAX_TURN_DEG) else angle
+    return float(angle + turn) if abs(turn) < np.radians(RULES.max_turn_deg) else angle
 
 
 def _indices(simple_m: np.ndarray, traced_m: np.ndarray) -> np.ndarray:
@@ -238,13 +249,13 @@ def _reduce(lines: list[_Line], min_edge_m: float) -> None:
         while len(lines) > 3 and any(_join_parallel(lines, index) for index in range(len(lines))):
             pass
         length_m = _lengths(lines)
-        counted_m = np.where([line.is_main for line in lines], length_m, _OBLIQUE_SHARE * length_m)
+        counted_m = np.where([line.is_main for line in lines], length_m, RULES.oblique_share * length_m)
         shortest = int(np.argmin(counted_m))
         if len(lines) <= 4 or counted_m[shortest] >= min_edge_m:
             break
         for line, length in zip(lines, length_m.tolist(), strict=True):
             if np.isfinite(length):
-                line.length = max(length, _LEAST_LENGTH_M)
+                line.length = max(length, RULES.least_length_m)
         lines.pop(shortest)
 
 
@@ -252,7 +263,7 @@ def _join_parallel(lines: list[_Line], index: int) -> bool:
     """Join a line with the next if they are parallel: into their mean, or into the longer if they are opposite."""
     line, following = lines[index], lines[(index + 1) % len(lines)]
     turn = following.angle - line.angle
-    if abs(np.sin(turn)) > np.sin(np.radians(_PARALLEL_DEG)):
+    if abs(np.sin(turn)) > np.sin(np.radians(RULES.parallel_deg)):
         return False
     merged = line if line.length >= following.length else following
     if np.cos(turn) > 0:
@@ -267,7 +278,7 @@ def _join_parallel(lines: list[_Line], index: int) -> bool:
 def _corner(first: _Line, second: _Line) -> np.ndarray | None:
     """Where two lines intersect; None if they are parallel."""
     matrix = np.array([first.normal, second.normal])
-    if abs(np.linalg.det(matrix)) < np.sin(np.radians(_PARALLEL_DEG)):
+    if abs(np.linalg.det(matrix)) < np.sin(np.radians(RULES.parallel_deg)):
         return None
     return np.linalg.solve(matrix, [first.offset, second.offset])
 
@@ -298,7 +309,7 @@ def _polygon(lines: list[_Line], trace: shapely.LinearRing) -> shapely.Polygon |
         return None
     shape = shapely.Polygon(corner)
     traced = shapely.Polygon(trace)
-    is_like = shape.is_valid and shape.symmetric_difference(traced).area <= _MAX_DIFFERENCE * traced.area
+    is_like = shape.is_valid and shape.symmetric_difference(traced).area <= RULES.max_difference * traced.area
     return shape if is_like else None
 
 
@@ -323,7 +334,7 @@ def _fitted(lines: list[_Line], points: EdgePoints, is_hole: bool, overhang_m: f
 def _across(xy_m: np.ndarray, line: _Line, start_m: float, end_m: float) -> np.ndarray:
     """Distances along the normal of the points in reach of an edge."""
     along, across_m = xy_m @ line.direction, xy_m @ line.normal - line.offset
-    return across_m[(along > start_m) & (along < end_m) & (np.abs(across_m) < _MAX_MOVE_M)]
+    return across_m[(along > start_m) & (along < end_m) & (np.abs(across_m) < RULES.max_move_m)]
 
 
 def _separation(roof: np.ndarray, ground: np.ndarray, per_metre: float) -> float:
@@ -332,8 +343,8 @@ def _separation(roof: np.ndarray, ground: np.ndarray, per_metre: float) -> float
     The strip before the edge must also be as dense as half a roof, which single points on hedges and walls are not.
     per_metre: points in a strip of a roof along the edge that is a metre deep.
     """
-    if len(roof) < _MIN_POINTS:
+    if len(roof) < RULES.min_points:
         return 0.0
     candidates = np.sort(roof)
     wrong = len(roof) - 1 - np.arange(len(roof)) + np.searchsorted(np.sort(ground), candidates)
-    return float(candidates[np.argmin(wrong + _LEAST_DENSITY * per_metre * candidates)])
+    return float(candidates[np.argmin(wrong + RULES.least_density * per_metre * candidates)])
