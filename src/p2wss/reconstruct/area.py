@@ -18,11 +18,9 @@ from p2wss.clouds.crops import GROUND_RINGS_M
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config, Reconstruct, Scenes
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
-from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tiles_of_points
 from p2wss.reconstruct.cloud_index import CloudIndex
-from p2wss.reconstruct.network import Predictor
-from p2wss.reconstruct.pipeline import Rows, Store
+from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.registration import Registration, Surroundings, register
 from p2wss.reconstruct.shifts import MAX_SHIFT_M
 from p2wss.storage.errors import InputError
@@ -149,22 +147,16 @@ class Area:
 def run_area(
     area: Area,
     points: CloudIndex,
-    predictor: Predictor | None,
-    tile: str,
-    config: Reconstruct,
-    results: Store,
+    rows: Rows,
     registers: np.ndarray,
     progress: Callable[[int], object] = lambda num_done: None,
-    terrain: Terrain | None = None,
 ) -> None:
-    """Put a result per row of ``area.numbers`` into ``results``, by its position there.
+    """Reconstruct a result per row of ``area.numbers``, by its position there.
 
-    points: those in ``area.boxes``. registers: see :meth:`Area.read`. The other arguments are those of
-    :func:`p2wss.reconstruct.pipeline.run`.
+    points: those in ``area.boxes``. registers: see :meth:`Area.read`. progress: called with the number of results.
     """
     position = np.empty(len(area.frame), np.int64)
     position[area.numbers] = np.arange(len(area.numbers))
-    rows = Rows(len(area.numbers), results, predictor, tile, config, terrain)
     num_done = 0
     for batch in area.batches(points):
         frame, registrations, cloud = area.read(batch, points, registers)

@@ -55,27 +55,24 @@ def write(
     """
     meshes, ground, skins = _meshes(results, terrain, config)
     frame = frame_around(meshes, crs.to_string())
-    options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
     before = input_footprints(results, crs)
     results = Lazy(lambda result: with_columns(result, config.keep_columns), results)
-    written: list[str] = []
-    delivered: list[Path] = []
-    for output in dict.fromkeys(config.outputs):
-        name = f"{stem}{OUTPUT_SUFFIXES[output]}"
+    outputs = dict.fromkeys(config.outputs)
+    written = [f"{stem}{OUTPUT_SUFFIXES[output]}" for output in outputs]
+    delivered = write_meshes(folder, stem, meshes, frame, config, facts)
+    if config.per_building:
+        single = config.model_copy(update={"outputs": [each for each in outputs if each in SINGLE_FILES]})
+        for body, file in zip(meshes, file_names([body.name for body in meshes]), strict=True):
+            delivered += write_meshes(folder / stem, file, [body], frame, single, facts)
+        written += [f"{stem}/*{OUTPUT_SUFFIXES[output]}" for output in single.outputs]
+    for output in outputs:
+        path = folder / f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "report":
-            files.write_text(folder / name, shift_page(results, stem, crs))
-        elif output in MESH_WRITERS:
-            delivered += write_meshes(folder, output, meshes, frame, options)
-        else:
-            _write_results(folder / name, output, results, before, crs, facts, config)
+            files.write_text(path, shift_page(results, stem, crs))
+        elif output not in MESH_WRITERS:
+            _write_results(path, output, results, before, crs, facts, config)
         if output not in MESH_WRITERS:
-            delivered.append(folder / name)
-        written.append(name)
-        if config.per_building and output in SINGLE_FILES:
-            for single, file in zip(meshes, file_names([mesh.name for mesh in meshes]), strict=True):
-                single_options = replace(options, stem=file)
-                delivered += write_meshes(folder / stem, output, [single], frame, single_options)
-            written.append(f"{stem}/*{OUTPUT_SUFFIXES[output]}")
+            delivered.append(path)
     if config.wedges:
         files.write_table(folder / f"{stem}{WEDGES_SUFFIX}", block_skins.wedge_columns(skins), WEDGES, facts)
         written.append(f"{stem}{WEDGES_SUFFIX}")
@@ -149,13 +146,22 @@ def _write_results(
 
 
 def write_meshes(
-    folder: Path, output: str, meshes: Sequence[Body], frame: Frame, options: FileOptions
+    folder: Path,
+    stem: str,
+    meshes: Sequence[Body],
+    frame: Frame,
+    config: Reconstruct,
+    facts: Mapping[str, Any],
 ) -> list[Path]:
-    """Write the files of one of the formats :data:`~p2wss.formats.outputs.MESH_WRITERS`. Returns their paths."""
-    contents = MESH_WRITERS[output](meshes, frame, options)
-    for name, content in contents.items():
-        files.write_bytes(folder / name, content)
-    return [folder / name for name in contents]
+    """Write the files of those of ``config.outputs`` that consist of meshes. Returns their paths."""
+    options = FileOptions(stem, facts, config.frequency_ghz, config.split_materials, config.map_cell_m)
+    paths = []
+    for output in dict.fromkeys(config.outputs):
+        contents = MESH_WRITERS[output](meshes, frame, options) if output in MESH_WRITERS else {}
+        for name, content in contents.items():
+            files.write_bytes(folder / name, content)
+            paths.append(folder / name)
+    return paths
 
 
 def block(buildings: Sequence[Body], terrain: Terrain, config: Reconstruct) -> Body | None:

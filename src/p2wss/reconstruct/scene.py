@@ -32,7 +32,7 @@ from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
 from p2wss.formats.meshes import Body, frame_around
-from p2wss.formats.outputs import MESH_WRITERS, FileOptions
+from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
 from p2wss.reconstruct import block_skins, exports, registration
@@ -40,6 +40,7 @@ from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, i
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.inputs import Inputs, read_outlines
+from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result, summary
 from p2wss.reconstruct.spool import Spool
 from p2wss.skeleton.types import FaceKind
@@ -216,12 +217,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             )
         bodies = self._bodies(settings.skin)
         frame = frame_around(bodies, "" if self.crs is None else self.crs.to_string())
-        options = FileOptions(name, {}, settings.frequency_ghz, settings.split_materials, settings.map_cell_m)
-        paths: list[Path] = []
-        for each in settings.outputs:
-            if each in MESH_WRITERS:
-                paths += exports.write_meshes(folder, each, bodies, frame, options)
-        return paths
+        return exports.write_meshes(folder, name, bodies, frame, settings, {})
 
     def show(self) -> Any:
         """Show the meshes: within a notebook in a cell, else in a window (which needs ``pyglet<2``)."""
@@ -324,7 +320,8 @@ def reconstruct(
         log.info("%d footprints, %d points around them; %s", len(rows), points.num_points, method)
         stem = tile or inputs.name
         with _reporting(progress, len(area.numbers)) as report:
-            run_area(area, points, predictor, stem, settings, store, registers, report, terrain)
+            to_do = Rows(len(area.numbers), store, predictor, stem, settings, terrain)
+            run_area(area, points, to_do, registers, report)
         results = store[: len(rows)]
         if registers[area.is_chosen].any():
             log.info("%s", registration.summary(result.registration for result in results))

@@ -20,6 +20,7 @@ from p2wss.reconstruct import area as areas
 from p2wss.reconstruct.area import Area, run_area
 from p2wss.reconstruct.cloud_index import CloudIndex
 from p2wss.reconstruct.measures import party_wall_areas_m2
+from p2wss.reconstruct.pipeline import Rows
 from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.spool import Spool
 
@@ -72,7 +73,7 @@ def results_of(
     with CloudIndex(area.boxes, folder) as points, Spool[Any](len(area.numbers), folder) as store:
         points.append(cloud)
         registers = area.may_move(points) | options.get("registers", False)
-        run_area(area, points, None, "tile", CONFIG, store, registers)
+        run_area(area, points, Rows(len(area.numbers), store, None, "tile", CONFIG), registers)
         num_batches = len(list(area.batches(points)))
         results = list(store[: int(is_chosen.sum())])
     return {result.reconstruction.building_id: result for result in results}, num_batches
