@@ -23,6 +23,7 @@ from figures import Figures
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "p2wss"
 FEW_ARGUMENTS = 8
+_FIT = "fit/fitting.py"
 # roof CD and points to mesh in metres, triangles: the means of fit_ablation.py before the package was made smaller
 ACCURACY = {
     "delft": (0.2371, 0.1101, 43.7),
@@ -132,11 +133,22 @@ def upwards(rooms: dict[str, set[str]]) -> list[tuple[str, str]]:
 
 
 def stations() -> list[str]:
-    """The stations of a building: the first column of the table in the overview, whose functions a test of the
+    """The stations of a building. Those of the fit are read from the code: the functions of its module that
+    ``fit_building`` calls, in order. The others are rows of the table in the overview, whose functions a test of the
     documentation finds in the code."""
     page = (ROOT / "docs/methods/overview.md").read_text(encoding="utf-8")
     rows = page.split("## ")[0].split("|---|---|---|\n")[1].strip().splitlines()
-    return [row.split("|")[1].strip() for row in rows if row.startswith("|")]
+    cells = [row.split("|") for row in rows if row.startswith("|")]
+    module = ast.parse((PACKAGE / _FIT).read_text(encoding="utf-8"))
+    functions = {each.name: each for each in module.body if isinstance(each, ast.FunctionDef)}
+    body = functions["fit_building"].body
+    calls = [node for step in body for node in ast.walk(step) if isinstance(node, ast.Call)]
+    calls.sort(key=lambda call: (call.lineno, call.col_offset))
+    names = [call.func.id for call in calls if isinstance(call.func, ast.Name)]
+    of_fit = [name for name in names if name in functions and not name.startswith("_")]
+    before = [cell[1].strip() for cell in cells if _FIT not in cell[3]]
+    place = next(number for number, cell in enumerate(cells) if _FIT in cell[3])
+    return [*before[:place], *of_fit, *before[place:]]
 
 
 def count(figures: Figures) -> None:

@@ -213,7 +213,7 @@ class Boxes(Price):
     # of the footprint's area
     max_share: float = 0.8
     recesses: bool = True
-    # the roof is fitted once more without the points of boxes that cost up to this share of the price
+    # the roof is fitted once more without the points of boxes that gain at least this share of their price
     loose_share: float = 0.5
 
 

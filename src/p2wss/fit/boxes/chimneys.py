@@ -7,16 +7,15 @@ chimney: close together, level, with a roof around them, and nothing but them be
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import manifold3d
 import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss.data.building import Reconstruction
 from p2wss.fit.boxes.dormers import moved_to_walls
-from p2wss.fit.boxes.open_ground import OpenGround
 from p2wss.fit.mesh.adjustment import CAP_M
 from p2wss.fit.mesh.union import is_sound, simplified
 from p2wss.fit.settings import Chimneys
@@ -141,29 +140,13 @@ def _grown(
     return low - missing, high + missing
 
 
-def with_chimneys(
-    reconstruction: Reconstruction,
-    rotation: np.ndarray,
-    point_m: np.ndarray,
-    open_ground: OpenGround,
-    chimneys: Chimneys,
-) -> Reconstruction:
-    """A reconstruction with those chimneys that its points show and with which its mesh is sound. They end at the walls
-    of the building.
-
-    rotation: (2, 2), of the frame ``xy @ rotation`` that chimneys are parallel to. point_m: (m, 3), on the roof, and
-    open_ground in that frame.
-    """
-    if reconstruction.mesh is None:
-        return reconstruction
-    rings = [ring @ rotation for ring in reconstruction.rings]
+def with_chimneys(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, chimneys: Chimneys) -> Mesh:
+    """The mesh with those chimneys that points (m, 3) on the roof show and with which it is sound. They end at the
+    walls of the building, over the footprint ``rings``, and are parallel to the axes."""
     footprint = shapely.Polygon(rings[0], rings[1:])
-    mesh = start = reconstruction.mesh.turned(rotation)
-    for chimney in find_chimneys(start, point_m, chimneys):
+    for chimney in find_chimneys(mesh, point_m, chimneys):
         mesh = _united(mesh, _to_walls(chimney, footprint)) or mesh
-    if mesh is start:
-        return reconstruction
-    return replace(reconstruction, mesh=open_ground.marked(mesh).turned(rotation.T))
+    return mesh
 
 
 def _to_walls(chimney: Chimney, footprint: shapely.Polygon) -> Chimney:

@@ -49,20 +49,16 @@ def find_boxes(
     fitter: Fitter,
     parts: Sequence[Roof],
     point_m: np.ndarray,
-    price_m: float,
     boxes: Boxes,
-    loose_share: float = 1.0,
-) -> tuple[float, list[Box], list[Box]]:
-    """(sum of the residuals of all points with the boxes, the boxes that the points show on the roofs of ``parts``,
-    and the same followed by others).
-
-    Each box lowers the sum by at least ``price_m``, the others by ``loose_share`` of it; the one that gains most
-    comes first. point_m: (m, 3).
-    """
+    price_share: float = 1.0,
+) -> tuple[float, list[Box]]:
+    """(sum of the residuals of all points with the boxes, the boxes that the points (m, 3) show on the roofs of
+    ``parts``). Each box lowers the sum by at least ``price_share`` of its price; the one that gains most comes
+    first."""
+    price_m = price_share * boxes.price_m(len(point_m))
     roof_z, slant = _roof_over(fitter, parts, point_m)
     x, y, z = np.ascontiguousarray(point_m.T)
     result: list[Box] = []
-    strict_loss, num_strict = None, 0
     footprint, lines = None, []
     orders = np.argsort(x, kind="stable"), np.argsort(y, kind="stable")
     reach_m, extent_m = boxes.max_area_m2**0.5, float(max(np.ptp(x), np.ptp(y)))
@@ -72,7 +68,7 @@ def find_boxes(
         above_m = (z - roof_z) * slant
         before = np.minimum(np.abs(above_m), boxes.cap_m)
         survey = Survey(x, y, z, roof_z, slant, before, *orders)
-        best_gain, best = (price_m if strict_loss is None else loose_share * price_m), None
+        best_gain, best = price_m, None
         for sign in signs if len(result) < boxes.max_boxes else ():
             off = sign * above_m > boxes.above_m
             # together, the clusters have no more to gain than all their points
@@ -102,11 +98,7 @@ def find_boxes(
                     if ring is not None:
                         best_gain, best = gain, (ring, top, sign)
         if best is None:
-            if strict_loss is None:
-                strict_loss, num_strict = float(before.sum()), len(result)
-                if loose_share < 1.0:
-                    continue
-            return strict_loss, result[:num_strict], result
+            return float(before.sum()), result
         ring, top, sign = best
         box = Box(ring, top, sign < 0)
         changed = is_over_boxes([box], point_m)

@@ -119,6 +119,17 @@ def build_meshes(
     return result
 
 
+def kernel_mesh(
+    rings: Sequence[np.ndarray], angle_deg: np.ndarray, eave_height_m: float, max_roof_height_m: float
+) -> Mesh | None:
+    """The kernel's building over a polygon; None if the kernel refuses it."""
+    polygons = Polygons.from_rings([list(rings)])
+    meshes = skeleton.build(
+        polygons, angle_deg, np.array([eave_height_m]), max_roof_height_m=max_roof_height_m
+    )
+    return Mesh.of_kernel(meshes, 0) if meshes.status[0] == skeleton.Status.OK else None
+
+
 def _rings(polygon: shapely.Polygon) -> list[np.ndarray]:
     return [np.asarray(ring.coords)[:-1, :2] for ring in (polygon.exterior, *polygon.interiors)]
 

@@ -12,16 +12,15 @@ import numpy as np
 
 from p2wss.fit.boxes.dormers import Box
 from p2wss.fit.parts.roofs import Roof
-from p2wss.fit.roof.fitter import kernel_solid
 from p2wss.mesh import Mesh
 
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
 _NO_AREA_M2 = 1e-6
-# beyond the outline, a roof may reach below the ground by this much
-_BELOW_GROUND_M = 30.0
-# how much higher each further part is raised, and how far a surface may move when slivers are removed
-_ATTEMPTS_M = ((0.0, 2e-3), (0.0, 1e-2), (0.02, 2e-3), (-0.03, 2e-3), (0.0, 3e-2))
+# how much higher each further part is raised where the union without that is not closed
+_STEPS_M = (0.0, 0.02)
+# how far a surface may move when slivers are removed
+_SIMPLIFY_M = 2e-3
 
 
 def union(
@@ -29,23 +28,20 @@ def union(
     min_eave_height_m: float,
     max_roof_height_m: float,
     recesses: Sequence[Box] = (),
-    outline: Sequence[np.ndarray] = (),
 ) -> Mesh | None:
     """The union of the parts' solids on one ground, less the ``recesses``. None if a part has no solid, or
-    if the result is not one closed manifold. outline: rings of a footprint at which parts that reach beyond it end.
+    if the result is not one closed manifold.
 
     parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
-    The union of parts that meet only in an edge is not a manifold; then some are raised by a few centimetres. At an
+    The union of parts that meet only in an edge is not a manifold; then each further one is raised by 2 cm more. At an
     edge of a few millimetres, programs that merge nearby vertices tear a solid open. So the result is the first
     attempt without such an edge, or the first without one once its ends are merged; if there is none, the first that
     is closed.
     """
     first_closed = None
-    for step_m, simplify_m in _ATTEMPTS_M:
-        raised = parts
-        if step_m:
-            raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, min_eave_height_m, max_roof_height_m, simplify_m, recesses, outline)
+    for step_m in _STEPS_M:
+        raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
+        mesh = _union(raised, min_eave_height_m, max_roof_height_m, recesses)
         if mesh is None or not mesh.is_closed:
             continue
         if mesh.edge_m.min() >= _SHORT_EDGE_M:
@@ -67,28 +63,16 @@ def _union(
     parts: Sequence[Roof],
     min_eave_height_m: float,
     max_roof_height_m: float,
-    simplify_m: float,
     recesses: Sequence[Box],
-    outline: Sequence[np.ndarray],
 ) -> Mesh | None:
-    below_m = _BELOW_GROUND_M if len(outline) else 0.0
-    lifted = [replace(part, eave_z_m=part.eave_z_m + below_m) for part in parts]
-    solids = [part.solid(min_eave_height_m, max_roof_height_m) for part in lifted]
+    solids = [part.solid(min_eave_height_m, max_roof_height_m) for part in parts]
     if None in solids:
         return None
-    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).translate((0.0, 0.0, -below_m))
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
     for recess in recesses:
         floor_m = max(recess.top_z_m, min_eave_height_m)
         whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
-    if len(outline):
-        flat_deg, top_m = np.zeros(sum(map(len, outline))), float(whole.bounding_box()[5]) + 1.0
-        low, high = (
-            kernel_solid(outline, flat_deg, z, max_roof_height_m) for z in (min_eave_height_m, top_m)
-        )
-        if low is None or high is None:
-            return None
-        whole = (whole ^ high) + low
-    return _mesh_of(whole, simplify_m)
+    return _mesh_of(whole)
 
 
 def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
@@ -97,12 +81,12 @@ def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
     used, index = np.unique(triangle, return_inverse=True)
     corners = index.reshape(-1, 3).astype(np.uint64)
     solid = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
-    return _mesh_of(solid, _ATTEMPTS_M[0][1])
+    return _mesh_of(solid)
 
 
-def _mesh_of(whole: manifold3d.Manifold, simplify_m: float) -> Mesh | None:
+def _mesh_of(whole: manifold3d.Manifold) -> Mesh | None:
     """The mesh of a solid with its faces; None if it is empty or in pieces."""
-    whole = whole.as_original().simplify(simplify_m)
+    whole = whole.as_original().simplify(_SIMPLIFY_M)
     if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
         return None
     out = whole.to_mesh64()

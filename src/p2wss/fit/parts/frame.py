@@ -42,12 +42,6 @@ def roof_frame(rings: Sequence[np.ndarray], roof_point_m: np.ndarray) -> np.ndar
     return np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
 
 
-def enclosing_rectangle(rings: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The one ring, counter-clockwise, of the smallest rectangle along the axes around the rings."""
-    (x0, y0), (x1, y1) = rings[0].min(axis=0), rings[0].max(axis=0)
-    return [np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])]
-
-
 def _direction_of_slopes_deg(point_m: np.ndarray) -> float | None:
     """The direction in which planes of the roof rise, up to right angles, in half degrees; None if they do not agree or
     are too few."""

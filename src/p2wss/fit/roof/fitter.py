@@ -11,8 +11,8 @@ import manifold3d
 import numpy as np
 import shapely
 
-from p2wss import skeleton
 from p2wss.fit.linkage import linked_work
+from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.points import every_kth
 from p2wss.fit.roof.eaves import fit_eaves, moved_walls
@@ -21,7 +21,6 @@ from p2wss.fit.roof.solve import IMPOSSIBLE
 from p2wss.fit.roof.work import NO_PRIOR, Context, FitWork, Polygon, Prior
 from p2wss.fit.settings import EFFORT, Effort, Limits, Settings
 from p2wss.mesh.planes import snap_vertices
-from p2wss.skeleton import Polygons, Status
 from p2wss.skeleton.queries import OUTSIDE
 
 # fewer points show no roof
@@ -69,17 +68,11 @@ def kernel_solid(
     rings: Sequence[np.ndarray], angle_deg: np.ndarray, eave_m: float, max_roof_height_m: float
 ) -> manifold3d.Manifold | None:
     """The kernel's solid over a polygon, with exactly its coordinates; None if the kernel refuses it."""
-    meshes = skeleton.build(
-        Polygons.from_rings([list(rings)]),
-        angle_deg,
-        np.array([eave_m]),
-        max_roof_height_m=max_roof_height_m,
-    )
-    if meshes.status[0] != Status.OK:
+    mesh = kernel_mesh(rings, angle_deg, eave_m, max_roof_height_m)
+    if mesh is None:
         return None
-    vertex_m, triangle, _, _ = meshes.mesh(0)
-    vertex_m = snap_vertices(vertex_m, np.concatenate(list(rings)))
-    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, triangle.astype(np.uint64)))
+    vertex_m = snap_vertices(mesh.vertex_m, np.concatenate(list(rings)))
+    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, mesh.triangle.astype(np.uint64)))
 
 
 class Fitter:
