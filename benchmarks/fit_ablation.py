@@ -29,6 +29,7 @@ _NUM_COPIES, _JITTER_M = 4, 0.0025
 _DEFAULT = Config().reconstruct
 VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "default": (_DEFAULT, Thresholds()),
+    "parts and boxes in place of planes": (_DEFAULT, Thresholds(planes=None)),
     "eaves of a part at one height": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False))),
     "short edges stay": (_DEFAULT, Thresholds(short_edge_m=0.0)),
     "neither of these two": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False), short_edge_m=0.0)),

@@ -18,11 +18,12 @@ from p2wss.fit.boxes.open_ground import OpenGround
 from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.parametric import kernel_mesh, transfer_angles
 from p2wss.fit.mesh.short_edges import short_edges, without_short_edges
-from p2wss.fit.mesh.union import is_sound, union
+from p2wss.fit.mesh.union import is_sound, simplified, union
 from p2wss.fit.parts.frame import roof_frame
 from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.parts.parts import total_cost_m
 from p2wss.fit.parts.roofs import Roof
+from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.roof.confidence import expected_share
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
@@ -34,6 +35,10 @@ from p2wss.mesh import Mesh
 METHOD = "fit"
 # points of class ground this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
+# with fewer points on the roof, the parametric model knows more than planes in them show
+_MIN_PLANE_POINTS = 40
+# metres: the parametric roof is taken if the points are on average no further from it than from planes and this
+_AS_NEAR_M = 0.005
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
@@ -94,26 +99,35 @@ class _Prepared:
     open_ground: OpenGround
 
 
+@dataclass(frozen=True)
+class _Solid:
+    """A building before its last steps, in the frame of :class:`_Prepared`.
+
+    roofs: of the parts; with planes, the one roof that is nearest to them all. num_parts: roofs between which there are
+    steps. eave_height_m: of the largest part. angle_deg: of each edge of the footprint. is_parametric: whether this is
+    the building of the paper, one part with one angle for each edge.
+    """
+
+    mesh: Mesh
+    roofs: Sequence[Roof]
+    num_parts: int
+    eave_height_m: float
+    angle_deg: np.ndarray
+    is_parametric: bool
+
+
 def fit_building(task: _Task) -> Reconstruction:
     """The stations of a building from its points to its mesh, in order."""
     prepared = prepare(task)
     if isinstance(prepared, str):
         return no_mesh(task.building, task.method, prepared)
-    mesh, max_parts = None, task.config.max_parts
-    # fewer parts until their union is closed
-    while mesh is None:
-        parts = fit_roofs(task, prepared, prepared.point_m, max_parts)
-        if not parts:
-            return no_mesh(task.building, task.method, reasons.NO_ROOF)
-        parts, boxes = add_boxes(task, prepared, parts, max_parts)
-        mesh, boxes = unite(task, prepared, parts, boxes)
-        max_parts = len(parts) - 1
-        if mesh is None and not max_parts:
-            return no_mesh(task.building, task.method, reasons.NO_CLOSED_UNION)
-    mesh = smooth(task, prepared, mesh, _is_simple(parts, boxes))
+    solid = cover_with_planes(task, prepared) or unite_parts(task, prepared)
+    if isinstance(solid, str):
+        return no_mesh(task.building, task.method, solid)
+    mesh = smooth(task, prepared, solid)
     mesh = prepared.open_ground.marked(mesh)
     mesh = add_chimneys(task, prepared, mesh)
-    return _reconstruction(task, prepared, parts, mesh)
+    return _reconstruction(task, prepared, solid, mesh)
 
 
 def prepare(task: _Task) -> _Prepared | str:
@@ -141,6 +155,62 @@ def prepare(task: _Task) -> _Prepared | str:
     point_m = np.column_stack([point_m[:, :2] @ rotation, point_m[:, 2]])
     rings = [ring @ rotation for ring in footprint]
     return _Prepared(footprint, rotation, rings, point_m, OpenGround(point_m, len(open_m)))
+
+
+def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
+    """The solid below the planes that the points show, or below the one parametric roof that is as near to them; None
+    where points are too few for planes, or the parametric model is asked for."""
+    config, point_m = task.config, prepared.point_m
+    thresholds = task.thresholds
+    if (
+        thresholds.planes is None
+        or config.max_parts == 1
+        or not config.dormers
+        or len(point_m) < _MIN_PLANE_POINTS
+    ):
+        return None
+    # open ground gets the lowest roof
+    raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
+    planes = fit_planes(prepared.rings, raised_m, thresholds.planes)
+    roofs = fit_roofs(task, prepared, point_m, 1)
+    if planes is None or not roofs:
+        return None
+    if _is_parametric(roofs, []) and roofs[0].num_slopes <= planes.num_faces:
+        off_m = np.minimum(np.abs(planes.residuals(raised_m)), thresholds.limits.cap_m).mean()
+        if roofs[0].loss_m < off_m + _AS_NEAR_M:
+            mesh, _ = unite(task, prepared, roofs, [])
+            return None if mesh is None else _solid_of(prepared, roofs, [], mesh)
+    mesh = planes.mesh(prepared.rings)
+    if mesh is None:
+        return None
+    mesh = simplified(mesh.vertex_m, mesh.triangle) or mesh
+    eave_height_m, angle_deg = planes.parameters(prepared.rings)
+    return _Solid(mesh, roofs, int(planes.body.max()) + 1, eave_height_m, angle_deg, False)
+
+
+def unite_parts(task: _Task, prepared: _Prepared) -> _Solid | str:
+    """The solid of all parts and boxes, with fewer parts until it is closed; a reason without any."""
+    mesh, max_parts = None, task.config.max_parts
+    while mesh is None:
+        parts = fit_roofs(task, prepared, prepared.point_m, max_parts)
+        if not parts:
+            return reasons.NO_ROOF
+        parts, boxes = add_boxes(task, prepared, parts, max_parts)
+        mesh, boxes = unite(task, prepared, parts, boxes)
+        max_parts = len(parts) - 1
+        if mesh is None and not max_parts:
+            return reasons.NO_CLOSED_UNION
+    return _solid_of(prepared, parts, boxes, mesh)
+
+
+def _solid_of(prepared: _Prepared, parts: Sequence[Roof], boxes: Sequence[Box], mesh: Mesh) -> _Solid:
+    """A solid with the eave height of the largest part that is not open ground and, for each edge of the footprint, the
+    angle of the part there."""
+    roofs = [part for part in parts if not prepared.open_ground.is_open(part)] or parts
+    largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
+    part_angles = np.concatenate([part.angle_deg for part in parts])
+    angle_deg = transfer_angles([ring for part in parts for ring in part.rings], part_angles, prepared.rings)
+    return _Solid(mesh, parts, len(parts), largest.eave_z_m, angle_deg, _is_parametric(parts, boxes))
 
 
 def fit_roofs(task: _Task, prepared: _Prepared, point_m: np.ndarray, max_parts: int) -> Sequence[Roof]:
@@ -210,22 +280,23 @@ def unite(
         mesh = union([*parts, *raised], *heights_m, [box for box in best if box.is_recess])
         if mesh is not None and is_sound(mesh):
             return mesh, best
-    if _is_simple(parts, []):
+    if _is_parametric(parts, []):
         eave_m = max(parts[0].eave_z_m, heights_m[0])
         return kernel_mesh(prepared.rings, parts[0].angle_deg, eave_m, heights_m[1]), []
     return union(parts, *heights_m), []
 
 
-def _is_simple(parts: Sequence[Roof], boxes: Sequence[Box]) -> bool:
+def _is_parametric(parts: Sequence[Roof], boxes: Sequence[Box]) -> bool:
     """Whether a building is the parametric one of the paper: one part, with one angle for each edge."""
     return len(parts) == 1 and parts[0].is_level_at_eaves and not boxes
 
 
-def smooth(task: _Task, prepared: _Prepared, mesh: Mesh, is_simple: bool) -> Mesh:
-    """The mesh without short edges, its planes adjusted to the points. is_simple: see
-    :func:`_is_simple`; such a mesh keeps its edges and, with one part at most, its planes."""
+def smooth(task: _Task, prepared: _Prepared, solid: _Solid) -> Mesh:
+    """The mesh without short edges, its planes adjusted to the points. A parametric one keeps its edges and, with one
+    part at most, its planes."""
+    mesh = solid.mesh
     thresholds, rings, point_m = task.thresholds, prepared.rings, prepared.point_m
-    if is_simple:
+    if solid.is_parametric:
         is_fixed = task.config.max_parts == 1 or not thresholds.adjust
         return mesh if is_fixed else adjusted(mesh, rings, point_m)
     limits = thresholds.cutting.price_m(len(point_m)), thresholds.short_edge_m
@@ -247,13 +318,8 @@ def add_chimneys(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:
     return mesh if with_all is mesh else prepared.open_ground.marked(with_all)
 
 
-def _reconstruction(task: _Task, prepared: _Prepared, parts: Sequence[Roof], mesh: Mesh) -> Reconstruction:
-    """The reconstruction with these parts and this mesh. With several parts it has the eave height of the largest one
-    that is not open ground and, for each edge of the footprint, the angle of the part there."""
-    building, rotation = task.building, prepared.rotation
-    roofs = [part for part in parts if not prepared.open_ground.is_open(part)] or parts
-    largest = max(roofs, key=lambda part: shapely.Polygon(part.rings[0], part.rings[1:]).area)
-    part_angles = np.concatenate([part.angle_deg for part in parts])
+def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh) -> Reconstruction:
+    building = task.building
     probability = None if task.initial is None else task.initial.class_probability
     return Reconstruction(
         building.building_id,
@@ -263,9 +329,9 @@ def _reconstruction(task: _Task, prepared: _Prepared, parts: Sequence[Roof], mes
         building.origin_xy_m,
         building.ground_z_m,
         prepared.footprint,
-        max(largest.eave_z_m, task.config.min_eave_height_m),
-        transfer_angles([ring for part in parts for ring in part.rings], part_angles, prepared.rings),
-        expected_share(task.fitter, parts, prepared.point_m, probability),
-        mesh.turned(rotation.T),
-        len(parts),
+        max(solid.eave_height_m, task.config.min_eave_height_m),
+        solid.angle_deg,
+        expected_share(task.fitter, solid.roofs, prepared.point_m, probability),
+        mesh.turned(prepared.rotation.T),
+        solid.num_parts,
     )

@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from p2wss.fit.planes import settings as planes
+
 # metres: the mean residual that noise of airborne LiDAR leaves, which no better roof lowers
 NOISE_M = 0.03
 # degrees: the slope of a roof of which nothing is known
@@ -251,6 +253,8 @@ class Thresholds:
     cutting: Cutting = field(default_factory=Cutting)
     boxes: Boxes = field(default_factory=Boxes)
     chimneys: Chimneys = field(default_factory=Chimneys)
+    # None: buildings are always parts and boxes
+    planes: planes.Thresholds | None = planes.THRESHOLDS
     # metres: shorter edges of the mesh are removed if the points do not need them
     short_edge_m: float = 0.2
     # whether the planes of the mesh are adjusted to the points
@@ -268,6 +272,7 @@ class Thresholds:
             self,
             cutting=replace(cutting, mean_price_m=factor * cutting.mean_price_m),
             boxes=replace(boxes, mean_price_m=factor * boxes.mean_price_m),
+            planes=self.planes and self.planes.times(self.detail[detail]),
         )
 
 

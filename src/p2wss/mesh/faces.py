@@ -76,11 +76,11 @@ def _rings(boundary: dict[tuple[int, int], None], apex: dict[tuple[int, int], in
             while (end, following) not in boundary:
                 following = apex[following, end]
             start, end = end, following
-        rings += _simple_rings(ring)
+        rings += simple_rings(ring)
     return rings
 
 
-def _simple_rings(ring: list[int]) -> list[np.ndarray]:
+def simple_rings(ring: list[int]) -> list[np.ndarray]:
     """A ring as rings none of which visits a vertex twice."""
     rings: list[np.ndarray] = []
     path: list[int] = []

@@ -61,10 +61,12 @@ def simpler_fits(
     config: Reconstruct,
 ) -> Iterator[Reconstruction]:
     """Fits with fewer details than an invalid one: without dormers, then with fewer and fewer parts."""
-    most = invalid.num_parts if config.dormers else invalid.num_parts - 1
-    for max_parts in range(most, 0, -1):
+    max_parts = config.max_parts if config.dormers else invalid.num_parts - 1
+    while max_parts:
         simple = config.model_copy(update={"dormers": False, "max_parts": max_parts})
-        yield fitting.fit([building], simple, [initial], method)[0]
+        (fitted,) = fitting.fit([building], simple, [initial], method)
+        yield fitted
+        max_parts = min(max_parts, fitted.num_parts) - 1
 
 
 def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:

@@ -7,6 +7,7 @@ each function is compiled for one set of types. Imports are inside, so that each
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,10 +53,14 @@ def warm_network_input() -> None:
 def warm_product() -> None:
     """Everything else: parts, boxes, the fit from a network's values, terrain."""
     import pyproj
+    import shapely
 
     from p2wss.config import Reconstruct
+    from p2wss.data.building import Building
     from p2wss.data.terrain import Terrain
+    from p2wss.fit import fitting
     from p2wss.fit.parts.merging import merged_rings
+    from p2wss.fit.settings import THRESHOLDS
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
@@ -64,6 +69,12 @@ def warm_product() -> None:
     config = Reconstruct(dormers=True)
     results = run(frame, cloud, None, "sample", config)
     run(frame, cloud, _Network(), "sample", config)
+    # only a building with few points is fitted by parts and boxes
+    house, within = frame.geometry[1], shapely.contains_xy(frame.geometry[1], cloud.x_m, cloud.y_m)
+    ring = shapely.get_coordinates(house)[:-1]
+    point_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[within]
+    building = Building("b", "sample", (0.0, 0.0), [ring], point_m, cloud.classification[within], 0.0)
+    fitting.fit([building], config, thresholds=replace(THRESHOLDS, planes=None))
     # only a building that is cut into three parts or more needs this one
     square = np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])
     merged_rings([square], [square + np.array([8.0, 0.0])])

@@ -11,6 +11,7 @@ from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.mesh.parametric import build_meshes
 from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.settings import THRESHOLDS
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
@@ -20,6 +21,7 @@ ANNEX = np.array([[9, 0], [13, 0], [13, 8], [9, 8.0]])
 BOTH = np.array([[0, 0], [13, 0], [13, 8], [0, 8.0]])
 GABLE = np.array([40, 90, 40, 90.0])
 CONFIG = Reconstruct()
+PARTS = replace(THRESHOLDS, planes=None)
 
 
 def on_roof(ring: np.ndarray, angle_deg: np.ndarray, eave_m: float, num_points: int, seed: int) -> np.ndarray:
@@ -67,7 +69,7 @@ def test_parts_are_kept_only_if_they_gain_more_than_they_cost(monkeypatch, loss_
     case = one_gable()
     start = network(case, GABLE, 6.6)
     monkeypatch.setattr(fitting, "fit_parts", lambda *_: two_parts(loss_m))
-    (reconstruction,) = fitting.fit([case], CONFIG, [start])
+    (reconstruction,) = fitting.fit([case], CONFIG, [start], thresholds=PARTS)
     assert reconstruction.num_parts == num_parts
     if num_parts == 1:
         assert reconstruction.eave_height_m == pytest.approx(6.6)
@@ -78,7 +80,7 @@ def test_the_height_of_the_ground_does_not_decide_whether_a_step_stays() -> None
     house = on_roof(HOUSE, np.zeros(4), 6.0, 400, 0)
     annex = on_roof(ANNEX, np.zeros(4), 5.85, 200, 1)
     case = building(np.vstack([house, annex]))
-    (reconstruction,) = fitting.fit([case], CONFIG)
+    (reconstruction,) = fitting.fit([case], CONFIG, thresholds=PARTS)
     assert reconstruction.num_parts == 2
     top_m = np.unique(reconstruction.mesh.vertex_m[reconstruction.mesh.vertex_m[:, 2] > 1, 2].round(2))
     assert top_m == pytest.approx([5.85, 6.0], abs=0.02)
@@ -112,10 +114,10 @@ def test_a_network_that_is_right_is_not_made_worse():
 
 def test_without_a_closed_union_there_are_fewer_parts(monkeypatch):
     case = house_and_annex()
-    (parts,) = fitting.fit([case], CONFIG)
+    (parts,) = fitting.fit([case], CONFIG, thresholds=PARTS)
     assert parts.num_parts == 2
     monkeypatch.setattr(fitting, "union", lambda *_: None)
-    (reconstruction,) = fitting.fit([case], CONFIG)
+    (reconstruction,) = fitting.fit([case], CONFIG, thresholds=PARTS)
     assert reconstruction.has_mesh and reconstruction.num_parts == 1
     assert reconstruction.mesh.is_closed
 

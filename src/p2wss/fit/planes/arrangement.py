@@ -1,0 +1,101 @@
+"""The cells into which lines divide a footprint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from p2wss.fit.planes.lines import Line
+
+# metres: coordinates of the arrangement are multiples of this
+GRID_M = 1e-3
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """xy_m: (v, 2), vertices. rings: of each cell, the vertices around it, exterior counter-clockwise and first.
+    middle_m: (c, 2), a place within each cell. area_m2: (c,). pair: int (s, 2), the cells on the two sides of each side
+    that two cells share. side: int (s, 2), its vertices; the first cell is to its left."""
+
+    xy_m: np.ndarray
+    rings: Sequence[Sequence[np.ndarray]]
+    middle_m: np.ndarray
+    area_m2: np.ndarray
+    pair: np.ndarray
+    side: np.ndarray
+    tree: shapely.STRtree
+
+    @property
+    def length_m(self) -> np.ndarray:
+        """(s,), of the sides."""
+        step = np.diff(self.xy_m[self.side], axis=1)[:, 0]
+        return np.hypot(step[:, 0], step[:, 1])
+
+    def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
+        """int (m,), the cell at each place (m, 2), -1 outside."""
+        place, cell = self.tree.query(shapely.points(xy_m), predicate="intersects")
+        result = np.full(len(xy_m), -1)
+        # a place on a side belongs to the cell with the smaller number
+        result[place[::-1]] = cell[::-1]
+        return result
+
+
+def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
+    """The cells of a footprint."""
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    shapely.prepare(polygon)
+    low, high = np.array(polygon.bounds).reshape(2, 2)
+    far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
+    segments = [
+        shapely.LineString(
+            line.normal * line.offset_m
+            + np.outer([max(line.low_m, -far_m), min(line.high_m, far_m)], line.direction)
+        )
+        for line in lines
+    ]
+    network = shapely.union_all([polygon.boundary, *segments], grid_size=GRID_M)
+    cells = shapely.get_parts(shapely.polygonize(shapely.get_parts(network)))
+    middle = shapely.point_on_surface(cells)
+    inside = shapely.contains(polygon, middle)
+    cells, middle = shapely.orient_polygons(cells[inside]), middle[inside]
+    # in the order of their places, so that nothing depends on the order of the lines
+    order = np.lexsort(shapely.get_coordinates(middle).T)
+    cells, middle = cells[order], middle[order]
+    all_rings, owner = shapely.get_rings(cells, return_index=True)
+    xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
+    key = np.round(xy_m / GRID_M).astype(np.int64)
+    _, first, vertex = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    vertex = vertex.reshape(-1)
+    starts = np.flatnonzero(np.diff(ring_of, prepend=-1))
+    vertex_rings = [each[:-1] for each in np.split(vertex, starts[1:])]
+    by_cell: list[list[np.ndarray]] = [[] for _ in cells]
+    for ring, cell in zip(vertex_rings, owner, strict=True):
+        by_cell[cell].append(ring)
+    start = np.concatenate(vertex_rings)
+    end = np.concatenate([np.roll(ring, -1) for ring in vertex_rings])
+    cell = np.repeat(owner, [len(ring) for ring in vertex_rings])
+    pair, side = _shared(start, end, cell, len(first))
+    return Arrangement(
+        xy_m[first],
+        by_cell,
+        shapely.get_coordinates(middle),
+        shapely.area(cells),
+        pair,
+        side,
+        shapely.STRtree(cells),
+    )
+
+
+def _shared(
+    start: np.ndarray, end: np.ndarray, cell: np.ndarray, num_vertices: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """(pairs of cells (s, 2), vertices (s, 2)) of the sides that go both ways; from the smaller vertex."""
+    forward, back = start * num_vertices + end, end * num_vertices + start
+    order = np.argsort(forward, kind="stable")
+    place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
+    other = order[place]
+    rows = np.flatnonzero((forward[other] == back) & (start < end))
+    return np.column_stack([cell[rows], cell[other[rows]]]), np.column_stack([start[rows], end[rows]])

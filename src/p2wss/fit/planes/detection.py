@@ -1,0 +1,201 @@
+"""The planes of a roof, grown from its points.
+
+A plane is (a, b, c): its height is ``a x + b y + c``, in the frame of the points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from p2wss.fit.planes.settings import Detection
+from p2wss.skeleton.compiled import entry, inner
+
+_NUM_ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class RoofPlanes:
+    """plane: (k, 3). label: int (m,), the plane of each point, -1 for none."""
+
+    plane: np.ndarray
+    label: np.ndarray
+
+
+def heights(plane: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
+    """Heights (m, k) of planes (k, 3) at places (m, 2)."""
+    return np.asarray(xy_m @ plane[:, :2].T + plane[:, 2])
+
+
+def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
+    """Distances (m, k) of points (m, 3) from planes (k, 3), metres."""
+    off_m = np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:])
+    return np.asarray(off_m / np.sqrt(1 + (plane[:, :2] ** 2).sum(axis=1)))
+
+
+def fitted(point_m: np.ndarray, noise_m: float) -> np.ndarray:
+    """The plane (3,) of points (m, 3) by reweighted least squares, which come near to least absolute residuals."""
+    return np.asarray(_fit(np.ascontiguousarray(point_m), np.arange(len(point_m)), len(point_m), noise_m))
+
+
+def detect(point_m: np.ndarray, density: float, settings: Detection) -> RoofPlanes:
+    """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre.
+
+    Planes grow from the places where the points are most even. Points go to the best of the planes around them, and
+    two planes become one where a single plane is hardly further from the points.
+    """
+    count = min(settings.num_neighbours, len(point_m))
+    point_m = np.ascontiguousarray(point_m, float)
+    _, neighbour = cKDTree(point_m).query(point_m, count)
+    neighbour = neighbour.reshape(len(point_m), count)
+    around = point_m[neighbour] - point_m[neighbour].mean(axis=1, keepdims=True)
+    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / count)
+    normal = np.ascontiguousarray(axes[:, :, 0] * np.where(axes[:, 2:, 0] < 0, -1, 1))
+    rough_m = np.sqrt(np.maximum(spread[:, 0], 0))
+    min_points = max(settings.min_points, int(settings.min_area_m2 * density))
+    order = np.argsort(rough_m, kind="stable")
+    plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
+    for _ in range(_NUM_ROUNDS):
+        if not len(plane):
+            break
+        label = _reassigned(point_m, plane, label, neighbour, settings.distance_m)
+        plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
+    return RoofPlanes(plane, label)
+
+
+@entry
+def _fit(point_m, rows, num, noise_m):
+    """The plane of the points in the first ``num`` of ``rows``."""
+    centre = np.zeros(3)
+    for t in range(num):
+        for k in range(3):
+            centre[k] += point_m[rows[t], k] / num
+    a = b = c = 0.0
+    for step in range(4):
+        xx = xy = yy = sx = sy = one = xz = yz = sz = 0.0
+        for t in range(num):
+            x, y = point_m[rows[t], 0] - centre[0], point_m[rows[t], 1] - centre[1]
+            z = point_m[rows[t], 2] - centre[2]
+            w = 1.0 if step == 0 else 1.0 / max(abs(a * x + b * y + c - z), noise_m)
+            xx, xy, yy = xx + w * x * x, xy + w * x * y, yy + w * y * y
+            sx, sy, one = sx + w * x, sy + w * y, one + w
+            xz, yz, sz = xz + w * x * z, yz + w * y * z, sz + w * z
+        ridge = 1e-9 * num
+        xx, yy = xx + ridge - sx * sx / one, yy + ridge - sy * sy / one
+        xy, xz, yz = xy - sx * sy / one, xz - sx * sz / one, yz - sy * sz / one
+        determinant = xx * yy - xy * xy
+        a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
+        c = (sz - a * sx - b * sy) / one
+    return np.array([a, b, c + centre[2] - a * centre[0] - b * centre[1]])
+
+
+@inner
+def _distance(plane, point):
+    """The distance of a point from a plane."""
+    off = plane[0] * point[0] + plane[1] * point[1] + plane[2] - point[2]
+    return abs(off) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
+
+
+@entry
+def _grown(point_m, neighbour, normal, rough_m, order, min_points, settings):
+    """(planes (k, 3), label (m,)): from each point in ``order``, the plane around it as far as it goes."""
+    num = len(point_m)
+    label, seen = np.full(num, -1), np.full(num, -1)
+    plane, num_planes = np.empty((num // min_points + 1, 3)), 0
+    rows = np.empty(num + neighbour.shape[1], np.int64)
+    min_along = np.cos(np.radians(settings.angle_deg))
+    for seed in order:
+        if label[seed] >= 0 or normal[seed, 2] < 0.3:
+            continue
+        count = 0
+        for other in neighbour[seed]:
+            if label[other] < 0:
+                rows[count], count = other, count + 1
+        if count < neighbour.shape[1] // 2:
+            continue
+        current = _fit(point_m, rows, count, settings.noise_m)
+        rows[0], count, seen[seed], reached, next_fit = seed, 1, seed, 0, min_points
+        while reached < count:
+            row, reached = rows[reached], reached + 1
+            length = np.sqrt(1 + current[0] ** 2 + current[1] ** 2)
+            for other in neighbour[row]:
+                if seen[other] == seed or label[other] >= 0:
+                    continue
+                along = normal[other, 2] - current[0] * normal[other, 0] - current[1] * normal[other, 1]
+                is_along = along > min_along * length or rough_m[other] > settings.rough_m
+                if is_along and _distance(current, point_m[other]) < settings.distance_m:
+                    seen[other], rows[count], count = seed, other, count + 1
+            if count >= next_fit:
+                current, next_fit = _fit(point_m, rows, count, settings.noise_m), count + count // 2
+        if count < min_points:
+            continue
+        current, near = _fit(point_m, rows, count, settings.noise_m), 0
+        for t in range(count):
+            if _distance(current, point_m[rows[t]]) < settings.distance_m:
+                rows[near], near = rows[t], near + 1
+        if near >= min_points:
+            for t in range(near):
+                label[rows[t]] = num_planes
+            plane[num_planes] = _fit(point_m, rows, near, settings.noise_m)
+            num_planes += 1
+    return plane[:num_planes].copy(), label
+
+
+def _reassigned(
+    point_m: np.ndarray, plane: np.ndarray, label: np.ndarray, neighbour: np.ndarray, distance_m: float
+) -> np.ndarray:
+    """The label (m,) of each point: the nearest of its plane and the planes of its neighbours."""
+    distance = np.column_stack([distances(plane, point_m), np.full(len(point_m), distance_m)])
+    candidate = np.column_stack([label, label[neighbour]])
+    best = np.take_along_axis(distance, candidate, axis=1).argmin(axis=1)
+    return np.asarray(candidate[np.arange(len(label)), best])
+
+
+def _merged(
+    point_m: np.ndarray,
+    plane: np.ndarray,
+    label: np.ndarray,
+    neighbour: np.ndarray,
+    min_points: int,
+    settings: Detection,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(planes, label) after planes side by side have become one, those that differ least first, without the planes of
+    too few points."""
+    rows = {i: np.flatnonzero(label == i) for i in range(len(plane))}
+    residual_m = {
+        i: distances(plane[i : i + 1], point_m[each]).mean() if len(each) else 0.0 for i, each in rows.items()
+    }
+    beside = _touching(label, neighbour)
+
+    def joint(one: int, other: int) -> tuple[float, np.ndarray]:
+        both = fitted(point_m[np.concatenate([rows[one], rows[other]])], settings.noise_m)
+        worse = (distances(both[None], point_m[rows[i]]).mean() - residual_m[i] for i in (one, other))
+        return max(worse), both
+
+    found = {pair: joint(*pair) for pair in sorted(beside)}
+    while found:
+        (one, other), (worse_m, both) = min(found.items(), key=lambda item: (item[1][0], item[0]))
+        if worse_m > settings.simpler_m:
+            break
+        rows[one] = np.concatenate([rows[one], rows.pop(other)])
+        residual_m[one] = distances(both[None], point_m[rows[one]]).mean()
+        linked = {i for pair in found if one in pair or other in pair for i in pair} - {one, other}
+        found = {pair: value for pair, value in found.items() if one not in pair and other not in pair}
+        found |= {pair: joint(*pair) for pair in ((min(one, i), max(one, i)) for i in sorted(linked))}
+    large = [each for _, each in sorted(rows.items()) if len(each) >= min_points]
+    new_label = np.full(len(label), -1)
+    for number, each in enumerate(large):
+        new_label[each] = number
+    planes = [fitted(point_m[each], settings.noise_m) for each in large]
+    return np.array(planes).reshape(-1, 3), new_label
+
+
+def _touching(label: np.ndarray, neighbour: np.ndarray) -> set[tuple[int, int]]:
+    """Pairs of planes of which at least three pairs of points are neighbours."""
+    one, other = np.repeat(label, neighbour.shape[1]), label[neighbour].ravel()
+    differ = (one >= 0) & (other >= 0) & (one != other)
+    pair = np.sort(np.column_stack([one[differ], other[differ]]), axis=1)
+    pairs, count = np.unique(pair, axis=0, return_counts=True)
+    return {(int(i), int(j)) for i, j in pairs[count >= 3]}

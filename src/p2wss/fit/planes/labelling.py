@@ -1,0 +1,238 @@
+"""Which plane covers which cell: the least sum of residuals and of the prices of faces and edges.
+
+The search is that of Boykov, Veksler and Zabih (Fast Approximate Energy Minimization via Graph Cuts, 2001): each plane
+in turn takes the cells that it covers at less cost, all at once, by a minimum cut. Faces then give way to those around
+them where that saves more than it costs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from p2wss.fit.planes.arrangement import Arrangement
+from p2wss.fit.planes.detection import heights
+from p2wss.fit.planes.settings import Prices
+from p2wss.mesh.topology import groups
+from p2wss.skeleton.compiled import entry, inner
+
+_MAX_ROUNDS = 4
+_GAIN_M3 = 1e-6
+# how a cell was reached: not at all, or as the start of a path; otherwise by a side
+_NOT_REACHED, _START = -2, -1
+
+
+@dataclass(frozen=True)
+class Costs:
+    """What a labelling costs, cubic metres. cell_m3: (c, k), of each plane over each cell. pair: int (s, 2), cells side
+    by side. side_m3: (s, k, k), of planes to the left and the right of each side. is_step: bool (s, k, k), whether
+    there is a step between them."""
+
+    cell_m3: np.ndarray
+    pair: np.ndarray
+    side_m3: np.ndarray
+    is_step: np.ndarray
+    face_m3: float
+
+    def total_m3(self, label: np.ndarray) -> float:
+        """Of planes ``label`` (c,) over the cells."""
+        sides = self.side_m3[np.arange(len(self.pair)), label[self.pair[:, 0]], label[self.pair[:, 1]]]
+        num_faces = self.faces(label).max(initial=-1) + 1
+        return float(
+            self.cell_m3[np.arange(len(label)), label].sum() + sides.sum() + self.face_m3 * num_faces
+        )
+
+    def faces(self, label: np.ndarray) -> np.ndarray:
+        """int (c,): numbers of the connected faces."""
+        same = label[self.pair[:, 0]] == label[self.pair[:, 1]]
+        return groups(len(label), self.pair[same])
+
+    def bodies(self, label: np.ndarray) -> np.ndarray:
+        """int (c,): numbers of the faces that no step divides."""
+        sides = np.arange(len(self.pair))
+        return groups(
+            len(label), self.pair[~self.is_step[sides, label[self.pair[:, 0]], label[self.pair[:, 1]]]]
+        )
+
+    def of(self, cells: np.ndarray, planes: np.ndarray, label: np.ndarray) -> Costs:
+        """The costs of some cells and planes, while all other cells keep their labels."""
+        number = np.full(len(label), -1)
+        number[cells] = np.arange(len(cells))
+        cell_m3 = self.cell_m3[np.ix_(cells, planes)].copy()
+        inside = number[self.pair] >= 0
+        for side in (0, 1):
+            rows = np.flatnonzero(inside[:, side] & ~inside[:, 1 - side])
+            fixed = label[self.pair[rows, 1 - side]]
+            own = self.side_m3[rows[:, None], planes[None], fixed[:, None]]
+            np.add.at(cell_m3, number[self.pair[rows, side]], own)
+        rows = np.flatnonzero(inside.all(axis=1))
+        within = np.ix_(rows, planes, planes)
+        return Costs(
+            cell_m3, number[self.pair[rows]], self.side_m3[within], self.is_step[within], self.face_m3
+        )
+
+
+def costs_of(
+    cells: Arrangement,
+    plane: np.ndarray,
+    label: np.ndarray,
+    point_m: np.ndarray,
+    density: float,
+    prices: Prices,
+) -> Costs:
+    """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). density: points per
+    square metre, each of which stands for an area."""
+    num_planes = len(plane)
+    of_cell = cells.cells_at(point_m[:, :2])
+    off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
+    cell_m3 = np.zeros((len(cells.area_m2), num_planes))
+    np.add.at(cell_m3, of_cell[of_cell >= 0], off_m[of_cell >= 0] / density)
+    for number in range(num_planes):
+        beyond_m, _ = cKDTree(point_m[label == number, :2]).query(cells.middle_m)
+        expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
+        cell_m3[:, number] += cells.area_m2 * expected_m
+    middle_z = heights(plane, cells.middle_m)
+    out_of_range = (middle_z < point_m[:, 2].min() - 0.5) | (middle_z > point_m[:, 2].max() + 0.5)
+    cell_m3 += cells.area_m2[:, None] * np.where(out_of_range, prices.cap_m, 0.0)
+    end_z = np.stack([heights(plane, cells.xy_m[cells.side[:, end]]) for end in (0, 1)])
+    step_m = np.abs(end_z[:, :, :, None] - end_z[:, :, None, :])
+    fold = np.linalg.norm(plane[:, None, :2] - plane[None, :, :2], axis=2)
+    meeting = np.where(fold < prices.shallow, prices.shallow_share, prices.meet_share)
+    stepping = np.where(step_m.mean(axis=0) < prices.small_step_m, prices.small_step_share, 1.0)
+    is_step = step_m.max(axis=0) >= prices.meet_m
+    share = np.where(is_step, stepping, meeting)
+    share[:, np.arange(num_planes), np.arange(num_planes)] = 0.0
+    side_m3 = prices.edge_m2 * cells.length_m[:, None, None] * share
+    return Costs(cell_m3, cells.pair, side_m3, is_step, prices.face_m3)
+
+
+def least_cost(costs: Costs) -> np.ndarray:
+    """int (c,): the plane over each cell."""
+    label = _expanded(costs, costs.cell_m3.argmin(axis=1))
+    total_m3, tried = costs.total_m3(label), set()
+    while True:
+        face = costs.faces(label)
+        for number in np.argsort(np.bincount(face), kind="stable"):
+            cells = np.flatnonzero(face == number)
+            key = (label[cells[0]], *cells.tolist())
+            if key in tried:
+                continue
+            tried.add(key)
+            simpler = _given_away(costs, label, cells)
+            if simpler is not None and costs.total_m3(simpler) < total_m3 - _GAIN_M3:
+                label, total_m3 = simpler, costs.total_m3(simpler)
+                break
+        else:
+            return label
+
+
+def _given_away(costs: Costs, label: np.ndarray, cells: np.ndarray) -> np.ndarray | None:
+    """The labels after the planes around a face have taken its cells; None if there are none."""
+    inside = np.zeros(len(label), bool)
+    inside[cells] = True
+    is_inside = inside[costs.pair]
+    border = is_inside[:, 0] != is_inside[:, 1]
+    around = np.unique(label[costs.pair[border][~is_inside[border]]])
+    around = around[around != label[cells[0]]]
+    if not len(around):
+        return None
+    own = costs.of(cells, around, label)
+    result = label.copy()
+    result[cells] = around[_expanded(own, own.cell_m3.argmin(axis=1))]
+    return result
+
+
+def _expanded(costs: Costs, label: np.ndarray) -> np.ndarray:
+    """The labels after planes have taken cells as long as that saves something, without the prices of faces."""
+    end = np.concatenate([costs.pair[:, 0], costs.pair[:, 1]])
+    order = np.argsort(end, kind="stable")
+    first = np.searchsorted(end[order], np.arange(len(label) + 1))
+    return np.asarray(_expand(costs.cell_m3, costs.pair, costs.side_m3, order, first, label))
+
+
+@entry
+def _expand(cell_m3, pair, side_m3, order, first, label):
+    """The labels (c,) after planes have taken cells in turn. order: the ends of sides, those of the first cells of all
+    sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
+    num_cells, num_sides = len(label), len(pair)
+    label, candidate = label.copy(), label.copy()
+    need_m3, rest_m3, came_by = np.empty(num_cells), np.empty(2 * num_sides), np.empty(num_cells, np.int64)
+    queue = np.empty(num_cells, np.int64)
+    total_m3 = _sum(cell_m3, pair, side_m3, label)
+    for _ in range(_MAX_ROUNDS):
+        before_m3 = total_m3
+        for number in range(cell_m3.shape[1]):
+            _take(cell_m3, pair, side_m3, order, first, label, number, need_m3, rest_m3, came_by, queue)
+            for cell in range(num_cells):
+                candidate[cell] = number if came_by[cell] != _NOT_REACHED else label[cell]
+            candidate_m3 = _sum(cell_m3, pair, side_m3, candidate)
+            if candidate_m3 < total_m3 - _GAIN_M3:
+                label[:], total_m3 = candidate, candidate_m3
+        if total_m3 == before_m3:
+            break
+    return label
+
+
+@inner
+def _sum(cell_m3, pair, side_m3, label):
+    """What labels cost, without the prices of faces."""
+    total_m3 = 0.0
+    for cell in range(len(label)):
+        total_m3 += cell_m3[cell, label[cell]]
+    for side in range(len(pair)):
+        total_m3 += side_m3[side, label[pair[side, 0]], label[pair[side, 1]]]
+    return total_m3
+
+
+@inner
+def _take(cell_m3, pair, side_m3, order, first, label, number, need_m3, rest_m3, came_by, queue):
+    """Finds the cells that plane ``number`` takes at least cost in all: those that ``came_by`` reaches in the end.
+
+    This is a minimum cut by shortest augmenting paths (Edmonds and Karp, 1972). need_m3: what a cell still costs if it
+    is taken; below 0, what it saves. rest_m3: what remains of the capacity of a side, in both directions.
+    """
+    num_sides = len(pair)
+    for cell in range(len(label)):
+        need_m3[cell] = cell_m3[cell, number] - cell_m3[cell, label[cell]]
+    for side in range(num_sides):
+        one, other = pair[side, 0], pair[side, 1]
+        neither = side_m3[side, label[one], label[other]]
+        only_other, only_one = side_m3[side, label[one], number], side_m3[side, number, label[other]]
+        need_m3[one] += only_one - neither
+        need_m3[other] -= only_one
+        # where planes to the left and right of a side cost more than both by way of a third one, this is a bound
+        rest_m3[side], rest_m3[side + num_sides] = 0.0, max(only_other + only_one - neither, 0.0)
+    while True:
+        head, tail, end = 0, 0, -1
+        for cell in range(len(label)):
+            came_by[cell] = _NOT_REACHED
+            if need_m3[cell] < -_GAIN_M3:
+                came_by[cell], queue[tail], tail = _START, cell, tail + 1
+        while head < tail and end < 0:
+            cell, head = queue[head], head + 1
+            for place in range(first[cell], first[cell + 1]):
+                way = order[place]
+                beside = pair[way, 1] if way < num_sides else pair[way - num_sides, 0]
+                if came_by[beside] == _NOT_REACHED and rest_m3[way] > _GAIN_M3:
+                    came_by[beside], queue[tail], tail = way, beside, tail + 1
+                    if need_m3[beside] > _GAIN_M3:
+                        end = beside
+                        break
+        if end < 0:
+            return
+        flow_m3, cell = need_m3[end], end
+        while came_by[cell] != _START:
+            way = came_by[cell]
+            flow_m3 = min(flow_m3, rest_m3[way])
+            cell = pair[way, 0] if way < num_sides else pair[way - num_sides, 1]
+        flow_m3 = min(flow_m3, -need_m3[cell])
+        need_m3[cell] += flow_m3
+        need_m3[end] -= flow_m3
+        cell = end
+        while came_by[cell] != _START:
+            way = came_by[cell]
+            rest_m3[way] -= flow_m3
+            rest_m3[way + num_sides if way < num_sides else way - num_sides] += flow_m3
+            cell = pair[way, 0] if way < num_sides else pair[way - num_sides, 1]

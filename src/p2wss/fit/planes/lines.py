@@ -1,0 +1,180 @@
+"""Lines along which the planes of a roof may end: where two meet, where there is a step, edges of the footprint."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+
+from p2wss.fit.planes.detection import heights
+from p2wss.fit.planes.regularity import turn_between
+from p2wss.fit.planes.settings import Drawing
+
+# tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
+_PARALLEL, _SLOPED = 0.06, 0.05
+# metres: a border this far from the line on which two planes meet is not on it; a larger step is one
+_OFF_LINE_M, _STEP_M = 0.6, 0.25
+_MIN_BORDER = 3
+
+
+@dataclass(frozen=True)
+class Line:
+    """The places ``normal @ xy == offset_m`` from ``low_m`` to ``high_m`` along :attr:`direction`."""
+
+    normal: np.ndarray
+    offset_m: float
+    low_m: float = -np.inf
+    high_m: float = np.inf
+
+    @property
+    def direction(self) -> np.ndarray:
+        return np.array([-self.normal[1], self.normal[0]])
+
+    @property
+    def ends_m(self) -> np.ndarray:
+        """(2, 2), for a line with ends."""
+        return self.normal * self.offset_m + np.outer([self.low_m, self.high_m], self.direction)
+
+    def along(self, xy_m: np.ndarray, reach_m: float) -> Line:
+        """The line as far as places (m, 2) beside it, and further."""
+        place = xy_m @ self.direction
+        low, high = (self.low_m, self.high_m) if np.isfinite(self.low_m) else (np.inf, -np.inf)
+        return replace(self, low_m=min(low, place.min() - reach_m), high_m=max(high, place.max() + reach_m))
+
+
+def lines_of(
+    rings: Sequence[np.ndarray],
+    plane: np.ndarray,
+    label: np.ndarray,
+    point_m: np.ndarray,
+    along: Sequence[float],
+    settings: Drawing,
+) -> list[Line]:
+    """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
+    of the footprint ``rings``, radians."""
+    edges = _edges(rings)
+    own = [np.arctan2(each[1], each[0]) for each in plane]
+    is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
+    meets, steps = [], []
+    for (i, j), sides in _borders(label, point_m, settings.near_m).items():
+        border = np.concatenate(sides)
+        gap_m = np.abs(np.diff(heights(plane[[i, j]], border), axis=1)[:, 0])
+        slope = plane[i] - plane[j]
+        fold = np.hypot(slope[0], slope[1])
+        if fold > _PARALLEL:
+            meet = Line(slope[:2] / fold, -slope[2] / fold)
+            off_m = np.abs(border @ meet.normal - meet.offset_m)
+            near = off_m < _OFF_LINE_M
+            if near.sum() >= _MIN_BORDER:
+                meets.append(meet.along(border[near], settings.reach_m))
+            if np.median(gap_m) < _STEP_M and near.mean() > 0.7:
+                continue
+            sides = [side[np.abs(side @ meet.normal - meet.offset_m) > _OFF_LINE_M] for side in sides]
+        if min(map(len, sides)) >= _MIN_BORDER:
+            tried = list(along[: settings.num_directions])
+            for number in (i, j):
+                if is_sloped[number] and all(
+                    abs(turn_between(own[number], each)) > np.radians(settings.same_deg) for each in tried
+                ):
+                    tried.append(own[number])
+            steps += _steps(sides, tried, settings)
+    for number in range(len(plane)):
+        tried = [along[0], *([own[number]] if is_sloped[number] else [])]
+        steps += _extent(point_m[label == number, :2], tried, settings)
+    return (
+        meets
+        + _snapped(steps, [edge for edge, _ in edges], settings)
+        + [edge for edge, is_reflex in edges if is_reflex]
+    )
+
+
+def _edges(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
+    """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
+    result = []
+    for ring in rings:
+        edge = np.roll(ring, -1, axis=0) - ring
+        length = np.hypot(edge[:, 0], edge[:, 1])
+        before = np.roll(edge, 1, axis=0)
+        is_reflex = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0] < 0
+        for corner, step, size, here, there in zip(
+            ring, edge, length, is_reflex, np.roll(is_reflex, -1), strict=True
+        ):
+            normal = np.array([step[1], -step[0]]) / size
+            result.append((Line(normal, float(normal @ corner)), bool(here or there)))
+    return result
+
+
+def _borders(
+    label: np.ndarray, point_m: np.ndarray, near_m: float
+) -> dict[tuple[int, int], list[np.ndarray]]:
+    """By pairs of planes, the places (m, 2) of points of each that are beside a point of the other."""
+    rows = np.flatnonzero(label >= 0)
+    if len(rows) < 4:
+        return {}
+    try:
+        corner = rows[Delaunay(point_m[rows, :2]).simplices]
+    except QhullError:
+        return {}
+    link = np.unique(
+        np.sort(np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]]), axis=1), axis=0
+    )
+    apart = point_m[link[:, 0], :2] - point_m[link[:, 1], :2]
+    link = link[(label[link[:, 0]] != label[link[:, 1]]) & (np.hypot(apart[:, 0], apart[:, 1]) < near_m)]
+    link = np.where((label[link[:, :1]] < label[link[:, 1:]]), link, link[:, ::-1])
+    result = {}
+    for pair in np.unique(label[link], axis=0):
+        between = link[(label[link] == pair).all(axis=1)]
+        result[int(pair[0]), int(pair[1])] = [point_m[np.unique(between[:, side]), :2] for side in (0, 1)]
+    return result
+
+
+def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawing) -> list[Line]:
+    """Lines in the given directions that have the points of one side on one hand and the others on the other."""
+    result = []
+    one, other = sides
+    for angle in angles:
+        for turned in (angle, angle + np.pi / 2, angle + np.pi, angle + 3 * np.pi / 2):
+            normal = np.array([np.cos(turned), np.sin(turned)])
+            place = np.concatenate([one, other]) @ normal
+            is_other = np.repeat([False, True], [len(one), len(other)])
+            order = np.argsort(place, kind="stable")
+            place, is_other = place[order], is_other[order]
+            num_wrong = np.cumsum(is_other) + len(one) - np.cumsum(~is_other)
+            best = int(num_wrong[:-1].argmin())
+            if num_wrong[best] < settings.wrong_share * min(len(one), len(other)):
+                line = Line(normal, float(place[best : best + 2].mean()))
+                result.append(line.along(np.concatenate([one, other]), settings.reach_m))
+    return result
+
+
+def _extent(xy_m: np.ndarray, angles: Sequence[float], settings: Drawing) -> list[Line]:
+    """The sides of the rectangles around the places (m, 2) of a plane."""
+    result = []
+    for angle in angles:
+        for turned in (angle, angle + np.pi / 2):
+            normal = np.array([np.cos(turned), np.sin(turned)])
+            place = xy_m @ normal
+            margin_m = np.ptp(place) / max(len(place), 1) ** 0.5 / 2
+            low, high = np.percentile(place, [1, 99])
+            for offset in (low - margin_m, high + margin_m):
+                result.append(Line(normal, float(offset)).along(xy_m, settings.reach_m))
+    return result
+
+
+def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
+    """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
+    result: dict[int, Line] = {}
+    targets = list(edges)
+    for step in steps:
+        middle = step.ends_m.mean(axis=0)
+        for number, target in enumerate(targets):
+            is_parallel = abs(step.normal @ target.normal) > np.cos(np.radians(settings.same_deg / 2))
+            if is_parallel and abs(middle @ target.normal - target.offset_m) < settings.snap_m:
+                result[number] = result.get(number, target).along(step.ends_m, 0.0)
+                break
+        else:
+            result[len(targets)] = step
+            targets.append(step)
+    return list(result.values())

@@ -1,0 +1,203 @@
+"""Roofs of planes: what is detected in points, the cells between lines, the cheapest labels, and the solid below."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import shapely
+
+from p2wss.fit.planes.arrangement import arrange
+from p2wss.fit.planes.detection import detect, heights
+from p2wss.fit.planes.fit import fit_planes
+from p2wss.fit.planes.labelling import Costs, least_cost
+from p2wss.fit.planes.lines import Line
+from p2wss.fit.planes.regularity import directions, regular
+from p2wss.fit.planes.settings import THRESHOLDS
+from p2wss.fit.planes.solid import solid_below
+from p2wss.mesh import Mesh
+from p2wss.mesh.topology import doubled_areas, is_closed
+from p2wss.skeleton import FaceKind
+
+SLOPE = np.tan(np.radians(40))
+
+
+def sampled(rings: list[np.ndarray], plane: np.ndarray, seed: int, density: float = 12.0) -> np.ndarray:
+    """Points (m, 3) with noise on the lower of the planes, over a footprint."""
+    rng = np.random.default_rng(seed)
+    low, high = rings[0].min(axis=0), rings[0].max(axis=0)
+    xy_m = rng.uniform(low, high, (int(density * np.prod(high - low)), 2))
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    xy_m = xy_m[shapely.contains_xy(polygon, xy_m[:, 0], xy_m[:, 1])]
+    return np.column_stack([xy_m, heights(plane, xy_m).min(axis=1) + rng.normal(0, 0.03, len(xy_m))])
+
+
+def gable(length_m: float, width_m: float, eave_m: float, turn: float) -> tuple[list[np.ndarray], np.ndarray]:
+    """(rings, planes (2, 3)) of a gable roof around the origin, along a direction."""
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length_m / 2, width_m / 2]
+    across = np.array([0.0, SLOPE]) @ rotation
+    top_m = eave_m + SLOPE * width_m / 2
+    return [corner @ rotation], np.array([[*across, top_m], [*-across, top_m]])
+
+
+def volume_m3(mesh: Mesh) -> float:
+    a, b, c = mesh.vertex_m[mesh.triangle].transpose(1, 0, 2)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.1])
+def test_the_planes_of_a_gable_roof_are_found_and_made_regular(turn: float) -> None:
+    rings, plane = gable(12, 8, 4, turn)
+    point_m = sampled(rings, plane, 1)
+    found = detect(point_m, 12.0, THRESHOLDS.detection)
+    assert len(found.plane) == 2
+    assert (found.label >= 0).mean() > 0.98
+    along = directions(rings, 4.0)
+    exact = regular(found, point_m, along, THRESHOLDS)
+    steep = np.hypot(exact[:, 0], exact[:, 1])
+    assert steep[0] == pytest.approx(steep[1], abs=1e-12)
+    assert abs(exact[0, :2] @ exact[1, :2]) == pytest.approx(steep[0] * steep[1])
+    assert np.degrees(np.arctan(steep[0])) == pytest.approx(40, abs=0.7)
+
+
+def test_points_off_every_plane_have_none() -> None:
+    rings, plane = gable(12, 8, 4, 0.3)
+    point_m = sampled(rings, plane, 2)
+    point_m[::40, 2] += 2.0
+    found = detect(point_m, 12.0, THRESHOLDS.detection)
+    assert len(found.plane) == 2
+    assert (found.label[::40] == -1).all()
+
+
+def test_lines_divide_a_footprint() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    # the last line ends at x = 5, within the middle column, which it does not divide
+    lines = [Line(np.array([1.0, 0.0]), x) for x in (3.0, 7.0)] + [Line(np.array([0.0, 1.0]), 4.0, -5.0, 1.0)]
+    cells = arrange([square], lines)
+    assert sorted(np.round(cells.area_m2, 6)) == [12, 18, 30, 40]
+    assert np.round(sorted(cells.length_m), 6).tolist() == [3, 4, 6, 10]
+    number = cells.cells_at(np.array([[1.0, 9.0], [1.0, 1.0], [5.0, 9.0], [5.0, 1.0], [-1.0, 5.0]]))
+    assert len(set(number[:3])) == 3
+    assert number[2] == number[3]
+    assert number[4] == -1
+
+
+def test_cells_do_not_depend_on_the_order_of_lines() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    lines = [Line(np.array([np.cos(a), np.sin(a)]), 6.0 + a) for a in (0.1, 0.5, 0.9, 1.3)]
+    one, other = arrange([square], lines), arrange([square], lines[::-1])
+    assert np.array_equal(one.middle_m, other.middle_m)
+    assert np.array_equal(one.pair, other.pair)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_labels_cost_little_more_than_the_least(seed: int) -> None:
+    """Against all labellings of six cells in a ring, by three planes."""
+    rng = np.random.default_rng(seed)
+    pair = np.array([[i, (i + 1) % 6] for i in range(6)])
+    share = rng.uniform(0.5, 1.5, (6, 3, 3))
+    share = (share + share.transpose(0, 2, 1)) * (1 - np.eye(3))
+    costs = Costs(rng.uniform(0, 2, (6, 3)), pair, 0.3 * share, share > 0, 0.3)
+    best = min(costs.total_m3(np.array(each)) for each in itertools.product(range(3), repeat=6))
+    assert costs.total_m3(least_cost(costs)) <= 1.1 * best
+
+
+def test_most_labels_are_the_cheapest() -> None:
+    num_best = 0
+    for seed in range(100):
+        rng = np.random.default_rng([1, seed])
+        pair = np.array([[i, (i + 1) % 6] for i in range(6)])
+        share = (1 - np.eye(3))[None].repeat(6, 0)
+        costs = Costs(rng.uniform(0, 1, (6, 3)), pair, 0.2 * share, share > 0, 0.2)
+        best = min(costs.total_m3(np.array(each)) for each in itertools.product(range(3), repeat=6))
+        num_best += costs.total_m3(least_cost(costs)) < best + 1e-9
+    assert num_best >= 80
+
+
+def test_roofs_that_touch_along_an_upright_edge_only_are_no_solid() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0), Line(np.array([0.0, 1.0]), 5.0)])
+    plane = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 6.0]])
+    label = (cells.middle_m > 5).sum(axis=1) % 2
+    assert solid_below(cells, label, plane, square) is None
+    assert solid_below(cells, label * 0, plane, square) is not None
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_solids_are_closed_planar_and_upright(seed: int) -> None:
+    """Random planes over a random division of a footprint with a courtyard."""
+    rng = np.random.default_rng(seed)
+    outside = np.array([[0.0, 0.0], [14.0, 0.0], [14.0, 6.0], [9.0, 6.0], [9.0, 11.0], [0.0, 11.0]])
+    courtyard = np.array([[3.0, 3.0], [3.0, 5.0], [6.0, 5.0], [6.0, 3.0]])
+    angle = rng.uniform(0, np.pi, 4)
+    lines = [
+        Line(np.array([np.cos(a), np.sin(a)]), np.array([np.cos(a), np.sin(a)]) @ rng.uniform(2, 8, 2))
+        for a in angle
+    ]
+    cells = arrange([outside, courtyard], lines)
+    plane = np.column_stack([rng.uniform(-0.5, 0.5, (3, 2)), rng.uniform(15, 17, 3)])
+    # connected faces that meet in steps, as planes shifted by half a metre would
+    label = (heights(plane, cells.middle_m) + rng.uniform(-0.5, 0.5, 3)).argmin(axis=1)
+    mesh = solid_below(cells, label, plane, np.concatenate([outside, courtyard]))
+    assert mesh is not None
+    assert is_closed(mesh.vertex_m, mesh.triangle)
+    corners = {tuple(corner) for corner in np.concatenate([outside, courtyard]).tolist()}
+    assert corners <= {tuple(xy) for xy in mesh.vertex_m[:, :2].tolist()}
+    exact = sum(
+        float(
+            area
+            * heights(
+                plane[[number]],
+                np.array(
+                    shapely.Polygon(cells.xy_m[rings[0]], [cells.xy_m[r] for r in rings[1:]]).centroid.coords
+                ),
+            )[0, 0]
+        )
+        for area, number, rings in zip(cells.area_m2, label, cells.rings, strict=True)
+    )
+    assert volume_m3(mesh) == pytest.approx(exact, rel=2e-3)
+
+
+def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
+    rings, main = gable(14, 8, 4, 0.0)
+    wing_rings, wing = gable(12, 5, 4, np.pi / 2 - 0.35)
+    shift = np.array([1.0, -5.0])
+    wing[:, 2] -= wing[:, :2] @ shift
+    body, side = shapely.Polygon(rings[0]), shapely.Polygon(wing_rings[0] + shift)
+    whole = shapely.orient_polygons(body.union(side))
+    ring = np.array(whole.exterior.coords)[:-1]
+    rng = np.random.default_rng(5)
+    xy_m = rng.uniform(ring.min(axis=0), ring.max(axis=0), (4000, 2))
+    xy_m = xy_m[shapely.contains_xy(whole, xy_m[:, 0], xy_m[:, 1])]
+    over = [
+        np.where(
+            shapely.contains_xy(polygon, xy_m[:, 0], xy_m[:, 1]), heights(planes, xy_m).min(axis=1), -np.inf
+        )
+        for polygon, planes in ((body, main), (side, wing))
+    ]
+    point_m = np.column_stack([xy_m, np.maximum(*over) + rng.normal(0, 0.03, len(xy_m))])
+    fit = fit_planes([ring], point_m)
+    assert fit is not None
+    assert fit.num_faces == 4
+    assert np.abs(fit.residuals(point_m)).mean() < 0.05
+    mesh = fit.mesh([ring])
+    assert mesh is not None
+    # the roofs meet in valleys, with hardly any wall between them
+    corner_m = mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.WALL]]
+    within = shapely.contains_xy(whole.buffer(-0.05), *corner_m[:, :, :2].mean(axis=1).T)
+    assert np.linalg.norm(doubled_areas(corner_m[within]), axis=1).sum() / 2 < 0.3
+
+
+def test_too_few_points_show_no_plane() -> None:
+    rings, plane = gable(12, 8, 4, 0.0)
+    assert fit_planes(rings, sampled(rings, plane, 3)[:6]) is None
+
+
+def test_a_fit_does_not_depend_on_the_order_of_points() -> None:
+    rings, plane = gable(12, 8, 4, 0.3)
+    point_m = sampled(rings, plane, 4)
+    one, other = fit_planes(rings, point_m), fit_planes(rings, point_m[::-1])
+    assert one is not None and other is not None
+    assert np.array_equal(one.plane, other.plane)
