@@ -86,7 +86,7 @@ def test_simpler_fits_have_no_dormers_then_fewer_parts(monkeypatch: pytest.Monke
 
     def fit(buildings: Any, config: Reconstruct, *_: Any) -> list[Reconstruction]:
         asked.append((config.dormers, config.max_parts))
-        return [pyramid(8)]
+        return [pyramid(8, min(config.max_parts, 3))]
 
     monkeypatch.setattr(fitting, "fit", fit)
     plain, with_dormers = Reconstruct(dormers=False), Reconstruct(dormers=True)
@@ -94,7 +94,7 @@ def test_simpler_fits_have_no_dormers_then_fewer_parts(monkeypatch: pytest.Monke
     assert asked == [(False, 2), (False, 1)]
     asked.clear()
     list(simpler_fits(building(), pyramid(8, 2), None, "fit", with_dormers))
-    assert asked == [(False, 2), (False, 1)]
+    assert asked == [(False, with_dormers.max_parts), (False, 2), (False, 1)]
 
 
 def test_the_product_falls_back_to_a_flat_roof_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
