@@ -22,26 +22,32 @@ from figures import Figures
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.settings import Boxes, Chimneys, Cutting, Limits, Thresholds
+from p2wss.fit.planes.settings import THRESHOLDS as PLANES
+from p2wss.fit.planes.settings import Detection
+from p2wss.fit.settings import Chimneys, Thresholds
 from p2wss.reconstruct.flat import with_fallback
 
 _NUM_COPIES, _JITTER_M = 4, 0.0025
 _DEFAULT = Config().reconstruct
+
+
+def _with(**settings: Any) -> Thresholds:
+    return Thresholds(planes=PLANES._replace(**settings))
+
+
+def _with_prices(**prices: float) -> Thresholds:
+    return _with(prices=PLANES.prices._replace(**prices))
+
+
 VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "default": (_DEFAULT, Thresholds()),
     "parts and boxes in place of planes": (_DEFAULT, Thresholds(planes=None)),
-    "eaves of a part at one height": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False))),
+    "no parametric roof": (_DEFAULT, Thresholds(as_near_m=-np.inf)),
     "short edges stay": (_DEFAULT, Thresholds(short_edge_m=0.0)),
-    "neither of these two": (_DEFAULT, Thresholds(limits=Limits(uneven_eaves=False), short_edge_m=0.0)),
     "planes are not adjusted": (_DEFAULT, Thresholds(adjust=False)),
-    "no penalty for slopes": (_DEFAULT, Thresholds(cutting=Cutting(slope_share=1e-9))),
-    "no cut below the penalty of a part": (
-        _DEFAULT,
-        Thresholds(cutting=Cutting(over_share=1.0, loss_share=0.0)),
-    ),
-    "no second cut is sought": (_DEFAULT, Thresholds(cutting=Cutting(loss_share=0.0))),
-    "no recesses": (_DEFAULT, Thresholds(boxes=Boxes(recesses=False))),
-    "neither dormers nor recesses": (_DEFAULT.model_copy(update={"dormers": False}), Thresholds()),
+    "edges cost nothing, faces twice": (_DEFAULT, _with_prices(face_m3=0.6, edge_m2=1e-9)),
+    "all edges cost the same": (_DEFAULT, _with_prices(meet_share=1.0, small_step_share=1.0)),
+    "planes stay as detected": (_DEFAULT, _with(detection=Detection(simpler_m=0.0))),
     "no wall moves": (_DEFAULT.model_copy(update={"max_wall_shift_m": 0.0}), Thresholds()),
     "`detail: low`": (_DEFAULT.model_copy(update={"detail": "low"}), Thresholds()),
     "`detail: high`": (_DEFAULT.model_copy(update={"detail": "high"}), Thresholds()),

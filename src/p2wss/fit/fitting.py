@@ -37,8 +37,6 @@ METHOD = "fit"
 _GROUND_INSIDE_M = 0.5
 # with fewer points on the roof, the parametric model knows more than planes in them show
 _MIN_PLANE_POINTS = 40
-# metres: the parametric roof is taken if the points are on average no further from it than from planes and this
-_AS_NEAR_M = 0.005
 # Where one roof that was searched from the network's values leaves the points further off than this on average, the
 # building is also searched without them: the network knows one height only, and there may be parts.
 _FAR_OFF_M = 0.05
@@ -177,7 +175,7 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
         return None
     if _is_parametric(roofs, []) and roofs[0].num_slopes <= planes.num_faces:
         off_m = np.minimum(np.abs(planes.residuals(raised_m)), thresholds.limits.cap_m).mean()
-        if roofs[0].loss_m < off_m + _AS_NEAR_M:
+        if roofs[0].loss_m < off_m + thresholds.as_near_m:
             mesh, _ = unite(task, prepared, roofs, [])
             return None if mesh is None else _solid_of(prepared, roofs, [], mesh)
     mesh = planes.mesh(prepared.rings)

@@ -255,6 +255,8 @@ class Thresholds:
     chimneys: Chimneys = field(default_factory=Chimneys)
     # None: buildings are always parts and boxes
     planes: planes.Thresholds | None = planes.THRESHOLDS
+    # metres: the parametric roof is taken if the points are on average no further from it than from planes and this
+    as_near_m: float = 0.005
     # metres: shorter edges of the mesh are removed if the points do not need them
     short_edge_m: float = 0.2
     # whether the planes of the mesh are adjusted to the points
