@@ -181,11 +181,12 @@ class Reconstruct(Section):
         32,
         ge=1,
         le=64,
-        description="maximum number of parts per building, each with its own eave height; 1 = the model of "
-        "the paper",
+        description="1 = the model of the paper, one eave height per building; otherwise roofs of any shape and, where "
+        "they cannot be seen, at most so many parts per building",
     )
     dormers: bool = Field(
-        True, description="also fit dormers and other small boxes that rise out of a fitted roof"
+        True,
+        description="fit all that rises out of a roof; false = parts with one roof each, without dormers",
     )
     detail: Literal["low", "normal", "high"] = Field(
         "normal",
