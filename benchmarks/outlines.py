@@ -31,11 +31,11 @@ from figures import Figures, cpu_seconds
 from real_places import Place, judged_rows, places
 
 from p2wss.clouds import reading as clouds
-from p2wss.clouds import unclassified
 from p2wss.clouds.reading import Cloud
 from p2wss.config import Config
 from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.footprints.cleaning import clean_footprints
+from p2wss.reconstruct import unclassified
 from p2wss.reconstruct.area import footprint_settings
 from p2wss.reconstruct.outlines import outline_frame
 from p2wss.reconstruct.pipeline import run

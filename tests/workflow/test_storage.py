@@ -94,7 +94,7 @@ def test_a_tile_goes_through_the_bucket_and_is_not_made_again_elsewhere(s3, proj
     "config", ["tests/mini/reduced.yaml", "config/shipped.yaml", "tests/mini/dataset.yaml"]
 )
 def test_the_profile_for_kubernetes_plans_to_the_report(s3, project, config):
-    """What the config names (weights, a drawn town) is not looked for in the bucket."""
+    """What the config names (weights, PDAL's models, a drawn town) is not looked for in the bucket."""
     pytest.importorskip("snakemake_executor_plugin_kubernetes", reason="make engines")
     run = project.snakemake(
         *("-n", "eval_report", "--profile", "profiles/kubernetes", "--container-image", "p2wss"),

@@ -2,7 +2,7 @@
 
 In:  what the section fetch of the config names: your files, each of which is tracked, or the town of rule draw_town.
 Out: <results>/fetch/{place}footprints.gpkg, resources/ign/{vintage}/dtm/{tile}.tif, .../lidar/{tile}.laz as delivered,
-     and <results>/fetch/lidar/{place}{tile}.laz, cropped to the tile and its margin.
+     and <results>/fetch/lidar/{place}{tile}.laz with a class for the ground.
 
 What a service sends is kept in resources/ign/{vintage}/downloads: these rules, run again, request
 nothing that is there and whole.
@@ -35,7 +35,7 @@ rule fetch_footprints:
         ign_requests=1,
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS)),
+        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "prepare")),
         code=fingerprint("fetch"),
         downloads=lambda wildcards: f"resources/ign/{at(wildcards.place).region.vintage}/downloads",
         sizes=source_sizes("footprints"),
@@ -97,6 +97,7 @@ rule fetch_lidar:
 rule prepare_lidar:
     input:
         clouds=delivered_around,
+        stages=local(settings.fetch.prepare.pdal_stages),
     output:
         lidar="<results>/fetch/lidar/{place}{tile}.laz",
     log:
@@ -104,11 +105,11 @@ rule prepare_lidar:
     benchmark:
         "<benchmarks>/fetch/prepare/{place}{tile}.tsv"
     conda:
-        "../../envs/p2wss.yaml"
+        "../../envs/pdal.yaml"
     resources:
-        mem_mb=lambda wildcards, attempt: 1000 * attempt,
+        mem_mb=lambda wildcards, attempt: 8000 * attempt,
     params:
-        config=section("region", "fetch", without=(*TILE_LISTS, *OF_CLOUDS, "geoplateforme")),
+        config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme")),
         code=fingerprint("fetch"),
     shell:
         "p2wss fetch prepare --tile {wildcards.tile:q} --clouds {input.clouds:q} --out {output.lidar:q} --config {params.config:q} 2> {log:q}"

@@ -105,7 +105,7 @@ def source_of_tile(wildcards):
 
 def source_section(wildcards):
     """Sections of the config that say where the data of a tile come from."""
-    without = (*TILE_LISTS, *OF_CLOUDS)
+    without = (*TILE_LISTS, *OF_CLOUDS, "prepare")
     return configs.section_json(at(source_of_tile(wildcards)), "region", "fetch", without=without)
 
 
@@ -139,7 +139,8 @@ def source_files(kind, place_of=lambda wildcards: wildcards.place):
         if kind != "lidar" and location.startswith("resources/towns/"):
             return [local(location)]
         files = files_of_folder(location, kind)
-        if kind != "footprints":
+        in_other_crs = kind == "lidar" and fetch.folder.lidar_crs not in ("", region.crs)
+        if kind != "footprints" and not in_other_crs:
             bounds = tile_bounds(wildcards.tile, region.tile_size_m, fetch.margin_m)
             files = [(file, extent) for file, extent in files if listing.may_overlap(extent, bounds)]
         return [local(str(part)) for file, _ in files for part in listing.with_companions(file)]

@@ -132,12 +132,14 @@ def fetch_dtm(tile: str, out: Path, downloads: Path | None, config: Config) -> N
 def fetch_lidar(tile: str, out: Path, downloads: Path | None, config: Config) -> None:
     """Get the LiDAR of one tile and its margin as it is delivered."""
     from p2wss.fetch.cloud import write_cloud
+    from p2wss.fetch.source import delivery_window
 
     source = _open_source(config, downloads)
     paths = source.lidar(bounds_of_tile(tile, config))
-    bounds = bounds_of_tile(tile, config, config.fetch.margin_m)
+    bounds_with_margin = bounds_of_tile(tile, config, config.fetch.margin_m)
+    crs, bounds = delivery_window(config.region, config.fetch, bounds_with_margin)
     # the user's files are copied, not linked, because the user may change them later
-    num_points = write_cloud(out, paths, bounds, config.region.crs, link=config.fetch.source != "folder")
+    num_points = write_cloud(out, paths, bounds, crs, link=config.fetch.source != "folder")
     log.info(f"{out.name}: {num_points} points from {', '.join(path.name for path in paths)}")
 
 
@@ -148,16 +150,22 @@ def fetch_lidar(tile: str, out: Path, downloads: Path | None, config: Config) ->
     "delivered clouds, named TILE.laz: that of the tile first, then those of its neighbours",
     takes_list=True,
 )
-@file_option("--out", "LAZ file to write")
+@file_option("--out", "LAZ file to write; if PDAL runs, its pipeline is stored beside it")
 @config_option
 def fetch_prepare(tile: str, clouds: tuple[Path, ...], out: Path, config: Config) -> None:
-    """Crop the LiDAR of one tile to the tile and its margin, without the points of neighbours."""
-    from p2wss.fetch.cloud import write_cloud
+    """Crop the LiDAR of one tile and classify its ground points."""
+    from p2wss.data.las_classes import class_set
+    from p2wss.fetch.pdal import Window
+    from p2wss.fetch.prepare import prepare
+    from p2wss.fetch.source import delivery_window
 
     holes = [bounds_of_tile(path.stem, config) for path in clouds[1:]]
     bounds = bounds_of_tile(tile, config, config.fetch.margin_m)
-    num_points = write_cloud(out, clouds[:1], bounds, config.region.crs, holes, link=True)
-    log.info(f"{out.name}: {num_points} points")
+    crs, _ = delivery_window(config.region, config.fetch, bounds)
+    window = Window(bounds, holes, config.region.crs, crs)
+    ground = class_set(**config.region.classes.model_dump()).ground
+    facts = prepare(out, clouds, window, config.fetch.prepare, ground)
+    log.info(f"{out.name}: {', '.join(f'{name} {value}' for name, value in facts.items() if value)}")
 
 
 def _open_source(config: Config, downloads: Path | None) -> Any:

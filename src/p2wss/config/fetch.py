@@ -30,6 +30,11 @@ class Folder(Section):
     lidar: str = Field(
         "tests/mini/lidar", description="LAS, LAZ or COPC files: a file, a folder or a pattern"
     )
+    lidar_crs: str = Field(
+        "",
+        description="CRS of these clouds if it differs from region.crs, so that PDAL reprojects them; '' = "
+        "region.crs",
+    )
 
 
 class Geoplateforme(Section):
@@ -98,6 +103,25 @@ class Geoplateforme(Section):
     user_agent: str = Field("p2wss", description="User-Agent header of the requests")
 
 
+class Prepare(Section):
+    """Preparation of real clouds: crop to the tile and its margin, and classify ground points with PDAL."""
+
+    mode: Literal["never", "auto", "pdal"] = Field(
+        "auto",
+        description="when to run PDAL: never; auto = on clouds without ground points (class 2); pdal = on "
+        "all clouds",
+    )
+    pdal_command: str = Field(
+        "pdal",
+        description="command and options of PDAL ({folder} = the folder with its files, for containers)",
+    )
+    pdal_stages: str = Field(
+        "config/pdal/prepare.json",
+        description="PDAL filters in order; those tagged if_no_ground_.. run only on clouds without class 2",
+    )
+    pdal_timeout_s: float = Field(7200, gt=0, description="time limit of PDAL for one tile")
+
+
 class Fetch(Section):
     """Stage fetch: get footprints, terrain and LiDAR."""
 
@@ -111,5 +135,6 @@ class Fetch(Section):
         description="margin around the region (footprints) or tile (terrain, LiDAR); at least "
         "scenes.margin_m + 30",
     )
+    prepare: Prepare = Prepare()
     folder: Folder = Folder()
     geoplateforme: Geoplateforme = Geoplateforme()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,6 @@ import pyarrow as pa
 
 from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
 from p2wss.clouds.reading import check_crs, read_clouds
-from p2wss.clouds.unclassified import with_classes
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
@@ -22,8 +20,6 @@ from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
 from p2wss.skeleton.types import Polygons
 from p2wss.storage.schemas.crops import CROPS
-
-log = logging.getLogger("p2wss")
 
 
 def crop_real(
@@ -39,8 +35,7 @@ def crop_real(
 
     frame: the result of :func:`p2wss.footprints.cleaning.clean_footprints`. Its footprints are assigned to tiles as in
     the scenes, by the centre of their bounding box; those of ``tile`` are cropped. clouds: files of the tile and
-    its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS. Where no point is
-    ground, or none a building, these classes are found as for a reconstruction (:mod:`p2wss.clouds.unclassified`).
+    its margin, in the CRS of ``frame``. classes: of these clouds; the columns have those of LAS.
 
     Raises :class:`InputError` if a cloud is unreadable or in another CRS.
     """
@@ -52,9 +47,6 @@ def crop_real(
     polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
     cloud = read_clouds(clouds, _window(polygons, tiling.tile_bounds(tile, tile_size_m)), classes)
     check_crs(cloud.crs, frame.crs, clouds[0], "the footprints are", "reproject one of them")
-    cloud, warnings = with_classes(cloud)
-    for warning in warnings:
-        log.warning("warning: %s", warning)
 
     cropped = crop_cloud(cloud, polygons, settings.buffer_m)
     classification = cloud.classification[cropped.point]

@@ -12,7 +12,7 @@ from p2wss.data.terrain import write_terrain
 from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch.bdtopo import write_footprints
 from p2wss.fetch.cloud import write_cloud
-from p2wss.fetch.source import known_height_share, open_source, read_buildings
+from p2wss.fetch.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 
@@ -41,10 +41,11 @@ def fetch_area(bbox: Bounds, crs: str, folder: Path, config: Config) -> Fetched:
     terrain = source.dtm(around)
     known_height_share(terrain, bounds, f"terrain of {_text(bounds)}")
     write_terrain(result.terrain, terrain, region.crs, facts)
+    cloud_crs, window = delivery_window(region, config.fetch, around)
     for tile in tiles_of_bounds(bounds, region.tile_size_m):
         paths = source.lidar(tile_bounds(tile, region.tile_size_m))
         path = folder / f"lidar_{tile}.laz"
-        write_cloud(path, paths, around, region.crs, link=False)
+        write_cloud(path, paths, window, cloud_crs, link=False)
         result.clouds.append(path)
     return result
 

@@ -67,7 +67,8 @@ class FolderSource:
     def lidar(self, bounds: Bounds) -> list[Path]:
         """See :class:`p2wss.fetch.source.Source`. Raises :class:`InputError` if no file overlaps ``bounds``."""
         files = list_files(self.config.lidar, CLOUD, "fetch.folder.lidar")
-        paths = [path for path in files if _overlaps(path, bounds)]
+        window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
+        paths = [path for path in files if _overlaps(path, window)]
         if not paths:
             x_min, y_min, x_max, y_max = bounds
             raise InputError(

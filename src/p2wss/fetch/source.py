@@ -34,15 +34,17 @@ class Source(Protocol):
 def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     """Open the source that the config names.
 
-    downloads: folder for downloaded files, which later runs reuse. Raises :class:`InputError` if the CRS of
+    downloads: folder for downloaded files, which later runs reuse. Raises :class:`InputError` if a CRS of
     the config does not exist.
     """
-    try:
-        pyproj.CRS.from_user_input(region.crs)
-    except pyproj.exceptions.CRSError as error:
-        raise InputError(
-            f"config: region.crs: {region.crs}: no such CRS; state one such as EPSG:2154"
-        ) from error
+    for key, crs in (
+        ("region.crs", region.crs),
+        ("fetch.folder.lidar_crs", config.folder.lidar_crs or region.crs),
+    ):
+        try:
+            pyproj.CRS.from_user_input(crs)
+        except pyproj.exceptions.CRSError as error:
+            raise InputError(f"config: {key}: {crs}: no such CRS; state one such as EPSG:2154") from error
     if config.source == "folder":
         from p2wss.fetch.folder import FolderSource
 
@@ -62,6 +64,16 @@ def read_buildings(
     if not len(frame):
         raise InputError(f"{source.name}: no building in {place}")
     return frame
+
+
+def delivery_window(region: Region, config: Fetch, bounds: Bounds) -> tuple[str, Bounds]:
+    """The CRS in which the clouds are delivered, and the window in that CRS that contains ``bounds``."""
+    crs = (config.folder.lidar_crs if config.source == "folder" else "") or region.crs
+    if crs == region.crs:
+        return crs, bounds
+    from p2wss.fetch.folder import reproject_bounds
+
+    return crs, reproject_bounds(bounds, region.crs, crs)
 
 
 def known_height_share(terrain: Terrain, bounds: Bounds, name: str) -> float:

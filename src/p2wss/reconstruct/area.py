@@ -103,7 +103,7 @@ class Area:
 
     def may_move(self, points: CloudIndex) -> np.ndarray:
         """The footprints of blocks around which the producer has points of class building, bool (footprints,): what
-        :mod:`p2wss.clouds.unclassified` takes for buildings moves no footprint."""
+        :mod:`p2wss.reconstruct.unclassified` takes for buildings moves no footprint."""
         if self._surroundings is None:
             return np.zeros(len(self.frame), bool)
         return self._surroundings.whole_blocks(points.has_points(*self._centre_m(), BUILDING_CLASS))

@@ -1,7 +1,7 @@
 """A cloud in cells on disk: written chunk by chunk, read by places.
 
 Memory holds one chunk and the requested points, however large the cloud is. Points get classes where their
-producer has none, by :func:`p2wss.clouds.unclassified.with_classes`; what is read for a place is the same
+producer has none, by :func:`p2wss.reconstruct.unclassified.with_classes`; what is read for a place is the same
 whatever else is in the index, as long as it covers the surroundings (:meth:`CloudIndex.near`).
 """
 
@@ -15,8 +15,8 @@ import numpy as np
 import pyproj
 
 from p2wss.clouds.reading import Cloud
-from p2wss.clouds.unclassified import with_classes
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.reconstruct.unclassified import with_classes
 from p2wss.storage.temporary import Closeable, Scratch
 
 CELL_M = 64.0

@@ -140,7 +140,7 @@ def read_cloud(headers: Sequence[CloudHeader], points: Cloud | None, classes: Cl
 def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, gpd.GeoDataFrame]:
     """The whole cloud, and the outlines of its buildings as footprints."""
     # compiled code, which is slow to load
-    from p2wss.clouds import unclassified
+    from p2wss.reconstruct import unclassified
     from p2wss.reconstruct.outlines import outline_frame
 
     cloud = read_cloud(inputs.headers, inputs.points, class_set(**config.region.classes.model_dump()))

@@ -61,7 +61,7 @@ def outlines(cloud: Cloud, settings: Outlines) -> np.ndarray:
     """Polygons of the outlines of all buildings in the cloud, an object array in the order of their lower left corners.
 
     Neighbours share vertices along common walls. Raises :class:`InputError` if the cloud has no points, or none of
-    class building (:func:`p2wss.clouds.unclassified.with_classes` gives a cloud without classes some).
+    class building (:func:`p2wss.reconstruct.unclassified.with_classes` gives a cloud without classes some).
     """
     if not len(cloud):
         raise InputError("no outlines: the cloud has no points")

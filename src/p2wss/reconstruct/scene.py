@@ -22,7 +22,6 @@ import pyproj
 import shapely
 import trimesh
 
-from p2wss.clouds import unclassified
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import CLASSES_ALONE, Config, load, section_json
 from p2wss.data import polygon_arrays
@@ -35,7 +34,7 @@ from p2wss.formats.meshes import Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
-from p2wss.reconstruct import block_skins, exports, registration
+from p2wss.reconstruct import block_skins, exports, registration, unclassified
 from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, in_tile, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex

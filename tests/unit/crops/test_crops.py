@@ -311,21 +311,6 @@ def test_real_lidar_of_delft():
 
 
 @needs_data
-def test_a_cloud_without_classes_gets_some(tmp_path, caplog):
-    folder = DATA / "bresse_ign"
-    cloud = laspy.read(folder / "lidar.laz")
-    cloud.classification = np.ones(len(cloud), np.uint8)
-    cloud.write(tmp_path / "lidar.laz")
-    of_ign, ours = (
-        lidar_columns(folder / "footprints.gpkg", [path], "0870_6618", 1000)[0]
-        for path in (folder / "lidar.laz", tmp_path / "lidar.laz")
-    )
-    assert "has class 2 (ground)" in caplog.text
-    assert list(ours["building_id"]) == list(of_ign["building_id"])
-    assert np.abs(np.asarray(ours["ground_z_m"]) - np.asarray(of_ign["ground_z_m"])).max() < 0.15
-
-
-@needs_data
 def test_real_lidar_of_bresse_where_the_classifier_missed_a_building():
     folder = DATA / "bresse_ign"
     columns, num_excluded = lidar_columns(

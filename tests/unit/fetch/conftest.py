@@ -1,7 +1,9 @@
-"""Fixtures: clouds of known points, and IGN's services on a local server."""
+"""Fixtures: clouds of known points, an installed PDAL, and IGN's services on a local server."""
 
 from __future__ import annotations
 
+import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,11 +12,25 @@ import laspy
 import numpy as np
 import pyproj
 import pytest
+from places import ROOT
 from pytest_httpserver import HTTPServer
 
 from p2wss.config import Geoplateforme
 from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.fetch.http import Client
+
+
+@pytest.fixture(scope="session")
+def pdal_command() -> str:
+    """A ``pdal`` on the PATH, or the one that tests/pdal/make_root.sh installed."""
+    if shutil.which("pdal"):
+        return "pdal"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    root = cache / "p2wss-test" / "bullseye-pdal"
+    if not (root / "usr/bin/pdal").exists() or os.geteuid() != 0:
+        pytest.skip("no PDAL on this machine; as root on Debian: tests/pdal/make_root.sh")
+    return f"{ROOT / 'tests/pdal/pdal.sh'} {root}"
+
 
 WriteCloud = Callable[..., Path]
 

@@ -392,6 +392,17 @@ def test_square_kilometres_without_a_file_are_a_warning(caplog: pytest.LogCaptur
     assert not caplog.text
 
 
+def test_clouds_in_another_crs_are_selected_by_the_reprojected_window(tmp_path: Path) -> None:
+    from pyproj import Transformer
+
+    to_utm = Transformer.from_crs(2154, 32631, always_xy=True)
+    x, y = to_utm.transform(np.array([653100.0, 653200.0]), np.array([6860500.0, 6860600.0]))
+    write_points(tmp_path / "a.laz", x, y, "EPSG:32631")
+    assert source(lidar=tmp_path, lidar_crs="EPSG:32631").lidar(TILE) == [tmp_path / "a.laz"]
+    with pytest.raises(InputError, match="none of its 1 files has points"):
+        source(lidar=tmp_path).lidar(TILE)
+
+
 def test_footprints_of_other_schemas(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Overture in degrees, in two files with one building in both, and one of its ids twice."""
     squares = buildings(5).to_crs(4326).geometry.to_numpy()

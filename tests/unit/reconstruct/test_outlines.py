@@ -11,9 +11,9 @@ import shapely
 from shapely import affinity
 
 from p2wss.clouds.reading import Cloud
-from p2wss.clouds.unclassified import with_classes
 from p2wss.config import Outlines
 from p2wss.reconstruct.outlines import outline_frame, outlines
+from p2wss.reconstruct.unclassified import with_classes
 from p2wss.storage.errors import InputError
 
 LAMBERT = pyproj.CRS.from_epsg(2154)

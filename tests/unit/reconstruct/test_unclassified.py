@@ -11,8 +11,8 @@ import pytest
 from places import SHARED
 
 from p2wss.clouds.reading import Cloud, read_clouds
-from p2wss.clouds.unclassified import with_classes
 from p2wss.data.las_classes import LAS, PRESETS, class_set
+from p2wss.reconstruct.unclassified import with_classes
 
 DELFT = SHARED / "data" / "delft_ahn3" / "ahn3.laz"
 

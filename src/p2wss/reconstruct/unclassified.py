@@ -37,7 +37,8 @@ _MAX_ROUGHNESS_M = 0.12
 _MIN_UPRIGHT = np.cos(np.radians(75))
 _CHUNK = 100_000
 _WITHOUT_GROUND = (
-    "ground is estimated from the lowest points; a classification by the producer may be more accurate"
+    "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
+    " more accurate"
 )
 _WITHOUT_BUILDINGS = (
     "points 2 m above the ground that lie on planes are used as building points (in footprints with fewer than ten of"
