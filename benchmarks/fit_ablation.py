@@ -22,9 +22,7 @@ from figures import Figures
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
-from p2wss.fit.planes.settings import THRESHOLDS as PLANES
-from p2wss.fit.planes.settings import Detection
-from p2wss.fit.settings import Chimneys, Thresholds
+from p2wss.fit.settings import Chimneys, Detection, Planes, Thresholds
 from p2wss.reconstruct.flat import with_fallback
 
 _NUM_COPIES, _JITTER_M = 4, 0.0025
@@ -32,11 +30,11 @@ _DEFAULT = Config().reconstruct
 
 
 def _with(**settings: Any) -> Thresholds:
-    return Thresholds(planes=PLANES._replace(**settings))
+    return Thresholds(planes=Planes()._replace(**settings))
 
 
 def _with_prices(**prices: float) -> Thresholds:
-    return _with(prices=PLANES.prices._replace(**prices))
+    return _with(prices=Planes().prices._replace(**prices))
 
 
 VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {

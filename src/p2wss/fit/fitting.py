@@ -49,8 +49,9 @@ def fit(
     method: str = METHOD,
     thresholds: Thresholds = THRESHOLDS,
 ) -> list[Reconstruction]:
-    """One reconstruction per building, in order: the parametric building nearest to the points on its roof, or
-    up to ``config.max_parts`` of them side by side as one solid.
+    """One reconstruction per building, in order: the solid below the planes that the points on its roof show, or the
+    parametric building nearest to them. With few points, up to ``config.max_parts`` such buildings side by side as one
+    solid.
 
     ``initial``: the network's reconstructions of the same buildings. Each is where the search begins and, with
     few points above all, what the result is drawn towards. It remains the result where there are too few points,
@@ -158,23 +159,21 @@ def prepare(task: _Task) -> _Prepared | str:
 def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     """The solid below the planes that the points show, or below the one parametric roof that is as near to them; None
     where points are too few for planes, or the parametric model is asked for."""
-    config, point_m = task.config, prepared.point_m
-    thresholds = task.thresholds
-    if (
-        thresholds.planes is None
-        or config.max_parts == 1
-        or not config.dormers
-        or len(point_m) < _MIN_PLANE_POINTS
-    ):
+    config, thresholds, point_m = task.config, task.thresholds, prepared.point_m
+    if thresholds.planes is None or len(point_m) < _MIN_PLANE_POINTS:
+        return None
+    if config.max_parts == 1 or not config.dormers:
         return None
     # open ground gets the lowest roof
     raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
     planes = fit_planes(prepared.rings, raised_m, thresholds.planes)
+    if planes is None:
+        return None
     roofs = fit_roofs(task, prepared, point_m, 1)
-    if planes is None or not roofs:
+    if not roofs:
         return None
     if _is_parametric(roofs, []) and roofs[0].num_slopes <= planes.num_faces:
-        off_m = np.minimum(np.abs(planes.residuals(raised_m)), thresholds.limits.cap_m).mean()
+        off_m = np.minimum(np.abs(planes.off_m), thresholds.limits.cap_m).mean()
         if roofs[0].loss_m < off_m + thresholds.as_near_m:
             mesh, _ = unite(task, prepared, roofs, [])
             return None if mesh is None else _solid_of(prepared, roofs, [], mesh)

@@ -11,8 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from p2wss.fit.planes import settings as planes
-
 # metres: the mean residual that noise of airborne LiDAR leaves, which no better roof lowers
 NOISE_M = 0.03
 # degrees: the slope of a roof of which nothing is known
@@ -244,6 +242,81 @@ class Chimneys:
     around_share: float = 0.75
 
 
+class Detection(NamedTuple):
+    """Which points make a plane (`planes/detection.py`)."""
+
+    # points nearest to each, which show the direction of the surface there
+    num_neighbours: int = 12
+    # metres: points of a plane lie this near to it
+    distance_m: float = 0.15
+    # degrees: the surface at a point of a plane differs from the plane by less, unless the surface there is rougher
+    # than the next figure in metres
+    angle_deg: float = 25.0
+    rough_m: float = 0.1
+    # a plane has this area of points, and this many
+    min_area_m2: float = 1.0
+    min_points: int = 8
+    # metres: noise of a point; smaller residuals have full weight
+    noise_m: float = NOISE_M
+    # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further
+    # from them on average
+    simpler_m: float = 0.012
+
+
+class Drawing(NamedTuple):
+    """Where the lines of a roof of planes are sought (`planes/lines.py`)."""
+
+    # metres: planes this near to each other in plan have a border
+    near_m: float = 1.5
+    # metres: lines extend beyond the border that they are found by
+    reach_m: float = 2.0
+    # metres: a step so near to an edge of the footprint, or to another step, is on it
+    snap_m: float = 0.35
+    # degrees: directions that differ less are the same
+    same_deg: float = 4.0
+    # a step leaves less than this share of the points of the border on the wrong side
+    wrong_share: float = 0.35
+    # directions of the footprint in which steps are sought, the longest first
+    num_directions: int = 4
+
+
+class PlanePrices(NamedTuple):
+    """What a roof of planes pays (`planes/labelling.py`), in cubic metres between the roof and its points."""
+
+    # for each face
+    face_m3: float = 0.3
+    # for each metre of an edge: a step above the limit below
+    edge_m2: float = 0.08
+    # shares of it: where two planes meet, where they are nearly the same plane, and a small step
+    meet_share: float = 0.5
+    shallow_share: float = 1.0
+    small_step_share: float = 1.6
+    # metres: planes meet along an edge if no end of it has a larger step
+    meet_m: float = 0.08
+    small_step_m: float = 0.4
+    # tangent of the angle below which two planes are nearly the same
+    shallow: float = 0.09
+    # metres: larger residuals count as this
+    cap_m: float = 1.0
+    # metres a roof is expected to be off per metre beyond its points, after the first metre, and at most
+    beyond_share: float = 0.02
+    max_beyond_m: float = 0.1
+
+
+class Planes(NamedTuple):
+    """All that decides between roofs of planes (`planes/`)."""
+
+    detection: Detection = Detection()
+    drawing: Drawing = Drawing()
+    prices: PlanePrices = PlanePrices()
+
+    def times(self, factor: float) -> Planes:
+        """The thresholds with all prices multiplied."""
+        prices = self.prices
+        dearer = prices._replace(face_m3=factor * prices.face_m3, edge_m2=factor * prices.edge_m2)
+        return self._replace(prices=dearer)
+
+
 @dataclass(frozen=True)
 class Thresholds:
     """All that decides between roofs."""
@@ -254,7 +327,7 @@ class Thresholds:
     boxes: Boxes = field(default_factory=Boxes)
     chimneys: Chimneys = field(default_factory=Chimneys)
     # None: buildings are always parts and boxes
-    planes: planes.Thresholds | None = planes.THRESHOLDS
+    planes: Planes | None = field(default_factory=Planes)
     # metres: the parametric roof is taken if the points are on average no further from it than from planes and this
     as_near_m: float = 0.005
     # metres: shorter edges of the mesh are removed if the points do not need them

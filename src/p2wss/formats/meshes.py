@@ -15,7 +15,7 @@ import numpy as np
 from p2wss import __version__
 from p2wss.formats.materials import DEFAULTS, MATERIALS
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import doubled_areas
+from p2wss.mesh.topology import unit_normals
 from p2wss.skeleton.types import FaceKind
 
 # kind of the triangles of terrain, after those of ``FaceKind``
@@ -196,8 +196,7 @@ def stl(bodies: Sequence[Body], frame: Frame) -> bytes:
     vertex, triangle, _, _ = _joined(bodies, frame)
     face = np.zeros(len(triangle), _STL_FACE)
     face["corner"] = vertex["xyz"][triangle]
-    normal = doubled_areas(face["corner"].astype(float))
-    face["normal"] = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    face["normal"] = unit_normals(face["corner"].astype(float))
     # readers take a header that begins with "solid" for the text format
     header = f"p2wss metres z up origin_m {frame.origin} crs {frame.crs}".encode("ascii", "replace")[:80]
     return header.ljust(80) + len(face).to_bytes(4, "little") + face.tobytes()

@@ -15,7 +15,7 @@ import shapely
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.topology import NEXT, doubled_areas, doubled_plan_areas, groups, twins
+from p2wss.mesh.topology import NEXT, doubled_plan_areas, groups, twins, unit_normals
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",
@@ -172,12 +172,6 @@ class _Faces:
         vertex_at = dict(zip(of_corner, self.corner.tolist(), strict=True))
         of_place = zip(np.repeat(face, 3).tolist(), map(tuple, place_m.reshape(-1, 2).tolist()), strict=True)
         return np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3), face
-
-
-def unit_normals(corner_m: np.ndarray) -> np.ndarray:
-    """(t, 3), the unit normals of triangles (t, 3, 3)."""
-    normal = doubled_areas(corner_m)
-    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
 
 
 def shell_code(triangle: np.ndarray) -> int:

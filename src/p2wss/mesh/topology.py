@@ -47,13 +47,18 @@ def twins(triangle: np.ndarray) -> np.ndarray:
 
     Half-edge 3 t + k is side k of triangle t, from its corner k to the next.
     """
-    size = int(triangle.max(initial=-1)) + 1
     start, end = triangle.astype(np.int64).ravel(), triangle[:, NEXT].astype(np.int64).ravel()
+    return reverses(start, end).reshape(-1, 3)
+
+
+def reverses(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """int64 (n,): for each half-edge between vertices, int64 (n,), the one that runs the other way, -1 for none."""
+    size = int(max(start.max(initial=-1), end.max(initial=-1))) + 1
     forward, back = start * size + end, end * size + start
     order = np.argsort(forward, kind="stable")
     place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
     candidate = order[place]
-    return np.where(forward[candidate] == back, candidate, -1).reshape(-1, 3)
+    return np.where(forward[candidate] == back, candidate, -1)
 
 
 def doubled_areas(corner_m: np.ndarray) -> np.ndarray:
@@ -61,6 +66,12 @@ def doubled_areas(corner_m: np.ndarray) -> np.ndarray:
     u, v = corner_m[:, 1] - corner_m[:, 0], corner_m[:, 2] - corner_m[:, 0]
     # numpy's own function takes three times as long for a few triangles
     return np.asarray(u[:, [1, 2, 0]] * v[:, [2, 0, 1]] - u[:, [2, 0, 1]] * v[:, [1, 2, 0]])
+
+
+def unit_normals(corner_m: np.ndarray) -> np.ndarray:
+    """(t, 3), the unit normals of triangles (t, 3, 3)."""
+    normal = doubled_areas(corner_m)
+    return normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
 
 
 def doubled_plan_areas(corner_m: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from p2wss.config import Outlines
+from p2wss.fit.directions import turn_between
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ def directions(trace: shapely.Polygon, cell_m: float) -> list[float]:
     ]
     angle_deg = np.degrees([line.angle for line in lines])
     weight = np.array([line.length**3 for line in lines])
-    turn_deg = (angle_deg - angle_deg[:, None] + 45) % 90 - 45
+    turn_deg = turn_between(angle_deg, angle_deg[:, None], 90.0)
     is_near, least = np.abs(turn_deg) <= RULES.near_deg, RULES.min_share * weight.sum()
     result: list[float] = []
     while len(result) < 2 and weight.max() > 0:
@@ -211,7 +212,8 @@ def _lines(simple_m: np.ndarray, traced_m: np.ndarray, main_deg: list[float]) ->
             else np.concatenate([np.arange(first, len(sides_m)), np.arange(last)])
         )
         angle = _angle_of_points(sides_m[members], weight[members], angle)
-        turn = min(((np.degrees(angle) - main + 45) % 90 - 45 for main in main_deg), key=abs, default=90.0)
+        turns = (float(turn_between(np.degrees(angle), main, 90.0)) for main in main_deg)
+        turn = min(turns, key=abs, default=90.0)
         is_main = bool(abs(turn) <= RULES.snap_deg)
         if is_main:
             angle -= float(np.radians(turn))

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
-from p2wss.mesh.topology import NEXT
+from p2wss.mesh.topology import NEXT, unit_normals
 
 # an edge is a true one, and a corner is found, within this distance
 NEAR_M = 0.5
@@ -58,7 +58,7 @@ def roof_edges(mesh: Mesh) -> RoofEdges:
     An edge is a fold between two roofs, or borders on a wall, which is an outer wall or a step by its height there.
     """
     own, other = np.repeat(np.arange(len(mesh.triangle)), 3), mesh.twin.ravel() // 3
-    normal = mesh.doubled_m2 / np.maximum(2 * mesh.area_m2, 1e-12)[:, None]
+    normal = unit_normals(mesh.corner_m)
     is_roof = normal[:, 2] > _WALL_NZ
     sides = is_roof[own] & (mesh.label[own] != mesh.label[other])
     own, other = own[sides], other[sides]

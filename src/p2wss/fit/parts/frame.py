@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from p2wss.fit.directions import turn_between
 from p2wss.fit.parts.parts import main_frame
 
 # Planes are fitted to the points of each cell of this size; they are roof where there are so many points, with at most
@@ -29,11 +30,11 @@ def roof_frame(rings: Sequence[np.ndarray], roof_point_m: np.ndarray) -> np.ndar
     """
     frame = main_frame(rings)
     roof_deg = _direction_of_slopes_deg(roof_point_m)
-    if roof_deg is None or abs(_apart_deg(roof_deg, _degrees(*frame[:, 0]))) < _MIN_DIFFERENCE_DEG:
+    if roof_deg is None or abs(turn_between(roof_deg, _degrees(*frame[:, 0]), 90.0)) < _MIN_DIFFERENCE_DEG:
         return frame
     wall = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
     length = np.hypot(wall[:, 0], wall[:, 1])
-    off_deg = _apart_deg(_degrees(wall[:, 0], wall[:, 1]), roof_deg)
+    off_deg = turn_between(_degrees(wall[:, 0], wall[:, 1]), roof_deg, 90.0)
     length[np.abs(off_deg) > _WALL_DEG] = 0.0
     longest = int(length.argmax())
     if length[longest] >= _MIN_WALL_M:
@@ -73,8 +74,3 @@ def _direction_of_slopes_deg(point_m: np.ndarray) -> float | None:
 
 def _degrees(x: np.ndarray | float, y: np.ndarray | float) -> np.ndarray:
     return np.degrees(np.arctan2(y, x))
-
-
-def _apart_deg(direction_deg: np.ndarray | float, other_deg: np.ndarray | float) -> np.ndarray:
-    """The turn from ``other_deg`` to ``direction_deg``, up to right angles: -45 to 45."""
-    return (np.asarray(direction_deg) - other_deg + 45.0) % 90.0 - 45.0

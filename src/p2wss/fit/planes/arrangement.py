@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.fit.planes.lines import Line
+from p2wss.mesh.topology import reverses
 
 # metres: coordinates of the arrangement are multiples of this
 GRID_M = 1e-3
@@ -77,7 +78,9 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     start = np.concatenate(vertex_rings)
     end = np.concatenate([np.roll(ring, -1) for ring in vertex_rings])
     cell = np.repeat(owner, [len(ring) for ring in vertex_rings])
-    pair, side = _shared(start, end, cell, len(first))
+    back = reverses(start, end)
+    shared = np.flatnonzero((back >= 0) & (start < end))
+    pair, side = np.column_stack([cell, cell[back]])[shared], np.column_stack([start, end])[shared]
     return Arrangement(
         xy_m[first],
         by_cell,
@@ -87,15 +90,3 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
         side,
         shapely.STRtree(cells),
     )
-
-
-def _shared(
-    start: np.ndarray, end: np.ndarray, cell: np.ndarray, num_vertices: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """(pairs of cells (s, 2), vertices (s, 2)) of the sides that go both ways; from the smaller vertex."""
-    forward, back = start * num_vertices + end, end * num_vertices + start
-    order = np.argsort(forward, kind="stable")
-    place = np.minimum(np.searchsorted(forward, back, sorter=order), len(order) - 1)
-    other = order[place]
-    rows = np.flatnonzero((forward[other] == back) & (start < end))
-    return np.column_stack([cell[rows], cell[other[rows]]]), np.column_stack([start[rows], end[rows]])

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from p2wss.fit.planes.settings import Detection
+from p2wss.fit.settings import Detection
 from p2wss.skeleton.compiled import entry, inner
 
 _NUM_ROUNDS = 3
@@ -27,6 +27,11 @@ class RoofPlanes:
 def heights(plane: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
     """Heights (m, k) of planes (k, 3) at places (m, 2)."""
     return np.asarray(xy_m @ plane[:, :2].T + plane[:, 2])
+
+
+def height_over(plane: np.ndarray, label: np.ndarray, xy_m: np.ndarray) -> np.ndarray:
+    """Height (m,) of plane ``label`` (m,) at each place (m, 2)."""
+    return np.asarray((plane[label, :2] * xy_m).sum(axis=1) + plane[label, 2])
 
 
 def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from p2wss.fit.directions import directions
 from p2wss.fit.planes.arrangement import Arrangement, arrange
-from p2wss.fit.planes.detection import detect, heights
+from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.planes.labelling import costs_of, least_cost
 from p2wss.fit.planes.lines import lines_of
-from p2wss.fit.planes.regularity import directions, regular
-from p2wss.fit.planes.settings import THRESHOLDS, Thresholds
+from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.points import even_order
+from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
@@ -26,26 +27,19 @@ _LOW_M = 2.0
 
 @dataclass(frozen=True)
 class PlanesFit:
-    """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the
-    roofs between which there are steps."""
+    """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
+    there are steps. off_m: of the points within the footprint, their heights above the roof."""
 
     plane: np.ndarray
     cells: Arrangement
     label: np.ndarray
     num_faces: int
     body: np.ndarray
+    off_m: np.ndarray
 
     def mesh(self, rings: Sequence[np.ndarray]) -> Mesh | None:
         """The solid from height 0 to the roof, None if it is not closed."""
         return solid_below(self.cells, self.label, self.plane, np.concatenate(rings))
-
-    def residuals(self, point_m: np.ndarray) -> np.ndarray:
-        """Heights of the points within the footprint above the roof."""
-        cell = self.cells.cells_at(point_m[:, :2])
-        point_m, number = point_m[cell >= 0], self.label[cell[cell >= 0]]
-        return np.asarray(
-            point_m[:, 2] - np.take_along_axis(heights(self.plane, point_m[:, :2]), number[:, None], 1)[:, 0]
-        )
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
         """(eave height of the largest body, angle in degrees of every edge): that of a plane which rises from its edge,
@@ -60,39 +54,38 @@ class PlanesFit:
         inwards = np.column_stack([-edge[:, 1], edge[:, 0]]) / length_m[:, None]
         middle_m = start + edge / 2
         cell = self.cells.cells_at(middle_m + _INSIDE_M * inwards)
-        plane = self.plane[self.label[cell]]
-        steep = np.hypot(plane[:, 0], plane[:, 1])
-        rises = (plane[:, :2] * inwards).sum(axis=1) > steep * np.sqrt(0.5)
+        number = self.label[cell]
+        slope = self.plane[number, :2]
+        steep = np.hypot(slope[:, 0], slope[:, 1])
+        rises = (slope * inwards).sum(axis=1) > steep * np.sqrt(0.5)
         is_level = steep < _LEVEL
         angle_deg = np.where(is_level, 0.0, np.where(rises, np.degrees(np.arctan(steep)), 90.0))
-        over_cell_m = np.take_along_axis(
-            heights(self.plane, self.cells.middle_m), self.label[:, None], axis=1
-        )[:, 0]
+        over_cell_m = height_over(self.plane, self.label, self.cells.middle_m)
         is_high = over_cell_m > _LOW_M
         weight = self.cells.area_m2 * (is_high | (not is_high.any()))
         largest = int(np.bincount(self.body, weights=weight).argmax())
-        height_m = (plane[:, :2] * middle_m).sum(axis=1) + plane[:, 2]
+        height_m = height_over(self.plane, number, middle_m)
         at_eave = (self.body[cell] == largest) & (cell >= 0) & (rises | is_level)
         if at_eave.any():
             return float(height_m[at_eave].min()), angle_deg
         return float(over_cell_m[self.body == largest].min()), angle_deg
 
 
-def fit_planes(
-    rings: Sequence[np.ndarray], point_m: np.ndarray, thresholds: Thresholds = THRESHOLDS
-) -> PlanesFit | None:
+def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Planes) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane."""
-    if len(point_m) < thresholds.detection.min_points:
+    if len(point_m) < settings.detection.min_points:
         return None
     point_m = point_m[even_order(point_m)]
-    area_m2 = shapely.Polygon(rings[0], rings[1:]).area
-    density = len(point_m) / area_m2
-    found = detect(point_m, density, thresholds.detection)
+    density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
+    found = detect(point_m, density, settings.detection)
     if not len(found.plane):
         return None
-    along = directions(rings, thresholds.drawing.same_deg)
-    plane = regular(found, point_m, along, thresholds)
-    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, thresholds.drawing))
-    costs = costs_of(cells, plane, found.label, point_m, density, thresholds.prices)
+    along = directions(rings, settings.drawing.same_deg)
+    plane = regular(found, point_m, along, settings.detection)
+    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, settings.drawing))
+    cell = cells.cells_at(point_m[:, :2])
+    costs = costs_of(cells, plane, found.label, point_m, cell, density, settings.prices)
     label = least_cost(costs)
-    return PlanesFit(plane, cells, label, int(costs.faces(label).max()) + 1, costs.bodies(label))
+    within_m, within = point_m[cell >= 0], cell[cell >= 0]
+    off_m = within_m[:, 2] - height_over(plane, label[within], within_m[:, :2])
+    return PlanesFit(plane, cells, label, int(costs.faces(label).max()) + 1, costs.bodies(label), off_m)

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.settings import Prices
+from p2wss.fit.settings import PlanePrices
 from p2wss.mesh.topology import groups
 from p2wss.skeleton.compiled import entry, inner
 
@@ -38,11 +38,8 @@ class Costs:
 
     def total_m3(self, label: np.ndarray) -> float:
         """Of planes ``label`` (c,) over the cells."""
-        sides = self.side_m3[np.arange(len(self.pair)), label[self.pair[:, 0]], label[self.pair[:, 1]]]
-        num_faces = self.faces(label).max(initial=-1) + 1
-        return float(
-            self.cell_m3[np.arange(len(label)), label].sum() + sides.sum() + self.face_m3 * num_faces
-        )
+        num_faces = int(self.faces(label).max(initial=-1)) + 1
+        return float(_sum(self.cell_m3, self.pair, self.side_m3, label)) + self.face_m3 * num_faces
 
     def faces(self, label: np.ndarray) -> np.ndarray:
         """int (c,): numbers of the connected faces."""
@@ -79,13 +76,13 @@ def costs_of(
     plane: np.ndarray,
     label: np.ndarray,
     point_m: np.ndarray,
+    of_cell: np.ndarray,
     density: float,
-    prices: Prices,
+    prices: PlanePrices,
 ) -> Costs:
-    """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). density: points per
-    square metre, each of which stands for an area."""
+    """The costs of covering cells with planes (k, 3). label: (m,), the plane of each point (m, 3). of_cell: (m,),
+    its cell, -1 for none. density: points per square metre, each of which stands for an area."""
     num_planes = len(plane)
-    of_cell = cells.cells_at(point_m[:, :2])
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
     cell_m3 = np.zeros((len(cells.area_m2), num_planes))
     np.add.at(cell_m3, of_cell[of_cell >= 0], off_m[of_cell >= 0] / density)
@@ -121,8 +118,11 @@ def least_cost(costs: Costs) -> np.ndarray:
                 continue
             tried.add(key)
             simpler = _given_away(costs, label, cells)
-            if simpler is not None and costs.total_m3(simpler) < total_m3 - _GAIN_M3:
-                label, total_m3 = simpler, costs.total_m3(simpler)
+            if simpler is None:
+                continue
+            simpler_m3 = costs.total_m3(simpler)
+            if simpler_m3 < total_m3 - _GAIN_M3:
+                label, total_m3 = simpler, simpler_m3
                 break
         else:
             return label
@@ -175,7 +175,7 @@ def _expand(cell_m3, pair, side_m3, order, first, label):
     return label
 
 
-@inner
+@entry
 def _sum(cell_m3, pair, side_m3, label):
     """What labels cost, without the prices of faces."""
     total_m3 = 0.0

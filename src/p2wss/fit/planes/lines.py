@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
+from p2wss.fit.directions import turn_between
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.regularity import turn_between
-from p2wss.fit.planes.settings import Drawing
+from p2wss.fit.settings import Drawing
 
 # tangents: planes that differ less do not meet along a line; a plane that is steeper has a direction of its own
 _PARALLEL, _SLOPED = 0.06, 0.05

@@ -6,41 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from p2wss.fit.planes.detection import RoofPlanes, distances
-from p2wss.fit.planes.settings import Thresholds
+from p2wss.fit.directions import turn_between
+from p2wss.fit.planes.detection import RoofPlanes, distances, fitted
+from p2wss.fit.settings import Detection
 
-_QUARTER = np.pi / 2
 # tangents: of a slope that may be level, and of a difference between slopes that may be equal
 _NEARLY_LEVEL, _NEARLY_EQUAL = 0.14, 0.06
 # radians: a slope that differs less from a direction of the footprint may be along it
 _NEARLY_ALONG = np.radians(8)
 
 
-def turn_between(angle: np.ndarray | float, other: float) -> np.ndarray:
-    """The turn from ``other`` to ``angle``, radians, both modulo a quarter: within an eighth either way."""
-    return np.asarray((angle - other + _QUARTER / 2) % _QUARTER - _QUARTER / 2)
-
-
-def directions(rings: Sequence[np.ndarray], same_deg: float) -> list[float]:
-    """Directions of the edges of a footprint, radians modulo a quarter, the longest in sum first."""
-    edge = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
-    length = np.hypot(edge[:, 0], edge[:, 1])
-    angle = np.arctan2(edge[:, 1], edge[:, 0]) % _QUARTER
-    found = []
-    while len(length):
-        turn = turn_between(angle, angle[length.argmax()])
-        same = np.abs(turn) <= np.radians(same_deg)
-        mean = angle[length.argmax()] + np.average(turn[same], weights=length[same])
-        found.append((float(length[same].sum()), float(mean)))
-        angle, length = angle[~same], length[~same]
-    return [angle for _, angle in sorted(found, key=lambda each: -each[0])]
-
-
 def regular(
-    planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float], settings: Thresholds
+    planes: RoofPlanes, point_m: np.ndarray, along: Sequence[float], settings: Detection
 ) -> np.ndarray:
     """Planes (k, 3) near to those detected. along: directions of the footprint, radians."""
-    slack_m = settings.detection.simpler_m
+    slack_m = settings.simpler_m
     rows = [np.flatnonzero(planes.label == i) for i in range(len(planes.plane))]
     result = planes.plane.copy()
 
@@ -54,25 +34,20 @@ def regular(
             result[i] = level
             continue
         bearing = np.arctan2(plane[1], plane[0])
-        turns = sorted((turn_between(bearing, angle) for angle in along), key=abs)
-        for turn in turns[:1]:
-            if abs(turn) < _NEARLY_ALONG:
-                unit = np.array([np.cos(bearing - turn), np.sin(bearing - turn)])
-                turned = _along(own, unit, settings.detection.noise_m)
-                if mean_m(turned, i) < most_m:
-                    result[i] = turned
+        turn = min((turn_between(bearing, angle) for angle in along), key=abs)
+        if abs(turn) < _NEARLY_ALONG:
+            turned = _along(own, bearing - turn, settings.noise_m)
+            if mean_m(turned, i) < most_m:
+                result[i] = turned
     return _equally_steep(result, point_m, rows, slack_m)
 
 
-def _along(point_m: np.ndarray, unit: np.ndarray, noise_m: float) -> np.ndarray:
-    """The plane (3,) of points (m, 3) that rises along a direction, by reweighted least squares."""
-    place, weight = point_m[:, :2] @ unit, np.ones(len(point_m))
-    matrix = np.column_stack([place, np.ones(len(place))])
-    rise: np.ndarray = np.zeros(2)
-    for _ in range(4):
-        rise = np.linalg.lstsq(matrix * weight[:, None], point_m[:, 2] * weight, rcond=None)[0]
-        weight = 1 / np.sqrt(np.maximum(np.abs(matrix @ rise - point_m[:, 2]), noise_m))
-    return np.array([rise[0] * unit[0], rise[0] * unit[1], rise[1]])
+def _along(point_m: np.ndarray, bearing: float, noise_m: float) -> np.ndarray:
+    """The plane (3,) of points (m, 3) that rises along a bearing, radians."""
+    unit = np.array([np.cos(bearing), np.sin(bearing)])
+    profile_m = np.column_stack([point_m[:, :2] @ unit, np.zeros(len(point_m)), point_m[:, 2]])
+    rise, _, height_m = fitted(profile_m, noise_m)
+    return np.array([*rise * unit, height_m])
 
 
 def _equally_steep(

@@ -98,10 +98,6 @@ class _Borders:
                 beside[end] = beside[end] - {vertex} | {far}
                 pending.append(end)
 
-    def beyond(self, edge: tuple[int, int]) -> int:
-        """The plane to the right of a half-edge."""
-        return self.face.get(edge[::-1], _OUTSIDE)
-
 
 class _Network:
     """Borders with the places and heights of their vertices."""
@@ -114,7 +110,6 @@ class _Network:
         self._divide_at_crossings()
         self._vertices: list[tuple[float, float, float]] = []
         self._number: dict[tuple[int, int], int] = {}
-        self._column: dict[int, list[int]] = {}
         self._lift()
 
     def _height(self, number: int, xy_m: np.ndarray) -> float:
@@ -127,7 +122,7 @@ class _Network:
         result = xy_m.copy()
         equations = defaultdict(list)
         for start, end in self._face:
-            other = self._borders.beyond((start, end))
+            other = self._face.get((end, start), _OUTSIDE)
             if other != _OUTSIDE and start > end:
                 continue
             step = xy_m[end] - xy_m[start]
@@ -179,11 +174,10 @@ class _Network:
                     levels[-1].append((height, number))
                 else:
                     levels.append([(height, number)])
-            self._column[place] = [len(self._vertices) + level for level in range(len(levels))]
-            for vertex, level in zip(self._column[place], levels, strict=True):
-                self._vertices.append((*xy_m, float(np.mean([height for height, _ in level]))))
+            for level in levels:
                 for _, number in level:
-                    self._number[place, number] = vertex
+                    self._number[place, number] = len(self._vertices)
+                self._vertices.append((*xy_m, float(np.mean([height for height, _ in level]))))
 
     def mesh(self) -> Mesh | None:
         """The closed mesh, None if there is none."""

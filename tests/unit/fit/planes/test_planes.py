@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 import shapely
 
+from p2wss.fit.directions import directions
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import detect, heights
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.planes.labelling import Costs, least_cost
 from p2wss.fit.planes.lines import Line
-from p2wss.fit.planes.regularity import directions, regular
-from p2wss.fit.planes.settings import THRESHOLDS
+from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import solid_below
+from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import doubled_areas, is_closed
 from p2wss.skeleton import FaceKind
 
+PLANES = Planes()
 SLOPE = np.tan(np.radians(40))
 
 
@@ -51,11 +53,11 @@ def volume_m3(mesh: Mesh) -> float:
 def test_the_planes_of_a_gable_roof_are_found_and_made_regular(turn: float) -> None:
     rings, plane = gable(12, 8, 4, turn)
     point_m = sampled(rings, plane, 1)
-    found = detect(point_m, 12.0, THRESHOLDS.detection)
+    found = detect(point_m, 12.0, PLANES.detection)
     assert len(found.plane) == 2
     assert (found.label >= 0).mean() > 0.98
     along = directions(rings, 4.0)
-    exact = regular(found, point_m, along, THRESHOLDS)
+    exact = regular(found, point_m, along, PLANES.detection)
     steep = np.hypot(exact[:, 0], exact[:, 1])
     assert steep[0] == pytest.approx(steep[1], abs=1e-12)
     assert abs(exact[0, :2] @ exact[1, :2]) == pytest.approx(steep[0] * steep[1])
@@ -66,7 +68,7 @@ def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
     point_m[::40, 2] += 2.0
-    found = detect(point_m, 12.0, THRESHOLDS.detection)
+    found = detect(point_m, 12.0, PLANES.detection)
     assert len(found.plane) == 2
     assert (found.label[::40] == -1).all()
 
@@ -178,10 +180,10 @@ def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
         for polygon, planes in ((body, main), (side, wing))
     ]
     point_m = np.column_stack([xy_m, np.maximum(*over) + rng.normal(0, 0.03, len(xy_m))])
-    fit = fit_planes([ring], point_m)
+    fit = fit_planes([ring], point_m, PLANES)
     assert fit is not None
     assert fit.num_faces == 4
-    assert np.abs(fit.residuals(point_m)).mean() < 0.05
+    assert np.abs(fit.off_m).mean() < 0.05
     mesh = fit.mesh([ring])
     assert mesh is not None
     # the roofs meet in valleys, with hardly any wall between them
@@ -192,12 +194,12 @@ def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
 
 def test_too_few_points_show_no_plane() -> None:
     rings, plane = gable(12, 8, 4, 0.0)
-    assert fit_planes(rings, sampled(rings, plane, 3)[:6]) is None
+    assert fit_planes(rings, sampled(rings, plane, 3)[:6], PLANES) is None
 
 
 def test_a_fit_does_not_depend_on_the_order_of_points() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 4)
-    one, other = fit_planes(rings, point_m), fit_planes(rings, point_m[::-1])
+    one, other = fit_planes(rings, point_m, PLANES), fit_planes(rings, point_m[::-1], PLANES)
     assert one is not None and other is not None
     assert np.array_equal(one.plane, other.plane)

@@ -1,0 +1,30 @@
+"""Directions in a plan, where those that differ by right angles are the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+def turn_between(
+    angle: np.ndarray | float, other: np.ndarray | float, quarter: float = np.pi / 2
+) -> np.ndarray:
+    """The turn from ``other`` to ``angle``, both modulo a quarter turn: within an eighth either way. Radians, or the
+    unit in which ``quarter`` is given."""
+    return (np.asarray(angle) - other + quarter / 2) % quarter - quarter / 2
+
+
+def directions(rings: Sequence[np.ndarray], same_deg: float) -> list[float]:
+    """Directions of the edges of a footprint, radians modulo a quarter, the longest in sum first."""
+    edge = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
+    length = np.hypot(edge[:, 0], edge[:, 1])
+    angle = np.arctan2(edge[:, 1], edge[:, 0]) % (np.pi / 2)
+    found = []
+    while len(length):
+        turn = turn_between(angle, angle[length.argmax()])
+        same = np.abs(turn) <= np.radians(same_deg)
+        mean = angle[length.argmax()] + np.average(turn[same], weights=length[same])
+        found.append((float(length[same].sum()), float(mean)))
+        angle, length = angle[~same], length[~same]
+    return [angle for _, angle in sorted(found, key=lambda each: -each[0])]
