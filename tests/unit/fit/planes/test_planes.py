@@ -7,10 +7,11 @@ import itertools
 import numpy as np
 import pytest
 import shapely
+from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
 from p2wss.fit.planes.arrangement import arrange
-from p2wss.fit.planes.detection import detect, heights
+from p2wss.fit.planes.detection import _merged, detect, heights
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.planes.labelling import Costs, least_cost
 from p2wss.fit.planes.lines import Line
@@ -71,6 +72,44 @@ def test_points_off_every_plane_have_none() -> None:
     found = detect(point_m, 12.0, PLANES.detection)
     assert len(found.plane) == 2
     assert (found.label[::40] == -1).all()
+
+
+def test_two_halves_of_a_plane_become_one_and_two_slopes_do_not() -> None:
+    rings, plane = gable(12, 8, 4, 0.0)
+    point_m = sampled(rings, plane, 6)
+    neighbour = cKDTree(point_m).query(point_m, 12)[1]
+    quarter = 2 * (point_m[:, 1] > 0) + (point_m[:, 0] > 0)
+    merged, label = _merged(point_m, plane[[0, 0, 1, 1]], quarter, neighbour, 8, PLANES.detection)
+    assert len(merged) == 2
+    assert len(np.unique(np.column_stack([label, quarter // 2]), axis=0)) == 2
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_the_parameters_of_a_gable_roof_and_its_exact_planes(turn: float) -> None:
+    rings, plane = gable(12, 8, 4, turn)
+    fit = fit_planes(rings, sampled(rings, plane, 7), PLANES)
+    assert fit is not None
+    eave_m, angle_deg = fit.parameters(rings)
+    assert eave_m == pytest.approx(4.0, abs=0.05)
+    assert angle_deg == pytest.approx([40, 90, 40, 90], abs=0.7)
+    mesh = fit.mesh(rings)
+    assert mesh is not None
+    roof_m = mesh.vertex_m[mesh.vertex_m[:, 2] > 0]
+    assert np.abs(heights(fit.plane, roof_m[:, :2]) - roof_m[:, 2:]).min(axis=1).max() < 1e-6
+    ridge_m = roof_m[roof_m[:, 2] > 6]
+    assert np.abs(heights(fit.plane, ridge_m[:, :2]) - ridge_m[:, 2:]).max() < 1e-6
+
+
+def test_roofs_that_change_places_along_an_edge_meet_in_a_point_of_it() -> None:
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    cells = arrange([square], [Line(np.array([1.0, 0.0]), 5.0)])
+    plane = np.array([[0.0, 0.2, 4.0], [0.0, -0.2, 6.0]])
+    mesh = solid_below(cells, (cells.middle_m[:, 0] > 5).astype(int), plane, square)
+    assert mesh is not None
+    assert np.abs(mesh.vertex_m - [5.0, 5.0, 5.0]).max(axis=1).min() < 1e-9
+    walls = mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.WALL]]
+    assert np.abs(doubled_areas(walls)[:, 2]).max() < 1e-12
+    assert volume_m3(mesh) == pytest.approx(500)
 
 
 def test_lines_divide_a_footprint() -> None:
