@@ -165,7 +165,9 @@ class Reconstruct(Section):
         1, gt=0, description="lower predicted eave heights are raised to this value"
     )
     max_roof_height_m: float = Field(
-        12, gt=0, description="roofs that would rise further above the eaves are cut off horizontally"
+        12,
+        gt=0,
+        description="parametric roofs that would rise further above the eaves are cut off horizontally",
     )
     fit: bool = Field(
         True, description="fit eave heights and roof angles to the points; false = keep the network's values"

@@ -82,7 +82,7 @@ def breaches(
         return result
     triangle, corner = faces.triangle, faces.vertex_m[faces.triangle]
     code = shell_code(triangle)
-    if code == 0 and shell_kernels.any_intersect(faces.vertex_m, triangle, corner, unit_normals(corner)):
+    if code == 0 and crosses_itself(faces.vertex_m, triangle):
         code = 306
     if code == 0:
         volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2]))
@@ -172,6 +172,13 @@ class _Faces:
         vertex_at = dict(zip(of_corner, self.corner.tolist(), strict=True))
         of_place = zip(np.repeat(face, 3).tolist(), map(tuple, place_m.reshape(-1, 2).tolist()), strict=True)
         return np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3), face
+
+
+def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:
+    """Whether two of the triangles (t, 3) have more in common than a vertex or an edge."""
+    triangle = triangle.astype(np.int64)
+    corner_m = vertex_m[triangle]
+    return bool(shell_kernels.any_intersect(vertex_m, triangle, corner_m, unit_normals(corner_m)))
 
 
 def shell_code(triangle: np.ndarray) -> int:

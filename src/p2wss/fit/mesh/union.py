@@ -13,6 +13,7 @@ import numpy as np
 from p2wss.fit.boxes.dormers import Box
 from p2wss.fit.parts.roofs import Roof
 from p2wss.mesh import Mesh
+from p2wss.mesh.rules import crosses_itself
 
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
@@ -55,8 +56,10 @@ def union(
 
 def is_sound(mesh: Mesh) -> bool:
     """Whether a mesh stays closed in programs that round coordinates and triangulate faces again: it has no edge of a
-    few millimetres, and no vertex within a straight edge."""
-    return bool(mesh.edge_m.min() >= _SHORT_EDGE_M and (mesh.num_planes_at >= 3).all())
+    few millimetres, no vertex within a straight edge, and no faces that cross."""
+    if mesh.edge_m.min() < _SHORT_EDGE_M or (mesh.num_planes_at < 3).any():
+        return False
+    return not crosses_itself(mesh.vertex_m, mesh.triangle)
 
 
 def _union(

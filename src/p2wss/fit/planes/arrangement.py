@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from p2wss.fit.planes.lines import Line
+from p2wss.fit.planes.lines import Line, edges_of
 from p2wss.mesh.topology import reverses
 
 # metres: coordinates of the arrangement are multiples of this
@@ -19,7 +19,8 @@ GRID_M = 1e-3
 class Arrangement:
     """xy_m: (v, 2), vertices. rings: of each cell, the vertices around it, exterior counter-clockwise and first.
     middle_m: (c, 2), a place within each cell. area_m2: (c,). pair: int (s, 2), the cells on the two sides of each side
-    that two cells share. side: int (s, 2), its vertices; the first cell is to its left."""
+    that two cells share. side: int (s, 2), its vertices; the first cell is to its left. lines: the ``num_edges``
+    edges of the footprint, then those that divide it; the vertices are on them to :data:`GRID_M`."""
 
     xy_m: np.ndarray
     rings: Sequence[Sequence[np.ndarray]]
@@ -28,6 +29,8 @@ class Arrangement:
     pair: np.ndarray
     side: np.ndarray
     tree: shapely.STRtree
+    lines: Sequence[Line]
+    num_edges: int
 
     @property
     def length_m(self) -> np.ndarray:
@@ -46,6 +49,7 @@ class Arrangement:
 
 def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     """The cells of a footprint."""
+    edges = [edge for edge, _ in edges_of(rings)]
     polygon = shapely.Polygon(rings[0], rings[1:])
     shapely.prepare(polygon)
     low, high = np.array(polygon.bounds).reshape(2, 2)
@@ -89,4 +93,6 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
         pair,
         side,
         shapely.STRtree(cells),
+        [*edges, *lines],
+        len(edges),
     )

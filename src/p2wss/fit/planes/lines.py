@@ -54,7 +54,7 @@ def lines_of(
 ) -> list[Line]:
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
-    edges = _edges(rings)
+    edges = edges_of(rings)
     own = [np.arctan2(each[1], each[0]) for each in plane]
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     meets, steps = [], []
@@ -90,7 +90,7 @@ def lines_of(
     )
 
 
-def _edges(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
+def edges_of(rings: Sequence[np.ndarray]) -> list[tuple[Line, bool]]:
     """The lines of the edges of a footprint, and whether the line goes on inside it beyond a reflex corner."""
     result = []
     for ring in rings:

@@ -40,7 +40,7 @@ def solid_below(
     """
     borders = _Borders.of(cells, label, corner_m)
     for is_exact in (True, False):
-        network = _Network(borders, plane, is_exact)
+        network = _Network(borders, plane, cells if is_exact else None)
         mesh = network.mesh()
         if mesh is not None:
             return mesh
@@ -102,11 +102,11 @@ class _Borders:
 class _Network:
     """Borders with the places and heights of their vertices."""
 
-    def __init__(self, borders: _Borders, plane: np.ndarray, is_exact: bool) -> None:
+    def __init__(self, borders: _Borders, plane: np.ndarray, exact: Arrangement | None) -> None:
         self._borders = borders
         self._plane = plane
         self._face = dict(borders.face)
-        self._xy_m = [*(self._exact_places() if is_exact else borders.xy_m)]
+        self._xy_m = [*(borders.xy_m if exact is None else self._exact_places(exact))]
         self._divide_at_crossings()
         self._vertices: list[tuple[float, float, float]] = []
         self._number: dict[tuple[int, int], int] = {}
@@ -116,18 +116,23 @@ class _Network:
         a, b, c = self._plane[number]
         return float(a * xy_m[0] + b * xy_m[1] + c)
 
-    def _exact_places(self) -> np.ndarray:
-        """(v, 2): vertices where the lines around them meet, by least squares."""
+    def _exact_places(self, cells: Arrangement) -> np.ndarray:
+        """(v, 2): vertices where the lines around them meet, by least squares. All vertices along a line get the same
+        one, so that walls stay planes when vertices within them are dropped."""
         xy_m = self._borders.xy_m
         result = xy_m.copy()
+        normals, offsets_m = (
+            np.array([getattr(line, name) for line in cells.lines]) for name in ("normal", "offset_m")
+        )
+        beside_m = np.abs(xy_m @ normals.T - offsets_m)
         equations = defaultdict(list)
         for start, end in self._face:
             other = self._face.get((end, start), _OUTSIDE)
             if other != _OUTSIDE and start > end:
                 continue
-            step = xy_m[end] - xy_m[start]
-            normal = np.array([step[1], -step[0]]) / np.hypot(*step)
-            offset_m, weight = float(normal @ xy_m[start]), _FOOTPRINT_WEIGHT
+            own_m = np.maximum(beside_m[start], beside_m[end])
+            line = int((own_m[: cells.num_edges] if other == _OUTSIDE else own_m).argmin())
+            normal, offset_m, weight = normals[line], offsets_m[line], _FOOTPRINT_WEIGHT
             if other != _OUTSIDE:
                 slope = self._plane[self._face[start, end]] - self._plane[other]
                 fold, weight = np.hypot(*slope[:2]), 1.0

@@ -10,6 +10,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
+from p2wss.fit.mesh.union import collapse_vertices
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import _merged, detect, heights
 from p2wss.fit.planes.fit import fit_planes
@@ -19,7 +20,7 @@ from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import solid_below
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import doubled_areas, is_closed
+from p2wss.mesh.topology import doubled_areas, is_closed, unit_normals
 from p2wss.skeleton import FaceKind
 
 PLANES = Planes()
@@ -225,6 +226,11 @@ def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
     assert np.abs(fit.off_m).mean() < 0.05
     mesh = fit.mesh([ring])
     assert mesh is not None
+    # walls are planes, also when vertices within them are gone
+    simple = collapse_vertices(mesh)
+    assert len(simple.vertex_m) < len(mesh.vertex_m)
+    normal = unit_normals(simple.corner_m[simple.kind == FaceKind.WALL])
+    assert np.abs(normal[:, 2]).max() < 1e-6
     # the roofs meet in valleys, with hardly any wall between them
     corner_m = mesh.vertex_m[mesh.triangle[mesh.kind == FaceKind.WALL]]
     within = shapely.contains_xy(whole.buffer(-0.05), *corner_m[:, :, :2].mean(axis=1).T)
