@@ -16,6 +16,7 @@ import click
 import p2wss
 from p2wss.cli.common import log
 from p2wss.cli.parser import Command, option
+from p2wss.storage.provenance import fingerprint
 
 Task = Callable[[], None]
 
@@ -39,6 +40,7 @@ def warm_up(with_scans: bool, jobs: int | None) -> None:
     start = time.monotonic()
     with Progress("compiling", len(tasks) + 1, "parts") as progress:
         run_tasks(tasks, of_reconstruct.warm_product, jobs, progress.update)
+    fingerprint("reconstruct")  # kept beside the compiled code, too
     log.info("compiled in %.0f s", time.monotonic() - start)
     if marker is not None:
         marker.touch()

@@ -4,13 +4,16 @@ Snakemake reruns a rule when its ``params`` change. A fingerprint among them mak
 change. It excludes layout, comments and docstrings, which cannot change a result. Words in the code, such as the
 message of an error, count.
 
-Each module is parsed once per process, and its digest does not depend on the version of Python.
+Each version of a module is parsed once: what counts of it is kept in a file beside the compiled code, under a digest of
+its bytes. A digest of the code does not depend on the version of Python.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Sequence
+import json
+import os
+from collections.abc import Sequence
 from functools import cache
 from hashlib import blake2b
 from pathlib import Path
@@ -23,13 +26,17 @@ NOT_TRACKED = ("config", "storage.provenance", "cli")
 _NOT_CODE = ("ctx", "kind", "type_comment")
 
 _ROOT = Path(__file__).resolve().parents[1]
+# below the package: what counts of its modules, by their names
+_KEPT = "__pycache__/fingerprints.json"
 
 
 class Module(NamedTuple):
-    """What counts of a module: a digest of its code, and the modules of this package that it imports."""
+    """What counts of a module: a digest of its code, and the names in this package that it imports. version: a digest
+    of its source and of this file."""
 
+    version: str
     digest: str
-    imports: tuple[str, ...]
+    imports: list[str]
 
 
 @cache
@@ -43,6 +50,8 @@ def fingerprint(*stages: str) -> str:
     Raises ``ModuleNotFoundError`` for a stage that is not in the package.
     """
     digests: dict[str, str] = {}
+    kept = _kept()
+    known = dict(kept)
     named = {part for stage in stages for part in _parts(f"{PACKAGE}.{stage}")}
     pending = sorted(named)
     while pending:
@@ -54,9 +63,11 @@ def fingerprint(*stages: str) -> str:
         if _source(name) is None:
             digests |= _other_files(name)
         else:
-            module = _read(name)
-            digests[name] = module.digest
-            pending += module.imports
+            kept[name] = _read(name, kept.get(name))
+            digests[name] = kept[name].digest
+            pending += [each for each in kept[name].imports if _source(each) is not None]
+    if kept != known:
+        _keep(kept)
     digest = blake2b(digest_size=8)
     for name in sorted(digests):
         digest.update(f"{name}\n{digests[name]}\n".encode())
@@ -68,15 +79,44 @@ def _is_within(name: str, parts: Sequence[str]) -> bool:
     return any(f"{name}.".startswith(f"{PACKAGE}.{part}.") for part in parts)
 
 
-@cache
-def _read(name: str) -> Module:
+def _kept() -> dict[str, Module]:
+    """What earlier processes have read, of any version of the modules."""
+    try:
+        content = json.loads((_ROOT / _KEPT).read_bytes())
+        return {name: Module(*values) for name, values in content.items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return {}  # there is none yet, or another version of this file has written it
+
+
+def _keep(modules: dict[str, Module]) -> None:
+    path = _ROOT / _KEPT
+    part = path.with_suffix(f".{os.getpid()}")
+    try:
+        path.parent.mkdir(exist_ok=True)
+        part.write_text(json.dumps(modules), encoding="utf-8")
+        part.replace(path)
+    except OSError:  # the package is installed where nothing can be written
+        part.unlink(missing_ok=True)
+
+
+def _read(name: str, known: Module | None) -> Module:
+    """What counts of a module; ``known`` if that is of the present version."""
     path = _source(name)
     assert path is not None
-    tree = ast.parse(path.read_bytes())
+    source = path.read_bytes()
+    version = blake2b(source + _this_file(), digest_size=16).hexdigest()
+    if known is not None and known.version == version:
+        return known
+    tree = ast.parse(source)
     code: list[str] = []
     _write(tree, code)
     digest = blake2b("".join(code).encode(), digest_size=16).hexdigest()
-    return Module(digest, tuple(_inside(tree)))
+    return Module(version, digest, _inside(tree))
+
+
+@cache
+def _this_file() -> bytes:
+    return Path(__file__).read_bytes()
 
 
 def _parts(name: str) -> list[str]:
@@ -110,8 +150,8 @@ def _source(name: str) -> Path | None:
     return next((path for path in candidates if path.is_file()), None)
 
 
-def _inside(tree: ast.Module) -> Iterator[str]:
-    """Modules of this package among those that are imported anywhere, inside functions included.
+def _inside(tree: ast.Module) -> list[str]:
+    """Names in this package that are imported anywhere, inside functions included: modules, and what is in them.
 
     All imports are absolute.
     """
@@ -121,9 +161,7 @@ def _inside(tree: ast.Module) -> Iterator[str]:
             names |= dict.fromkeys(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= dict.fromkeys([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
-    for imported in names:
-        if imported.split(".")[0] == PACKAGE and _source(imported) is not None:
-            yield imported
+    return [name for name in names if name.split(".")[0] == PACKAGE]
 
 
 def _write(node: object, code: list[str]) -> None:

@@ -1,6 +1,7 @@
 """A fingerprint follows the code that can change a result, and nothing else."""
 
 import ast
+import json
 import re
 import shutil
 import subprocess
@@ -39,13 +40,17 @@ def digest_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str]
 
     def digest(code: str) -> str:
         (tmp_path / "stage.py").write_text(code)
-        for function in (provenance._read, provenance._source, provenance.fingerprint):
-            function.cache_clear()
+        forget()
         return provenance.fingerprint("stage")
 
     yield digest
-    for function in (provenance._read, provenance._source, provenance.fingerprint):
-        function.cache_clear()
+    forget()
+
+
+def forget() -> None:
+    """As in a new process."""
+    provenance._source.cache_clear()
+    provenance.fingerprint.cache_clear()
 
 
 def edit(file: Path, old: str, new: str) -> None:
@@ -206,29 +211,42 @@ def test_an_empty_field_is_not_taken_for_another(digest_of: Callable[[str], str]
     assert len({digest_of(code) for code in variants}) == len(variants)
 
 
-def test_a_module_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    for function in (provenance._read, provenance._source, provenance.fingerprint):
-        function.cache_clear()
+def test_a_version_of_a_module_is_parsed_once(
+    copy: tuple[Path, Callable[[str], str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root, _ = copy
+    monkeypatch.setattr(provenance, "_ROOT", root)
     parse, texts = ast.parse, []
 
-    def counted(text: bytes) -> ast.Module:
+    def counted(text: bytes, *arguments: str) -> ast.Module:
         texts.append(text)
-        return parse(text)
+        return parse(text, *arguments)
 
     monkeypatch.setattr(ast, "parse", counted)
-    for stages in (
-        ("training.model",),
-        ("training.dvae",),
-        ("training.model", "training.dvae"),
-        ("eval",),
-        ("reconstruct", "nets.predictor"),
-    ):
-        fingerprint(*stages)
-    assert len(texts) > 50 and len(texts) == provenance._read.cache_info().currsize
+    stages = "training.model", "training.dvae", "eval", "reconstruct"
+    forget()
+    before = [fingerprint(stage) for stage in stages]
+    kept = root / provenance._KEPT
+    assert len(texts) > 50 and len(texts) == len(json.loads(kept.read_text()))
+    for content in ("", "[]", '{"p2wss.eval": 1}', '{"p2wss.eval": ["", ""]}', kept.read_text()):
+        texts.clear()
+        kept.write_text(content)
+        forget()
+        assert [fingerprint(stage) for stage in stages] == before, "whatever the file holds"
+    assert texts == []
+    edit(root / "data" / "polygon_arrays.py", "np.round((low + high) / 2)", "np.floor((low + high) / 2)")
+    forget()
+    changed = fingerprint("reconstruct")
+    assert changed != before[-1] and len(texts) == 1
+    kept.unlink()
+    kept.mkdir()  # nothing can be kept
+    forget()
+    assert fingerprint("reconstruct") == changed and len(texts) > 50
+    forget()
 
 
 @pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
-def test_the_version_of_python_does_not_count(version: str) -> None:
+def test_the_version_of_python_does_not_count(copy: tuple[Path, Callable[[str], str]], version: str) -> None:
     """The machine that submits the jobs need not have the Python of the one that runs them."""
     python = shutil.which(f"python{version}")
     if python is None or subprocess.run([python, "--version"], capture_output=True).returncode:
@@ -245,4 +263,5 @@ def test_the_version_of_python_does_not_count(version: str) -> None:
         "reconstruct",
         "eval",
     )
-    assert fingerprint_by(python, PACKAGE.parent, *stages) == [fingerprint(stage) for stage in stages]
+    folder = copy[0].parent  # where nothing is kept yet
+    assert fingerprint_by(python, folder, *stages) == [fingerprint(stage) for stage in stages]
