@@ -6,18 +6,18 @@ import json
 import logging
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyproj
-import rasterio
-from rasterio.io import MemoryFile
-from rasterio.transform import from_origin
-from scipy.ndimage import map_coordinates
+import scipy
 
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
+
+if TYPE_CHECKING:
+    import rasterio
 
 log = logging.getLogger(__name__)
 # 20 km by 20 km at 0.5 m, 6.4 GB
@@ -60,7 +60,9 @@ class Terrain:
         column = (np.asarray(x_m) - self.x_min_m) / self.cell_m - 0.5
         row = (self.y_max_m - np.asarray(y_m)) / self.cell_m - 0.5
         heights = self.height_m.astype(np.float64)
-        return map_coordinates(heights, [row, column], order=1, mode="constant", cval=np.nan, prefilter=False)
+        return scipy.ndimage.map_coordinates(
+            heights, [row, column], order=1, mode="constant", cval=np.nan, prefilter=False
+        )
 
 
 def check_size(raster: rasterio.DatasetReader, path: str | Path) -> None:
@@ -82,6 +84,8 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
     Raises :class:`InputError` if the file is missing, unreadable, rotated or without CRS, or has cells that are not
     square.
     """
+    import rasterio  # most runs have no terrain
+
     if not str(path).startswith("/vsi") and not Path(path).exists():
         raise InputError(f"{path}: no such file")
     integrity.verify(path)
@@ -101,6 +105,9 @@ def read_terrain(path: str | Path, crs: str | None = None) -> tuple[Terrain, pyp
 
 def write_terrain(path: str | Path, terrain: Terrain, crs: str, metadata: dict[str, Any]) -> None:
     """Write a GeoTIFF: float32, deflate, NaN as nodata; ``metadata`` is stored as JSON in the tag ``p2wss``."""
+    from rasterio.io import MemoryFile
+    from rasterio.transform import from_origin
+
     rows, columns = terrain.height_m.shape
     profile = {
         "driver": "GTiff",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-import jinja2
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import jinja2
 
 
 def environment(package: str) -> jinja2.Environment:
@@ -11,6 +14,8 @@ def environment(package: str) -> jinja2.Environment:
     A template that uses an undefined value raises ``jinja2.UndefinedError``. Lines that hold only a statement leave
     no blank lines in the page.
     """
+    import jinja2  # only once a page is written
+
     return jinja2.Environment(
         loader=jinja2.PackageLoader(package),
         autoescape=True,

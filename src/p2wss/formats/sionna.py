@@ -15,8 +15,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pyproj
+import scipy
 import shapely
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
 from p2wss import __version__
 from p2wss.formats.materials import MATERIALS
@@ -185,10 +185,10 @@ def _top(terrain: Mesh, buildings: Sequence[Body], frame: Frame, cell_m: float) 
     counts = np.maximum(np.floor((high - low) / cell_m).astype(int), 1)
     x, y = (start + cell_m * np.arange(count + 1) for start, count in zip(low, counts, strict=True))
     node = np.column_stack([values.ravel() for values in np.meshgrid(x, y)])
-    height = LinearNDInterpolator(top[:, :2], top[:, 2])(node)
+    height = scipy.interpolate.LinearNDInterpolator(top[:, :2], top[:, 2])(node)
     # rounding puts nodes of the border outside
     outside = np.isnan(height)
-    height[outside] = NearestNDInterpolator(top[:, :2], top[:, 2])(node[outside])
+    height[outside] = scipy.interpolate.NearestNDInterpolator(top[:, :2], top[:, 2])(node[outside])
     number = np.arange(len(node)).reshape(len(y), len(x))
     a, b, c, d = (
         corners.ravel() for corners in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1])

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import trimesh
-import trimesh.sample
 
 from p2wss.skeleton.compiled import entry
 
@@ -16,6 +14,8 @@ def sample_surface(
 
     vertex_m (v, 3), triangle (t, 3). The same generator state gives the same points.
     """
+    import trimesh.sample  # takes longer to import than the rest of the room
+
     mesh = trimesh.Trimesh(np.asarray(vertex_m, float), np.asarray(triangle, int), process=False)
     if not mesh.area > 0:
         return np.zeros((0, 3))
@@ -27,29 +27,37 @@ def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.nda
 
     The nearest place of a triangle is the projection of the point if that is inside, else on one of the edges.
     """
-    point_m = np.asarray(point_m, float)
+    corner_m = np.asarray(vertex_m, float)[np.asarray(triangle, int)]
+    edge_m = np.roll(corner_m, -1, axis=1) - corner_m
+    normal = np.cross(edge_m[:, 0], edge_m[:, 1])
+    with np.errstate(invalid="ignore"):  # NaN of a triangle without area: no point is inside
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    inward = np.cross(normal[:, None], edge_m)
+    # of an edge without length, its start
+    share_per_m = edge_m / np.maximum((edge_m**2).sum(axis=2, keepdims=True), np.finfo(float).tiny)
+    point_m = np.ascontiguousarray(point_m, float)
+    return np.sqrt(_squared_distances(point_m, corner_m, edge_m, share_per_m, inward, normal))
+
+
+@entry
+def _squared_distances(point_m, corner_m, edge_m, share_per_m, inward, normal):
     nearest = np.full(len(point_m), np.inf)
-    for a, b, c in np.asarray(vertex_m, float)[np.asarray(triangle, int)]:
-        squared = np.minimum.reduce(
-            [_squared_to_segment(point_m, *ends) for ends in ((a, b), (b, c), (c, a))]
-        )
-        normal = np.cross(b - a, c - a)
-        length = np.linalg.norm(normal)
-        if length > 0:
-            normal /= length
-            inside = np.ones(len(point_m), bool)
-            for start, end in ((a, b), (b, c), (c, a)):
-                inside &= (point_m - start) @ np.cross(normal, end - start) >= 0
-            squared[inside] = ((point_m[inside] - a) @ normal) ** 2
-        nearest = np.minimum(nearest, squared)
-    return np.sqrt(nearest)
-
-
-def _squared_to_segment(point_m: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    along = end - start
-    length = along @ along
-    share = np.clip((point_m - start) @ along / length, 0, 1) if length > 0 else np.zeros(len(point_m))
-    return ((point_m - start - share[:, None] * along) ** 2).sum(axis=1)
+    for t in range(len(corner_m)):
+        for i in range(len(point_m)):
+            is_inside, height = True, 0.0
+            for k in range(3):
+                x = point_m[i, 0] - corner_m[t, k, 0]
+                y = point_m[i, 1] - corner_m[t, k, 1]
+                z = point_m[i, 2] - corner_m[t, k, 2]
+                share = x * share_per_m[t, k, 0] + y * share_per_m[t, k, 1] + z * share_per_m[t, k, 2]
+                share = min(max(share, 0.0), 1.0)
+                squared = (x - share * edge_m[t, k, 0]) ** 2 + (y - share * edge_m[t, k, 1]) ** 2
+                nearest[i] = min(nearest[i], squared + (z - share * edge_m[t, k, 2]) ** 2)
+                is_inside &= x * inward[t, k, 0] + y * inward[t, k, 1] + z * inward[t, k, 2] >= 0.0
+                height = x * normal[t, 0] + y * normal[t, 1] + z * normal[t, 2]
+            if is_inside:
+                nearest[i] = min(nearest[i], height**2)
+    return nearest
 
 
 @entry

@@ -20,7 +20,6 @@ import numpy as np
 import pandas as pd
 import pyproj
 import shapely
-import trimesh
 
 from p2wss.clouds.crops import crop_cloud
 from p2wss.config import CLASSES_ALONE, Config, load, section_json
@@ -50,6 +49,8 @@ from p2wss.storage.provenance import fingerprint
 from p2wss.storage.temporary import Closeable
 
 if TYPE_CHECKING:
+    import trimesh
+
     from p2wss.nets.compute import DeviceName
     from p2wss.reconstruct.network import Predictor
 
@@ -101,6 +102,8 @@ class SceneBuilding:
     def mesh(self) -> trimesh.Trimesh:
         """The closed mesh, vertices in the CRS of the scene; without faces if there is none. The ``kind`` of each face
         (:class:`p2wss.skeleton.FaceKind`) is among its ``face_attributes``."""
+        import trimesh
+
         return trimesh.Trimesh() if self.solid is None else self.solid.to_trimesh()
 
     @cached_property
@@ -186,6 +189,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
     def to_trimesh(self, skin: bool = False) -> trimesh.Scene:
         """All meshes, each under the id of its building; with ``skin``, those of touching buildings as one closed mesh
         without the walls between them, under the id of its first building. Vertices are in the CRS of the scene."""
+        import trimesh
+
         result = trimesh.Scene(metadata={"crs": None if self.crs is None else self.crs.to_string()})
         for body in self._bodies(skin):
             result.add_geometry(body.mesh.to_trimesh(), node_name=body.name, geom_name=body.name)

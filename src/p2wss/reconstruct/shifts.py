@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.fft
-import scipy.ndimage
+import scipy
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numba import njit
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import Delaunay
 
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds
@@ -39,7 +38,7 @@ def block(terrain: Terrain, bounds: Bounds, tolerance_m: float, lowest_m: float 
         row, column = np.divmod(vertices, columns)
         # Delaunay on whole numbers is exact: points on the border stay on it
         plan = np.column_stack([column, row])
-        upper = Delaunay(plan.astype(float)).simplices
+        upper = scipy.spatial.Delaunay(plan.astype(float)).simplices
         area = doubled_plan_areas(plan[upper])
         # rows run south: what is clockwise on the grid is counter-clockwise seen from above
         upper = np.where((area > 0)[:, None], upper[:, ::-1], upper)[area != 0]
@@ -115,7 +114,7 @@ def _window(terrain: Terrain, bounds: Bounds) -> tuple[np.ndarray, np.ndarray, n
     if not has_data.any():
         raise ValueError("no height in the window")
     if not has_data.all():
-        nearest = distance_transform_edt(~has_data, return_distances=False, return_indices=True)
+        nearest = scipy.ndimage.distance_transform_edt(~has_data, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
     return height, terrain.x_min_m + (column + 0.5) * cell, terrain.y_max_m - (row + 0.5) * cell
 

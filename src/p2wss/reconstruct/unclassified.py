@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
+import scipy
 
 from p2wss.clouds.reading import Cloud
 from p2wss.data.las_classes import (
@@ -99,7 +98,9 @@ def _cells(cloud: Cloud) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
 
 def _filled(raster: np.ndarray) -> np.ndarray:
     """The raster with the nearest value in cells without one (NaN)."""
-    index = ndimage.distance_transform_edt(np.isnan(raster), return_distances=False, return_indices=True)
+    index = scipy.ndimage.distance_transform_edt(
+        np.isnan(raster), return_distances=False, return_indices=True
+    )
     return raster[tuple(index)]
 
 
@@ -110,13 +111,13 @@ def _lowest(cloud: Cloud) -> np.ndarray:
     np.minimum.at(lowest, (row, column), cloud.z_m)
     lowest[np.isinf(lowest)] = np.nan
     surface = _filled(lowest)
-    low = ndimage.percentile_filter(surface, _LOW_PERCENTILE, 3)
+    low = scipy.ndimage.percentile_filter(surface, _LOW_PERCENTILE, 3)
     surface = np.maximum(surface, low - _MAX_BELOW_M)
     is_object = np.zeros(shape, bool)
     opened = surface
     for radius in range(1, int(_MAX_RADIUS_M / _CELL_M) + 1):
         size = 2 * radius + 1
-        after = ndimage.grey_opening(opened, (size, size)) if radius < 4 or radius % 3 == 0 else opened
+        after = scipy.ndimage.grey_opening(opened, (size, size)) if radius < 4 or radius % 3 == 0 else opened
         is_object |= opened - after > _GROUND_SLOPE * radius * _CELL_M
         opened = after
     ground = _filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
@@ -141,7 +142,7 @@ def _planar(xyz_m: np.ndarray) -> np.ndarray:
     if len(xyz_m) <= _NUM_NEIGHBOURS:
         return np.zeros(len(xyz_m), bool)
     local = xyz_m - np.floor(xyz_m.min(axis=0))
-    tree = cKDTree(local)
+    tree = scipy.spatial.cKDTree(local)
     is_flat = np.zeros(len(local), bool)
     neighbour = np.empty((len(local), _NUM_NEIGHBOURS), np.int32)
     for first in range(0, len(local), _CHUNK):
