@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+
+# CPU seconds of the reference kernel on the machine of most figures, when that is idle
+REFERENCE_S = 0.25
 
 
 class Figures:
@@ -59,3 +65,44 @@ def peak_mib() -> float:
     """Peak memory of this process. getrusage is of no use: its figure begins with the parent's memory."""
     lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+
+
+class Run(NamedTuple):
+    """What a program needed: CPU seconds, seconds, peak memory in MiB; and what it wrote to its standard output."""
+
+    cpu_s: float
+    wall_s: float
+    peak_mib: float
+    output: str
+
+
+def run(command: Sequence[object], **environment: str) -> Run:
+    """Run a program to its end, with bytecode of the sources as after an installation. Raises ``SystemExit`` with its
+    messages if it fails."""
+    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    words = [str(word) for word in command]
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        words, env=inherited | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    assert process.stdout is not None
+    output = process.stdout.read()
+    _, status, usage = os.wait4(process.pid, 0)
+    if status:
+        raise SystemExit(f"{' '.join(words)}:\n{output}")
+    wall_s = time.perf_counter() - start
+    return Run(usage.ru_utime + usage.ru_stime, wall_s, usage.ru_maxrss / 1024, output)
+
+
+def slowness() -> float:
+    """How much slower than usual this machine is at the moment: CPU time of a kernel of Python and numpy, relative to
+    :data:`REFERENCE_S`. Other work on the same cores and caches takes a third and more."""
+    values = np.random.default_rng(0).random(1_600_000)
+
+    def kernel() -> None:
+        np.sort(values)
+        table: dict[int, list[int]] = {}
+        for number in range(1_600_000):
+            table.setdefault(number % 1000, []).append(number)
+
+    return cpu_seconds(kernel) / REFERENCE_S
