@@ -43,8 +43,10 @@ def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
             f"--terrain {terrain}: {names} cannot hold a terrain; add a mesh format to --outputs, such as"
             " glb, or omit --terrain"
         )
-    if config.reconstruct.per_building:
-        log.warning("warning: --per-building has no effect: none of %s is a mesh format", names)
+    for option in ("per_building", "skin"):
+        if getattr(config.reconstruct, option):
+            name = option.replace("_", "-")
+            log.warning("warning: --%s has no effect on files: none of %s is a mesh format", name, names)
 
 
 def _check_folder(out: Path) -> None:

@@ -124,9 +124,9 @@ class Reconstruct(Section):
         ["all"], description="columns of the footprints to copy to tables and CityJSON; [all] = all"
     )
     outputs: list[Output] = Field(
-        ["cityjsonseq", "glb", "gpkg", "report"],
+        ["cityjsonseq", "gpkg", "report"],
         min_length=1,
-        description="output formats to write, besides a JSON summary",
+        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, 3dtiles",
     )
     attribute_names: Literal["p2wss", "3dbag"] = Field(
         "p2wss", description="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one"

@@ -79,9 +79,19 @@ WRONG = [
     ("cloud.laz", "footprints.gpkg", ["--model", "file"], "file: not a readable safetensors file"),
     ("cloud.laz", "footprints.gpkg", ["--model", "dvae.safetensors"], "not a model of p2wss"),
     ("cloud.laz", "footprints.gpkg", ["--model", "none", "--no-fit"], "without the fit"),
-    ("cloud.laz", "footprints.gpkg", ["--terrain", "gone.tif"], "gone.tif: no such file"),
-    ("cloud.laz", "footprints.gpkg", ["--terrain", "text.laz"], "text.laz: not a readable raster"),
-    ("cloud.laz", "footprints.gpkg", ["--terrain", "rd.tif"], "rd.tif: is in Amersfoort / RD New"),
+    ("cloud.laz", "footprints.gpkg", ["--format", "glb", "--terrain", "gone.tif"], "gone.tif: no such file"),
+    (
+        "cloud.laz",
+        "footprints.gpkg",
+        ["--format", "glb", "--terrain", "text.laz"],
+        "text.laz: not a readable raster",
+    ),
+    (
+        "cloud.laz",
+        "footprints.gpkg",
+        ["--format", "glb", "--terrain", "rd.tif"],
+        "rd.tif: is in Amersfoort / RD New",
+    ),
     (
         "cloud.laz",
         "footprints.gpkg",
@@ -277,7 +287,7 @@ def test_files_per_building_of_formats_without_meshes_are_a_warning(
     place: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert run(place, "--per-building", "--format", "gpkg") == 0
-    assert "warning: --per-building has no effect: none of gpkg is a mesh format" in caplog.text
+    assert "warning: --per-building has no effect on files: none of gpkg is a mesh format" in caplog.text
 
 
 def test_formats_hold_meshes_or_not() -> None:

@@ -26,7 +26,6 @@ def test_files_named_after_the_cloud(place: Path) -> None:
     assert run(place, "--no-fit") == 0
     assert sorted(p.name for p in (place / "out").iterdir()) == [
         "cloud.city.jsonl",
-        "cloud.glb",
         "cloud.gpkg",
         "cloud.html",
         "cloud.json",
@@ -182,7 +181,7 @@ def test_a_terrain_joins_the_meshes(place: Path, capsys: pytest.CaptureFixture[s
     # the house reaches below the land it stands on
     assert scene.geometry["A"].bounds[0, 1] < scene.geometry["terrain"].bounds[1, 1]
     capsys.readouterr()
-    assert run(place, "--terrain", str(place / "rd.tif")) == 2
+    assert run(place, "--terrain", str(place / "rd.tif"), "--format", "glb") == 2
     assert "rd.tif: is in Amersfoort" in capsys.readouterr().err
 
 
