@@ -55,7 +55,7 @@ def lines_of(
     """All lines of a roof of planes (k, 3). label: (m,), the plane of each point (m, 3), -1 for none. along: directions
     of the footprint ``rings``, radians."""
     edges = edges_of(rings)
-    own = [np.arctan2(each[1], each[0]) for each in plane]
+    own = np.arctan2(plane[:, 1], plane[:, 0])
     is_sloped = np.hypot(plane[:, 0], plane[:, 1]) > _SLOPED
     meets, steps = [], []
     for (i, j), sides in _borders(label, point_m, settings.near_m).items():
@@ -80,9 +80,8 @@ def lines_of(
                 ):
                     tried.append(own[number])
             steps += _steps(sides, tried, settings)
-    for number in range(len(plane)):
-        tried = [along[0], *([own[number]] if is_sloped[number] else [])]
-        steps += _extent(point_m[label == number, :2], tried, settings)
+    for number, angle in enumerate(np.where(is_sloped, own, along[0]).tolist()):
+        steps += _extent(point_m[label == number, :2], angle, settings)
     return (
         meets
         + _snapped(steps, [edge for edge, _ in edges], settings)
@@ -117,12 +116,11 @@ def _borders(
         corner = rows[Delaunay(point_m[rows, :2]).simplices]
     except QhullError:
         return {}
-    link = np.unique(
-        np.sort(np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]]), axis=1), axis=0
-    )
+    link = np.concatenate([corner[:, [0, 1]], corner[:, [1, 2]], corner[:, [2, 0]]])
+    link = link[label[link[:, 0]] != label[link[:, 1]]]
     apart = point_m[link[:, 0], :2] - point_m[link[:, 1], :2]
-    link = link[(label[link[:, 0]] != label[link[:, 1]]) & (np.hypot(apart[:, 0], apart[:, 1]) < near_m)]
-    link = np.where((label[link[:, :1]] < label[link[:, 1:]]), link, link[:, ::-1])
+    link = link[np.hypot(apart[:, 0], apart[:, 1]) < near_m]
+    link = np.where(label[link[:, :1]] < label[link[:, 1:]], link, link[:, ::-1])
     result = {}
     for pair in np.unique(label[link], axis=0):
         between = link[(label[link] == pair).all(axis=1)]
@@ -132,35 +130,33 @@ def _borders(
 
 def _steps(sides: Sequence[np.ndarray], angles: Sequence[float], settings: Drawing) -> list[Line]:
     """Lines in the given directions that have the points of one side on one hand and the others on the other."""
-    result = []
     one, other = sides
-    for angle in angles:
-        for turned in (angle, angle + np.pi / 2, angle + np.pi, angle + 3 * np.pi / 2):
-            normal = np.array([np.cos(turned), np.sin(turned)])
-            place = np.concatenate([one, other]) @ normal
-            is_other = np.repeat([False, True], [len(one), len(other)])
-            order = np.argsort(place, kind="stable")
-            place, is_other = place[order], is_other[order]
-            num_wrong = np.cumsum(is_other) + len(one) - np.cumsum(~is_other)
-            best = int(num_wrong[:-1].argmin())
-            if num_wrong[best] < settings.wrong_share * min(len(one), len(other)):
-                line = Line(normal, float(place[best : best + 2].mean()))
-                result.append(line.along(np.concatenate([one, other]), settings.reach_m))
-    return result
-
-
-def _extent(xy_m: np.ndarray, angles: Sequence[float], settings: Drawing) -> list[Line]:
-    """The sides of the rectangles around the places (m, 2) of a plane."""
+    both = np.concatenate([one, other])
+    turned = np.add.outer(angles, np.arange(4) * np.pi / 2).ravel()
+    normal = np.column_stack([np.cos(turned), np.sin(turned)])
+    place = both @ normal.T
+    order = np.argsort(place, axis=0, kind="stable")
+    place, is_other = np.take_along_axis(place, order, axis=0), order >= len(one)
+    num_wrong = (np.cumsum(is_other, axis=0) + len(one) - np.cumsum(~is_other, axis=0))[:-1]
+    best = num_wrong.argmin(axis=0)
     result = []
-    for angle in angles:
-        for turned in (angle, angle + np.pi / 2):
-            normal = np.array([np.cos(turned), np.sin(turned)])
-            place = xy_m @ normal
-            margin_m = np.ptp(place) / max(len(place), 1) ** 0.5 / 2
-            low, high = np.percentile(place, [1, 99])
-            for offset in (low - margin_m, high + margin_m):
-                result.append(Line(normal, float(offset)).along(xy_m, settings.reach_m))
+    for i in np.flatnonzero(num_wrong.min(axis=0) < settings.wrong_share * min(len(one), len(other))):
+        line = Line(normal[i], float(place[best[i] : best[i] + 2, i].mean()))
+        result.append(line.along(both, settings.reach_m))
     return result
+
+
+def _extent(xy_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
+    """The sides of the rectangle around the places (m, 2) of a plane."""
+    normal = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    place = xy_m @ normal.T
+    margin_m = np.ptp(place, axis=0) / len(place) ** 0.5 / 2
+    low, high = np.percentile(place, [1, 99], axis=0)
+    return [
+        Line(normal[axis], float(offset)).along(xy_m, settings.reach_m)
+        for axis in (0, 1)
+        for offset in (low[axis] - margin_m[axis], high[axis] + margin_m[axis])
+    ]
 
 
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
@@ -168,12 +164,16 @@ def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) ->
     result: dict[int, Line] = {}
     targets = list(edges)
     for step in steps:
-        middle = step.ends_m.mean(axis=0)
-        for number, target in enumerate(targets):
-            is_parallel = abs(step.normal @ target.normal) > np.cos(np.radians(settings.same_deg / 2))
-            if is_parallel and abs(middle @ target.normal - target.offset_m) < settings.snap_m:
-                result[number] = result.get(number, target).along(step.ends_m, 0.0)
-                break
+        normal, offset_m = (
+            np.array([getattr(each, name) for each in targets]) for name in ("normal", "offset_m")
+        )
+        is_parallel = np.abs(normal @ step.normal) > np.cos(np.radians(settings.same_deg / 2))
+        near = np.flatnonzero(
+            is_parallel & (np.abs(normal @ step.ends_m.mean(axis=0) - offset_m) < settings.snap_m)
+        )
+        if len(near):
+            number = int(near[0])
+            result[number] = result.get(number, targets[number]).along(step.ends_m, 0.0)
         else:
             result[len(targets)] = step
             targets.append(step)
