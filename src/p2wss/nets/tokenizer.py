@@ -88,7 +88,8 @@ class Tokenizer:
         self.angle_slot = self.block_length - len(self.angle_places)
         # the number that each token stands for, 0 for those that are not digits
         self.token_value = torch.tensor(
-            [0.0] * FIRST_DIGIT + [digit * 10.0**place for place in self.places for digit in range(10)]
+            [0.0] * FIRST_DIGIT + [digit * 10.0**place for place in self.places for digit in range(10)],
+            device="cpu",  # also of a network that is built without memory
         )
 
     # --- quantise, canonical order ---

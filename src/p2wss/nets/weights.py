@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 from torch.nn import Module
+from torch.overrides import TorchFunctionMode
 
 from p2wss import __version__
 from p2wss.config import Dvae as DvaeConfig
@@ -111,12 +112,20 @@ def _settings(config: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in config.items() if name != "compute"}
 
 
+class _WithoutNormalDraws(TorchFunctionMode):
+    """Leaves out what torch draws for embeddings: for tensors without memory it would import its compiler, which takes
+    longer than all else. Arithmetic with such tensors does so, too."""
+
+    def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        return None if func is torch.nn.init.normal_ else func(*args, **kwargs or {})
+
+
 def _built(build: Callable[[], _Network], state: dict[str, Tensor]) -> _Network:
     """The network. Raises ValueError if the config describes one of other sizes than the file's tensors.
 
     It is built without memory first, so that a config that does not belong to the weights cannot take all of it.
     """
-    with torch.device("meta"):
+    with torch.device("meta"), _WithoutNormalDraws():
         shapes = {name: value.shape for name, value in build().state_dict().items()}
     for name, value in state.items():
         if shapes.get(name) != value.shape:
