@@ -88,15 +88,17 @@ def _height_quantiles(z: np.ndarray, weight: np.ndarray, share: np.ndarray) -> t
     low, middle, high = z.T[:, :, None]
     low_end = np.full(len(share), z.min())
     high_end = np.full(len(share), z.max())
+    target = share * weight.sum()
     with np.errstate(divide="ignore", invalid="ignore"):
+        rises, falls = (middle - low) * (high - low), (high - low) * (high - middle)
         for _ in range(_BISECTIONS):
             at = (low_end + high_end) / 2
-            rising = (at - low) ** 2 / ((middle - low) * (high - low))
-            falling = 1 - (high - at) ** 2 / ((high - low) * (high - middle))
+            rising = (at - low) ** 2 / rises
+            falling = 1 - (high - at) ** 2 / falls
             below = np.where(
                 at >= high, 1.0, np.where(at <= low, 0.0, np.where(at <= middle, rising, falling))
             )
-            is_below = weight @ below < share * weight.sum()
+            is_below = weight @ below < target
             low_end, high_end = np.where(is_below, at, low_end), np.where(is_below, high_end, at)
     return tuple(high_end.tolist())
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from p2wss.storage.temporary import Closeable, Scratch
 
+# values that stay in memory, too: those of a small run
+_NUM_KEPT = 256
 T = TypeVar("T")
 S = TypeVar("S")
 
@@ -31,12 +34,14 @@ class Spool(Lazy[int, T], Closeable):
     """``count`` values in a :class:`~p2wss.storage.temporary.Scratch` file of ``folder``.
 
     A value may be replaced; its place in the file is then not used again. Reading one that was not set is a KeyError.
+    Several accesses may return the same object: it is not for changes.
     """
 
     def __init__(self, count: int, folder: Path) -> None:
-        super().__init__(self._read, range(count))
+        super().__init__(lambda index: self._value(*self._place[index]), range(count))
         self._place: dict[int, tuple[int, int]] = {}
         self._scratch = Scratch(folder, "results")
+        self._value = lru_cache(_NUM_KEPT)(self._read)
 
     def close(self) -> None:
         """Remove the file."""
@@ -47,8 +52,7 @@ class Spool(Lazy[int, T], Closeable):
         self._place[index] = (self._scratch.num_bytes, len(content))
         self._scratch.append(content)
 
-    def _read(self, index: int) -> T:
-        place = self._place[index]
+    def _read(self, start: int, num_bytes: int) -> T:
         # what this process wrote, into a file that no other can open
-        value: T = pickle.loads(self._scratch.read(*place))  # nosec B301
+        value: T = pickle.loads(self._scratch.read(start, num_bytes))  # nosec B301
         return value
