@@ -50,16 +50,6 @@ class Scenes(Section):
         le=5,
         description="Douglas-Peucker tolerance for simplifying footprints; 0 = no simplification",
     )
-    parallel_deg: float = Field(
-        2.5,
-        ge=0,
-        le=10,
-        description="footprint edges that are parallel to within this angle are made exactly parallel; 0 = "
-        "no straightening",
-    )
-    max_shift_m: float = Field(
-        0.05, ge=0, le=1, description="maximum displacement of a footprint corner by straightening"
-    )
     min_edge_m: float = Field(0.1, ge=0.01, le=5, description="footprint edges shorter than this are removed")
     min_area_m2: float = Field(
         2,

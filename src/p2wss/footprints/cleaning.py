@@ -193,13 +193,7 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     result = split_parts(frame, config.min_area_m2, config.simplify_m)
     status = result["status"].to_numpy(dtype=object).copy()
     shapes = result.geometry.to_numpy().copy()
-    cleaning = Cleaning(
-        config.snap_m,
-        config.simplify_m,
-        config.min_edge_m,
-        parallel_deg=config.parallel_deg,
-        max_shift_m=config.max_shift_m,
-    )
+    cleaning = Cleaning(config.snap_m, config.simplify_m, config.min_edge_m)
     status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     usable = np.flatnonzero(status == reasons.OK)
     shapes[usable] = [_without_small_courtyards(shape, config.min_area_m2) for shape in shapes[usable]]

@@ -1,9 +1,8 @@
 """Clean footprints as coverages, block by block, so that neighbours keep the walls that they share.
 
 A block is a set of footprints that touch, nearly touch or overlap, often one alone. Its footprints are joined in common
-nodes (:mod:`p2wss.footprints.common_nodes`), simplified along the lines between the nodes where walls meet, and
-straightened with shared edges once (:mod:`p2wss.footprints.directions`). All blocks are cleaned at once; nothing that
-happens to one depends on the others.
+nodes (:mod:`p2wss.footprints.common_nodes`) and simplified along the lines between the nodes where walls meet. All
+blocks are cleaned at once; nothing that happens to one depends on the others.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import shapely
 from p2wss import skeleton
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
-from p2wss.footprints.directions import Edges, straightened
 from p2wss.mesh.topology import groups
 from p2wss.skeleton.types import Polygons
 
@@ -32,10 +30,7 @@ class Cleaning:
     snap_m: gaps and overlaps up to this width are closed; 0 = none. simplify_m: tolerance of Douglas-Peucker along the
     walls between the nodes where they meet. A vertex goes too if it has an edge shorter than ``min_edge_m``, if the
     wall turns there by less than ``min_turn_deg`` (or by less than that from a full reversal, a spike) or if it is
-    within ``min_offset_m`` of the line between its neighbours; the nearest to that line goes first. parallel_deg: edges
-    that are parallel to within this angle become exactly parallel, 0 = none, as far as no corner moves by more than
-    ``max_shift_m``: otherwise a millimetre would decide which of two wavefront edges of a roof continues where they
-    meet.
+    within ``min_offset_m`` of the line between its neighbours; the nearest to that line goes first.
     """
 
     snap_m: float = 0.1
@@ -43,8 +38,6 @@ class Cleaning:
     min_edge_m: float = 0.1
     min_turn_deg: float = 3.0
     min_offset_m: float = 0.02
-    parallel_deg: float = 2.5
-    max_shift_m: float = 0.05
 
 
 def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
@@ -109,8 +102,6 @@ def _clean(shapes: np.ndarray, origin: np.ndarray, cleaning: Cleaning) -> tuple[
         level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
         return np.zeros(0, object), is_whole
-    if cleaning.parallel_deg > 0:
-        xy_m = _straighten(xy_m, rings, cleaning)
     result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
     return polygon_arrays.to_geometries(result), is_accepted(result)
 
@@ -124,27 +115,6 @@ def kernel_status(polygons: Polygons) -> np.ndarray:
     """What the kernel says of each polygon under a flat roof, :class:`p2wss.skeleton.Status` (n,)."""
     flat = np.full(len(polygons.xy_m), 90.0)
     return skeleton.build(polygons, flat, np.ones(len(polygons))).status
-
-
-def _straighten(xy_m: np.ndarray, rings: _Rings, cleaning: Cleaning) -> np.ndarray:
-    """Places of the nodes for which all polygons stay valid."""
-    ends = np.sort(np.column_stack([rings.node, rings.node[next_in_ring(rings.ring_offset)]]), axis=1)
-    segment, of_vertex = np.unique(ends, axis=0, return_inverse=True)
-    pairs = np.unique(np.column_stack([rings.polygon_of_vertex, of_vertex.reshape(-1)]), axis=0)
-    edges = Edges(xy_m, segment, pairs[:, 0], pairs[:, 1])
-    max_sine = float(np.sin(np.radians(cleaning.parallel_deg)))
-    is_free = np.zeros(len(segment), bool)
-    for _ in range(3):
-        place_m = straightened(edges, max_sine, cleaning.max_shift_m, cleaning.min_offset_m, is_free)
-        is_whole = rings.are_whole(place_m)
-        if is_whole.all():
-            return place_m
-        is_free[pairs[~is_whole[pairs[:, 0]], 1]] = True
-    # the blocks that are still invalid stay as they are
-    broken = np.zeros(len(xy_m), bool)
-    broken[rings.node[~is_whole[rings.polygon_of_vertex]]] = True
-    block = groups(len(xy_m), segment)
-    return np.where(np.isin(block, block[broken])[:, None], xy_m, place_m)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ What the angles mean (a picture of each rule: ``docs/methods/skeleton.md``, ``do
 * Where only 90 degree edges are left, the roof is capped flat at the height where the last slope ended
   (``skeleton_cap``); a maximum height cuts it flat (``skeleton_max_height``).
 * Two edges that become collinear neighbours at different speeds: the faster swallows the slower
-  (``skeleton_parallel``). The cleaning of footprints makes nearly parallel edges exactly parallel, so that this rule
-  decides and not a millimetre.
+  (``skeleton_parallel``). Edges that are parallel to within a millimetre only do not become collinear.
 * A 90 degree edge beside a reflex corner carries on over the roof as a vertical wall (``skeleton_reflex``).
 * Courtyards are further rings whose edges have angles too (``skeleton_courtyard``).
 """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import combinations, pairwise
 from pathlib import Path
-from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -16,10 +15,8 @@ from places import SHARED
 
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints import coverage
 from p2wss.footprints.cleaning import clean_footprints, read_footprints, read_whole_blocks
 from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, is_accepted
-from p2wss.footprints.directions import Edges
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
 OLEMPS = SHARED / "data" / "olemps_bdtopo" / "BATIMENT.shp"
@@ -90,26 +87,6 @@ def test_a_row_with_gaps_or_overlaps_shares_whole_walls(gap_m: float, seed: int)
         assert len(corners(after)) == 4, "a corner of a neighbour within a wall is no vertex"
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_edges_of_a_row_become_exactly_parallel(seed: int) -> None:
-    houses = row_of_houses(seed, 5, 0.0, 0.008)
-    crooked = clean(houses, Scenes(parallel_deg=0))
-    straight = clean(houses)
-    assert max(map(_worst_pair_deg, crooked)) > 0.01, "there is something to straighten"
-    assert max(map(_worst_pair_deg, straight)) < 1e-6
-    for before, after in zip(crooked, straight, strict=True):
-        shift = [shapely.Point(corner).distance(before) for corner in corners(after)]
-        assert max(shift) <= 0.05 + 1e-9
-
-
-def _worst_pair_deg(shape: shapely.Polygon) -> float:
-    """The largest angle between two edges that are parallel to within 2.5 degrees."""
-    along = np.diff(shapely.get_coordinates(shape), axis=0)
-    bearing = np.degrees(np.arctan2(along[:, 1], along[:, 0]))
-    angle = np.abs((bearing[:, None] - bearing + 90) % 180 - 90)
-    return float(angle[angle < 2.5].max())
-
-
 def test_a_corner_of_a_third_house_within_a_wall_lies_on_it() -> None:
     """A T-junction: the wall between the upper two ends within the long wall of the lower one."""
     lower = shapely.Polygon([(0, 0), (14, 0), (14, 8), (0, 8)])
@@ -158,10 +135,10 @@ def test_a_gap_wider_than_snap_stays() -> None:
         assert first.distance(second) == pytest.approx(distance_m, abs=2e-3)
 
 
-def test_without_snap_and_straightening_shared_corners_stay_in_place() -> None:
+def test_without_snap_shared_corners_stay_in_place() -> None:
     houses = row_of_houses(3, 4, 0.0, 0.0)
     shared = [shapely.Polygon(np.round(shapely.get_coordinates(shape), 3)) for shape in houses]
-    result = clean(shared, Scenes(snap_m=0, simplify_m=0, parallel_deg=0))
+    result = clean(shared, Scenes(snap_m=0, simplify_m=0))
     for before, after in zip(shared, result, strict=True):
         assert corners(after) <= corners(before)
 
@@ -170,31 +147,8 @@ def test_a_short_edge_shrinks_to_the_corner_where_walls_meet() -> None:
     """The corner that two houses share stays in place, and the vertex beside it, which one of them has, goes."""
     left = shapely.Polygon([(0, 0), (6, 0), (6, 8), (5.94, 8.03), (0, 8)])
     right = shapely.box(6, 0, 12, 8)
-    a, b = clean([left, right], Scenes(snap_m=0, simplify_m=0, parallel_deg=0))
+    a, b = clean([left, right], Scenes(snap_m=0, simplify_m=0))
     assert corners(a) == corners(shapely.box(0, 0, 6, 8)) and corners(b) == corners(right)
-
-
-def test_a_footprint_that_straightening_would_break_leaves_the_others_straight(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    straightened, num_free = coverage.straightened, []
-
-    def breaking(edges: Edges, *more: Any) -> np.ndarray:
-        """Makes a bow tie of the first polygon unless all its edges are free."""
-        place_m = straightened(edges, *more).copy()
-        _, segment, polygon, of_segment = edges
-        is_free = more[-1]
-        num_free.append(int(is_free.sum()))
-        edges = of_segment[polygon == 0]
-        if not is_free[edges].all():
-            outside = np.setdiff1d(segment[edges], segment[of_segment[polygon == 1]])
-            place_m[outside] = place_m[outside[::-1]]
-        return place_m
-
-    monkeypatch.setattr(coverage, "straightened", breaking)
-    crooked, _, straight = clean_coverage(np.array(row_of_houses(5, 3, 0.0, 0.008), object), Cleaning())
-    assert num_free == [0, 4]
-    assert _worst_pair_deg(crooked) > 0.01 and _worst_pair_deg(straight) < 1e-6
 
 
 def test_real_overlaps_and_collapsing_footprints_are_no_error() -> None:

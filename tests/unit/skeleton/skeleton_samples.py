@@ -94,7 +94,7 @@ def sample_footprints(
     return Polygons.from_rings(out)
 
 
-def clean(raw: Polygons, parallel_deg: float = 2.5) -> Polygons:
+def clean(raw: Polygons) -> Polygons:
     """Each polygon cleaned by itself; one that is rejected is empty."""
     first = np.array([rings[0][0] if (rings := raw.rings(k)) else (0, 0) for k in range(len(raw))])
     # so far apart that none is a neighbour of another
@@ -105,7 +105,7 @@ def clean(raw: Polygons, parallel_deg: float = 2.5) -> Polygons:
     shapes = polygon_arrays.to_geometries(apart)
     valid = np.flatnonzero(shapely.is_valid(shapes) & ~shapely.is_empty(shapes))
     result = np.full(len(raw), shapely.Polygon(), dtype=object)
-    result[valid] = clean_coverage(shapes[valid], Cleaning(0.0, 0.0, 0.05, parallel_deg=parallel_deg))
+    result[valid] = clean_coverage(shapes[valid], Cleaning(0.0, 0.0, 0.05))
     polygons = polygon_arrays.to_polygons(result)
     xy_m = polygons.xy_m - np.repeat(shift, np.diff(polygons.vertex_offset), axis=0)
     return Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)
