@@ -5,7 +5,7 @@ A place (wildcard {place}, p2wss.config.places) stands before each tile: "" with
 """
 
 from p2wss.data.tiling import neighbours, tile_bounds, tiles_of_bounds
-from p2wss.fetch import listing
+from p2wss.data import listing
 from p2wss.storage import integrity
 
 MEMBERS = configs.member_places(settings)

@@ -29,8 +29,8 @@ def crops() -> None:
 def crops_simulated(buildings: Path, scan: Path, out: Path, config: Config) -> None:
     """Crop a simulated scan, with labels."""
     from p2wss import crops
-    from p2wss.clouds.reading import check_crs
     from p2wss.clouds.scan_files import read_scan
+    from p2wss.data.crs import check_crs
     from p2wss.storage.schemas.buildings import BUILDINGS
 
     facts = files.read_metadata(buildings)

@@ -37,7 +37,7 @@ def scans(
     import pyproj
 
     from p2wss import scans
-    from p2wss.clouds.reading import check_crs
+    from p2wss.data.crs import check_crs
     from p2wss.data.terrain import read_terrain
     from p2wss.storage.schemas.buildings import BUILDINGS
 

@@ -59,7 +59,7 @@ def scenes_cut(
     tile: str, place: str, footprints: Path, dtm: Path, out: Path, out_dtm: Path, config: Config
 ) -> None:
     """Cut the scene of one tile and its margin."""
-    from p2wss.clouds.reading import check_crs
+    from p2wss.data.crs import check_crs
     from p2wss.data.terrain import read_terrain, write_terrain
     from p2wss.footprints.cleaning import read_whole_blocks
     from p2wss.scenes.cut import NEIGHBOUR_DISTANCE_M, cut_scene, failed_fraction

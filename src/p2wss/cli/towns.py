@@ -41,15 +41,14 @@ def towns(seed: int, out: Path, lidar: bool, kind: str) -> None:
 def _write_roofs(town: Sequence[DrawnBuilding], path: Path) -> None:
     """The true solids of a town as CityJSON, by the ids of the footprints."""
     from p2wss.formats.cityjson import Metadata, Solid, lines
-    from p2wss.mesh import Mesh
     from p2wss.storage import files
     from p2wss.towns.ign import building_id
     from p2wss.towns.site import CRS
     from p2wss.towns.wings import true_solids
 
-    solids = []
-    for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True)):
-        mesh = Mesh.of_triangles(*corners)
-        solids.append(Solid(building_id(index), mesh.vertex_m, mesh.surfaces, {"shape": building.kind}))
+    solids = [
+        Solid.of_triangles(building_id(index), *corners, {"shape": building.kind})
+        for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True))
+    ]
     metadata = Metadata(int(CRS.removeprefix("EPSG:")))
     files.write_text(path, "\n".join(lines(solids, metadata)) + "\n")

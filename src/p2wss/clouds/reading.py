@@ -1,21 +1,21 @@
-"""Read point clouds from LAS, LAZ and COPC files, by window and without noise; their headers; compare CRSs."""
+"""Read point clouds from LAS, LAZ and COPC files, by window and without noise; their headers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
 import pyproj
 
-from p2wss.clouds.las_files import KIND, open_cloud
+from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.las_files import KIND, open_cloud
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
@@ -47,6 +47,13 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.x_m)
+
+    def in_metres(self, metric: MetricCrs) -> Cloud:
+        """The cloud in the CRS of the run."""
+        if metric.is_source:
+            return self
+        x_m, y_m, z_m = metric.points(self.x_m, self.y_m, self.z_m)
+        return replace(self, x_m=x_m, y_m=y_m, z_m=z_m, crs=metric.crs)
 
 
 _NOTHING = Cloud(
@@ -223,33 +230,3 @@ def _days(points: laspy.ScaleAwarePointRecord, header: laspy.LasHeader) -> np.nd
     is_date = (np.abs(time_s) > _WEEK_S) & (from_time > 0) & (from_time < 2**16)
     day[is_date] = from_time[is_date]
     return day
-
-
-def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
-    """The horizontal part of a compound or 3D CRS."""
-    return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
-
-
-def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
-    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored."""
-    a, b = horizontal(first), horizontal(second)
-    if a.equals(b, ignore_axis_order=True):
-        return True
-    codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
-    return codes[0] is not None and codes[0] == codes[1]
-
-
-def check_crs(
-    found: pyproj.CRS | None,
-    expected: Any,
-    path: str | Path,
-    other: str = "the region is",
-    remedy: str = "reproject the file or change region.crs",
-) -> None:
-    """Raise :class:`InputError` if a file states another CRS than ``expected``. other: what is in that. None of the two
-    passes."""
-    if found is None or expected is None:
-        return
-    expected = pyproj.CRS.from_user_input(expected)
-    if not same_crs(found, expected):
-        raise InputError(f"{path}: is in {found.name}, but {other} in {expected.name}; {remedy}")

@@ -17,9 +17,9 @@ import lazrs
 import numpy as np
 import pyproj
 
-from p2wss.clouds.las_files import open_cloud
 from p2wss.clouds.reading import Cloud
 from p2wss.storage import files, integrity
+from p2wss.storage.las_files import open_cloud
 
 MM = 0.001
 _READ_AT_ONCE = 1_000_000

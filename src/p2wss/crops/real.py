@@ -12,10 +12,11 @@ import numpy as np
 import pyarrow as pa
 
 from p2wss.clouds.crops import GROUND_RINGS_M, crop_cloud
-from p2wss.clouds.reading import check_crs, read_clouds
+from p2wss.clouds.reading import read_clouds
 from p2wss.config import Crops
 from p2wss.crops.rows import crop_columns
 from p2wss.data import polygon_arrays, tiling
+from p2wss.data.crs import check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.points import points_on_buildings
 from p2wss.skeleton.types import Polygons

@@ -15,7 +15,7 @@ import pyogrio
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import check_crs
+from p2wss.data.crs import check_crs
 from p2wss.footprints.schemas import FootprintSchema, building_ids, schema_of, stated_heights_m
 from p2wss.storage import files
 from p2wss.storage.errors import InputError

@@ -12,10 +12,10 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.clouds.las_files import open_cloud
-from p2wss.clouds.reading import check_crs
+from p2wss.data.crs import check_crs
 from p2wss.data.tiling import Bounds
 from p2wss.storage import files, integrity
+from p2wss.storage.las_files import open_cloud
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them

@@ -20,13 +20,12 @@ import shapely
 from rasterio.enums import Resampling
 from rasterio.io import DatasetReader
 
-from p2wss.clouds.metric_crs import reprojected
-from p2wss.clouds.reading import check_crs, horizontal, same_crs
 from p2wss.config import Folder
+from p2wss.data.crs import check_crs, horizontal, reprojected, same_crs
+from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
 from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
 from p2wss.fetch.cloud import read_header
-from p2wss.fetch.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.storage.errors import InputError, reading
 
 log = logging.getLogger(__name__)
@@ -93,7 +92,7 @@ def read_footprint_window(path: Path, layer: str, bounds: Bounds, crs: str) -> g
 
     layer: name of the layer; a file with a single layer may use another name. Features in another CRS, such as IGN's
     national GeoParquet in degrees, are reprojected to ``crs``, with a note
-    (:func:`p2wss.clouds.metric_crs.reprojected`); those without a CRS are returned as they are.
+    (:func:`p2wss.data.crs.reprojected`); those without a CRS are returned as they are.
 
     Raises :class:`InputError` if the file is broken, has several layers and none is called ``layer``, or is in a CRS
     that cannot be transformed.

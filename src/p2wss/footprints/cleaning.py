@@ -11,10 +11,9 @@ import pandas as pd
 import shapely
 
 from p2wss import skeleton
-from p2wss.clouds.metric_crs import MetricCrs, reprojected
-from p2wss.clouds.reading import horizontal
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
+from p2wss.data.crs import MetricCrs, horizontal, reprojected
 from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired

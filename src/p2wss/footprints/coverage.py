@@ -16,7 +16,7 @@ import shapely
 from p2wss import skeleton
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
-from p2wss.mesh.topology import groups
+from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import Polygons
 
 # a vertex that is nearer to the line between its neighbours is within an edge

@@ -15,7 +15,8 @@ import shapely
 
 from p2wss.mesh import polygon_kernels, shell_kernels
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.topology import NEXT, doubled_plan_areas, groups, twins, unit_normals
+from p2wss.mesh.topology import NEXT, doubled_plan_areas, twins, unit_normals
+from p2wss.skeleton.groups import groups
 
 MEANINGS: dict[int, str] = {
     101: "a ring has fewer than three vertices",

@@ -15,7 +15,7 @@ from scipy.special import expit, logit
 from torch import Tensor
 from torch.nn import functional as F
 
-from p2wss.data.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
+from p2wss.config.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.nets.tokenizer import Tokenizer
 
 Mode = Literal["argmax", "median"]

@@ -15,8 +15,8 @@ import pandas as pd
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import horizontal
 from p2wss.data import reasons
+from p2wss.data.crs import horizontal
 from p2wss.reconstruct import measures
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result

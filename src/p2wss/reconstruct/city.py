@@ -11,7 +11,7 @@ from pyproj.database import query_crs_info
 from pyproj.enums import PJType
 
 from p2wss import __version__, skeleton
-from p2wss.clouds.reading import horizontal
+from p2wss.data.crs import horizontal
 from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Metadata, Solid
 from p2wss.mesh import Mesh

@@ -15,9 +15,9 @@ import numpy as np
 import pyproj
 
 from p2wss.clouds import reading
-from p2wss.clouds.metric_crs import MetricCrs, common_crs, metric_crs
 from p2wss.clouds.reading import Cloud, CloudHeader
 from p2wss.config import Config
+from p2wss.data.crs import MetricCrs, common_crs, metric_crs
 from p2wss.data.las_classes import LAS, ClassSet, class_set
 from p2wss.data.terrain import Terrain, read_terrain
 from p2wss.data.tiling import Bounds
@@ -68,12 +68,12 @@ class Inputs:
     def chunks(self, window: Bounds, classes: ClassSet) -> Iterator[Cloud]:
         """The points in a window of the run, in its CRS, about half a million at a time."""
         if self.points is not None:
-            yield self.metric.cloud(self.points)
+            yield self.points.in_metres(self.metric)
             return
         window = self.metric.window_of_clouds(window)
         near = [header.path for header in self.headers if header.overlaps(window)]
         for chunk in reading.read_in_chunks(near, window, classes):
-            yield self.metric.cloud(chunk)
+            yield chunk.in_metres(self.metric)
 
     def overlap(self, window: Bounds) -> bool:
         """Whether a cloud may have points in a window of the run."""
@@ -144,7 +144,7 @@ def read_outlines(inputs: Inputs, config: Config) -> tuple[Cloud, gpd.GeoDataFra
     from p2wss.reconstruct.outlines import outline_frame
 
     cloud = read_cloud(inputs.headers, inputs.points, class_set(**config.region.classes.model_dump()))
-    cloud, warnings = unclassified.with_classes(inputs.metric.cloud(cloud))
+    cloud, warnings = unclassified.with_classes(cloud.in_metres(inputs.metric))
     for warning in warnings:
         log.warning("warning: %s", warning)
     return cloud, outline_frame(cloud, config.reconstruct.outlines, inputs.crs)

@@ -23,8 +23,8 @@ from p2wss.clouds.reading import Cloud
 from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
-from p2wss.mesh.topology import groups
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
+from p2wss.skeleton.groups import groups
 from p2wss.storage.errors import InputError
 
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from p2wss.data import polygon_arrays
-from p2wss.mesh.topology import groups
+from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import Polygons
 
 # footprints closer than this share a wall, if they are so over at least the length

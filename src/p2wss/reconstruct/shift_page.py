@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import horizontal
+from p2wss.data.crs import horizontal
 from p2wss.formats import shift_map
 from p2wss.formats.shift_map import Block, Footprint
 from p2wss.reconstruct.registration import NOTHING, Registration

@@ -6,8 +6,13 @@ each function is compiled for one set of types. Imports are inside, so that each
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+import platform
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +26,43 @@ if TYPE_CHECKING:
 
 _POINTS_PER_M2 = 6.0
 _CRS = "EPSG:2154"
+
+
+Task = Callable[[], None]
+
+
+def run_tasks(first: Sequence[Task], last: Task, jobs: int, progress: Callable[[int], object]) -> None:
+    """Run tasks in processes, ``last`` once all of ``first`` are done. progress: called with how many are."""
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin) as pool:
+        for num_done, future in enumerate(as_completed([pool.submit(task) for task in first]), 1):
+            future.result()
+            progress(num_done)
+        pool.submit(last).result()
+        progress(len(first) + 1)
+
+
+def _begin() -> None:
+    from p2wss.skeleton.compiled import expect_compilation
+
+    expect_compilation()
+
+
+def marker(with_scans: bool) -> Path | None:
+    """The file beside the cached code that exists once all of these sources are compiled; None without a cache."""
+    import numba
+    from llvmlite.binding import get_host_cpu_name
+
+    from p2wss.skeleton.compiled import cache_folder
+
+    folder = cache_folder()
+    if folder is None:
+        return None
+    digest = hashlib.blake2b(digest_size=6)
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        digest.update(path.read_bytes())
+    computer = platform.python_version(), numba.__version__, get_host_cpu_name()
+    digest.update(repr((computer, with_scans)).encode())
+    return folder / f"warm-up.{digest.hexdigest()}"
 
 
 def warm_fit() -> None:

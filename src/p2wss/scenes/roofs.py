@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.config import Scenes
-from p2wss.data.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
+from p2wss.config.roof_angles import FLAT_DEG, MAX_SLOPE_DEG, MIN_SLOPE_DEG, VERTICAL_DEG
 from p2wss.data.seeds import generator
 from p2wss.skeleton.types import Polygons
 

@@ -12,11 +12,19 @@ import laspy
 import numpy as np
 import pyproj
 
-from p2wss.data.las_classes import BUILDING_CLASS, UNCLASSIFIED_CLASS, VEGETATION_CLASS
 from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import DATE
-from p2wss.towns.site import CRS, LIDAR_X_MIN, LIDAR_Y_MAX, ground_z_m, in_lidar_tile
+from p2wss.towns.site import (
+    BUILDING_CLASS,
+    CRS,
+    LIDAR_X_MIN,
+    LIDAR_Y_MAX,
+    UNCLASSIFIED_CLASS,
+    VEGETATION_CLASS,
+    ground_z_m,
+    in_lidar_tile,
+)
 from p2wss.towns.surface import CELL_M, Surface, draw_trees
 
 FLIGHT_M = 850.0  # above the ground

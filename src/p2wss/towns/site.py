@@ -10,6 +10,8 @@ X_MIN, Y_MIN, X_MAX, Y_MAX = 652_000, 6_860_000, 654_000, 6_862_000
 CENTRE = np.array([653_000.0, 6_861_000.0])  # the church square, at the corner of the four tiles
 LIDAR_X_MIN, LIDAR_Y_MAX = 653_000, 6_861_000  # north-west corner of the LiDAR tile: 0653_6861
 LIDAR_TILE = shapely.box(LIDAR_X_MIN, LIDAR_Y_MAX - 1000, LIDAR_X_MIN + 1000, LIDAR_Y_MAX)
+# classes of LAS
+UNCLASSIFIED_CLASS, GROUND_CLASS, VEGETATION_CLASS, BUILDING_CLASS = 1, 2, 5, 6
 LIDAR_RADIUS_M = 370  # the LiDAR tile is built up to here only, to keep its file small
 
 

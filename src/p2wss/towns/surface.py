@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.towns.buildings import DrawnBuilding, Wing
 from p2wss.towns.lots import block_side, rectangle, to_world
-from p2wss.towns.site import ground_z_m, in_lidar_tile
+from p2wss.towns.site import BUILDING_CLASS, GROUND_CLASS, ground_z_m, in_lidar_tile
 
 CELL_M = 0.1
 AROUND_M = 4.0  # points further from a building are not written, to keep the file small

@@ -9,7 +9,6 @@ import pytest
 from numba import config
 
 from p2wss import cli
-from p2wss.cli import warm_up
 from p2wss.reconstruct import warm_up as of_reconstruct
 
 FOLDER = "P2WSS_TEST_FOLDER"
@@ -36,14 +35,14 @@ def fails() -> None:
 def test_the_last_task_waits_for_the_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path))
     progress: list[int] = []
-    warm_up.run_tasks((first_a, first_b), last, 2, progress.append)
+    of_reconstruct.run_tasks((first_a, first_b), last, 2, progress.append)
     assert (tmp_path / "last").exists() and progress[-1] == 3 and progress == sorted(progress)
 
 
 def test_a_task_that_fails_is_no_success(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path))
     with pytest.raises(ValueError, match="no compiler"):
-        warm_up.run_tasks((first_a, fails), last, 1, lambda done: None)
+        of_reconstruct.run_tasks((first_a, fails), last, 1, lambda done: None)
 
 
 def test_nothing_to_do_the_second_time(

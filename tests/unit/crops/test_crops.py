@@ -17,11 +17,12 @@ from p2wss import crops, scans
 from p2wss.cli import main
 from p2wss.clouds import reading as clouds
 from p2wss.clouds.crops import ground_height
-from p2wss.clouds.reading import Cloud, check_crs, read_clouds, same_crs
+from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
 from p2wss.crops.splits import assign_splits
 from p2wss.data import polygon_arrays
+from p2wss.data.crs import check_crs, same_crs
 from p2wss.data.tiling import tile_name
 from p2wss.footprints import cleaning
 from p2wss.storage import files

@@ -10,8 +10,9 @@ import pytest
 
 from p2wss import skeleton
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import border_rings, groups
+from p2wss.mesh.topology import border_rings
 from p2wss.skeleton import FaceKind, Polygons
+from p2wss.skeleton.groups import groups
 
 # a house of 10 m by 8 m with a courtyard, and gables to the left and to the right
 RINGS = [

@@ -19,10 +19,10 @@ from toy_clouds import LAMBERT
 from yard_house import HOUSE_M2, SLOPE_DEG, YARD_M, YARD_M2, yard_house
 
 from p2wss import skeleton
-from p2wss.clouds.metric_crs import common_crs
 from p2wss.clouds.reading import GPS_EPOCH, read_clouds
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
+from p2wss.data.crs import common_crs
 from p2wss.mesh import Mesh
 from p2wss.reconstruct import measures
 from p2wss.reconstruct.attributes import TO_3DBAG, attributes

@@ -18,8 +18,8 @@ import trimesh
 from toy_clouds import LAMBERT, cleaned, cloud_over
 
 from p2wss.cli import inspection
-from p2wss.clouds.metric_crs import MetricCrs
 from p2wss.config import OUTPUT_SUFFIXES, Reconstruct
+from p2wss.data.crs import MetricCrs
 from p2wss.data.terrain import Terrain
 from p2wss.reconstruct import block_skins, exports
 from p2wss.reconstruct.pipeline import run

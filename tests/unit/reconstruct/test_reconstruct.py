@@ -18,9 +18,9 @@ from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84, cleaned, cloud_over
 
 import p2wss
-from p2wss.clouds.metric_crs import common_crs
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Reconstruct
+from p2wss.data.crs import common_crs
 from p2wss.footprints import cleaning
 from p2wss.formats import gpkg
 from p2wss.formats.glb import glb

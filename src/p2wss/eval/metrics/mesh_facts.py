@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from p2wss.mesh.topology import groups
+from p2wss.skeleton.groups import groups
 
 
 @dataclass(frozen=True)

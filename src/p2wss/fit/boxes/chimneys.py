@@ -21,7 +21,7 @@ from p2wss.fit.mesh.union import is_sound, simplified
 from p2wss.fit.settings import Chimneys
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
-from p2wss.mesh.topology import groups
+from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
 # returns from one top are at most this far apart in plan, and in height

@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
-from p2wss.mesh.topology import groups
 from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.groups import groups
 
 _MAX_ROUNDS = 4
 _GAIN_M3 = 1e-6

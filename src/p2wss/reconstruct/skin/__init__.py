@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import groups
 from p2wss.reconstruct.skin.noding import node
 from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
 from p2wss.reconstruct.skin.solids import (
@@ -24,6 +23,7 @@ from p2wss.reconstruct.skin.solids import (
     weld,
 )
 from p2wss.reconstruct.skin.triangles import sheets, triangulated
+from p2wss.skeleton.groups import groups
 
 __all__ = ["Skin", "skins"]
 

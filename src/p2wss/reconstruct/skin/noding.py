@@ -8,8 +8,8 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss.mesh.topology import groups
 from p2wss.reconstruct.skin.solids import TOLERANCE_M, Face, tidy
+from p2wss.skeleton.groups import groups
 
 _MAX_ROUNDS = 12
 # segments at a smaller angle than this count as parallel: points on them are what they have in common

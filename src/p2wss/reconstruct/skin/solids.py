@@ -10,7 +10,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import groups
+from p2wss.skeleton.groups import groups
 from p2wss.skeleton.types import FaceKind
 
 # points this near, and points this near to a wall's line, are one place

@@ -8,9 +8,10 @@ import numpy as np
 import shapely
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.topology import NEXT, doubled_plan_areas, groups
+from p2wss.mesh.topology import NEXT, doubled_plan_areas
 from p2wss.reconstruct.skin.party_walls import NotJoined
 from p2wss.reconstruct.skin.solids import Face, area_vector
+from p2wss.skeleton.groups import groups
 
 # areas of triangles may add up to this much less or more than their face
 _AREA_M2 = 1e-3

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2wss.mesh.topology import NEXT, groups
+from p2wss.mesh.topology import NEXT
 from p2wss.reconstruct.skin import Skin
+from p2wss.skeleton.groups import groups
 
 # faces that turn by less are one surface
 _MIN_TURN_DEG = 1.0

@@ -1,4 +1,4 @@
-"""Choose one projected CRS in metres for clouds, footprints and terrain, and transform them into it."""
+"""Compare CRSs; choose one projected CRS in metres for clouds, footprints and terrain, and transform them into it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 import pyproj
 import shapely
 
-from p2wss.clouds.reading import Cloud, check_crs, horizontal, same_crs
 from p2wss.data.tiling import Bounds
 from p2wss.storage.errors import InputError
 
@@ -52,15 +51,15 @@ class MetricCrs:
         low_x, low_y, high_x, high_y = (value / self.horizontal_m for value in bounds)
         return low_x, low_y, high_x, high_y
 
-    def cloud(self, cloud: Cloud) -> Cloud:
-        """The cloud in the CRS of the run."""
-        if self.is_source:
-            return cloud
+    def points(
+        self, x: np.ndarray, y: np.ndarray, z: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x, y and z in the CRS of the run, each (n,), of points in the units of the clouds."""
         if self.horizontal_m is None:
-            x_m, y_m = self._transformer.transform(cloud.x_m, cloud.y_m)
+            x_m, y_m = self._transformer.transform(x, y)
         else:
-            x_m, y_m = cloud.x_m * self.horizontal_m, cloud.y_m * self.horizontal_m
-        return replace(cloud, x_m=x_m, y_m=y_m, z_m=cloud.z_m * self.vertical_m, crs=self.crs)
+            x_m, y_m = x * self.horizontal_m, y * self.horizontal_m
+        return x_m, y_m, z * self.vertical_m
 
     def terrain(self, terrain: Terrain, terrain_crs: pyproj.CRS, path: str | Path) -> Terrain:
         """A raster in the CRS of the run, or in that of the clouds, which may have other units.
@@ -159,6 +158,36 @@ def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[Me
         f"{assumed}; processing and outputs are in metres, in {crs.name}"
     )
     return MetricCrs(source, crs, horizontal_m, vertical_m), note
+
+
+def horizontal(crs: pyproj.CRS) -> pyproj.CRS:
+    """The horizontal part of a compound or 3D CRS."""
+    return crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
+
+
+def same_crs(first: pyproj.CRS, second: pyproj.CRS) -> bool:
+    """Whether two CRSs have the same horizontal part; heights, axis order and names are ignored."""
+    a, b = horizontal(first), horizontal(second)
+    if a.equals(b, ignore_axis_order=True):
+        return True
+    codes = a.to_epsg(min_confidence=70), b.to_epsg(min_confidence=70)
+    return codes[0] is not None and codes[0] == codes[1]
+
+
+def check_crs(
+    found: pyproj.CRS | None,
+    expected: Any,
+    path: str | Path,
+    other: str = "the region is",
+    remedy: str = "reproject the file or change region.crs",
+) -> None:
+    """Raise :class:`InputError` if a file states another CRS than ``expected``. other: what is in that. None of the two
+    passes."""
+    if found is None or expected is None:
+        return
+    expected = pyproj.CRS.from_user_input(expected)
+    if not same_crs(found, expected):
+        raise InputError(f"{path}: is in {found.name}, but {other} in {expected.name}; {remedy}")
 
 
 def _vertical_m(crs: pyproj.CRS) -> float | None:

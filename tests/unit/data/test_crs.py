@@ -12,8 +12,8 @@ import shapely
 from places import SHARED
 from toy_clouds import LAMBERT, RD, WGS84
 
-from p2wss.clouds.metric_crs import MetricCrs, metric_crs, reprojected
 from p2wss.clouds.reading import Cloud
+from p2wss.data.crs import MetricCrs, metric_crs, reprojected
 from p2wss.data.terrain import Terrain
 from p2wss.footprints.cleaning import read_footprints
 from p2wss.storage.errors import InputError
@@ -33,7 +33,7 @@ def test_metres_stay_as_they_are() -> None:
         metric, note = metric_crs(crs, None, "a.laz")
         assert note is None and metric.crs == crs and metric.is_source
         points = cloud(crs, (1, 2, 3))
-        assert metric.cloud(points) is points
+        assert points.in_metres(metric) is points
         assert metric.window_of_clouds((0, 1, 2, 3)) == (0, 1, 2, 3)
 
 
@@ -44,7 +44,7 @@ def test_feet_become_metres_of_the_same_projection() -> None:
     # the same place by PROJ's own transformation
     feet = 980_000.0, 200_000.0
     x_m, y_m = pyproj.Transformer.from_crs(NEW_YORK_FEET, NEW_YORK, always_xy=True).transform(*feet)
-    converted = metric.cloud(cloud(NEW_YORK_FEET, (*feet, 100.0)))
+    converted = cloud(NEW_YORK_FEET, (*feet, 100.0)).in_metres(metric)
     assert (converted.x_m[0], converted.y_m[0]) == pytest.approx((x_m, y_m), abs=1e-6)
     assert converted.z_m[0] == pytest.approx(100 * FOOT) and converted.crs == NEW_YORK
     assert metric.window_of_clouds((x_m, y_m, x_m, y_m)) == pytest.approx(feet * 2)
@@ -98,7 +98,7 @@ def test_terrain_in_feet_or_metres() -> None:
 def test_clouds_in_degrees_get_a_zone_of_utm() -> None:
     metric, note = metric_crs(WGS84, (2.3, 48.8, 2.4, 48.9), "a.laz")
     assert metric.crs.to_epsg() == 32631 and "UTM zone 31N" in str(note)
-    converted = metric.cloud(cloud(WGS84, (2.35, 48.85, 35.0)))
+    converted = cloud(WGS84, (2.35, 48.85, 35.0)).in_metres(metric)
     x_m, y_m = float(converted.x_m[0]), float(converted.y_m[0])
     assert 450_000 < x_m < 460_000 and 5_400_000 < y_m < 5_420_000 and converted.z_m[0] == 35
     west, south, east, north = metric.window_of_clouds((x_m - 10, y_m - 10, x_m + 10, y_m + 10))

@@ -4,7 +4,7 @@ import laspy
 import numpy as np
 import pytest
 
-from p2wss.fetch import listing
+from p2wss.data import listing
 from p2wss.storage.errors import InputError
 
 
