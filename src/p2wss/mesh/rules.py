@@ -11,11 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from p2wss.mesh import polygon_kernels, shell_kernels
-from p2wss.mesh.faces import Surface
-from p2wss.mesh.topology import NEXT, doubled_plan_areas, twins, unit_normals
+from p2wss.mesh.faces import Surface, triangulated
+from p2wss.mesh.topology import NEXT, twins, unit_normals
 from p2wss.skeleton.groups import groups
 
 MEANINGS: dict[int, str] = {
@@ -131,7 +130,9 @@ class _Faces:
         result = [Breach(int(codes[f]), f) for f in np.flatnonzero(codes).tolist()]
         if result:
             return result
-        self.triangle, face = self._triangulated(plane_m)
+        face_of_ring = np.repeat(np.arange(len(size)), num_rings)
+        ring = np.repeat(np.arange(len(face_of_ring)), np.diff(self.ring_offset))
+        self.triangle, face = triangulated(plane_m, self.corner, ring, face_of_ring)
         normal = unit_normals(self.vertex_m[self.triangle])
         of_faces = np.split(normal, np.searchsorted(face, np.arange(1, len(size))))
         lowest = np.array([(of_face @ of_face.T).min() for of_face in of_faces])
@@ -156,23 +157,6 @@ class _Faces:
         area_m2[np.arange(len(point_m)) >= self.ring_offset[self.face_ring[:-1] + 1][face]] = 0.0  # of holes
         plane_m[:, 1] *= np.where(np.add.reduceat(area_m2, first) < 0.0, -1.0, 1.0)[face]
         return plane_m, np.maximum.reduceat(np.abs(place_m[:, 0]), first)
-
-    def _triangulated(self, plane_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(vertices of the triangles of all faces, int64 (t, 3); the face of each triangle, ascending): constrained
-        Delaunay triangulations, as validators use them."""
-        face_of_ring = np.repeat(np.arange(len(self.face_ring) - 1), np.diff(self.face_ring))
-        ring = np.repeat(np.arange(len(face_of_ring)), np.diff(self.ring_offset))
-        rings = np.asarray(shapely.linearrings(plane_m, indices=ring), object)
-        polygons = np.asarray(shapely.polygons(rings, indices=face_of_ring), object)
-        parts, face = shapely.get_parts(shapely.constrained_delaunay_triangles(polygons), return_index=True)
-        place_m = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
-        # counter-clockwise, as the exteriors are
-        turns_back = doubled_plan_areas(place_m) < 0
-        place_m[turns_back] = place_m[turns_back, ::-1]
-        of_corner = zip(face_of_ring[ring].tolist(), map(tuple, plane_m.tolist()), strict=True)
-        vertex_at = dict(zip(of_corner, self.corner.tolist(), strict=True))
-        of_place = zip(np.repeat(face, 3).tolist(), map(tuple, place_m.reshape(-1, 2).tolist()), strict=True)
-        return np.array([vertex_at[each] for each in of_place], np.int64).reshape(-1, 3), face
 
 
 def crosses_itself(vertex_m: np.ndarray, triangle: np.ndarray) -> bool:

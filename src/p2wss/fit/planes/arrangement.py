@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -17,13 +17,11 @@ GRID_M = 1e-3
 
 @dataclass(frozen=True)
 class Arrangement:
-    """xy_m: (v, 2), vertices. rings: of each cell, the vertices around it, exterior counter-clockwise and first.
-    middle_m: (c, 2), a place within each cell. area_m2: (c,). pair: int (s, 2), the cells on the two sides of each side
-    that two cells share. side: int (s, 2), its vertices; the first cell is to its left. lines: the ``num_edges``
-    edges of the footprint, then those that divide it; the vertices are on them to :data:`GRID_M`."""
+    """xy_m: (v, 2), vertices. middle_m: (c, 2), a place within each cell. area_m2: (c,). pair: int (s, 2), the cells to
+    the left and to the right of each side, -1 outside the footprint. side: int (s, 2), its vertices. lines: the
+    ``num_edges`` edges of the footprint, then those that divide it; the vertices are on them to :data:`GRID_M`."""
 
     xy_m: np.ndarray
-    rings: Sequence[Sequence[np.ndarray]]
     middle_m: np.ndarray
     area_m2: np.ndarray
     pair: np.ndarray
@@ -31,12 +29,6 @@ class Arrangement:
     tree: shapely.STRtree
     lines: Sequence[Line]
     num_edges: int
-
-    @property
-    def length_m(self) -> np.ndarray:
-        """(s,), of the sides."""
-        step = np.diff(self.xy_m[self.side], axis=1)[:, 0]
-        return np.hypot(step[:, 0], step[:, 1])
 
     def cells_at(self, xy_m: np.ndarray) -> np.ndarray:
         """int (m,), the cell at each place (m, 2), -1 outside."""
@@ -55,13 +47,11 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     low, high = np.array(polygon.bounds).reshape(2, 2)
     far_m = float(np.abs([low, high]).sum() + np.hypot(*(high - low)))
     segments = [
-        shapely.LineString(
-            line.normal * line.offset_m
-            + np.outer([max(line.low_m, -far_m), min(line.high_m, far_m)], line.direction)
-        )
-        for line in lines
+        replace(line, low_m=max(line.low_m, -far_m), high_m=min(line.high_m, far_m)) for line in lines
     ]
-    network = shapely.union_all([polygon.boundary, *segments], grid_size=GRID_M)
+    segment_m = np.array([segment.ends_m for segment in segments]).reshape(-1, 2, 2)
+    drawn = np.asarray(shapely.linestrings(segment_m), object)
+    network = shapely.union_all([polygon.boundary, *drawn], grid_size=GRID_M)
     cells = shapely.get_parts(shapely.polygonize(shapely.get_parts(network)))
     middle = shapely.point_on_surface(cells)
     inside = shapely.contains(polygon, middle)
@@ -73,25 +63,18 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     xy_m, ring_of = shapely.get_coordinates(all_rings, return_index=True)
     key = np.round(xy_m / GRID_M).astype(np.int64)
     _, first, vertex = np.unique(key, axis=0, return_index=True, return_inverse=True)
-    vertex = vertex.reshape(-1)
-    starts = np.flatnonzero(np.diff(ring_of, prepend=-1))
-    vertex_rings = [each[:-1] for each in np.split(vertex, starts[1:])]
-    by_cell: list[list[np.ndarray]] = [[] for _ in cells]
-    for ring, cell in zip(vertex_rings, owner, strict=True):
-        by_cell[cell].append(ring)
-    start = np.concatenate(vertex_rings)
-    end = np.concatenate([np.roll(ring, -1) for ring in vertex_rings])
-    cell = np.repeat(owner, [len(ring) for ring in vertex_rings])
+    # the last place of a ring is its first
+    vertex, is_start = vertex.reshape(-1), np.diff(ring_of) == 0
+    start, end, cell = vertex[:-1][is_start], vertex[1:][is_start], owner[ring_of[:-1][is_start]]
     back = reverses(start, end)
-    shared = np.flatnonzero((back >= 0) & (start < end))
-    pair, side = np.column_stack([cell, cell[back]])[shared], np.column_stack([start, end])[shared]
+    once = np.flatnonzero((back < 0) | (start < end))
+    pair = np.column_stack([cell, np.where(back < 0, -1, cell[back])])[once]
     return Arrangement(
         xy_m[first],
-        by_cell,
         shapely.get_coordinates(middle),
         shapely.area(cells),
         pair,
-        side,
+        np.column_stack([start, end])[once],
         shapely.STRtree(cells),
         [*edges, *lines],
         len(edges),

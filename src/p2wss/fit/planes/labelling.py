@@ -93,7 +93,9 @@ def costs_of(
     middle_z = heights(plane, cells.middle_m)
     out_of_range = (middle_z < point_m[:, 2].min() - 0.5) | (middle_z > point_m[:, 2].max() + 0.5)
     cell_m3 += cells.area_m2[:, None] * np.where(out_of_range, prices.cap_m, 0.0)
-    end_z = np.stack([heights(plane, cells.xy_m[cells.side[:, end]]) for end in (0, 1)])
+    is_shared = (cells.pair >= 0).all(axis=1)
+    pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
+    end_z = np.stack([heights(plane, end_m[:, end]) for end in (0, 1)])
     step_m = np.abs(end_z[:, :, :, None] - end_z[:, :, None, :])
     fold = np.linalg.norm(plane[:, None, :2] - plane[None, :, :2], axis=2)
     meeting = np.where(fold < prices.shallow, prices.shallow_share, prices.meet_share)
@@ -101,8 +103,9 @@ def costs_of(
     is_step = step_m.max(axis=0) >= prices.meet_m
     share = np.where(is_step, stepping, meeting)
     share[:, np.arange(num_planes), np.arange(num_planes)] = 0.0
-    side_m3 = prices.edge_m2 * cells.length_m[:, None, None] * share
-    return Costs(cell_m3, cells.pair, side_m3, is_step, prices.face_m3)
+    length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
+    side_m3 = prices.edge_m2 * length_m[:, None, None] * share
+    return Costs(cell_m3, pair, side_m3, is_step, prices.face_m3)
 
 
 def least_cost(costs: Costs) -> np.ndarray:

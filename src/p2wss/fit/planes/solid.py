@@ -7,7 +7,7 @@ of different faces are one only where the planes meet.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ import shapely
 
 from p2wss.fit.planes.arrangement import GRID_M, Arrangement
 from p2wss.mesh import Mesh
-from p2wss.mesh.faces import simple_rings
+from p2wss.mesh.faces import simple_rings, triangulated
 from p2wss.mesh.topology import is_closed
 
 # the number of the face outside the footprint
@@ -27,7 +27,7 @@ _SAME_HEIGHT_M = 4e-3
 # metres: planes meet along an edge whose ends are so near in plan to the line where they do; no vertex moves further
 _MEET_M, _MAX_MOVE_M = 0.06, 0.15
 # how much more exactly edges of the footprint, and lines on which planes meet, determine a vertex than steps do
-_FOOTPRINT_WEIGHT, _MEET_WEIGHT = 100.0, 30.0
+_FOOTPRINT_WEIGHT, _MEET_WEIGHT, _KEEP_WEIGHT = 100.0, 30.0, 1e-6
 _PARALLEL = 0.03
 
 
@@ -58,12 +58,15 @@ class _Borders:
     @classmethod
     def of(cls, cells: Arrangement, label: np.ndarray, corner_m: np.ndarray) -> _Borders:
         """The borders of the connected cells of one plane, without vertices within straight edges."""
-        left: dict[tuple[int, int], int] = {}
-        for rings, number in zip(cells.rings, label.tolist(), strict=True):
-            for ring in rings:
-                vertices = ring.tolist()
-                left |= dict.fromkeys(zip(vertices, vertices[1:] + vertices[:1], strict=True), number)
-        face = {edge: number for edge, number in left.items() if left.get(edge[::-1], _OUTSIDE) != number}
+        numbers = np.append(label, _OUTSIDE)[cells.pair]
+        is_border = numbers[:, 0] != numbers[:, 1]
+        face: dict[tuple[int, int], int] = {}
+        for (start, end), (left, right) in zip(
+            cells.side[is_border].tolist(), numbers[is_border].tolist(), strict=True
+        ):
+            face[start, end] = left
+            if right != _OUTSIDE:
+                face[end, start] = right
         used = np.array(sorted({vertex for edge in face for vertex in edge}))
         offset_m = np.abs(cells.xy_m[used, None] - corner_m[None]).max(axis=2)
         nearest = offset_m.argmin(axis=0)
@@ -119,38 +122,34 @@ class _Network:
     def _exact_places(self, cells: Arrangement) -> np.ndarray:
         """(v, 2): vertices where the lines around them meet, by least squares. All vertices along a line get the same
         one, so that walls stay planes when vertices within them are dropped."""
-        xy_m = self._borders.xy_m
-        result = xy_m.copy()
+        xy_m, face = self._borders.xy_m, self._face
+        edges = [edge for edge in face if edge[0] < edge[1] or edge[::-1] not in face]
+        edge = np.array(edges)
+        is_outer = np.array([each[::-1] not in face for each in edges])
+        slope = np.array([self._plane[face[each]] - self._plane[face.get(each[::-1], 0)] for each in edges])
+        fold = np.hypot(slope[:, 0], slope[:, 1])
+        off_m = np.abs((xy_m[edge] * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
+        is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
         normals, offsets_m = (
             np.array([getattr(line, name) for line in cells.lines]) for name in ("normal", "offset_m")
         )
-        beside_m = np.abs(xy_m @ normals.T - offsets_m)
-        equations = defaultdict(list)
-        for start, end in self._face:
-            other = self._face.get((end, start), _OUTSIDE)
-            if other != _OUTSIDE and start > end:
-                continue
-            own_m = np.maximum(beside_m[start], beside_m[end])
-            line = int((own_m[: cells.num_edges] if other == _OUTSIDE else own_m).argmin())
-            normal, offset_m, weight = normals[line], offsets_m[line], _FOOTPRINT_WEIGHT
-            if other != _OUTSIDE:
-                slope = self._plane[self._face[start, end]] - self._plane[other]
-                fold, weight = np.hypot(*slope[:2]), 1.0
-                off_m = np.abs(xy_m[[start, end]] @ slope[:2] + slope[2])
-                if fold > _PARALLEL and off_m.max() < _MEET_M * fold:
-                    normal, offset_m, weight = slope[:2] / fold, -slope[2] / fold, _MEET_WEIGHT
-            for vertex in (start, end):
-                equations[vertex].append((weight * normal, weight * offset_m))
-        for vertex, lines in equations.items():
-            if vertex in self._borders.fixed:
-                continue
-            matrix = np.array([normal for normal, _ in lines])
-            stay = 1e-6 * np.eye(2)
-            right = matrix.T @ np.array([offset_m for _, offset_m in lines]) + stay @ xy_m[vertex]
-            place = np.linalg.solve(matrix.T @ matrix + stay, right)
-            if np.hypot(*(place - xy_m[vertex])) < _MAX_MOVE_M:
-                result[vertex] = place
-        return result
+        beside_m = np.abs(xy_m[edge] @ normals.T - offsets_m).max(axis=1)
+        beside_m[is_outer, cells.num_edges :] = np.inf
+        line = beside_m.argmin(axis=1)
+        normal, offset_m = normals[line], offsets_m[line]
+        normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
+        offset_m[is_meet] = -slope[is_meet, 2] / fold[is_meet]
+        weight = np.where(is_outer, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
+        # vertices that nothing determines stay
+        matrix, right_side = np.tile(_KEEP_WEIGHT * np.eye(2), (len(xy_m), 1, 1)), _KEEP_WEIGHT * xy_m
+        for vertex in edge.T:
+            np.add.at(matrix, vertex, weight[:, None, None] * normal[:, :, None] * normal[:, None])
+            np.add.at(right_side, vertex, (weight * offset_m)[:, None] * normal)
+        place_m = np.linalg.solve(matrix, right_side[..., None])[..., 0]
+        step_m = place_m - xy_m
+        is_moved = np.hypot(step_m[:, 0], step_m[:, 1]) < _MAX_MOVE_M
+        is_moved[list(self._borders.fixed)] = False
+        return np.where(is_moved[:, None], place_m, xy_m)
 
     def _divide_at_crossings(self) -> None:
         """Divides the edges along which two roofs change places as the higher one."""
@@ -186,14 +185,9 @@ class _Network:
 
     def mesh(self) -> Mesh | None:
         """The closed mesh, None if there is none."""
-        triangles: list[list[int]] = []
-        for number, polygon, places in self._polygons(self._face):
-            triangles += self._triangles(number, polygon, places)
         border = {edge: _OUTSIDE for edge in self._face if edge[::-1] not in self._face}
-        for number, polygon, places in self._polygons(border):
-            triangles += [corners[::-1] for corners in self._triangles(number, polygon, places)]
-        triangles += self._walls()
-        vertex_m, triangle = np.array(self._vertices), np.array(triangles, np.int32)
+        roofs, floor = self._triangles(self._face), self._triangles(border)[:, ::-1]
+        vertex_m, triangle = np.array(self._vertices), np.concatenate([roofs, floor, self._walls()])
         used, index = np.unique(triangle, return_inverse=True)
         vertex_m, triangle = vertex_m[used], index.reshape(-1, 3).astype(np.int32)
         return Mesh.of_triangles(vertex_m, triangle) if is_closed(vertex_m, triangle) else None
@@ -224,44 +218,27 @@ class _Network:
         turn = np.arctan2(back[1], back[0]) - np.arctan2(on[1], on[0])
         return float((turn - 1e-12) % (2 * np.pi))
 
-    def _polygons(self, face: dict[tuple[int, int], int]) -> list[tuple[int, shapely.Polygon, list[int]]]:
-        """(plane, polygon, its places) of every connected face."""
-        exteriors: list[tuple[int, shapely.Polygon, list[int]]] = []
-        holes: list[tuple[int, list[int]]] = []
-        for number, ring in self._rings(face):
-            polygon = shapely.Polygon([self._xy_m[place] for place in ring])
-            if polygon.exterior.is_ccw:
-                exteriors.append((number, polygon, ring))
-            else:
-                holes.append((number, ring))
-        inner = defaultdict(list)
-        for number, ring in holes:
-            within = shapely.Polygon([self._xy_m[place] for place in ring]).representative_point()
-            around = [i for i, each in enumerate(exteriors) if each[0] == number and each[1].contains(within)]
-            if around:
-                inner[min(around, key=lambda i: exteriors[i][1].area)].append(ring)
-        return [
-            (
-                number,
-                shapely.Polygon(
-                    polygon.exterior, [[self._xy_m[place] for place in hole] for hole in inner[i]]
-                ),
-                sum(inner[i], ring),
-            )
-            for i, (number, polygon, ring) in enumerate(exteriors)
+    def _triangles(self, face: dict[tuple[int, int], int]) -> np.ndarray:
+        """Vertices (t, 3) of the triangles of all connected faces, counter-clockwise seen from above."""
+        numbers, places = zip(*self._rings(face), strict=True)
+        xy_m = [[self._xy_m[place] for place in each] for each in places]
+        polygon = np.array([shapely.Polygon(each) for each in xy_m])
+        is_hole = ~shapely.is_ccw(shapely.get_exterior_ring(polygon))
+        face_of_ring = np.arange(len(polygon))
+        for hole in np.flatnonzero(is_hole).tolist():
+            around = ~is_hole & (np.array(numbers) == numbers[hole])
+            around &= shapely.contains(polygon, shapely.point_on_surface(polygon[hole]))
+            face_of_ring[hole] = np.where(around, shapely.area(polygon), np.inf).argmin()
+        order = np.lexsort((is_hole, face_of_ring)).tolist()
+        vertex = [self._number[place, numbers[i]] for i in order for place in places[i]]
+        ring = np.repeat(np.arange(len(order)), [len(places[i]) for i in order])
+        number_of_face = np.unique(face_of_ring[order], return_inverse=True)[1]
+        return triangulated(np.concatenate([xy_m[i] for i in order]), np.array(vertex), ring, number_of_face)[
+            0
         ]
 
-    def _triangles(self, number: int, polygon: shapely.Polygon, places: Sequence[int]) -> list[list[int]]:
-        """Vertices of triangles of a polygon of a plane, counter-clockwise seen from above."""
-        vertex = {tuple(self._xy_m[place].tolist()): self._number[place, number] for place in places}
-        if not polygon.is_valid:
-            return []
-        triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
-        corner = shapely.get_coordinates(shapely.orient_polygons(triangles)).reshape(-1, 4, 2)[:, :3]
-        return [[vertex[tuple(place)] for place in each] for each in corner.tolist()]
-
     def _walls(self) -> list[list[int]]:
-        """Vertices of the triangles of all walls."""
+        """Vertices (t, 3) of the triangles of all walls."""
         result = []
         for (start, end), number in self._face.items():
             other = self._face.get((end, start), _OUTSIDE)

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from p2wss.fit.directions import directions
 from p2wss.fit.mesh.union import collapse_vertices
 from p2wss.fit.planes.arrangement import arrange
-from p2wss.fit.planes.detection import _merged, detect, heights
+from p2wss.fit.planes.detection import _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.planes.labelling import Costs, least_cost
 from p2wss.fit.planes.lines import Line
@@ -119,7 +119,8 @@ def test_lines_divide_a_footprint() -> None:
     lines = [Line(np.array([1.0, 0.0]), x) for x in (3.0, 7.0)] + [Line(np.array([0.0, 1.0]), 4.0, -5.0, 1.0)]
     cells = arrange([square], lines)
     assert sorted(np.round(cells.area_m2, 6)) == [12, 18, 30, 40]
-    assert np.round(sorted(cells.length_m), 6).tolist() == [3, 4, 6, 10]
+    shared = cells.xy_m[cells.side[(cells.pair >= 0).all(axis=1)]]
+    assert sorted(np.round(np.linalg.norm(shared[:, 1] - shared[:, 0], axis=1), 6)) == [3, 4, 6, 10]
     number = cells.cells_at(np.array([[1.0, 9.0], [1.0, 1.0], [5.0, 9.0], [5.0, 1.0], [-1.0, 5.0]]))
     assert len(set(number[:3])) == 3
     assert number[2] == number[3]
@@ -187,18 +188,8 @@ def test_solids_are_closed_planar_and_upright(seed: int) -> None:
     assert is_closed(mesh.vertex_m, mesh.triangle)
     corners = {tuple(corner) for corner in np.concatenate([outside, courtyard]).tolist()}
     assert corners <= {tuple(xy) for xy in mesh.vertex_m[:, :2].tolist()}
-    exact = sum(
-        float(
-            area
-            * heights(
-                plane[[number]],
-                np.array(
-                    shapely.Polygon(cells.xy_m[rings[0]], [cells.xy_m[r] for r in rings[1:]]).centroid.coords
-                ),
-            )[0, 0]
-        )
-        for area, number, rings in zip(cells.area_m2, label, cells.rings, strict=True)
-    )
+    middle_m = shapely.get_coordinates(shapely.centroid(cells.tree.geometries))
+    exact = float((cells.area_m2 * height_over(plane, label, middle_m)).sum())
     assert volume_m3(mesh) == pytest.approx(exact, rel=2e-3)
 
 
