@@ -81,6 +81,8 @@ def program() -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run one command. Returns the exit status: that of the command, 0 unless it says otherwise, or 2 for an error that
     the user can fix."""
+    # numpy's matrices are small here: threads that wait for each other, spinning, only cost time
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(message)s")
     # laspy both logs and raises errors of broken files; the exception is reported below
     logging.getLogger("laspy").setLevel(logging.CRITICAL)
