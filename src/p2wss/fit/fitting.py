@@ -17,7 +17,7 @@ from p2wss.fit.boxes.dormers import Box, find_boxes, is_over_boxes
 from p2wss.fit.boxes.open_ground import OpenGround
 from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.parametric import kernel_mesh, transfer_angles
-from p2wss.fit.mesh.short_edges import short_edges, without_short_edges
+from p2wss.fit.mesh.short_edges import without_short_edges
 from p2wss.fit.mesh.union import is_sound, simplified, union
 from p2wss.fit.parts.frame import roof_frame
 from p2wss.fit.parts.partition import fit_parts
@@ -298,13 +298,7 @@ def smooth(task: _Task, prepared: _Prepared, solid: _Solid) -> Mesh:
         return mesh if is_fixed else adjusted(mesh, rings, point_m)
     limits = thresholds.cutting.price_m(len(point_m)), thresholds.short_edge_m
     mesh = without_short_edges(mesh, rings, point_m, *limits)
-    if not thresholds.adjust:
-        return mesh
-    edges = short_edges(mesh, thresholds.short_edge_m)
-    mesh = adjusted(mesh, rings, point_m)
-    if set(edges).issuperset(short_edges(mesh, thresholds.short_edge_m)):
-        return mesh
-    return without_short_edges(mesh, rings, point_m, *limits)
+    return adjusted(mesh, rings, point_m) if thresholds.adjust else mesh
 
 
 def add_chimneys(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.mesh import polygon_kernels, shell_kernels
-from p2wss.mesh.faces import Surface, triangulated
+from p2wss.mesh.faces import Surface
 from p2wss.mesh.topology import NEXT, twins, unit_normals
+from p2wss.mesh.triangulation import triangulated
 from p2wss.skeleton.groups import groups
 
 MEANINGS: dict[int, str] = {

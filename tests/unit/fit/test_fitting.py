@@ -161,20 +161,3 @@ def test_detail_is_the_price_of_a_part():
         (reconstruction,) = fitting.fit([case], config)
         num_parts.append(reconstruction.num_parts)
     assert num_parts == [1, 2]
-
-
-@pytest.mark.parametrize(("after", "num_passes"), [([(0, 1)], 1), ([(0, 1), (2, 3)], 2), ([], 1)])
-def test_edges_that_an_adjustment_made_short_are_removed_too(monkeypatch, after, num_passes) -> None:
-    """Those that could not be removed before are not tried again."""
-    edges = iter([[(0, 1)], after])
-    calls = []
-
-    def without_short_edges(mesh, *arguments):
-        calls.append(arguments)
-        return mesh
-
-    monkeypatch.setattr(fitting, "short_edges", lambda *_: next(edges))
-    monkeypatch.setattr(fitting, "without_short_edges", without_short_edges)
-    (reconstruction,) = fitting.fit([house_and_annex()], CONFIG.model_copy(update={"dormers": False}))
-    assert reconstruction.num_parts == 2
-    assert len(calls) == num_passes

@@ -22,8 +22,6 @@ from p2wss.mesh.topology import NEXT, is_closed
 
 # no plane shifts by more than the first figure, and no vertex moves by more than the second
 _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
-# planes that have become one leave other edges short
-_MAX_PASSES = 3
 # each edge may add at most this share of the price of a part to the sum of the residuals
 _PRICE_SHARE = 0.5
 # how heavily a square metre of a plane weighs without points, as a share of the points per square metre
@@ -37,32 +35,20 @@ def without_short_edges(
     mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float, short_edge_m: float = 0.2
 ) -> Mesh:
     """The mesh without those edges shorter than ``short_edge_m`` whose removal adds little to the residuals of the
-    points; the mesh itself if there are none. Edges are removed one after the other, the shortest first.
+    points; the mesh itself if there are none. Edges are removed one after the other, the shortest first. Where the mesh
+    without all of them would no longer be sound, the last ones stay.
 
     rings: of the footprint. point_m: (m, 3), on the roof. price_m: of a part, in the sum of the residuals. All are in
     the frame of the mesh.
     """
-    for _ in range(_MAX_PASSES):
-        simpler = _simpler(mesh, rings, point_m, price_m, short_edge_m)
-        if simpler is None:
-            break
-        mesh = simpler
-    return mesh
-
-
-def _simpler(
-    mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, price_m: float, short_edge_m: float
-) -> Mesh | None:
-    """The mesh after one pass over its short edges, None if none can be removed. Where the mesh without all of them
-    would no longer be sound, the last ones stay."""
-    edges = short_edges(mesh, short_edge_m)
+    edges = _short_edges(mesh, short_edge_m)
     if not edges:
-        return None
+        return mesh
     planes = mesh.planes
     shifts = _Shifts(planes, is_free(planes, rings))
     residuals = _Residuals.of(mesh, point_m)
     if not len(residuals.plane):
-        return None
+        return mesh
     weight = residuals.weights(planes)
     cluster_of, num_removed = np.arange(len(mesh.vertex_m)), 0
     results: list[tuple[np.ndarray, np.ndarray]] = []
@@ -88,7 +74,7 @@ def _simpler(
         simple = simplified(*result)
         if simple is not None and simple.is_closed and (is_sound(simple) or not was_sound):
             return simple
-    return None
+    return mesh
 
 
 def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
@@ -99,7 +85,7 @@ def _clusters(cluster_of: np.ndarray) -> list[list[int]]:
     return list(members.values())
 
 
-def short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
+def _short_edges(mesh: Mesh, short_edge_m: float) -> list[tuple[int, int]]:
     """(start, end) of the short edges between two planes, the shortest first."""
     start, end = mesh.triangle, mesh.triangle[:, NEXT]
     is_short = (mesh.edge_m < short_edge_m) & (start < end)

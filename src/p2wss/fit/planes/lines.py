@@ -161,20 +161,19 @@ def _extent(xy_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
 
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
     """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
+    targets = [*edges, *steps]
+    normal, offset_m = (
+        np.array([getattr(each, name) for each in targets]) for name in ("normal", "offset_m")
+    )
+    middle_m = np.array([step.ends_m.mean(axis=0) for step in steps]).reshape(-1, 2)
+    is_same = np.abs(normal[len(edges) :] @ normal.T) > np.cos(np.radians(settings.same_deg / 2))
+    is_same &= np.abs(middle_m @ normal.T - offset_m) < settings.snap_m
+    is_target = np.arange(len(targets)) < len(edges)
     result: dict[int, Line] = {}
-    targets = list(edges)
-    for step in steps:
-        normal, offset_m = (
-            np.array([getattr(each, name) for each in targets]) for name in ("normal", "offset_m")
-        )
-        is_parallel = np.abs(normal @ step.normal) > np.cos(np.radians(settings.same_deg / 2))
-        near = np.flatnonzero(
-            is_parallel & (np.abs(normal @ step.ends_m.mean(axis=0) - offset_m) < settings.snap_m)
-        )
-        if len(near):
-            number = int(near[0])
+    for own, (step, same) in enumerate(zip(steps, is_same, strict=True), len(edges)):
+        if (same & is_target).any():
+            number = int((same & is_target).argmax())
             result[number] = result.get(number, targets[number]).along(step.ends_m, 0.0)
         else:
-            result[len(targets)] = step
-            targets.append(step)
+            result[own], is_target[own] = step, True
     return list(result.values())

@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from statistics import fmean
 
 import numpy as np
 import shapely
 
 from p2wss.fit.planes.arrangement import GRID_M, Arrangement
 from p2wss.mesh import Mesh
-from p2wss.mesh.faces import simple_rings, triangulated
+from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.topology import is_closed
+from p2wss.mesh.triangulation import triangulated
 
 # the number of the face outside the footprint
 _OUTSIDE = -1
@@ -181,7 +183,7 @@ class _Network:
             for level in levels:
                 for _, number in level:
                     self._number[place, number] = len(self._vertices)
-                self._vertices.append((*xy_m, float(np.mean([height for height, _ in level]))))
+                self._vertices.append((*xy_m, fmean(height for height, _ in level)))
 
     def mesh(self) -> Mesh | None:
         """The closed mesh, None if there is none."""
