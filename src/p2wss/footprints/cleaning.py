@@ -15,7 +15,7 @@ from p2wss.config import Scenes
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.crs import MetricCrs, horizontal, reprojected
 from p2wss.data.tiling import Bounds, grown
-from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, kernel_status
+from p2wss.footprints.coverage import block_numbers, clean_coverage, kernel_status
 from p2wss.footprints.limits import repaired
 from p2wss.footprints.schemas import building_ids, schema_of, stated_heights_m, taken_part_numbers
 from p2wss.footprints.vector_files import read_attributes, read_vector
@@ -192,13 +192,12 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     result = split_parts(frame, config.min_area_m2, config.simplify_m)
     status = result["status"].to_numpy(dtype=object).copy()
     shapes = result.geometry.to_numpy().copy()
-    cleaning = Cleaning(config.snap_m, config.simplify_m, config.min_edge_m)
     status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     usable = np.flatnonzero(status == reasons.OK)
     shapes[usable] = [_without_small_courtyards(shape, config.min_area_m2) for shape in shapes[usable]]
-    cleaned = clean_coverage(shapes[usable], cleaning)
+    cleaned = clean_coverage(shapes[usable], config)
     for i in np.flatnonzero(shapely.is_missing(cleaned)):
-        cleaned[i], status[usable[i]] = _clean_alone(shapes[usable[i]], cleaning)
+        cleaned[i], status[usable[i]] = _clean_alone(shapes[usable[i]], config)
     shapes[usable] = cleaned
     status[(status == reasons.OK) & (shapely.area(shapes) < config.min_area_m2)] = _TOO_SMALL
     num_edges = shapely.get_num_coordinates(shapes) - shapely.get_num_interior_rings(shapes) - 1
@@ -208,12 +207,12 @@ def clean_footprints(frame: gpd.GeoDataFrame, config: Scenes) -> gpd.GeoDataFram
     return result.set_geometry(gpd.GeoSeries(shapes, crs=frame.crs))
 
 
-def _clean_alone(shape: shapely.Polygon, cleaning: Cleaning) -> tuple[shapely.Polygon, str]:
+def _clean_alone(shape: shapely.Polygon, config: Scenes) -> tuple[shapely.Polygon, str]:
     """(the largest piece of a footprint that cannot be cleaned as it is, the reason if that cannot be either)."""
     piece = _cut_apart(shape)
     if piece is None:
         return shapely.Polygon(), _TOO_SMALL
-    (cleaned,) = clean_coverage(np.array([piece]), cleaning)
+    (cleaned,) = clean_coverage(np.array([piece]), config)
     if cleaned is not None:
         return cleaned, reasons.OK
     (code,) = kernel_status(polygon_arrays.to_polygons([shapely.orient_polygons(piece)]))

@@ -14,6 +14,7 @@ import numpy as np
 import shapely
 
 from p2wss import skeleton
+from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
 from p2wss.skeleton.groups import groups
@@ -21,23 +22,8 @@ from p2wss.skeleton.types import Polygons
 
 # a vertex that is nearer to the line between its neighbours is within an edge
 _WITHIN_EDGE_M = 1e-6
-
-
-@dataclass(frozen=True)
-class Cleaning:
-    """How footprints are cleaned.
-
-    snap_m: gaps and overlaps up to this width are closed; 0 = none. simplify_m: tolerance of Douglas-Peucker along the
-    walls between the nodes where they meet. A vertex goes too if it has an edge shorter than ``min_edge_m``, if the
-    wall turns there by less than ``min_turn_deg`` (or by less than that from a full reversal, a spike) or if it is
-    within ``min_offset_m`` of the line between its neighbours; the nearest to that line goes first.
-    """
-
-    snap_m: float = 0.1
-    simplify_m: float = 0.2
-    min_edge_m: float = 0.1
-    min_turn_deg: float = 3.0
-    min_offset_m: float = 0.02
+# of walls at a vertex, and of a vertex from the line between its neighbours: with less it goes
+_MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
 
 
 def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
@@ -47,26 +33,27 @@ def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
     return groups(len(shapes), np.column_stack([a, b]))
 
 
-def clean_coverage(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
+def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
     """The polygons as coverages, one per block, an object array in the same order; None for a polygon that cannot be
     part of its coverage, for instance because it is so narrow that it collapses.
 
-    shapes: valid polygons. Exteriors become counter-clockwise, courtyards clockwise. Shared walls have the same lines,
-    and corners of both sides are bit-identical. The result for a polygon depends on its block only, and not on the
-    order of the polygons. Never raises for valid polygons.
+    shapes: valid polygons. settings: of which ``snap_m``, ``simplify_m`` and ``min_edge_m`` count. Exteriors become
+    counter-clockwise, courtyards clockwise. Shared walls have the same lines, and corners of both sides are
+    bit-identical. The result for a polygon depends on its block only, and not on the order of the polygons. Never
+    raises for valid polygons.
     """
     result = np.full(len(shapes), None, dtype=object)
     if not len(shapes):
         return result
     shapes = shapely.orient_polygons(shapes)
     bounds = shapely.bounds(shapes)
-    block = block_numbers(shapes, cleaning.snap_m)
+    block = block_numbers(shapes, settings.snap_m)
     origin = np.full((block.max() + 1, 2), np.inf)
     np.minimum.at(origin, block, np.floor(bounds[:, :2]))
     pending = [np.lexsort((shapely.area(shapes), *bounds.T[::-1]))]
     while pending:
         rows = pending.pop()
-        polygons, is_whole = _clean(shapes[rows], origin[block[rows]], cleaning)
+        polygons, is_whole = _clean(shapes[rows], origin[block[rows]], settings)
         if is_whole.all():
             result[rows] = polygons
             continue
@@ -76,26 +63,26 @@ def clean_coverage(shapes: np.ndarray, cleaning: Cleaning) -> np.ndarray:
     return result
 
 
-def _clean(shapes: np.ndarray, origin: np.ndarray, cleaning: Cleaning) -> tuple[np.ndarray, np.ndarray]:
+def _clean(shapes: np.ndarray, origin: np.ndarray, settings: Scenes) -> tuple[np.ndarray, np.ndarray]:
     """(polygons, whether each can be part of its coverage); they are coverages if all can be. origin: (n, 2), the
     corner of each block."""
     polygons = polygon_arrays.to_polygons(shapes)
-    nodes = join_rings(polygons, cleaning.snap_m)
+    nodes = join_rings(polygons, settings.snap_m)
     of_node = np.zeros(len(nodes.xy_m), np.int64)
     before = _Rings(nodes.node, nodes.ring_offset, polygons.polygon_offset)
     of_node[nodes.node] = before.polygon_of_vertex
     xy_m = nodes.xy_m - origin[of_node]
-    node = _contract(xy_m, nodes.node, nodes.ring_offset, cleaning.min_edge_m)
+    node = _contract(xy_m, nodes.node, nodes.ring_offset, settings.min_edge_m)
     rings = _Rings(*_without_spikes(*without_repeats(node, nodes.ring_offset)), polygons.polygon_offset)
     is_whole = rings.are_whole(xy_m)
     if not is_whole.all():
         return np.zeros(0, object), is_whole
     arcs = _Arcs.of_rings(rings, xy_m)
     # simplified, walls may cross: then they keep more of their vertices
-    tolerances = np.array([cleaning.simplify_m, 0.0, -1.0])
+    tolerances = np.array([settings.simplify_m, 0.0, -1.0])
     level = np.zeros(len(arcs.nodes), np.int64)
     for _ in tolerances:
-        rings = arcs.simplified(xy_m, tolerances[level], cleaning).rings(polygons.polygon_offset)
+        rings = arcs.simplified(xy_m, tolerances[level], settings).rings(polygons.polygon_offset)
         is_whole = rings.are_whole(xy_m)
         if is_whole.all():
             break
@@ -211,7 +198,7 @@ class _Arcs:
         offset = np.concatenate([[0], np.cumsum([len(ring) for ring in rings])]).astype(np.int64)
         return _Rings(np.concatenate(rings), offset, polygon_offset)
 
-    def simplified(self, xy_m: np.ndarray, tolerance_m: np.ndarray, cleaning: Cleaning) -> _Arcs:
+    def simplified(self, xy_m: np.ndarray, tolerance_m: np.ndarray, settings: Scenes) -> _Arcs:
         """The arcs without superfluous nodes; those of negative tolerance keep all."""
         nodes = list(self.nodes)
         long = [k for k, arc in enumerate(nodes) if len(arc) > 2 and tolerance_m[k] >= 0]
@@ -225,7 +212,7 @@ class _Arcs:
         simple = shapely.simplify(lines, tolerance_m[long], preserve_topology=False)
         vertex, number = shapely.get_coordinates(simple, include_z=True, return_index=True)
         node = node[np.rint(vertex[:, 2]).astype(np.int64)]
-        node, number = _thinned(xy_m, node, number, cleaning)
+        node, number = _thinned(xy_m, node, number, settings.min_edge_m)
         for k, (first, last) in zip(
             long, pairwise(np.searchsorted(number, np.arange(len(long) + 1)).tolist()), strict=True
         ):
@@ -234,11 +221,12 @@ class _Arcs:
 
 
 def _thinned(
-    xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, cleaning: Cleaning
+    xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes, numbers of their arcs) without superfluous nodes (:class:`Cleaning`), which go one at a time in each arc,
-    the one nearest to the line between its neighbours first. The ends of an arc stay."""
-    max_cosine = np.cos(np.radians(cleaning.min_turn_deg))
+    """(nodes, numbers of their arcs) without vertices that have an edge shorter than ``min_edge_m``, at which the wall
+    turns by less than 3 degrees, or by less than that from a full reversal, a spike, or that are within 2 cm of the
+    line between their neighbours. They go one at a time in each arc, the nearest to that line first. Its ends stay."""
+    max_cosine = np.cos(np.radians(_MIN_TURN_DEG))
     while len(node) > 2:
         inner = np.flatnonzero((arc[1:-1] == arc[:-2]) & (arc[1:-1] == arc[2:])) + 1
         is_closed = np.zeros(arc[-1] + 1, bool)
@@ -253,8 +241,8 @@ def _thinned(
         cross, along = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), (u * v).sum(axis=1)
         is_spike = along <= -max_cosine * u_m * v_m
         offset_m = cross / np.maximum(np.where(is_spike, np.maximum(u_m, v_m), chord_m), 1e-12)
-        removable = is_spike | (np.minimum(u_m, v_m) < cleaning.min_edge_m)
-        removable |= (along >= max_cosine * u_m * v_m) | (offset_m < cleaning.min_offset_m)
+        removable = is_spike | (np.minimum(u_m, v_m) < min_edge_m)
+        removable |= (along >= max_cosine * u_m * v_m) | (offset_m < _MIN_OFFSET_M)
         inner, offset_m = inner[removable], offset_m[removable]
         if not len(inner):
             break

@@ -16,7 +16,7 @@ from places import SHARED
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
 from p2wss.footprints.cleaning import clean_footprints, read_footprints, read_whole_blocks
-from p2wss.footprints.coverage import Cleaning, block_numbers, clean_coverage, is_accepted
+from p2wss.footprints.coverage import block_numbers, clean_coverage, is_accepted
 
 DELFT = SHARED / "data" / "delft_ahn3" / "footprints.gpkg"
 OLEMPS = SHARED / "data" / "olemps_bdtopo" / "BATIMENT.shp"
@@ -205,7 +205,7 @@ def test_any_tessellation_stays_one(seed: int) -> None:
     ]
     if not all(cell.is_valid for cell in noisy):
         return
-    result = clean_coverage(np.array(noisy, object), Cleaning())
+    result = clean_coverage(np.array(noisy, object), Scenes())
     present = [shape for shape in result if shape is not None]
     assert len(present) >= len(noisy) - 1 and all(shape.is_valid for shape in present)
     if len(present) < len(noisy):

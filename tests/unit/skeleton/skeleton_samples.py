@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints.coverage import Cleaning, clean_coverage
+from p2wss.footprints.coverage import clean_coverage
 from p2wss.skeleton import Polygons
 
 REGIMES = ("one", "iid", "realistic", "many-90", "many-0")
@@ -105,7 +106,7 @@ def clean(raw: Polygons) -> Polygons:
     shapes = polygon_arrays.to_geometries(apart)
     valid = np.flatnonzero(shapely.is_valid(shapes) & ~shapely.is_empty(shapes))
     result = np.full(len(raw), shapely.Polygon(), dtype=object)
-    result[valid] = clean_coverage(shapes[valid], Cleaning(0.0, 0.0, 0.05))
+    result[valid] = clean_coverage(shapes[valid], Scenes(snap_m=0, simplify_m=0, min_edge_m=0.05))
     polygons = polygon_arrays.to_polygons(result)
     xy_m = polygons.xy_m - np.repeat(shift, np.diff(polygons.vertex_offset), axis=0)
     return Polygons(xy_m, polygons.ring_offset, polygons.polygon_offset)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 import trimesh
+from places import ROOT
 
 import p2wss
-from p2wss.eval.metrics.structure import EDGE_KINDS, HIGH_STEP, LOW_FOLD, OUTER, roof_edges, structure
 from p2wss.mesh import Mesh
+
+sys.path.insert(0, str(ROOT / "benchmarks"))
+from roof_edges import EDGE_KINDS, HIGH_STEP, LOW_FOLD, OUTER, roof_edges, structure
 
 HOUSE = [[0, 0], [10, 0], [10, 6], [0, 6]]
 
