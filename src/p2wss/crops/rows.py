@@ -36,11 +36,7 @@ def crop_columns(
     """
     offset = cropped.offset
     num_pairs = np.diff(offset)
-    local = Polygons(
-        polygons.xy_m - repeat_per_vertex(polygons, origin_xy_m),
-        polygons.ring_offset,
-        polygons.polygon_offset,
-    )
+    local = polygon_arrays.moved(polygons, -origin_xy_m)
     heights = np.split(cloud.z_m[cropped.point], offset[1:-1])
     origin_z_m = np.round([np.median(z) if len(z) else np.nan for z in heights[: len(polygons)]])
 
@@ -93,8 +89,3 @@ def crop_columns(
 def count_true(mask: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """Number of true values of ``mask`` in each slice ``offset[i]:offset[i + 1]``, int64 (len(offset) - 1,)."""
     return np.diff(np.concatenate([[0], np.cumsum(mask)])[offset])
-
-
-def repeat_per_vertex(polygons: Polygons, values: np.ndarray) -> np.ndarray:
-    """``values`` (num_polygons, ..) repeated for each vertex of a polygon."""
-    return np.repeat(values, np.diff(polygons.vertex_offset), axis=0)

@@ -64,6 +64,12 @@ def take(polygons: Polygons, indices: np.ndarray) -> Polygons:
     )
 
 
+def moved(polygons: Polygons, by_xy_m: np.ndarray) -> Polygons:
+    """Each polygon moved by a vector of its own: by_xy_m float64 (num_polygons, 2)."""
+    of_vertex = np.repeat(by_xy_m, np.diff(polygons.vertex_offset), axis=0)
+    return replace(polygons, xy_m=polygons.xy_m + of_vertex)
+
+
 def origins(polygons: Polygons) -> np.ndarray:
     """A local origin per polygon: the centre of its bounding box, rounded to 1 m. float64 (num_polygons, 2).
 
@@ -86,8 +92,7 @@ def to_columns(polygons: Polygons, origin_xy_m: np.ndarray) -> dict[str, pa.Arra
     origin_xy_m: float64 (num_polygons, 2), the origin of the local coordinates of each row.
     """
     vertex_offset = polygons.vertex_offset
-    polygon = np.repeat(np.arange(len(polygons)), np.diff(vertex_offset))
-    local = polygons.xy_m - origin_xy_m[polygon]
+    local = moved(polygons, -origin_xy_m).xy_m
     num_rings = np.diff(polygons.polygon_offset)
     # the offsets of each row start from 0, and are one more than its rings
     first = np.repeat(polygons.ring_offset[polygons.polygon_offset[:-1]], num_rings + 1)
@@ -117,7 +122,5 @@ def from_columns(table: pa.Table) -> Polygons:
 
 def in_crs(table: pa.Table, zero_xy_m: Sequence[float] | np.ndarray = (0.0, 0.0)) -> Polygons:
     """The polygons of a table in its CRS, relative to ``zero_xy_m``; the inverse of :func:`to_columns`, too."""
-    local = from_columns(table)
     origin_xy_m = np.column_stack([table["origin_x_m"].to_numpy(), table["origin_y_m"].to_numpy()])
-    shift_m = np.repeat(origin_xy_m - zero_xy_m, np.diff(local.vertex_offset), axis=0)
-    return replace(local, xy_m=local.xy_m + shift_m)
+    return moved(from_columns(table), origin_xy_m - zero_xy_m)

@@ -13,7 +13,7 @@ from p2wss.data.building import Reconstruction
 from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case, local_points
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
-from p2wss.eval.metrics.height import height_rmse_m, surface_height_m
+from p2wss.eval.metrics.height import height_rmse_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
 from p2wss.eval.parameters import parameter_errors
 from p2wss.eval.reconstructions import Key
@@ -93,7 +93,7 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
         row |= {
             "roof_chamfer_m": chamfer_distance_m(on_building, roof),
             "points_to_mesh_m": float(distance_to_mesh(on_building, vertex_m, triangle).mean()),
-            "height_rmse_m": height_rmse_m(inner[:, 2] - surface_height_m(inner[:, :2], vertex_m, triangle)),
+            "height_rmse_m": height_rmse_m(inner, mesh.corner_m),
         }
     return row
 

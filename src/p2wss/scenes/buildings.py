@@ -34,7 +34,7 @@ def build_scene(scene: gpd.GeoDataFrame, config: Buildings) -> dict[str, Any]:
     base_z_m = scene["base_z_m"].to_numpy()
 
     meshes = skeleton.build(
-        _to_local(usable_polygons, origin_xy_m[usable]),
+        polygon_arrays.moved(usable_polygons, -origin_xy_m[usable]),
         np.concatenate(angle_deg) if angle_deg else np.zeros(0),
         scene["eave_height_m"].to_numpy(dtype=float)[usable],
         base_height_m=(base_z_m - terrain_z_m)[usable],
@@ -105,10 +105,3 @@ def failed_fraction(scene_status: np.ndarray, status: np.ndarray) -> float:
     """Share of the scene's usable buildings that the kernel rejected."""
     usable = scene_status == "ok"
     return float(np.mean(status[usable] != "ok")) if usable.any() else 0.0
-
-
-def _to_local(polygons: skeleton.Polygons, origin_xy_m: np.ndarray) -> skeleton.Polygons:
-    polygon = np.repeat(np.arange(len(polygons)), np.diff(polygons.vertex_offset))
-    return skeleton.Polygons(
-        polygons.xy_m - origin_xy_m[polygon], polygons.ring_offset, polygons.polygon_offset
-    )

@@ -13,8 +13,8 @@ import shapely
 import p2wss
 from p2wss.cli import main
 from p2wss.cli.towns import ROOFS
-from p2wss.eval.metrics.height import surface_height_m
 from p2wss.mesh import Mesh
+from p2wss.mesh.surface import topmost
 from p2wss.reconstruct.scene import Scene, SceneBuilding
 from p2wss.towns import FOOTPRINTS, draw_wings
 from p2wss.towns.ign import building_id
@@ -62,7 +62,7 @@ def test_the_true_roof_is_the_highest_of_the_bodies(roofs: Scene) -> None:
         for wing in building.wings:
             inside = shapely.contains_xy(shapely.Polygon(wing.outline), *xy.T) & (wing.detail == "")
             z[inside] = np.fmax(z, building.floor_m + wing.eave_m + wing.rise_m(xy))[inside]
-        found = surface_height_m(xy, solid.vertex_m, solid.triangle)
+        found = topmost(np.ascontiguousarray(solid.corner_m), np.column_stack([xy, z]))[1]
         both = np.isfinite(z) & np.isfinite(found)
         # a point within a millimetre of a step may be on either side
         assert both.sum() > 40 and np.mean(np.abs(z - found)[both] < 0.01) > 0.98

@@ -4,32 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from p2wss.mesh.surface import topmost
 
-def surface_height_m(xy_m: np.ndarray, vertex_m: np.ndarray, triangle: np.ndarray) -> np.ndarray:
-    """Height of the highest triangle at each place of the plan: (n,), NaN beside the mesh.
 
-    xy_m (n, 2), vertex_m (v, 3), triangle (t, 3). Vertical triangles are left out.
+def height_rmse_m(point_m: np.ndarray, corner_m: np.ndarray) -> float:
+    """Root mean square of the heights of points (n, 3) above the topmost triangle at their place; points beside the
+    mesh are left out, and without any other it is NaN.
+
+    corner_m: of the triangles (t, 3, 3), counter-clockwise seen from outside.
+
+    >>> height_rmse_m(np.array([[1, 1, 4], [1, 1, -3], [9, 9, 0.0]]), np.array([[[0, 0, 1], [4, 0, 1], [0, 4, 1.0]]]))
+    3.5355339059327378
     """
-    xy = np.asarray(xy_m, float)
-    highest = np.full(len(xy), np.nan)
-    for a, b, c in np.asarray(vertex_m, float)[np.asarray(triangle, int)]:
-        u, v, w = b - a, c - a, xy - a[:2]
-        area = u[0] * v[1] - u[1] * v[0]
-        # on a nearly vertical triangle, rounding a place moves its height at will
-        if abs(area) > 1e-9 * np.linalg.norm(np.cross(u, v)):
-            s = (w[:, 0] * v[1] - w[:, 1] * v[0]) / area
-            t = (u[0] * w[:, 1] - u[1] * w[:, 0]) / area
-            over = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9)
-            highest[over] = np.fmax(highest[over], (a[2] + s * u[2] + t * v[2])[over])
-    return highest
-
-
-def height_rmse_m(difference_m: np.ndarray) -> float:
-    """Root mean square of the differences that are not NaN; NaN without any.
-
-    >>> height_rmse_m(np.array([3.0, np.nan, -4.0, 0.0]))  # sqrt(25 / 3)
-    2.886751345948129
-    """
-    difference = np.asarray(difference_m, float)
-    difference = difference[~np.isnan(difference)]
-    return float(np.sqrt((difference**2).mean())) if len(difference) else float("nan")
+    _, surface_z_m = topmost(np.ascontiguousarray(corner_m), np.ascontiguousarray(point_m))
+    difference_m = (point_m[:, 2] - surface_z_m)[np.isfinite(surface_z_m)]
+    return float(np.sqrt((difference_m**2).mean())) if len(difference_m) else float("nan")

@@ -1,8 +1,8 @@
-"""Facts of a mesh by itself: number of triangles, closed, consistently oriented, manifold, planar faces, volume."""
+"""Facts of a mesh by itself: closed, manifold, planar faces."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import trimesh
@@ -10,44 +10,28 @@ import trimesh
 from p2wss.skeleton.groups import groups
 
 
-@dataclass(frozen=True)
-class MeshFacts:
-    """num_triangles: without degenerate ones. num_vertices: distinct vertices that triangles use. watertight:
-    every edge has two triangles. oriented: neighbours run through their common edge in opposite directions.
-    manifold: both, and the triangles at each vertex form one fan. volume_m3: positive if the normals point
-    outwards, NaN if not watertight. num_bodies: connected parts."""
+class MeshFacts(NamedTuple):
+    """watertight: every edge has two triangles. manifold: these run through it in opposite directions, too, and the
+    triangles at each vertex form one fan."""
 
-    num_triangles: int
-    num_vertices: int
     watertight: bool
-    oriented: bool
     manifold: bool
-    volume_m3: float
-    num_bodies: int
 
 
 def mesh_facts(vertex_m: np.ndarray, triangle: np.ndarray, weld_m: float = 1e-4) -> MeshFacts:
     """Facts of a mesh, vertices welded on a grid of ``weld_m`` metres. vertex_m (v, 3), triangle (t, 3)."""
     triangle = np.asarray(triangle, int).reshape(-1, 3)
     if not len(triangle):
-        return MeshFacts(0, 0, False, False, False, 0.0, 0)
+        return MeshFacts(False, False)
     grid = np.round(np.asarray(vertex_m, float) / weld_m).astype(np.int64)
     _, first, welded = np.unique(grid, axis=0, return_index=True, return_inverse=True)
     triangle = welded.reshape(-1)[triangle]
     a, b, c = triangle.T
     triangle = triangle[(a != b) & (b != c) & (c != a)]
     mesh = trimesh.Trimesh(np.asarray(vertex_m, float)[first], triangle, process=False)
-    closed, oriented = bool(mesh.is_watertight), bool(mesh.is_winding_consistent)
-    num_vertices = len(np.unique(triangle))
-    return MeshFacts(
-        num_triangles=len(triangle),
-        num_vertices=num_vertices,
-        watertight=closed,
-        oriented=oriented,
-        manifold=closed and oriented and _num_fans(triangle) == num_vertices,
-        volume_m3=float(mesh.volume) if closed else float("nan"),
-        num_bodies=int(mesh.body_count),
-    )
+    watertight, num_vertices = bool(mesh.is_watertight), len(np.unique(triangle))
+    has_one_fan_each = mesh.is_winding_consistent and _num_fans(triangle) == num_vertices
+    return MeshFacts(watertight, watertight and bool(has_one_fan_each))
 
 
 def _num_fans(triangle: np.ndarray) -> int:
