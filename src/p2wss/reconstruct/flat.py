@@ -23,25 +23,19 @@ def with_fallback(
     """
     result = list(reconstructions)
     missing = [i for i, r in enumerate(result) if not r.has_mesh]
-    for i, flat in zip(missing, lod1([buildings[i] for i in missing], config), strict=True):
-        if flat.has_mesh:
-            result[i] = replace(flat, status=result[i].status)
+    of_missing = [buildings[i] for i in missing]
+    height = np.array([flat_height_m(building) for building in of_missing])
+    # without a ground, a stated height is of no use
+    stated = [b.stated_height_m if np.isfinite(b.ground_z_m) else np.nan for b in of_missing]
+    is_stated = np.isnan(height)
+    height = np.maximum(np.where(is_stated, stated, height), config.min_eave_height_m)
+    flat = constant(of_missing, height, 0.0, config, "lod1")
+    for k, i in enumerate(missing):
+        if flat[k].has_mesh:
+            status = reasons.HEIGHT_FROM_ATTRIBUTE if is_stated[k] else result[i].status
+            result[i] = replace(flat[k], status=status)
         elif not len(buildings[i].point_m):
-            result[i] = replace(result[i], status=flat.status)
-    without_points = (reasons.NO_POINTS, reasons.NO_POINTS_ON_BUILDING)
-    stated = [
-        i
-        for i in missing
-        if not result[i].has_mesh
-        and np.isfinite([buildings[i].stated_height_m, buildings[i].ground_z_m]).all()
-        and (result[i].status in without_points or np.isnan(flat_height_m(buildings[i])))
-    ]
-    height = np.array([max(buildings[i].stated_height_m, config.min_eave_height_m) for i in stated])
-    for i, flat in zip(
-        stated, constant([buildings[i] for i in stated], height, 0.0, config, "lod1"), strict=True
-    ):
-        if flat.has_mesh:
-            result[i] = replace(flat, status=reasons.HEIGHT_FROM_ATTRIBUTE)
+            result[i] = replace(result[i], status=flat[k].status)
     return result
 
 
