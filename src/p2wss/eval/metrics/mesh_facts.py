@@ -7,7 +7,10 @@ from typing import NamedTuple
 import numpy as np
 import trimesh
 
-from p2wss.skeleton.groups import groups
+from p2wss.mesh.rules import shell_code
+
+# the rule of ISO 19107 that a manifold of several bodies breaks
+_SEVERAL_PARTS = 305
 
 
 class MeshFacts(NamedTuple):
@@ -29,26 +32,8 @@ def mesh_facts(vertex_m: np.ndarray, triangle: np.ndarray, weld_m: float = 1e-4)
     a, b, c = triangle.T
     triangle = triangle[(a != b) & (b != c) & (c != a)]
     mesh = trimesh.Trimesh(np.asarray(vertex_m, float)[first], triangle, process=False)
-    watertight, num_vertices = bool(mesh.is_watertight), len(np.unique(triangle))
-    has_one_fan_each = mesh.is_winding_consistent and _num_fans(triangle) == num_vertices
-    return MeshFacts(watertight, watertight and bool(has_one_fan_each))
-
-
-def _num_fans(triangle: np.ndarray) -> int:
-    """Number of fans of triangles around all vertices: equal to the number of vertices if each has one fan.
-
-    Corners of two triangles belong to one fan where they share the vertex and an edge at it.
-    """
-    corner = np.arange(triangle.size).reshape(-1, 3)
-    ends = np.stack([triangle, np.roll(triangle, -1, axis=1)], axis=-1).reshape(-1, 2)
-    corners = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2)
-    turned = ends[:, 0] > ends[:, 1]
-    ends[turned], corners[turned] = ends[turned, ::-1], corners[turned, ::-1]
-    order = np.lexsort(ends.T)
-    ends, corners = ends[order], corners[order]
-    same = np.flatnonzero((ends[1:] == ends[:-1]).all(axis=1))
-    first, second = corners[same].ravel(), corners[same + 1].ravel()
-    return int(groups(triangle.size, np.column_stack([first, second])).max()) + 1
+    watertight = bool(mesh.is_watertight)
+    return MeshFacts(watertight, watertight and shell_code(triangle) in (0, _SEVERAL_PARTS))
 
 
 def out_of_plane_m(vertex_m: np.ndarray, triangle: np.ndarray, face: np.ndarray) -> np.ndarray:
