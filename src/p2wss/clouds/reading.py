@@ -13,7 +13,7 @@ import pyproj
 
 from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage.errors import InputError, reading
 from p2wss.storage.las_files import KIND, open_cloud
 
@@ -77,16 +77,7 @@ class CloudHeader:
 
     def overlaps(self, bounds: Bounds) -> bool:
         """Whether points may be within ``bounds``."""
-        if self.bounds is None:
-            return True
-        x_min, y_min, x_max, y_max = self.bounds
-        margin_m = _HEADER_MARGIN_M
-        return (
-            x_min - margin_m <= bounds[2]
-            and x_max + margin_m >= bounds[0]
-            and y_min - margin_m <= bounds[3]
-            and y_max + margin_m >= bounds[1]
-        )
+        return self.bounds is None or are_near(self.bounds, bounds, _HEADER_MARGIN_M)
 
 
 def list_clouds(paths: Sequence[Path]) -> list[Path]:

@@ -10,7 +10,7 @@ import struct
 from glob import glob
 from pathlib import Path
 
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage.errors import InputError
 
 VECTOR = (".gpkg", ".shp", ".parquet", ".geojson", ".fgb")
@@ -82,7 +82,4 @@ def _asc_extent_m(head: bytes) -> Bounds | None:
 
 def may_overlap(extent: Bounds | None, bounds: Bounds) -> bool:
     """Whether a file of this :func:`extent_m` may have data in ``bounds``: what states none may lie anywhere."""
-    if extent is None:
-        return True
-    x_min, y_min, x_max, y_max = bounds
-    return extent[0] <= x_max and extent[2] >= x_min and extent[1] <= y_max and extent[3] >= y_min
+    return extent is None or are_near(extent, bounds, 0.0)

@@ -61,6 +61,17 @@ def grown(bounds: Bounds, margin_m: float) -> Bounds:
     return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
 
+def are_near(first: Bounds, second: Bounds, distance_m: float) -> bool:
+    """Whether two windows are at most ``distance_m`` apart along x and along y; if that is negative, whether they
+    overlap by as much.
+
+    >>> are_near((0, 0, 10, 10), (11, 0, 20, 10), 1), are_near((0, 0, 10, 10), (9, 0, 20, 10), -2)
+    (True, False)
+    """
+    x_min, y_min, x_max, y_max = grown(first, distance_m)
+    return x_min <= second[2] and x_max >= second[0] and y_min <= second[3] and y_max >= second[1]
+
+
 def tiles_of_points(x_m: np.ndarray, y_m: np.ndarray, tile_size_m: float) -> np.ndarray:
     """Tile name of each point, an object array (n,); the west and the north edge belong to a tile.
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyproj
 
 from p2wss.data.crs import check_crs
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage import files, integrity
 from p2wss.storage.las_files import open_cloud
 
@@ -108,13 +108,9 @@ def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
     header = read_header(path)
     (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
-    avoids_holes = all(
-        min(x_max, hole[2]) - max(x_min, hole[0]) < _EDGE_M
-        or min(y_max, hole[3]) - max(y_min, hole[1]) < _EDGE_M
-        for hole in holes
-    )
+    meets_hole = any(are_near((x_min, y_min, x_max, y_max), hole, -_EDGE_M) for hole in holes)
     inside = x_min >= bounds[0] - _EDGE_M and y_min >= bounds[1] - _EDGE_M
-    return avoids_holes and inside and x_max <= bounds[2] + _EDGE_M and y_max <= bounds[3] + _EDGE_M
+    return not meets_hole and inside and x_max <= bounds[2] + _EDGE_M and y_max <= bounds[3] + _EDGE_M
 
 
 def link_or_copy(source: Path, target: Path) -> None:

@@ -24,7 +24,7 @@ from p2wss.config import Folder
 from p2wss.data.crs import check_crs, horizontal, reprojected, same_crs
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import Bounds, tile_bounds, tiles_of_bounds
+from p2wss.data.tiling import Bounds, are_near, tile_bounds, tiles_of_bounds
 from p2wss.fetch.cloud import read_header
 from p2wss.storage.errors import InputError, reading
 
@@ -221,9 +221,5 @@ def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> Non
 def _overlaps(path: Path, bounds: Bounds) -> bool:
     """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre."""
     header = read_header(path)
-    low, high = header.mins, header.maxs
-    return bool(
-        header.point_count > 0
-        and min(high[0], bounds[2]) - max(low[0], bounds[0]) > 0.5
-        and min(high[1], bounds[3]) - max(low[1], bounds[1]) > 0.5
-    )
+    (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
+    return header.point_count > 0 and bool(are_near((x_min, y_min, x_max, y_max), bounds, -0.5))
