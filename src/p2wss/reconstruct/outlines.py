@@ -24,7 +24,7 @@ from p2wss.config import Outlines
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
 from p2wss.reconstruct.outline_rings import EdgePoints, directions, regularised, seam_lines
-from p2wss.skeleton.groups import groups
+from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.storage.errors import InputError
 
 # a cell holds at least this many points on average, else cells are larger than ``cell_m``, in steps of 5 cm, so that
@@ -143,18 +143,10 @@ def _heights(cell: np.ndarray, z_m: np.ndarray, shape: tuple[int, int]) -> np.nd
     return result[tuple(nearest)]
 
 
-def _neighbours(label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Flat indices of all pairs of cells that share an edge."""
-    index = np.arange(label.size).reshape(label.shape)
-    first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
-    second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
-    return first, second
-
-
 def _split(block: np.ndarray, height_m: np.ndarray, settings: Outlines, cell_m: float) -> np.ndarray:
     """The buildings: cells of a block that connect without a jump in height; small ones join a neighbour. Large ones
     are split again at smaller jumps."""
-    first, second = _neighbours(block)
+    first, second = cell_neighbours(block)
     flat, z_m = block.ravel(), height_m.ravel()
     is_near = flat[first] + flat[second] > 0
     first, second = first[is_near], second[is_near]

@@ -14,6 +14,7 @@ import scipy
 
 from p2wss.clouds.cropping import crop_points
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, WATER_CLASS
+from p2wss.skeleton.groups import cell_neighbours, groups
 from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
@@ -152,7 +153,10 @@ def search_shift(edge: np.ndarray, xy_m: np.ndarray, weight: np.ndarray) -> np.n
     as_good = total >= total[best] - max(
         SEARCH.as_good_points, SEARCH.as_good_share * float(np.abs(weight[keep]).sum())
     )
-    number, _ = scipy.ndimage.label(as_good)
+    first, second = cell_neighbours(as_good)
+    are_good = as_good.ravel()[first] & as_good.ravel()[second]
+    pairs = np.column_stack([first, second])[are_good]
+    number = groups(as_good.size, pairs).reshape(as_good.shape)
     near_best = number == number[best]
     return np.array([dx[near_best].mean(), dy[near_best].mean()])
 

@@ -20,6 +20,14 @@ def groups(size: int, pairs: np.ndarray) -> np.ndarray:
     return np.asarray(_groups(int(size), writable(pairs, np.int64)))
 
 
+def cell_neighbours(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Flat indices of all pairs of cells of a grid (rows, columns) that share a side."""
+    index = np.arange(grid.size).reshape(grid.shape)
+    first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
+    second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
+    return first, second
+
+
 @entry
 def _groups(size: int, pairs: np.ndarray) -> np.ndarray:
     first = np.arange(size)
