@@ -260,8 +260,8 @@ def real_clouds(data: Path, predictor: Any) -> dict[str, Any]:
     for name, network in ((FIT, None), (NETWORK_AND_FIT, predictor and predictor.with_num_views(1))):
         if name == NETWORK_AND_FIT and predictor is None:
             continue
-        for parts in (1, config.max_parts):
-            settings = config.model_copy(update={"max_parts": parts})
+        for roofs in ("parametric", "planes"):
+            settings = config.model_copy(update={"roofs": roofs})
             for count in (None, 80, 20):
                 buildings = every if count is None else [real.thinned(b, count) for b in every]
                 starts = None if network is None else reconstruct_with_network(buildings, network, settings)
@@ -273,7 +273,7 @@ def real_clouds(data: Path, predictor: Any) -> dict[str, Any]:
                 ]
                 stated, distance_m = np.array(pairs).T
                 flagged = stated[distance_m > config.not_representable_m]
-                title = f"Delft, {name}, parts {parts}, {'all points' if count is None else count}"
+                title = f"Delft, {name}, {roofs}, {'all points' if count is None else count}"
                 rank = float(stats.spearmanr(stated, distance_m).statistic)
                 figures[title] = {
                     "mean": float(stated.mean()),

@@ -50,8 +50,8 @@ def read(manifest: Path) -> list[Case]:
 
 
 def config() -> Reconstruct:
-    """The settings of the evaluation: footprints as labelled, a single eave height."""
-    return methods.for_dataset(Config().reconstruct, SIMULATED).model_copy(update={"max_parts": 1})
+    """The settings of the evaluation: footprints as labelled, parametric buildings."""
+    return methods.for_dataset(Config().reconstruct, SIMULATED)
 
 
 def errors(labelled: list[Case], reconstructions: list[Reconstruction]) -> list[Error]:

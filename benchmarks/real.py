@@ -3,7 +3,6 @@
     python benchmarks/real.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
     .. --model model.safetensors                         # also with the network
     .. --simulated results/mini/crops/manifest.json      # also on the labelled test split
-    .. --sensitivity --simulated results/mini/crops/manifest.json    # only the effect of the thresholds
 
 ``--data`` holds ``delft_ahn3``, ``bresse_ign`` and ``lidarhd_crops``. The judge is a separate script that shares no
 code with this package. Halves A and B: every second building of Delft by id.
@@ -12,7 +11,6 @@ code with this package. Halves A and B: every second building of Delft by id.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Sequence
@@ -22,7 +20,6 @@ from typing import Any
 
 import labelled
 import numpy as np
-import thresholds
 from figures import Figures
 from real_places import Place, judged_rows
 
@@ -51,8 +48,7 @@ TIMES = {"cpu_ms": "CPU ms each", "fit_cpu_ms": "of which fit and mesh"}
 # by data set and variant; "default" has no option
 BARS: dict[str, dict[str, dict[str, float]]] = {
     "delft": {
-        "one height": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
-        "no dormers": {"cd": 0.90, "roof": 0.30, "p2m": 0.15, "tri": 44},
+        "parametric": {"cd": 0.97, "roof": 0.68, "p2m": 0.30, "tri": 28, "cpu_ms": 5},
         "default": {"cd": 0.88, "roof": 0.24, "p2m": 0.117, "tri": 45, "cpu_ms": 18},
         "10 % of the points": {"roof": 0.33, "p2m": 0.17},
     },
@@ -158,10 +154,8 @@ def real(arguments: argparse.Namespace, predictor: Any) -> dict[str, Any]:
     for name in SETS:
         buildings = read(arguments.data, name, Config())
         ids = sorted(building.building_id for building in buildings)
-        one_height = config.model_copy(update={"max_parts": 1, "dormers": False})
         variants = {
-            "one height": (buildings, one_height),
-            "no dormers": (buildings, config.model_copy(update={"dormers": False})),
+            "parametric": (buildings, config.model_copy(update={"roofs": "parametric"})),
             "default": (buildings, config),
         }
         if name == "delft":
@@ -220,7 +214,6 @@ def main() -> int:
     parser.add_argument(
         "--variant", action="append", help="only this one, for example default; may be repeated"
     )
-    parser.add_argument("--sensitivity", action="store_true", help="only the effect of the thresholds")
     arguments = parser.parse_args()
     predictor = None
     if arguments.model is not None:
@@ -229,10 +222,6 @@ def main() -> int:
         # as p2wss reconstruct does
         predictor = load_predictor(arguments.model).with_num_views(Config().reconstruct.num_views)
     figures: dict[str, Any] = {}
-    if arguments.sensitivity:
-        figures = thresholds.table(arguments.simulated, read(arguments.data, "delft", Config()))
-        print(json.dumps(figures))
-        return 0
     if arguments.simulated is not None:
         figures |= labelled.figures(arguments.simulated, predictor)
     figures |= real(arguments, predictor)

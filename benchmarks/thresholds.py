@@ -1,88 +1,108 @@
-"""The effect of each threshold of the fit: on simulated buildings with labels, and on halves A and B of Delft.
+"""The effect of the prices of planes: on the structure of drawn houses, and on real houses and blocks.
 
-The defaults were chosen on the simulated buildings and half A; half B only shows how well they generalise.
+    python benchmarks/thresholds.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
+
+The defaults were chosen on the towns of seeds 7 and 8, half A of Delft, and blocks b0 and b4; there are no bars.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import argparse
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
-import labelled
 import numpy as np
+import real
+import structure
+from figures import Figures
 
+import p2wss
+from p2wss.cli import main as command
+from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
-from p2wss.data.building import Building, Reconstruction
+from p2wss.data.building import Building
+from p2wss.eval.metrics.structure import roof_edges
+from p2wss.eval.metrics.structure import structure as structure_of
 from p2wss.fit import fitting
-from p2wss.fit.points import roof_points
-from p2wss.fit.settings import Thresholds
-from p2wss.mesh.surface import distance_to_mesh
+from p2wss.fit.settings import PlanePrices, Planes, Thresholds
+from p2wss.mesh import Mesh
+from p2wss.reconstruct.flat import with_fallback
+from p2wss.towns import FOOTPRINTS, LIDAR
 
-VARIATIONS: dict[str, dict[str, tuple[float, ...]]] = {
-    "cutting": {
-        "mean_price_m": (0.005, 0.007, 0.01, 0.014, 0.02),
-        "slope_share": (0.0, 0.2, 0.3, 0.5),
-        "over_share": (0.2, 0.4, 0.7, 1.0),
-        "loss_share": (0.0, 0.5, 0.7, 1.0),
-        "min_price_m": (0.5, 1.0, 2.0),
-    },
-    "limits": {
-        "class_gain_m": (0.001, 0.002, 0.004),
-        "separate_slope_gain_m": (0.003, 0.006, 0.012),
-    },
-    "effort": {"num_followed": (3, 5, 9), "num_search_points": (48, 64, 96)},
+SEEDS = (7, 8)
+VARIATIONS: dict[str, tuple[float, ...]] = {
+    "face_m3": (0.15, 0.6, 1.0),
+    "edge_m2": (0.08, 0.12, 0.2, 0.24),
+    "meet_share": (0.25, 1.0),
+    "small_step_share": (1.0, 2.4),
+    "support_m": (0.2, 100.0),
 }
 
 
-def _points_to_mesh_m(building: Building, fit: Reconstruction) -> float:
-    point_m = roof_points(building.polygon, building.point_m, building.classification)
-    return float(distance_to_mesh(point_m, fit.mesh.vertex_m, fit.mesh.triangle).mean())
+def town(seed: int, folder: Path) -> tuple[dict[str, Mesh], list[Building]]:
+    """(true meshes by building, buildings with their points) of a drawn town."""
+    command(["towns", "--kind", "wings", "--lidar", "--seed", str(seed), "--out", str(folder)])
+    truth = {name: each.solid for name, each in p2wss.read(folder / ROOFS).items()}
+    buildings = real.read_files(folder / FOOTPRINTS, [folder / LIDAR], "wings", Config())
+    return {name: mesh for name, mesh in truth.items() if mesh is not None}, buildings
 
 
-def _measures(cases: list[Any], buildings: list[Building], thresholds: Thresholds) -> dict[str, float]:
-    """Errors of simulated ``cases``, the share of them that is cut into parts although all have one height, and the
-    distance from points to mesh and the number of triangles on both halves of real ``buildings``."""
+def of_town(truth: dict[str, Mesh], buildings: list[Building], thresholds: Thresholds) -> dict[str, float]:
+    """False and missing edges, exact roofs and triangles of the houses of a town."""
+    fits = {
+        fit.building_id: fit for fit in fitting.fit(buildings, Config().reconstruct, thresholds=thresholds)
+    }
+    rows = []
+    for name, true in truth.items():
+        mesh = fits[name].placed_mesh if name in fits and fits[name].has_mesh else Mesh.empty()
+        found = structure_of(roof_edges(mesh), roof_edges(true))
+        rows.append({"structure": found, "roof_cd_m": np.nan, "triangles": len(mesh.triangle)})
+    figures = structure.summary(rows)
+    return {
+        name: float(figures[name]) for name in ("false edges", "missing edges", "exact roofs", "triangles")
+    }
+
+
+def of_places(
+    places: dict[str, list[Building]], thresholds: Thresholds, arguments: argparse.Namespace
+) -> dict[str, float]:
+    """Points to mesh and triangles of real buildings."""
+    result = {}
     config = Config().reconstruct
-    simulated = [case.building for case in cases]
-    one_part = fitting.fit(simulated, labelled.config(), thresholds=thresholds)
-    errors = labelled.summary(labelled.errors(cases, one_part))
-    several_parts = labelled.config().model_copy(update={"max_parts": config.max_parts})
-    is_cut = [fit.num_parts > 1 for fit in fitting.fit(simulated, several_parts, thresholds=thresholds)]
-    fits = fitting.fit(buildings, config, thresholds=thresholds)
-    measures = {"height_mae_m": errors["height_mae_m"], "angle_mae_deg": errors["angle_mae_deg"]}
-    measures["wrongly_cut"] = float(np.mean(is_cut))
-    order = np.argsort([building.building_id for building in buildings])
-    for half, index in (("A", order[::2]), ("B", order[1::2])):
-        meshed = [i for i in index.tolist() if fits[i].has_mesh]
-        distances_m = [_points_to_mesh_m(buildings[i], fits[i]) for i in meshed]
-        measures[f"p2m_{half}_m"] = float(np.mean(distances_m))
-        measures[f"triangles_{half}"] = float(np.mean([len(fits[i].mesh.triangle) for i in meshed]))
-    return measures
+    for name, buildings in places.items():
+        fits = with_fallback(fitting.fit(buildings, config, thresholds=thresholds), buildings, config)
+        rows = real.summary(real.judged(fits, name, arguments))
+        result |= {f"{name}, points to mesh": rows["p2m"], f"{name}, triangles": rows["tri"]}
+    return result
 
 
-def table(manifest: Path, buildings: list[Building]) -> dict[str, Any]:
-    """One row per value of each threshold, the others at their defaults; printed as it comes."""
-    cases = labelled.read(manifest)
-    default = Thresholds()
-    rows: dict[str, Any] = {"default": _measures(cases, buildings, default)}
-    print("threshold".ljust(28) + "".join(name.rjust(15) for name in rows["default"]))
-    _print("default", rows["default"])
-    for group, fields in VARIATIONS.items():
-        for field, values in fields.items():
-            for value in values:
-                defaults = getattr(default, group)
-                if value != getattr(defaults, field):
-                    title = f"{field} = {value:g}"
-                    new = {field: value}
-                    settings = (
-                        defaults._replace(**new) if isinstance(defaults, tuple) else replace(defaults, **new)
-                    )
-                    changed = replace(default, **{group: settings})
-                    rows[title] = _measures(cases, buildings, changed)
-                    _print(title, rows[title])
-    return rows
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--judge", type=Path, required=True)
+    arguments = parser.parse_args()
+    figures = Figures()
+    places = {name: real.read(arguments.data, name, Config()) for name in ("delft", "blocks")}
+    with tempfile.TemporaryDirectory() as folder:
+        towns = {seed: town(seed, Path(folder) / str(seed)) for seed in SEEDS}
+        prices: list[tuple[str, PlanePrices]] = [("default", PlanePrices())]
+        for field, values in VARIATIONS.items():
+            prices += [(f"{field} = {value:g}", PlanePrices()._replace(**{field: value})) for value in values]
+        for title, each in prices:
+            thresholds = Thresholds(planes=Planes(prices=each))
+            row: dict[str, Any] = {}
+            for seed, (truth, buildings) in towns.items():
+                of_seed = of_town(truth, buildings, thresholds)
+                row |= {f"town {seed}, {name}": value for name, value in of_seed.items()}
+            row |= of_places(places, thresholds, arguments)
+            figures.row(title, row)
+            print(
+                title.ljust(26) + ", ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True
+            )
+    return figures.end()
 
 
-def _print(title: str, row: dict[str, float]) -> None:
-    print(title.ljust(28) + "".join(f"{value:15.4f}" for value in row.values()), flush=True)
+if __name__ == "__main__":
+    sys.exit(main())

@@ -3,9 +3,9 @@
     python benchmarks/validity.py [--num 20000] [--footprints FILE]
 
 Outlines: BD TOPO of Olemps (default: ../shared/data/olemps_bdtopo), or any vector file with polygons. Roofs: as scenes
-draw them, as the paper draws them, and angles from 0 to 90 degrees; the same with courtyards cut out; parts with
-cuts, and boxes on the roof; and hard ones with eaves that are nearly level and boxes that end millimetres beside walls,
-cuts and corners. Each goes the way of the product (tests, repair, simpler roof) and is written to
+draw them, as the paper draws them, and angles from 0 to 90 degrees; the same with courtyards cut out; planes over the
+cells between random lines; and hard ones with planes that are nearly equal and lines that end millimetres beside
+corners. Each goes the way of the product (tests, repair, simpler roof) and is written to
 CityJSON; the text is then tested by `tests/unit/solid_rules.py` (GEOS, scipy, integers), which shares no code with the
 product. The last line is JSON.
 """
@@ -48,7 +48,7 @@ def outlines(path: Path) -> list[Rings]:
 
 def solids(rings: list[Rings], num: int) -> Iterator[tuple[str, Reconstruction | None]]:
     """(kind, building or None where it has no solid), in turns, so that any number has all kinds."""
-    kinds = [*REGIMES, "courtyards", "parts", *REGIMES, "boxes", "hard", *REGIMES]
+    kinds = [*REGIMES, "courtyards", "planes", *REGIMES, "hard", *REGIMES]
     draw, count = 0, 0
     while count < num:
         for i, kind in enumerate(kinds):
@@ -63,8 +63,8 @@ def solids(rings: list[Rings], num: int) -> Iterator[tuple[str, Reconstruction |
 
 def _solid(kind: str, name: str, outline: Rings, seed: int) -> Reconstruction | None:
     rng = np.random.default_rng([seed, *name.encode()])
-    if kind in ("parts", "boxes", "hard"):
-        return random_solids.with_parts(name, outline, seed, 0 if kind == "parts" else 3, kind == "hard")
+    if kind in ("planes", "hard"):
+        return random_solids.with_planes(name, outline, seed, int(rng.integers(1, 8)), kind == "hard")
     regime = kind
     if kind == "courtyards":
         outline = random_solids.courtyard(outline, rng) or outline

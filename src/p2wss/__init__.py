@@ -74,7 +74,8 @@ def reconstruct(
     from the points. crs: of clouds that do not state theirs, such as ``EPSG:28992``. ids, bbox: only the buildings of
     these ids, and those with their centre in (x_min, y_min, x_max, y_max), in the CRS of the run. terrain: a raster of
     heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model: weights of a network,
-    or ``"none"`` for the fit alone; by default the weights that come with the package. config: a file, or sections such
+    or ``"none"``; by default the weights that come with the package where parametric roofs are asked for, and otherwise
+    none. config: a file, or sections such
     as ``{"reconstruct": {"max_parts": 4}}``; docs/manual and config/default.yaml describe every setting. threads: of
     the network. progress: whether to show a bar, or a function that is called with (number done, number in all).
 

@@ -65,8 +65,7 @@ eval:
   num_resamples: 20
 reconstruct:
   registration: never
-  dormers: false
-  max_parts: 1
+  roofs: parametric
 """
 COMMAND = ["snakemake", "-c2", "--configfile", "tests/mini/reduced.yaml", "kills.yaml"]
 EVERYTHING = "all"

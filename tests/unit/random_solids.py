@@ -1,10 +1,8 @@
-"""Solids as the product makes them, on given outlines and without points: one roof, parts side by side, boxes."""
+"""Solids as the product makes them, on given outlines and without points: parametric, and of planes."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -14,12 +12,12 @@ from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction
+from p2wss.fit.directions import directions
 from p2wss.fit.mesh.parametric import kernel_angles
-from p2wss.fit.mesh.union import is_sound, union
-from p2wss.fit.parts.cutting import side_of_cut
-from p2wss.fit.parts.parts import main_frame
-from p2wss.fit.roof.fitter import FittedRoof
-from p2wss.fit.roof.work import Polygon
+from p2wss.fit.mesh.simplification import simplified
+from p2wss.fit.planes.arrangement import arrange
+from p2wss.fit.planes.lines import Line
+from p2wss.fit.planes.solid import solid_below
 from p2wss.formats import cityjson
 from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
@@ -29,7 +27,7 @@ from p2wss.skeleton.types import Polygons
 
 Rings = list[np.ndarray]
 REGIMES = ("realistic", "uniform", "any")
-MIN_EAVE_M, MAX_ROOF_M = 1.0, 12.0
+MAX_ROOF_M = 12.0
 
 
 def angles(rings: Rings, regime: str, name: str, seed: int) -> np.ndarray:
@@ -72,37 +70,34 @@ def _reconstruction(
     )
 
 
-def with_parts(
-    name: str, rings: Rings, seed: int, num_boxes: int, is_hard: bool = False
-) -> Reconstruction | None:
-    """A building of up to four parts, whose walls stand on random cuts along the axes of the outline, and boxes on its
-    roof; None where they have no closed union.
+def with_planes(name: str, rings: Rings, seed: int, num_lines: int, is_hard: bool) -> Reconstruction | None:
+    """A building below up to five planes, each over random ones of the cells into which lines divide the outline; None
+    where they have no closed solid.
 
-    is_hard: eaves and boxes are nearly but not quite level, cuts nearly reach corners, and boxes end on walls, cuts and
-    corners or millimetres beside them.
+    is_hard: some planes and lines are nearly but not quite the same, and lines nearly reach corners.
     """
     rng = np.random.default_rng([seed, *name.encode()])
-    rotation = main_frame(rings)
-    pieces = [[ring @ rotation for ring in rings]]
-    for _ in range(int(rng.integers(1, 4))):
-        k = int(rng.integers(len(pieces)))
-        pieces[k : k + 1] = _cut(pieces[k], rng, is_hard)
-    parts = [_roof(piece, rng) for piece in pieces]
-    boxes = [box for box in (_box(pieces, rng, is_hard) for _ in range(num_boxes)) if box is not None]
+    corner_m = np.concatenate(rings)
+    bearing = directions(rings, 4.0)[0]
+    lines = []
+    for _ in range(num_lines):
+        angle = bearing + rng.choice([0.0, np.pi / 2, rng.uniform(0, np.pi)])
+        place = rng.uniform(corner_m.min(axis=0), corner_m.max(axis=0))
+        if is_hard and rng.random() < 0.5:
+            place = rng.choice(corner_m) + _nearly(rng)
+        normal = np.array([np.cos(angle), np.sin(angle)])
+        lines.append(Line(normal, float(normal @ place)))
+    plane = np.array([_plane(corner_m, bearing, rng) for _ in range(int(rng.integers(2, 6)))])
     if is_hard:
-        eave_z_m = parts[0].eave_z_m
-        parts = [replace(part, eave_z_m=eave_z_m + _nearly(rng)) for part in parts]
-        boxes = [
-            replace(box, eave_z_m=box.eave_z_m if rng.random() < 0.5 else eave_z_m + _nearly(rng))
-            for box in boxes
-        ]
-    mesh = union([*parts, *boxes], MIN_EAVE_M, MAX_ROOF_M) if boxes else None
-    if mesh is None or not is_sound(mesh):
-        mesh = union(parts, MIN_EAVE_M, MAX_ROOF_M)
+        plane[1:] = np.where(rng.random((len(plane) - 1, 1)) < 0.5, plane[:1], plane[1:])
+        plane[1:, 2] += [_nearly(rng) for _ in plane[1:]]
+    cells = arrange(rings, lines)
+    label = rng.integers(len(plane), size=len(cells.middle_m))
+    mesh = solid_below(cells, label, plane, corner_m)
     if mesh is None:
         return None
-    flat = np.zeros(sum(map(len, rings)))
-    return _reconstruction(name, rings, 5.0, flat, mesh.turned(rotation.T), len(parts))
+    mesh = simplified(mesh.vertex_m, mesh.triangle) or mesh
+    return _reconstruction(name, rings, 5.0, np.zeros(len(corner_m)), mesh, len(np.unique(label)))
 
 
 def _nearly(rng: np.random.Generator) -> float:
@@ -110,47 +105,13 @@ def _nearly(rng: np.random.Generator) -> float:
     return float(rng.choice([0.0, 0.0, 5e-4, 2e-3, 8e-3, 0.03, 0.3, 2.0]) * rng.choice([-1, 1]))
 
 
-def _cut(rings: Rings, rng: np.random.Generator, is_hard: bool) -> list[Rings]:
-    xy_m, offset = np.concatenate(rings), np.cumsum([0, *map(len, rings)])
-    axis = int(rng.integers(2))
-    low, high = xy_m[:, axis].min(), xy_m[:, axis].max()
-    position = float(low + rng.uniform(0.2, 0.8) * (high - low))
-    if is_hard and rng.random() < 0.5:
-        position = float(rng.choice(xy_m[:, axis])) + _nearly(rng)
-    sides = []
-    for is_high in (False, True):
-        vertex_m, ring_offset = side_of_cut(Polygon(xy_m, offset), axis, position, is_high)
-        if len(vertex_m) < 3:
-            return [rings]
-        side = [vertex_m[a:b] for a, b in pairwise(ring_offset)]
-        shape = shapely.Polygon(side[0], side[1:])
-        # the limits of the product's own cuts
-        if not shape.is_valid or shape.area < 2 or shapely.minimum_clearance(shape) < 0.05:
-            return [rings]
-        sides.append(side)
-    return sides
-
-
-def _roof(rings: Rings, rng: np.random.Generator) -> FittedRoof:
-    num = sum(map(len, rings))
-    angle_deg = rng.choice([0.0, 90.0, *rng.uniform(5, 75, 4)], num)
-    return FittedRoof(rings, angle_deg, float(rng.uniform(2.5, 9)), 0.0, 10)
-
-
-def _box(pieces: list[Rings], rng: np.random.Generator, is_hard: bool) -> FittedRoof | None:
-    """A flat box on the roof, some of them up to the walls."""
-    rings = pieces[int(rng.integers(len(pieces)))]
-    polygon = shapely.Polygon(rings[0], rings[1:])
-    x0, y0, x1, y1 = polygon.bounds
-    x, y = rng.uniform(x0, x1), rng.uniform(y0, y1)
-    if is_hard:
-        corner = rng.choice(np.concatenate([ring for piece in pieces for ring in piece]))
-        x, y = corner + np.array([_nearly(rng), _nearly(rng)])
-    shape = shapely.box(x, y, x + rng.uniform(0.8, 4), y + rng.uniform(0.8, 4)).intersection(polygon)
-    if not isinstance(shape, shapely.Polygon) or shape.interiors or shape.area < 0.5:
-        return None
-    ring = shapely.get_coordinates(shapely.orient_polygons(shape.simplify(0.01)))[:-1]
-    return FittedRoof([ring], np.zeros(len(ring)), float(rng.uniform(4, 14)), 0.0, 10)
+def _plane(corner_m: np.ndarray, bearing: float, rng: np.random.Generator) -> np.ndarray:
+    """A level or a sloping plane (3,) that is 2.5 to 9 m high at the lowest corner."""
+    bearing += rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2])
+    slope = rng.choice([0.0, np.tan(np.radians(rng.uniform(3, 60)))]) * np.array(
+        [np.cos(bearing), np.sin(bearing)]
+    )
+    return np.array([*slope, rng.uniform(2.5, 9) - (corner_m @ slope).min()])
 
 
 def courtyard(rings: Rings, rng: np.random.Generator) -> Rings | None:
@@ -186,7 +147,7 @@ def validated(
             before.ground_z_m,
         )
         simpler = [] if flat is None else [flat]
-        (after,) = with_valid_solids([before], [building], lambda row, invalid, simpler=simpler: simpler)
+        (after,) = with_valid_solids([before], [building], lambda row, simpler=simpler: simpler)
         if not after.has_mesh:
             yield before, after, []
             continue

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from kernel_unions import union
 
 from p2wss.data import reasons
 from p2wss.data.building import Reconstruction
-from p2wss.fit.boxes.open_ground import OpenGround
-from p2wss.fit.mesh.union import union
+from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.roof.fitter import FittedRoof
 
 HOUSE_M2, YARD_M2, YARD_M, EAVE_M, SLOPE_DEG = 64.0, 48.0, 1.0, 5.0, 40.0
@@ -19,11 +19,10 @@ def yard_house(x_m: float = 652000.0, y_m: float = 6861000.0, ground_z_m: float 
     house, yard = FOOTPRINT * [8 / 14, 1], FOOTPRINT * [6 / 14, 1] + [8, 0]
     angle_deg = np.array([SLOPE_DEG, 90, SLOPE_DEG, 90])
     parts = [
-        FittedRoof([house], angle_deg, EAVE_M, 0.0, 10),
-        FittedRoof([yard], np.zeros(4), 0.2, 0.0, 10),
+        FittedRoof([house], angle_deg, EAVE_M, 0.0),
+        FittedRoof([yard], np.zeros(4), 0.2, 0.0),
     ]
     mesh = union(parts, YARD_M, 12.0)
-    assert mesh is not None
     in_yard = np.array([[11.0, 4.0, 0.2]])
     marked = OpenGround(in_yard, 1).marked(mesh)
     return Reconstruction(

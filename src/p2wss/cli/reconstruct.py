@@ -60,13 +60,12 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
     "--model",
     type=PATH,
     more=True,
-    help="weights of the network (safetensors), or none to fit without a network (default: the weights that come "
-    "with p2wss)",
+    help="weights of the network (safetensors), or none (default: none for roofs of planes, otherwise the weights that "
+    "come with p2wss)",
 )
 @device_option
 @setting("reconstruct.fit")
-@setting("reconstruct.max_parts", metavar="N")
-@setting("reconstruct.dormers")
+@setting("reconstruct.roofs")
 @setting("reconstruct.footprint_schema")
 @setting("reconstruct.id_field", metavar="COLUMN")
 @setting("reconstruct.height_field", metavar="COLUMN")

@@ -179,20 +179,14 @@ class Reconstruct(Section):
         description="number of rotated views averaged by the network before a fit; without a fit, "
         "model.decoding.num_rotations applies",
     )
-    max_parts: int = Field(
-        32,
-        ge=1,
-        le=64,
-        description="1 = the model of the paper, one eave height per building; otherwise roofs of any shape and, where "
-        "they cannot be seen, at most so many parts per building",
-    )
-    dormers: bool = Field(
-        True,
-        description="fit all that rises out of a roof; false = parts with one roof each, without dormers",
+    roofs: Literal["planes", "parametric"] = Field(
+        "planes",
+        description="planes = roofs of any shape, from the planes that the points show; parametric = the model of the "
+        "paper, one eave height and one angle per edge",
     )
     detail: Literal["low", "normal", "high"] = Field(
         "normal",
-        description="level of detail, set by the penalty of a part, dormer or recess: low = fewer triangles, "
+        description="level of detail, set by the prices of faces and edges: low = fewer triangles, "
         "high = nearer to the points, and chimneys",
     )
     max_wall_shift_m: float = Field(

@@ -70,12 +70,12 @@ def reconstruct(method: str, cases: Sequence[Case], inputs: Inputs) -> list[Reco
 def for_dataset(config: Reconstruct, dataset: str) -> Reconstruct:
     """The settings for a data set.
 
-    Simulated buildings have a single eave height and no dormers. For real buildings the settings of the product are
+    Simulated buildings are parametric. For real buildings the settings of the product are
     used as they are.
     """
     if dataset != SIMULATED:
         return config
-    return config.model_copy(update={"max_parts": 1, "dormers": False})
+    return config.model_copy(update={"roofs": "parametric"})
 
 
 def _masked(cases: Sequence[Case], predictor: MaskedPredictor, config: Reconstruct) -> list[Reconstruction]:

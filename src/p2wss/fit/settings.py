@@ -8,7 +8,7 @@ they are constants to it, a changed default compiles anew.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 # metres: the mean residual that noise of airborne LiDAR leaves, which no better roof lowers
@@ -26,7 +26,7 @@ class Effort(NamedTuple):
     num_points: int = 300
     # starts that are improved after a first round; swept
     num_followed: int = 5
-    # starts from which the classes are searched; 0: from none
+    # starts from which the classes are searched
     num_descents: int = 1
     # rounds of such a search over all edges
     max_rounds: int = 2
@@ -45,8 +45,6 @@ class Limits(NamedTuple):
     separate_slope_gain_m: float = 0.006
     # metres that whole degrees, and gables in place of steep ends, may cost
     rounding_m: float = 0.01
-    # whether eaves at different heights are tried, where there may be several parts
-    uneven_eaves: bool = True
 
 
 class Settings(NamedTuple):
@@ -57,7 +55,7 @@ class Settings(NamedTuple):
 
 
 class Solving(NamedTuple):
-    """The least squares of height and slopes (`roof/solve.py`, `roof/eaves.py`)."""
+    """The least squares of height and slopes (`roof/solve.py`)."""
 
     # metres: smaller residuals have full weight; larger than the mean residual of noise, whose largest are near it
     noise_m: float = 0.05
@@ -120,101 +118,7 @@ class Searching(NamedTuple):
     wall_hits_m: float = 0.04
 
 
-class Eaves(NamedTuple):
-    """Eaves at different heights (`roof/eaves.py`)."""
-
-    # rounds of planes, and of least squares of a start
-    num_rounds: int = 4
-    num_start_rounds: int = 3
-    # metres: a round that gains less is the last one
-    min_gain_m: float = 1e-4
-    # slopes with fewer points, or with points over a narrower strip, keep their eave
-    min_points: int = 8
-    min_extent_m: float = 1.0
-    # metres: no slope begins further outside its wall
-    max_outward_m: float = 3.0
-
-
-class Cuts(NamedTuple):
-    """The choice of a cut through a part (`parts/best_cut.py`)."""
-
-    # points of the part by which cuts are screened
-    num_points: int = 160
-    # cuts that are fitted in full, if the screening shows at most this multiple of the best one's cost
-    num_fitted: int = 2
-    finalist_ratio: float = 1.4
-    # nor are cuts fitted that cost more than this multiple of what they may
-    limit_ratio: float = 1.2
-    # metres: positions so far beside a cut, and corners within this distance, are tried too
-    shifts_m: tuple[float, ...] = (-0.25, -0.12, 0.12, 0.25)
-    nearby_m: float = 0.35
-    # rounds of least squares at such a position
-    num_rounds: int = 2
-    # a cut beside the corners of the footprint has to be better than one through a corner by this ratio
-    off_corner_ratio: float = 1.02
-
-
-EFFORT, SOLVING, SEARCHING, EAVES, CUTS = Effort(), Solving(), Searching(), Eaves(), Cuts()
-# the effort of a quick fit, without a search of classes: of cuts and mergers that are screened
-SCREENING = Effort(num_search_points=40, num_descents=0)
-
-
-@dataclass(frozen=True)
-class Price:
-    """What one more part or box costs: how much it must lower the residuals."""
-
-    # metres in the mean over all points of the building; swept
-    mean_price_m: float
-    # metres in the sum over the points, however few there are; swept
-    min_price_m: float = 1.0
-
-    def price_m(self, num_points: int) -> float:
-        """The price in the sum over the points of a building that has ``num_points``."""
-        return max(self.mean_price_m * num_points, self.min_price_m)
-
-
-@dataclass(frozen=True)
-class Cutting(Price):
-    """Which parts a building may have."""
-
-    mean_price_m: float = 0.014
-    # `reconstruct.max_parts`
-    max_parts: int = 32
-    # each sloped face costs this share of the price of a part; swept
-    slope_share: float = 0.3
-    # cuts are made that gain this share of the price; those that do not pay are merged again; swept
-    over_share: float = 0.7
-    # a cut may lose this share, that of the slopes of a divided gable roof and a little more, if a second one through
-    # one of its sides makes up for it; 0: never; swept
-    loss_share: float = 0.7
-    # a second cut is sought only where better roofs might gain this multiple of the price
-    look_ahead_share: float = 4.0
-    # a merger is fitted in full if a quick fit costs at most this multiple of what it may
-    merger_slack: float = 1.4
-    # points of a part
-    min_points: int = 6
-
-
-@dataclass(frozen=True)
-class Boxes(Price):
-    """Which boxes and recesses a building may have."""
-
-    mean_price_m: float = 0.016
-    max_boxes: int = 8
-    # metres: so far above or below the roof a point has to lie for the search of a box to begin there
-    above_m: float = 0.4
-    # metres: larger residuals count as this
-    cap_m: float = 1.0
-    # points that far from the roof in a box
-    min_points: int = 5
-    min_width_m: float = 0.8
-    min_area_m2: float = 1.0
-    max_area_m2: float = 400.0
-    # of the footprint's area
-    max_share: float = 0.8
-    recesses: bool = True
-    # the roof is fitted once more without the points of boxes that gain at least this share of their price
-    loose_share: float = 0.5
+EFFORT, SOLVING, SEARCHING = Effort(), Solving(), Searching()
 
 
 @dataclass(frozen=True)
@@ -256,6 +160,16 @@ class Detection(NamedTuple):
     # a plane has this area of points, and this many
     min_area_m2: float = 1.0
     min_points: int = 8
+    # per square metre: fewer points are sparse, and the surface around one of them shows nothing
+    sparse_per_m2: float = 2.0
+    num_sparse_neighbours: int = 8
+    min_sparse_points: int = 3
+    # points from which planes through sparse points are sought, and at most so many times all points
+    num_seeds: int = 120
+    max_seed_points: int = 40000
+    # metres in plan between two points that show a slope, and the tangent of the steepest
+    min_run_m: float = 0.5
+    max_slope: float = 2.2
     # metres: noise of a point; smaller residuals have full weight
     noise_m: float = NOISE_M
     # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further
@@ -270,6 +184,8 @@ class Drawing(NamedTuple):
     near_m: float = 1.5
     # metres: lines extend beyond the border that they are found by
     reach_m: float = 2.0
+    # multiples of the distance between points: at least so long are the two above
+    num_gaps: float = 3.0
     # metres: a step so near to an edge of the footprint, or to another step, is on it
     snap_m: float = 0.35
     # degrees: directions that differ less are the same
@@ -279,14 +195,19 @@ class Drawing(NamedTuple):
     # directions of the footprint in which steps are sought, the longest first
     num_directions: int = 4
 
+    def for_density(self, per_m2: float) -> Drawing:
+        """The settings where sparse points show the borders of planes from further away."""
+        least_m = self.num_gaps * per_m2**-0.5
+        return self._replace(near_m=max(self.near_m, least_m), reach_m=max(self.reach_m, least_m))
+
 
 class PlanePrices(NamedTuple):
     """What a roof of planes pays (`planes/labelling.py`), in cubic metres between the roof and its points."""
 
-    # for each face
-    face_m3: float = 0.3
-    # for each metre of an edge: a step above the limit below
-    edge_m2: float = 0.08
+    # for each face; swept
+    face_m3: float = 0.15
+    # for each metre of an edge: a step above the limit below; swept
+    edge_m2: float = 0.2
     # shares of it: where two planes meet, where they are nearly the same plane, and a small step
     meet_share: float = 0.5
     shallow_share: float = 1.0
@@ -298,6 +219,8 @@ class PlanePrices(NamedTuple):
     shallow: float = 0.09
     # metres: larger residuals count as this
     cap_m: float = 1.0
+    # metres by which a roof may rise above its points, or fall below all of them
+    support_m: float = 0.5
     # metres a roof is expected to be off per metre beyond its points, after the first metre, and at most
     beyond_share: float = 0.02
     max_beyond_m: float = 0.1
@@ -323,32 +246,18 @@ class Thresholds:
 
     effort: Effort = field(default_factory=Effort)
     limits: Limits = field(default_factory=Limits)
-    cutting: Cutting = field(default_factory=Cutting)
-    boxes: Boxes = field(default_factory=Boxes)
     chimneys: Chimneys = field(default_factory=Chimneys)
-    # None: buildings are always parts and boxes
-    planes: Planes | None = field(default_factory=Planes)
-    # metres: the parametric roof is taken if the points are on average no further from it than from planes and this
-    as_near_m: float = 0.005
+    planes: Planes = field(default_factory=Planes)
+    # points on a roof: with fewer, the parametric model knows more than planes in them show
+    min_plane_points: int = 10
     # metres: shorter edges of the mesh are removed if the points do not need them
     short_edge_m: float = 0.2
+    # cubic metres between roof and points that two of them may cost
+    short_edge_price_m3: float = 0.84
     # whether the planes of the mesh are adjusted to the points
     adjust: bool = True
-    # multiples of the prices of parts and boxes, by `reconstruct.detail`
+    # multiples of the prices of planes, by `reconstruct.detail`
     detail: dict[str, float] = field(default_factory=lambda: {"low": 2.0, "normal": 1.0, "high": 0.5})
-    # square metres: in a larger building a part has to explain no more volume between roof and points than in this
-    full_price_m2: float = 60.0
-
-    def of_building(self, area_m2: float, detail: str) -> Thresholds:
-        """The thresholds of a building with its prices."""
-        factor = self.detail[detail] / max(1.0, area_m2 / self.full_price_m2)
-        cutting, boxes = self.cutting, self.boxes
-        return replace(
-            self,
-            cutting=replace(cutting, mean_price_m=factor * cutting.mean_price_m),
-            boxes=replace(boxes, mean_price_m=factor * boxes.mean_price_m),
-            planes=self.planes and self.planes.times(self.detail[detail]),
-        )
 
 
 THRESHOLDS = Thresholds()

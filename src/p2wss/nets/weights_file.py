@@ -16,12 +16,15 @@ NO_NETWORK = "none"
 
 
 def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
-    """The file of weights: ``model``, or by default the one that came with the package, if there is one. None for no
-    network, as with the ``model`` "none".
+    """The file of weights: ``model``; by default none for roofs of planes, which a network brings no nearer to their
+    points, and for parametric buildings the one that came with the package, if there is one. None for no network, as
+    with the ``model`` "none".
 
     Raises :class:`InputError` if there is neither a network nor a fit.
     """
-    weights = shipped_model() if model is None else model
+    weights = model
+    if model is None and (config.roofs == "parametric" or not config.fit):
+        weights = shipped_model()
     if weights is not None and str(weights) == NO_NETWORK:
         weights = None
     if weights is None and not config.fit:

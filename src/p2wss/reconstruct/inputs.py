@@ -93,8 +93,8 @@ def check_inputs(
     """The inputs of a run, cheap checks first.
 
     crs: of clouds that do not state theirs. terrain: a raster of heights. model: weights of the network, "none" for
-    none; by default the weights that come with the package. may_be_empty: whether clouds and footprints
-    may be without content, as in a tile.
+    none; by default those that :func:`p2wss.nets.weights_file.weights_to_use` chooses. may_be_empty: whether clouds and
+    footprints may be without content, as in a tile.
 
     Raises :class:`InputError`, in one line, for an input that cannot work; logs a note for what is assumed.
     """

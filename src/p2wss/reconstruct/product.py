@@ -34,8 +34,8 @@ def reconstruct_buildings(
     if initial is None or config.fit:
         starts = [None] * len(buildings) if initial is None else initial
 
-        def simpler(row: int, invalid: Reconstruction) -> Iterator[Reconstruction]:
-            return simpler_fits(buildings[row], invalid, starts[row], method, config)
+        def simpler(row: int) -> Iterator[Reconstruction]:
+            return simpler_fits(buildings[row], starts[row], method, config)
 
         fits = fitting.fit(buildings, config, initial, method)
         reconstructions = with_valid_solids(fits, buildings, simpler)

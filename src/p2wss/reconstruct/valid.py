@@ -14,14 +14,14 @@ from p2wss.fit.mesh.walls import REACH_M, with_exact_walls
 from p2wss.mesh import Mesh
 from p2wss.mesh.repair import repaired
 
-# (row, invalid reconstruction): simpler ones, the best first
-Simpler = Callable[[int, Reconstruction], Iterable[Reconstruction]]
+# of a row: simpler reconstructions, the best first
+Simpler = Callable[[int], Iterable[Reconstruction]]
 
 
 def with_valid_solids(
     reconstructions: Sequence[Reconstruction],
     buildings: Sequence[Building],
-    simpler: Simpler = lambda row, invalid: (),
+    simpler: Simpler = lambda row: (),
 ) -> list[Reconstruction]:
     """The reconstructions, all of whose meshes are valid solids once they are stored in a file, with outer walls on the
     edges of the footprints (:mod:`p2wss.fit.mesh.walls`).
@@ -35,7 +35,7 @@ def with_valid_solids(
             continue
         valid = _on_footprint(reconstruction)
         if valid is None:
-            candidates = (_on_footprint(each) for each in simpler(row, reconstruction))
+            candidates = (_on_footprint(each) for each in simpler(row))
             valid = next(filter(None, candidates), None)
         result[row] = valid or no_mesh(buildings[row], reconstruction.method, reasons.INVALID_SOLID)
     return result
@@ -55,18 +55,14 @@ def _on_footprint(reconstruction: Reconstruction) -> Reconstruction | None:
 
 def simpler_fits(
     building: Building,
-    invalid: Reconstruction,
     initial: Reconstruction | None,
     method: str,
     config: Reconstruct,
 ) -> Iterator[Reconstruction]:
-    """Fits with fewer details than an invalid one: without dormers, then with fewer and fewer parts."""
-    max_parts = config.max_parts if config.dormers else invalid.num_parts - 1
-    while max_parts:
-        simple = config.model_copy(update={"dormers": False, "max_parts": max_parts})
-        (fitted,) = fitting.fit([building], simple, [initial], method)
+    """Fits with fewer details than an invalid one: with fewer faces, then the parametric building."""
+    for simpler in ({"detail": "low"}, {"roofs": "parametric"}):
+        (fitted,) = fitting.fit([building], config.model_copy(update=simpler), [initial], method)
         yield fitted
-        max_parts = min(max_parts, fitted.num_parts) - 1
 
 
 def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:

@@ -10,7 +10,6 @@ import hashlib
 import platform
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,7 +66,7 @@ def marker(with_scans: bool) -> Path | None:
 
 def warm_fit() -> None:
     """The functions of the fit that others call by address: the larger half."""
-    from p2wss.fit.linkage import linked_work
+    from p2wss.fit.roof.linkage import linked_work
 
     linked_work(1, 1)
 
@@ -93,7 +92,7 @@ def warm_network_input() -> None:
 
 
 def warm_product() -> None:
-    """Everything else: parts, boxes, the fit from a network's values, terrain."""
+    """Everything else: roofs of planes, the fit from a network's values, terrain."""
     import pyproj
     import shapely
 
@@ -101,25 +100,21 @@ def warm_product() -> None:
     from p2wss.data.building import Building
     from p2wss.data.terrain import Terrain
     from p2wss.fit import fitting
-    from p2wss.fit.parts.merging import merged_rings
-    from p2wss.fit.settings import THRESHOLDS
     from p2wss.mesh.surface import topmost
     from p2wss.reconstruct import exports
     from p2wss.reconstruct.pipeline import run
 
     frame, cloud = sample()
-    config = Reconstruct(dormers=True)
+    config = Reconstruct(detail="high")
     results = run(frame, cloud, None, "sample", config)
     run(frame, cloud, _Network(), "sample", config)
-    # only a building with few points is fitted by parts and boxes
+    # only a building of which there are few points, or of the model of the paper
     house, within = frame.geometry[1], shapely.contains_xy(frame.geometry[1], cloud.x_m, cloud.y_m)
     ring = shapely.get_coordinates(house)[:-1]
     point_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[within]
-    building = Building("b", "sample", (0.0, 0.0), [ring], point_m, cloud.classification[within], 0.0)
-    fitting.fit([building], config, thresholds=replace(THRESHOLDS, planes=None))
-    # only a building that is cut into three parts or more needs this one
-    square = np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])
-    merged_rings([square], [square + np.array([8.0, 0.0])])
+    for few in (point_m[::60], point_m[::8]):
+        building = Building("b", "sample", (0.0, 0.0), [ring], few, np.full(len(few), 6, np.uint8), 0.0)
+        fitting.fit([building], config)
     # only one with a short edge
     topmost(np.zeros((1, 3, 3)), np.zeros((1, 3)))
     terrain = Terrain(np.random.default_rng(0).uniform(0, 1, (160, 240)).astype(np.float32), -60.0, 90.0, 1.0)

@@ -84,7 +84,7 @@ def test_options_stand_anywhere_among_the_paths(place: Path) -> None:
     [
         (["reconstruct", "a", "b", "c", "--terain", "d"], "No such option '--terain'. (Did you mean"),
         (["reconstruct", "a", "b", "c", "--detail", "lo"], "Invalid value for '--detail': 'lo' is not one of"),
-        (["reconstruct", "a", "b", "c", "--max-parts", "0"], "reconstruct.max_parts: Input should be greater"),
+        (["reconstruct", "a", "b", "c", "--frequency-ghz", "-1"], "reconstruct.frequency_ghz: Input should be greater"),
         (["reconstruct", "a", "b", "c", "--threads", "0"], "Invalid value for '--threads': 0 is not in the range"),
         (["reconstrct"], "No such command 'reconstrct'. Did you mean 'reconstruct'?"),
         (["crops", "reel"], "No such command 'reel'. Did you mean 'real'?"),
@@ -101,12 +101,12 @@ def test_a_wrong_argument_is_one_line(
 
 
 def test_later_configs_win_and_options_over_them(tmp_path: Path) -> None:
-    first, second = tmp_path / "a.yaml", '{"reconstruct": {"max_parts": 3, "detail": "low"}}'
-    first.write_text("reconstruct: {max_parts: 2, fit: false}")
+    first, second = tmp_path / "a.yaml", '{"reconstruct": {"num_views": 3, "detail": "low"}}'
+    first.write_text("reconstruct: {num_views: 2, fit: false}")
     words = ["a", "b", "c", "--config", str(first), "--config", second, "--detail", "high", "--no-skin"]
     reconstruct = cli.program.get_command(click.Context(cli.program), "reconstruct")
     config = reconstruct.make_context("reconstruct", words).params["config"].reconstruct
-    assert (config.max_parts, config.fit, config.detail, config.skin) == (3, False, "high", False)
+    assert (config.num_views, config.fit, config.detail, config.skin) == (3, False, "high", False)
 
 
 @pytest.mark.parametrize("words", [[], ["-h"], ["eval"], ["fetch"], ["crops", "manifest", "--help"]])

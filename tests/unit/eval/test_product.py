@@ -76,7 +76,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_report_measures_the_product(
     method: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = {"reconstruct": {"num_views": 2, "dormers": True}, "crops": {"min_points": 10}}
+    config = {"reconstruct": {"num_views": 2}, "crops": {"min_points": 10}}
     oracles: list[Oracle] = []
     monkeypatch.setattr(predictor, "load_predictor", lambda *_: oracles.append(Oracle()) or oracles[-1])
     facts = {"version": "1", "code": "0", "config": {}, "dvae_config": {}}

@@ -63,11 +63,11 @@ def test_each_variant_does_what_its_name_says(hamlet_cases: list[cases.Case], re
         assert (network.eave_height_m or 0) - case.eave_height_m == pytest.approx(0.4, abs=1e-5)
 
 
-def test_only_real_buildings_may_have_parts_and_dormers() -> None:
+def test_only_real_buildings_are_of_planes() -> None:
     real = methods.for_dataset(RECONSTRUCT, REAL)
     simulated = methods.for_dataset(RECONSTRUCT, SIMULATED)
-    assert real == RECONSTRUCT and real.max_parts > 1
-    assert simulated == RECONSTRUCT.model_copy(update={"max_parts": 1, "dormers": False})
+    assert real == RECONSTRUCT and real.roofs == "planes"
+    assert simulated == RECONSTRUCT.model_copy(update={"roofs": "parametric"})
 
 
 def test_seen_edges_are_those_with_points_over_a_sloped_face(hamlet_cases: list[cases.Case]) -> None:

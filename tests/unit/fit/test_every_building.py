@@ -145,7 +145,7 @@ def test_a_mesh_or_a_reason(scene: Scene, predictor: Oracle | None) -> None:
 
 
 def test_visible_share_is_the_share_of_cells_with_a_point(scene: Scene) -> None:
-    results = scene.results(None, Reconstruct(max_parts=1))
+    results = scene.results(None, Reconstruct(roofs="parametric"))
     # 140 cells and 400 points: e^-2.9 of the cells have none
     assert results["good"].visible_share == pytest.approx(0.94, abs=0.05)
     assert results["half seen"].visible_share == pytest.approx(0.5, abs=0.03)
@@ -161,7 +161,7 @@ def test_a_building_that_one_roof_cannot_describe_is_flagged() -> None:
     roof = scene.points[-2]
     high = roof[:, 0] > roof[:, 0].mean()
     roof[:, 2] = np.where(high, ROOF_M + 9, ROOF_M)
-    single = scene.results(None, Reconstruct(max_parts=1, dormers=False))
+    single = scene.results(None, Reconstruct(roofs="parametric"))
     assert single["tower"].not_representable and single["tower"].residual_m > 1
     assert not single["good"].not_representable
     assert "1 of them not representable" in summary(list(single.values()))
@@ -173,7 +173,7 @@ def test_a_building_that_one_roof_cannot_describe_is_flagged() -> None:
 
 
 def test_batches_and_progress_change_nothing(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    config = Reconstruct(max_parts=1)
+    config = Reconstruct(roofs="parametric")
     whole = scene.results(Oracle(), config)
     monkeypatch.setattr(pipeline, "_BATCH", 4)
     parts = scene.results(Oracle(), config)

@@ -10,8 +10,6 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.fit.mesh.parametric import build_meshes
-from p2wss.fit.roof.fitter import FittedRoof
-from p2wss.fit.settings import THRESHOLDS
 from p2wss.reconstruct.flat import with_fallback
 from p2wss.skeleton import Polygons
 from p2wss.skeleton import roof_points as roof
@@ -21,7 +19,6 @@ ANNEX = np.array([[9, 0], [13, 0], [13, 8], [9, 8.0]])
 BOTH = np.array([[0, 0], [13, 0], [13, 8], [0, 8.0]])
 GABLE = np.array([40, 90, 40, 90.0])
 CONFIG = Reconstruct()
-PARTS = replace(THRESHOLDS, planes=None)
 
 
 def on_roof(ring: np.ndarray, angle_deg: np.ndarray, eave_m: float, num_points: int, seed: int) -> np.ndarray:
@@ -56,70 +53,45 @@ def network(case: Building, angle_deg: np.ndarray, eave_height_m: float) -> Reco
     return reconstruction
 
 
-def two_parts(loss_m: float) -> list[FittedRoof]:
-    return [
-        FittedRoof([HOUSE], GABLE, 6.0, loss_m, 200),
-        FittedRoof([ANNEX], np.zeros(4), 3.0, loss_m, 100),
-    ]
-
-
-@pytest.mark.parametrize(("loss_m", "num_parts"), [(0.25, 2), (0.456, 1), (0.6, 1)])
-def test_parts_are_kept_only_if_they_gain_more_than_they_cost(monkeypatch, loss_m, num_parts):
-    """The network's roof is 0.6 m too high, so its loss 0.46 m: the parts have to gain more than 0.006 m."""
-    case = one_gable()
-    start = network(case, GABLE, 6.6)
-    monkeypatch.setattr(fitting, "fit_parts", lambda *_: two_parts(loss_m))
-    (reconstruction,) = fitting.fit([case], CONFIG, [start], thresholds=PARTS)
-    assert reconstruction.num_parts == num_parts
-    if num_parts == 1:
-        assert reconstruction.eave_height_m == pytest.approx(6.6)
-
-
-def test_the_height_of_the_ground_does_not_decide_whether_a_step_stays() -> None:
-    """The case lies at 100 m. A step of 0.15 m is a short edge, which the points pay for."""
+@pytest.mark.parametrize(("drop_m", "num_parts"), [(0.02, 1), (0.4, 2)])
+def test_the_height_of_the_ground_does_not_decide_whether_a_step_stays(drop_m, num_parts) -> None:
+    """The case lies at 100 m. A step of a few centimetres is noise."""
     house = on_roof(HOUSE, np.zeros(4), 6.0, 400, 0)
-    annex = on_roof(ANNEX, np.zeros(4), 5.85, 200, 1)
+    annex = on_roof(ANNEX, np.zeros(4), 6.0 - drop_m, 200, 1)
     case = building(np.vstack([house, annex]))
-    (reconstruction,) = fitting.fit([case], CONFIG, thresholds=PARTS)
-    assert reconstruction.num_parts == 2
+    (reconstruction,) = fitting.fit([case], CONFIG)
+    assert reconstruction.num_parts == num_parts
     top_m = np.unique(reconstruction.mesh.vertex_m[reconstruction.mesh.vertex_m[:, 2] > 1, 2].round(2))
-    assert top_m == pytest.approx([5.85, 6.0], abs=0.02)
+    assert top_m == pytest.approx([6.0 - drop_m, 6.0][2 - num_parts :], abs=0.02)
 
 
-@pytest.mark.parametrize(("residual_m", "num_searches", "num_parts"), [(0.04, 1, 1), (0.2, 2, 2)])
-def test_a_building_far_from_the_network_is_also_searched_without_it(
-    monkeypatch, residual_m, num_searches, num_parts
-):
-    """The network's roof is 0.46 m off. A search from it ends in one part, a search without it in two, 0.01 m off."""
-    num_guesses = []
+def test_few_points_and_the_model_of_the_paper_give_parametric_buildings():
+    case = house_and_annex()
+    (planes,) = fitting.fit([case], CONFIG)
+    assert planes.num_parts == 2
+    few = replace(case, point_m=case.point_m[::70], classification=case.classification[::70])
+    any_number = CONFIG.model_copy(update={"min_num_points": 3})
+    parametric = CONFIG.model_copy(update={"roofs": "parametric"})
+    for chosen, config in ((few, any_number), (case, parametric)):
+        (reconstruction,) = fitting.fit([chosen], config)
+        assert reconstruction.num_parts == 1 and reconstruction.mesh.is_closed
+        kernel_m = network(chosen, reconstruction.angle_deg, reconstruction.eave_height_m).mesh.vertex_m
+        np.testing.assert_allclose(np.sort(reconstruction.mesh.vertex_m[:, 2]), np.sort(kernel_m[:, 2]))
 
-    def fit_parts(fitter, rings, point_m, effort, cutting, guesses, prior):
-        num_guesses.append(len(guesses))
-        return two_parts(0.01) if not guesses else [FittedRoof(rings, GABLE, 6.0, residual_m, 300)]
 
-    monkeypatch.setattr(fitting, "fit_parts", fit_parts)
-    case = one_gable()
-    config = CONFIG.model_copy(update={"dormers": False})  # boxes have searches of their own
-    (reconstruction,) = fitting.fit([case], config, [network(case, GABLE, 6.6)])
-    assert num_guesses == [1, 0][:num_searches] and reconstruction.num_parts == num_parts
+def test_without_a_closed_solid_of_planes_the_building_is_parametric(monkeypatch):
+    case = house_and_annex()
+    monkeypatch.setattr("p2wss.fit.planes.fit.solid_below", lambda *_: None)
+    (reconstruction,) = fitting.fit([case], CONFIG)
+    assert reconstruction.has_mesh and reconstruction.num_parts == 1 and reconstruction.mesh.is_closed
 
 
 def test_a_network_that_is_right_is_not_made_worse():
     case = one_gable()
-    start = network(case, GABLE, 6.0)
-    (reconstruction,) = fitting.fit([case], CONFIG, [start])
-    assert reconstruction.num_parts == 1 and reconstruction.angle_deg.tolist() == GABLE.tolist()
+    config = CONFIG.model_copy(update={"roofs": "parametric"})
+    (reconstruction,) = fitting.fit([case], config, [network(case, GABLE, 6.0)])
+    assert reconstruction.angle_deg.tolist() == GABLE.tolist()
     assert reconstruction.eave_height_m == pytest.approx(6.0, abs=0.03)
-
-
-def test_without_a_closed_union_there_are_fewer_parts(monkeypatch):
-    case = house_and_annex()
-    (parts,) = fitting.fit([case], CONFIG, thresholds=PARTS)
-    assert parts.num_parts == 2
-    monkeypatch.setattr(fitting, "union", lambda *_: None)
-    (reconstruction,) = fitting.fit([case], CONFIG, thresholds=PARTS)
-    assert reconstruction.has_mesh and reconstruction.num_parts == 1
-    assert reconstruction.mesh.is_closed
 
 
 def test_a_building_is_the_same_whatever_is_fitted_beside_it():
@@ -150,14 +122,13 @@ def test_every_number_of_points_gives_a_closed_solid(num_points, has_network):
     assert ground.area == pytest.approx(13 * 8, rel=1e-3)
 
 
-def test_detail_is_the_price_of_a_part():
-    """An annex of a tenth of the points, 12 cm lower, gains 1.2 cm: enough in detail, too little without."""
-    noise_m = 0.04 * np.random.default_rng(1).standard_normal(900)
+def test_detail_is_the_price_of_a_face():
+    """A strip of 1.3 m that is 25 cm lower: enough in detail, too little without."""
+    noise_m = 0.02 * np.random.default_rng(1).standard_normal(900)
     xy_m = np.random.default_rng(2).uniform((0, 0), (13, 8), (900, 2))
-    case = building(np.column_stack([xy_m, 6.0 + noise_m - 0.12 * (xy_m[:, 0] > 11.7)]))
+    case = building(np.column_stack([xy_m, 6.0 + noise_m - 0.25 * (xy_m[:, 0] > 11.7)]))
     num_parts = []
     for detail in ("low", "high"):
-        config = CONFIG.model_copy(update={"dormers": False, "detail": detail})
-        (reconstruction,) = fitting.fit([case], config)
+        (reconstruction,) = fitting.fit([case], CONFIG.model_copy(update={"detail": detail}))
         num_parts.append(reconstruction.num_parts)
     assert num_parts == [1, 2]

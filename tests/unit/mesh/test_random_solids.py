@@ -1,4 +1,4 @@
-"""What the product writes is valid by independent tests, on random outlines with one roof, parts and boxes."""
+"""What the product writes is valid by independent tests, on random outlines below one roof and below planes."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def test_roofs(outlines: list[random_solids.Rings], regime: str) -> None:
         assert after.has_mesh and after.status == reasons.OK and codes == []
 
 
-@pytest.mark.parametrize("kind", ["parts", "boxes", "hard"])
-def test_unions(outlines: list[random_solids.Rings], kind: str) -> None:
-    num_boxes = 0 if kind == "parts" else 3
+@pytest.mark.parametrize("is_hard", [False, True])
+def test_planes(outlines: list[random_solids.Rings], is_hard: bool) -> None:
     solids = [
-        random_solids.with_parts(f"{kind} {i}", rings, i, num_boxes, kind == "hard")
+        random_solids.with_planes(f"planes {i}", rings, i, 1 + i % 6, is_hard)
         for i, rings in enumerate(outlines)
     ]
     found = Counter(building is not None and building.num_parts > 1 for building in solids)
-    assert found[True] >= 0.6 * NUM
+    # cells of one plane that touch at a corner only have no closed solid
+    assert found[True] >= 0.5 * NUM
     for _, after, codes in random_solids.validated([building for building in solids if building is not None]):
         assert after.has_mesh and codes == []
 

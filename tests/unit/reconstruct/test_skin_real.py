@@ -30,7 +30,7 @@ def results() -> list[Result]:
     features = footprints.read_footprints(DELFT / "footprints.gpkg", needs_crs=False)
     frame = footprints.clean_footprints(features, footprint_settings(Config()))
     cloud = clouds.read_clouds([DELFT / "ahn3.laz"], window(frame))
-    return run(frame, cloud, None, "delft", Reconstruct(dormers=False))
+    return run(frame, cloud, None, "delft", Reconstruct())
 
 
 def test_rows_of_delft(results: list[Result]) -> None:

@@ -67,9 +67,8 @@ def test_the_first_valid_simpler_one_takes_the_place() -> None:
     assert {breach.code for breach in surfaces_to_write(bad.placed_mesh)[1]} == {306}
     rows = []
 
-    def simpler(row: int, invalid: Reconstruction) -> list[Reconstruction]:
+    def simpler(row: int) -> list[Reconstruction]:
         rows.append(row)
-        assert invalid is bad
         return [replace(good, mesh=None), worse, good]
 
     first, second = with_valid_solids([good, bad], [building()] * 2, simpler)
@@ -81,20 +80,18 @@ def test_without_a_simpler_one_there_is_no_mesh() -> None:
     assert not after.has_mesh and after.status == reasons.INVALID_SOLID
 
 
-def test_simpler_fits_have_no_dormers_then_fewer_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_simpler_fits_have_fewer_faces_then_the_parameters_of_the_paper(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked = []
 
     def fit(buildings: Any, config: Reconstruct, *_: Any) -> list[Reconstruction]:
-        asked.append((config.dormers, config.max_parts))
-        return [pyramid(8, min(config.max_parts, 3))]
+        asked.append((config.detail, config.roofs))
+        return [pyramid(8)]
 
     monkeypatch.setattr(fitting, "fit", fit)
-    plain, with_dormers = Reconstruct(dormers=False), Reconstruct(dormers=True)
-    list(simpler_fits(building(), pyramid(8, 3), None, "fit", plain))
-    assert asked == [(False, 2), (False, 1)]
-    asked.clear()
-    list(simpler_fits(building(), pyramid(8, 2), None, "fit", with_dormers))
-    assert asked == [(False, with_dormers.max_parts), (False, 2), (False, 1)]
+    list(simpler_fits(building(), None, "fit", Reconstruct()))
+    assert asked == [("low", "planes"), ("normal", "parametric")]
 
 
 def test_the_product_falls_back_to_a_flat_roof_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:

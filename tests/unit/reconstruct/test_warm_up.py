@@ -37,12 +37,12 @@ def test_everything_that_is_called_from_python_gets_compiled() -> None:
     assert missing <= NOT_CALLED
 
 
-def test_the_sample_has_parts_a_dormer_and_a_courtyard() -> None:
+def test_the_sample_has_a_step_a_dormer_and_a_courtyard() -> None:
     frame, cloud = warm_up.sample()
-    with_boxes, without = (
-        [result.reconstruction for result in run(frame, cloud, None, "sample", Reconstruct(dormers=dormers))]
-        for dormers in (True, False)
+    any_shape, parametric = (
+        [result.reconstruction for result in run(frame, cloud, None, "sample", Reconstruct(roofs=roofs))]
+        for roofs in ("planes", "parametric")
     )
-    assert [reconstruction.num_parts for reconstruction in without] == [2, 1, 1]
-    assert len(with_boxes[1].mesh.triangle) > len(without[1].mesh.triangle)
-    assert len(without[2].rings) == 2 and np.isfinite(without[2].mesh.vertex_m).all()
+    assert any_shape[0].num_parts == 2
+    assert len(any_shape[1].mesh.triangle) > len(parametric[1].mesh.triangle)
+    assert len(any_shape[2].rings) == 2 and np.isfinite(any_shape[2].mesh.vertex_m).all()

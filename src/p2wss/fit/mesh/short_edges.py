@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from p2wss.fit.mesh.adjustment import CAP_M, is_free, turned_over
-from p2wss.fit.mesh.union import is_sound, simplified
+from p2wss.fit.mesh.simplification import is_sound, simplified
 from p2wss.mesh import Mesh
 from p2wss.mesh.mesh import Planes
 from p2wss.mesh.surface import topmost

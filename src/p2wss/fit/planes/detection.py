@@ -5,6 +5,7 @@ A plane is (a, b, c): its height is ``a x + b y + c``, in the frame of the point
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,23 +46,34 @@ def fitted(point_m: np.ndarray, noise_m: float) -> np.ndarray:
     return np.asarray(_fit(np.ascontiguousarray(point_m), np.arange(len(point_m)), len(point_m), noise_m))
 
 
-def detect(point_m: np.ndarray, density: float, settings: Detection) -> RoofPlanes:
-    """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre.
+def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
+    """The planes that the points (m, 3) of a roof show, ``density`` of them per square metre. along: directions of the
+    footprint, radians.
 
-    Planes grow from the places where the points are most even. Points go to the best of the planes around them, and
-    two planes become one where a single plane is hardly further from the points.
+    Planes grow from the places where the points are most even. Where points are so few that the surface around one of
+    them shows nothing, the largest plane that rises along a direction of the footprint is taken, again and again.
+    Points then go to the best of the planes around them, and two planes become one where a single plane is hardly
+    further from the points.
     """
-    count = min(settings.num_neighbours, len(point_m))
+    is_sparse = density < settings.sparse_per_m2
+    count = min(settings.num_sparse_neighbours if is_sparse else settings.num_neighbours, len(point_m))
+    min_points = max(
+        settings.min_sparse_points if is_sparse else settings.min_points, int(settings.min_area_m2 * density)
+    )
     point_m = np.ascontiguousarray(point_m, float)
     _, neighbour = cKDTree(point_m).query(point_m, count)
     neighbour = neighbour.reshape(len(point_m), count)
-    around = point_m[neighbour] - point_m[neighbour].mean(axis=1, keepdims=True)
-    spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / count)
-    normal = np.ascontiguousarray(axes[:, :, 0] * np.where(axes[:, 2:, 0] < 0, -1, 1))
-    rough_m = np.sqrt(np.maximum(spread[:, 0], 0))
-    min_points = max(settings.min_points, int(settings.min_area_m2 * density))
-    order = np.argsort(rough_m, kind="stable")
-    plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
+    if is_sparse:
+        bearing = np.concatenate([along, np.add(along, np.pi / 2)])
+        axis = np.column_stack([np.cos(bearing), np.sin(bearing)])
+        plane, label = _largest(point_m, neighbour, axis, min_points, settings)
+    else:
+        around = point_m[neighbour] - point_m[neighbour].mean(axis=1, keepdims=True)
+        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / count)
+        normal = np.ascontiguousarray(axes[:, :, 0] * np.where(axes[:, 2:, 0] < 0, -1, 1))
+        rough_m = np.sqrt(np.maximum(spread[:, 0], 0))
+        order = np.argsort(rough_m, kind="stable")
+        plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
     for _ in range(_NUM_ROUNDS):
         if not len(plane):
             break
@@ -146,6 +158,55 @@ def _grown(point_m, neighbour, normal, rough_m, order, min_points, settings):
             plane[num_planes] = _fit(point_m, rows, near, settings.noise_m)
             num_planes += 1
     return plane[:num_planes].copy(), label
+
+
+@entry
+def _largest(point_m, neighbour, axis, min_points, settings):
+    """(planes (k, 3), label (m,)): of the planes through a point that are level, or that rise along an ``axis`` (a, 2)
+    to a neighbour, the one nearest to most connected points, and so on with the points that are left."""
+    num, num_near = neighbour.shape
+    label, seen = np.full(num, -1), np.full(num, -1)
+    plane, num_planes = np.empty((num // min_points + 1, 3)), 0
+    rows, best_rows = np.empty(num, np.int64), np.empty(num, np.int64)
+    trial, num_trials = np.zeros(3), 0
+    while True:
+        free = np.flatnonzero(label < 0)
+        num_seeds = max(1, min(settings.num_seeds, settings.max_seed_points // num))
+        best_score, best_count = 0.0, 0
+        for seed in free[:: len(free) // num_seeds + 1]:
+            for t in range(num_near * len(axis)):
+                other, along = neighbour[seed, t // len(axis)], axis[t % len(axis)]
+                slope = 0.0
+                if other != seed:
+                    x, y = point_m[other, 0] - point_m[seed, 0], point_m[other, 1] - point_m[seed, 1]
+                    run_m = along[0] * x + along[1] * y
+                    rise_m = point_m[other, 2] - point_m[seed, 2]
+                    if abs(run_m) < settings.min_run_m or abs(rise_m) > settings.max_slope * abs(run_m):
+                        continue
+                    slope = rise_m / run_m
+                elif t % len(axis) > 0:
+                    continue
+                trial[0], trial[1] = slope * along[0], slope * along[1]
+                trial[2] = point_m[seed, 2] - trial[0] * point_m[seed, 0] - trial[1] * point_m[seed, 1]
+                num_trials += 1
+                rows[0], count, seen[seed], reached, score = seed, 1, num_trials, 0, 0.0
+                while reached < count:
+                    row, reached = rows[reached], reached + 1
+                    score += 1.0 - (_distance(trial, point_m[row]) / settings.distance_m) ** 2
+                    for near in neighbour[row]:
+                        if seen[near] == num_trials or label[near] >= 0:
+                            continue
+                        if _distance(trial, point_m[near]) < settings.distance_m:
+                            seen[near], rows[count], count = num_trials, near, count + 1
+                if score > best_score and count >= min_points:
+                    best_score, best_count = score, count
+                    best_rows[:count] = rows[:count]
+        if best_count == 0:
+            return plane[:num_planes].copy(), label
+        for t in range(best_count):
+            label[best_rows[t]] = num_planes
+        plane[num_planes] = _fit(point_m, best_rows, best_count, settings.noise_m)
+        num_planes += 1
 
 
 def _reassigned(

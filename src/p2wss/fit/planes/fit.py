@@ -19,6 +19,8 @@ from p2wss.fit.points import even_order
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 
+# directions of a footprint along which few points show planes
+_NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
 _INSIDE_M, _LEVEL = 0.1, 0.02
 # metres: a lower roof may be open ground
@@ -73,16 +75,15 @@ class PlanesFit:
 
 def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Planes) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane."""
-    if len(point_m) < settings.detection.min_points:
-        return None
     point_m = point_m[even_order(point_m)]
     density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
-    found = detect(point_m, density, settings.detection)
+    along = directions(rings, settings.drawing.same_deg)
+    found = detect(point_m, density, along[:_NUM_DIRECTIONS], settings.detection)
     if not len(found.plane):
         return None
-    along = directions(rings, settings.drawing.same_deg)
     plane = regular(found, point_m, along, settings.detection)
-    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, settings.drawing))
+    drawing = settings.drawing.for_density(density)
+    cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
     cell = cells.cells_at(point_m[:, :2])
     costs = costs_of(cells, plane, found.label, point_m, cell, density, settings.prices)
     label = least_cost(costs)

@@ -19,6 +19,8 @@ from p2wss.skeleton.compiled import entry, inner
 from p2wss.skeleton.groups import groups
 
 _MAX_ROUNDS = 4
+# metres above the ground: no roof is lower, at a price beyond all others
+_LOWEST_M, _NO_ROOF_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
 # how a cell was reached: not at all, or as the start of a path; otherwise by a side
 _NOT_REACHED, _START = -2, -1
@@ -86,13 +88,18 @@ def costs_of(
     off_m = np.minimum(np.abs(heights(plane, point_m[:, :2]) - point_m[:, 2:]), prices.cap_m)
     cell_m3 = np.zeros((len(cells.area_m2), num_planes))
     np.add.at(cell_m3, of_cell[of_cell >= 0], off_m[of_cell >= 0] / density)
+    low_z, high_z = cells.extremes(plane)
+    steep = np.hypot(plane[:, 0], plane[:, 1])
     for number in range(num_planes):
         beyond_m, _ = cKDTree(point_m[label == number, :2]).query(cells.middle_m)
         expected_m = np.minimum(np.maximum(beyond_m - 1, 0) * prices.beyond_share, prices.max_beyond_m)
-        cell_m3[:, number] += cells.area_m2 * expected_m
-    middle_z = heights(plane, cells.middle_m)
-    out_of_range = (middle_z < point_m[:, 2].min() - 0.5) | (middle_z > point_m[:, 2].max() + 0.5)
-    cell_m3 += cells.area_m2[:, None] * np.where(out_of_range, prices.cap_m, 0.0)
+        # between the last point and the end of a roof
+        gap_m = steep[number] / (2 * density**0.5)
+        above_m = high_z[:, number] - point_m[:, 2].max() - gap_m - prices.support_m
+        below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z[:, number]
+        unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)
+        cell_m3[:, number] += cells.area_m2 * (expected_m + unsupported_m)
+    cell_m3[low_z < _LOWEST_M] += _NO_ROOF_M3
     is_shared = (cells.pair >= 0).all(axis=1)
     pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
     end_z = np.stack([heights(plane, end_m[:, end]) for end in (0, 1)])

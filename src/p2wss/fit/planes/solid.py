@@ -36,7 +36,8 @@ _PARALLEL = 0.03
 def solid_below(
     cells: Arrangement, label: np.ndarray, plane: np.ndarray, corner_m: np.ndarray
 ) -> Mesh | None:
-    """The solid from height 0 to the planes (k, 3) that cover the cells, ``label`` (c,); None if it is not closed.
+    """The solid from height 0 to the planes (k, 3) that cover the cells, ``label`` (c,); None if it is not closed or
+    if a plane falls below height 0.
 
     corner_m: (n, 2), corners of the footprint, which stay as they are.
     """
@@ -192,7 +193,8 @@ class _Network:
         vertex_m, triangle = np.array(self._vertices), np.concatenate([roofs, floor, self._walls()])
         used, index = np.unique(triangle, return_inverse=True)
         vertex_m, triangle = vertex_m[used], index.reshape(-1, 3).astype(np.int32)
-        return Mesh.of_triangles(vertex_m, triangle) if is_closed(vertex_m, triangle) else None
+        is_solid = vertex_m[:, 2].min() >= 0.0 and is_closed(vertex_m, triangle)
+        return Mesh.of_triangles(vertex_m, triangle) if is_solid else None
 
     def _rings(self, face: dict[tuple[int, int], int]) -> Iterator[tuple[int, list[int]]]:
         """(plane, places) of closed walks that have the face to their left."""

@@ -6,15 +6,10 @@ The probability of each value is a logistic function of the evidence of the poin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-import shapely
 from scipy.special import expit
 
-from p2wss.fit.parts.roofs import Roof
-from p2wss.fit.roof.evidence import Evidence, roof_evidence
-from p2wss.fit.roof.fitter import Fitter
+from p2wss.fit.roof.evidence import Evidence
 
 # coefficients of 1, log(margin), residual, log(points) and is_level; and of 1, residual and log(points):
 # python benchmarks/confidence.py MANIFEST .. --model models/point2wss.safetensors --fit
@@ -27,27 +22,10 @@ _MIN_MARGIN_M = 0.05
 _FAR_OFF_M, _DROP_PER_M = 0.2, 2.0
 
 
-def expected_share(
-    fitter: Fitter,
-    parts: Sequence[Roof],
-    point_m: np.ndarray,
-    class_probability: np.ndarray | None = None,
-) -> float:
-    """The expected share, from 0 to 1, of the values of a fitted building that are right; for several parts the mean,
-    weighted by their numbers of points.
-
-    parts: in the frame of the points (m, 3) on the roof. class_probability: of a network, (n, 3), that each edge of a
-    building of one part has 0 degrees, 90 degrees or a slope.
-    """
-    if len(parts) == 1:
-        return share(roof_evidence(fitter, parts[0], point_m, class_probability))
-    total, weight = 0.0, 0.0
-    for part in parts:
-        polygon = shapely.Polygon(part.rings[0], part.rings[1:])
-        part_point_m = point_m[shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])]
-        total += (len(part_point_m) + 1) * share(roof_evidence(fitter, part, part_point_m))
-        weight += len(part_point_m) + 1
-    return total / weight
+def share_of_planes(residual_m: float, num_points: int) -> float:
+    """The expected share of right values of a roof of planes, which many points are ``residual_m`` off in the mean."""
+    stated = expit(HEIGHT[0] + HEIGHT[1] * residual_m + HEIGHT[2] * np.log(num_points + 1.0))
+    return max(0.0, min(1.0 - _DROP_PER_M * max(residual_m - _FAR_OFF_M, 0.0), float(stated)))
 
 
 def share(evidence: Evidence) -> float:

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from p2wss.fit.parts.roofs import Roof
 from p2wss.fit.points import every_kth
-from p2wss.fit.roof.fitter import Fitter, as_columns, flat_rings
+from p2wss.fit.roof.fitter import FittedRoof, Fitter, as_columns, flat_rings
 from p2wss.fit.roof.rounds import make_problem
 from p2wss.fit.roof.solve import IMPOSSIBLE, evaluate_at, load_polygon
 from p2wss.fit.roof.starts import edge_groups
@@ -45,11 +44,11 @@ class Evidence:
 
 
 def roof_evidence(
-    fitter: Fitter, roof: Roof, point_m: np.ndarray, class_probability: np.ndarray | None = None
+    fitter: Fitter, roof: FittedRoof, point_m: np.ndarray, class_probability: np.ndarray | None = None
 ) -> Evidence:
     """The evidence of points (m, 3) for a roof. class_probability: of a network, (n, 3), that an edge has 0 degrees,
     90 degrees or a slope."""
-    polygon = flat_rings(roof.slope_rings)
+    polygon = flat_rings(roof.rings)
     sample = point_m[every_kth(len(point_m), _NUM_POINTS)]
     class_bonus_m = np.zeros((len(polygon.xy_m), 3))
     if class_probability is not None:

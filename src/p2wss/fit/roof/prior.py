@@ -13,7 +13,6 @@ import numpy as np
 
 from p2wss.fit.roof.work import Prior
 from p2wss.fit.settings import USUAL_SLOPE_DEG
-from p2wss.skeleton.compiled import entry
 
 # what each degree of difference from the usual slope costs
 _USUAL_DEGREE_COST_M = 0.003
@@ -47,23 +46,3 @@ def make_prior(
         in_sum / num_points + in_mean for in_sum, in_mean in (_CLASS_COST_M, _DEGREE_COST_M, _EAVE_COST)
     )
     return Prior(class_cost * surprise, slope_deg, degree_cost, np.array([float(eave_z_m)]), eave_cost)
-
-
-@entry
-def slope_prior(num_edges: int, slope_cost_m: float):
-    """A prior for which each slope costs ``slope_cost_m`` in the mean, and nothing else costs anything."""
-    class_cost_m = np.zeros((num_edges, 3))
-    for e in range(num_edges):
-        class_cost_m[e, 2] = slope_cost_m
-    return Prior(class_cost_m, np.full(num_edges, USUAL_SLOPE_DEG), 0.0, np.zeros(0), 0.0)
-
-
-def with_slope_cost(prior: Prior, slope_cost_m: float, num_points: int, num_edges: int) -> Prior:
-    """The prior of a roof over ``num_points`` points for which each slope costs ``slope_cost_m`` more in the sum.
-    num_edges: of the roof."""
-    if not slope_cost_m:
-        return prior
-    extra = slope_prior(num_edges, slope_cost_m / num_points)
-    if not len(prior.slope_deg):
-        return extra
-    return prior._replace(class_cost_m=prior.class_cost_m + extra.class_cost_m)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.fit.parts.jumps import quantile
 from p2wss.fit.roof.envelope import inward_distances
 from p2wss.fit.roof.search import is_tried, search_at, set_excess
 from p2wss.fit.roof.solve import IMPOSSIBLE, evaluate_at, improve_at, load_polygon
 from p2wss.fit.roof.starts import edge_groups, start_angles
 from p2wss.fit.roof.work import Context, FitWork, Polygon, Problem, fit_work_at
-from p2wss.fit.settings import SEARCHING, SOLVING, USUAL_SLOPE_DEG
-from p2wss.skeleton.compiled import ZERO, allocating, by_address, entry, inner
-from p2wss.skeleton.ordering import sort_first
+from p2wss.fit.settings import SEARCHING, USUAL_SLOPE_DEG
+from p2wss.skeleton.compiled import ZERO, allocating, entry, inner
 
 
 @allocating
@@ -55,23 +53,6 @@ def make_problem(
     )
 
 
-@allocating
-def _level_roof(num_edges: int, z: np.ndarray, context: Context):
-    """(loss, eave, angles) of the level roof at the median height, for which no skeleton is needed."""
-    prior = context.prior
-    ordered = z.copy()
-    sort_first(ordered, len(ordered))
-    eave, loss = quantile(ordered, len(z), 0.5), 0.0
-    for height in z:
-        loss += min(abs(height - eave), context.settings.limits.cap_m) / len(z)
-    if len(prior.eave_z_m) > 0:
-        loss += prior.eave_cost * min(abs(eave - prior.eave_z_m[0]), SOLVING.max_difference_m)
-    if len(prior.slope_deg) > 0:
-        for e in range(num_edges):
-            loss += prior.class_cost_m[e, 0]
-    return loss, eave, np.zeros(num_edges)
-
-
 @entry
 def fit_roof(polygon: Polygon, points: np.ndarray, guesses: np.ndarray, context: Context):
     """(loss, eave, angles) of the best roof over a polygon; the loss is ``IMPOSSIBLE`` if the kernel refuses it.
@@ -84,8 +65,6 @@ def fit_roof(polygon: Polygon, points: np.ndarray, guesses: np.ndarray, context:
     max_rounds = effort.max_rounds
     if n > SEARCHING.many_edges:
         max_rounds = 1 if n <= SEARCHING.too_many_edges else 0
-        if effort.num_descents == 0:
-            return _level_roof(n, points[2], context)
     direction, axis, _, _ = edge_groups(polygon)
     sample = make_problem(polygon, points, effort.num_search_points, direction, context)
     rows = start_angles(direction, axis, guesses)
@@ -102,9 +81,6 @@ def fit_roof(polygon: Polygon, points: np.ndarray, guesses: np.ndarray, context:
     return loss, eave, angle_deg
 
 
-fit_roof_at = by_address(fit_roof)
-
-
 @inner
 def _class_gain_m(context: Context, num_points: int):
     """What another class of an edge has to gain with so many points."""
@@ -112,25 +88,15 @@ def _class_gain_m(context: Context, num_points: int):
 
 
 @entry
-def improve_roof(
-    polygon: Polygon,
-    points: np.ndarray,
-    angle_deg: np.ndarray,
-    eave: float,
-    num_rounds: int,
-    context: Context,
-):
-    """Loss of a roof after ``num_rounds`` rounds of improvement; ``angle_deg`` is changed in place."""
+def roof_loss(polygon: Polygon, points: np.ndarray, angle_deg: np.ndarray, eave: float, context: Context):
+    """Loss of a roof on points (3, m)."""
     work = fit_work_at(context.work_at)
     direction, _, _, _ = edge_groups(polygon)
     problem = make_problem(polygon, points, points.shape[1], direction, context)
     if not load_polygon(polygon, work):
         return IMPOSSIBLE
-    loss, _ = improve_at(work.code, problem, work.at, angle_deg, eave, num_rounds, True, IMPOSSIBLE)
+    loss, _ = improve_at(work.code, problem, work.at, angle_deg, eave, 0, True, IMPOSSIBLE)
     return loss
-
-
-improve_roof_at = by_address(improve_roof)
 
 
 @inner

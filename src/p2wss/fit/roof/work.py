@@ -74,16 +74,11 @@ class Problem(NamedTuple):
 
 class Code(NamedTuple):
     """Addresses of the functions that compiled code calls by address
-    (:func:`p2wss.skeleton.compiled.by_address`); :mod:`p2wss.fit.linkage` fills them in."""
+    (:func:`p2wss.skeleton.compiled.by_address`); :mod:`p2wss.fit.roof.linkage` fills them in."""
 
     evaluate: int
     improve: int
     search: int
-    fit_roof: int
-    improve_roof: int
-    side_of_cut: int
-    is_sound: int
-    fit_side: int
 
 
 class FitWork(NamedTuple):
@@ -129,7 +124,7 @@ NO_CODE = Code(*[0] * len(Code._fields))
 
 
 def fit_work(max_edges: int, max_points: int, code: Code) -> FitWork:
-    """Work arrays for one thread; :func:`p2wss.fit.linkage.linked_work` has the addresses."""
+    """Work arrays for one thread; :func:`p2wss.fit.roof.linkage.linked_work` has the addresses."""
     size = max_edges + 2
     work = FitWork(
         skeleton=skeleton_work(max_edges),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kernel_unions import union
 
 from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.short_edges import without_short_edges
-from p2wss.fit.mesh.union import is_sound, union
+from p2wss.fit.mesh.simplification import is_sound
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
 from p2wss.skeleton import FaceKind
@@ -19,10 +20,8 @@ NOTCHED = np.array([[0, 0], [10, 0], [10, 5], [6.1, 5], [6.1, 8], [0, 8.0]])
 
 
 def house(*parts: tuple[np.ndarray, list[float], float]) -> Mesh:
-    roofs = [FittedRoof([ring], np.array(angle_deg, float), z, 0.0, 1) for ring, angle_deg, z in parts]
-    mesh = union(roofs, 1.0, 12.0)
-    assert mesh is not None
-    return mesh
+    roofs = [FittedRoof([ring], np.array(angle_deg, float), z, 0.0) for ring, angle_deg, z in parts]
+    return union(roofs, 1.0, 12.0)
 
 
 def level_points(*levels: tuple[np.ndarray, float]) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit.mesh.parametric import build_meshes
-from p2wss.fit.mesh.union import collapse_vertices, is_sound
+from p2wss.fit.mesh.simplification import collapse_vertices, is_sound
 from p2wss.mesh import Mesh
 
 

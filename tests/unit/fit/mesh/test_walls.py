@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kernel_unions import union
 
 from p2wss import skeleton
-from p2wss.fit.mesh.union import union
 from p2wss.fit.mesh.walls import with_exact_walls
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
@@ -58,9 +58,8 @@ def test_the_wall_of_a_step_near_an_edge_stays() -> None:
     """Two parts of different heights, the higher one set back by 2.5 cm from the long wall of the lower one."""
     low = np.array([[0, 0], [10, 0], [10, 8], [0, 8]], float)
     high = np.array([[2, 0.025], [6, 0.025], [6, 6], [2, 6]])
-    parts = [FittedRoof([ring], np.zeros(4), height, 0.0, 100) for ring, height in ((low, 4.0), (high, 7.0))]
+    parts = [FittedRoof([ring], np.zeros(4), height, 0.0) for ring, height in ((low, 4.0), (high, 7.0))]
     mesh = union(parts, 1.0, 12.0)
-    assert mesh is not None
     exact = with_exact_walls(mesh, [low]).vertex_m
     assert np.array_equal(exact, mesh.vertex_m)
     assert (np.abs(exact[:, 1] - 0.025) < 1e-9).sum() >= 4
@@ -76,11 +75,10 @@ def test_a_building_of_parts_keeps_its_corners() -> None:
         np.array([[middle, turned[0, 1]], turned[1], turned[2], [middle, turned[3, 1]]]),
     )
     parts = [
-        FittedRoof([side], np.array([40.0, 90, 40, 90]), height, 0.0, 100)
+        FittedRoof([side], np.array([40.0, 90, 40, 90]), height, 0.0)
         for side, height in zip(sides, (5.0, 7.0), strict=True)
     ]
     mesh = union(parts, 1.0, 12.0)
-    assert mesh is not None
     vertex_m = np.column_stack([mesh.vertex_m[:, :2] @ ROTATION, mesh.vertex_m[:, 2]])
     exact = with_exact_walls(mesh.moved(vertex_m), [ring]).vertex_m
     corners = set(map(tuple, ring.tolist()))

@@ -10,7 +10,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
-from p2wss.fit.mesh.union import collapse_vertices
+from p2wss.fit.mesh.simplification import collapse_vertices
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import fit_planes
@@ -55,7 +55,7 @@ def volume_m3(mesh: Mesh) -> float:
 def test_the_planes_of_a_gable_roof_are_found_and_made_regular(turn: float) -> None:
     rings, plane = gable(12, 8, 4, turn)
     point_m = sampled(rings, plane, 1)
-    found = detect(point_m, 12.0, PLANES.detection)
+    found = detect(point_m, 12.0, directions(rings, 4.0), PLANES.detection)
     assert len(found.plane) == 2
     assert (found.label >= 0).mean() > 0.98
     along = directions(rings, 4.0)
@@ -66,11 +66,24 @@ def test_the_planes_of_a_gable_roof_are_found_and_made_regular(turn: float) -> N
     assert np.degrees(np.arctan(steep[0])) == pytest.approx(40, abs=0.7)
 
 
+@pytest.mark.parametrize("num_points", [12, 30, 100])
+def test_few_points_show_the_planes_of_a_gable_roof_beside_a_level_annex(num_points: int) -> None:
+    rings, plane = gable(12, 8, 4, 0.3)
+    turn = np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    annex_m = np.random.default_rng(3).uniform([6, -4], [10, 4], (num_points // 3, 2)) @ turn
+    annex_m = np.column_stack([annex_m, np.full(len(annex_m), 2.5)])
+    point_m = np.vstack([sampled(rings, plane, 1)[:num_points], annex_m])
+    found = detect(point_m, num_points / 96, directions(rings, 4.0), PLANES.detection)
+    off_m = np.abs(heights(found.plane, point_m[:, :2]) - point_m[:, 2:]).min(axis=1)
+    assert len(found.plane) == 3
+    assert (off_m < 0.15).all() and (found.label >= 0).mean() > 0.9
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
     point_m[::40, 2] += 2.0
-    found = detect(point_m, 12.0, PLANES.detection)
+    found = detect(point_m, 12.0, directions(rings, 4.0), PLANES.detection)
     assert len(found.plane) == 2
     assert (found.label[::40] == -1).all()
 
@@ -230,7 +243,7 @@ def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
 
 def test_too_few_points_show_no_plane() -> None:
     rings, plane = gable(12, 8, 4, 0.0)
-    assert fit_planes(rings, sampled(rings, plane, 3)[:6], PLANES) is None
+    assert fit_planes(rings, sampled(rings, plane, 3)[:2], PLANES) is None
 
 
 def test_a_fit_does_not_depend_on_the_order_of_points() -> None:

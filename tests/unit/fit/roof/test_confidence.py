@@ -19,7 +19,7 @@ from p2wss.skeleton import roof_points as roof
 HOUSE = np.array([[0, 0], [12, 0], [12, 8], [0, 8.0]])
 ELL = np.array([[0, 0], [14, 0], [14, 6], [6, 6], [6, 12], [0, 12.0]])
 GABLE = np.array([40, 90, 40, 90.0])
-CONFIG = Reconstruct(max_parts=1)
+CONFIG = Reconstruct(roofs="parametric")
 EAVE_M = 5.0
 
 
@@ -34,8 +34,8 @@ def on_roof(ring, angle_deg, num_points, seed, noise_m=0.03):
 
 
 def share(point_m, angle_deg=GABLE, eave_m=EAVE_M, ring=HOUSE, probability=None):
-    roof_fit = FittedRoof([ring], np.asarray(angle_deg, float), eave_m, 0.0, len(point_m))
-    return confidence.expected_share(Fitter(Limits()), [roof_fit], point_m, probability)
+    roof_fit = FittedRoof([ring], np.asarray(angle_deg, float), eave_m, 0.0)
+    return confidence.share(roof_evidence(Fitter(Limits()), roof_fit, point_m, probability))
 
 
 def test_more_points_make_it_higher():
@@ -60,8 +60,8 @@ def test_larger_residuals_make_it_lower():
 def test_a_face_without_points_makes_it_lower():
     point_m = on_roof(HOUSE, GABLE, 200, 0)
     half = point_m[point_m[:, 1] < 4]
-    whole = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0, 0), point_m[: len(half)])
-    one_sided = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0, 0), half)
+    whole = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0), point_m[: len(half)])
+    one_sided = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0), half)
     assert one_sided.margin_m[2] == 0.0 and one_sided.margin_m[0] > 10
     assert confidence.share(one_sided) < confidence.share(whole)
 
@@ -69,7 +69,7 @@ def test_a_face_without_points_makes_it_lower():
 def test_the_margin_of_a_gable_is_what_a_hip_would_cost():
     """By the heights of the kernel instead of the residuals of the fit."""
     point_m = on_roof(HOUSE, GABLE, 50, 2)
-    evidence = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0, 0), point_m)
+    evidence = roof_evidence(Fitter(Limits()), FittedRoof([HOUSE], GABLE, EAVE_M, 0.0), point_m)
 
     def total(angle_deg):
         over = roof(
@@ -94,19 +94,10 @@ def test_a_network_that_agrees_makes_it_higher():
     assert share(point_m, probability=differs) < share(point_m) < share(point_m, probability=agrees)
 
 
-def test_several_parts_are_weighted_by_their_points():
-    left, right = HOUSE, HOUSE + np.array([12.0, 0.0])
-    many, few = on_roof(left, GABLE, 300, 0), on_roof(right, GABLE, 5, 1)
-    fitter = Fitter(Limits())
-    parts = [FittedRoof([ring], GABLE, EAVE_M, 0.0, 0) for ring in (left, right)]
-    expected = (301 * share(many) + 6 * share(few, ring=right)) / 307
-    assert confidence.expected_share(fitter, parts, np.vstack([many, few])) == pytest.approx(expected)
-
-
 def test_only_some_of_very_many_edges_are_evaluated():
     turn = np.linspace(0, 2 * np.pi, 90, endpoint=False)
     ring = 10 * np.column_stack([np.cos(turn), np.sin(turn)])
-    hip_roof = FittedRoof([ring], np.full(90, 30.0), EAVE_M, 0.0, 0)
+    hip_roof = FittedRoof([ring], np.full(90, 30.0), EAVE_M, 0.0)
     evidence = roof_evidence(Fitter(Limits()), hip_roof, on_roof(ring, hip_roof.angle_deg, 400, 0))
     assert 12 <= len(evidence.margin_m) <= 24
     assert 0.5 < confidence.share(evidence) < 1
@@ -170,3 +161,10 @@ def test_a_building_that_no_roof_fits_has_a_low_confidence():
     (clean,) = fitting.fit([replace(building, point_m=on_roof(HOUSE, GABLE, 200, 0))], CONFIG)
     assert rough.confidence is not None and clean.confidence is not None
     assert rough.confidence < 0.8 < 0.97 < clean.confidence
+
+
+def test_the_confidence_of_planes_falls_with_their_residual_and_rises_with_points():
+    by_residual = [confidence.share_of_planes(residual_m, 300) for residual_m in (0.05, 0.2, 0.4, 0.8)]
+    assert (np.diff(by_residual) <= 0).all() and by_residual[0] > 0.95 and by_residual[-1] == 0.0
+    by_points = [confidence.share_of_planes(0.1, num_points) for num_points in (3, 10, 30, 300)]
+    assert (np.diff(by_points) > 0).all()

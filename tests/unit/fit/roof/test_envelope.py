@@ -45,7 +45,7 @@ def test_the_loss_over_a_convex_polygon_is_that_of_its_skeleton(seed):
     xy = rng.uniform(ring.min(axis=0), ring.max(axis=0), (300, 2))
     xy = xy[shapely.contains_xy(polygon.buffer(-1e-6), xy[:, 0], xy[:, 1])]
     point_m = np.column_stack([xy, rng.uniform(5, 11, len(xy))])
-    fitted = FittedRoof([ring], angle_deg, 5.0, 0.0, len(xy))
+    fitted = FittedRoof([ring], angle_deg, 5.0, 0.0)
     assert Fitter(Limits(max_roof_height_m=top_m)).loss(fitted, point_m) == pytest.approx(
         loss_by_kernel(ring, angle_deg, top_m, point_m), abs=1e-9
     )
@@ -54,7 +54,7 @@ def test_the_loss_over_a_convex_polygon_is_that_of_its_skeleton(seed):
 def test_points_outside_count_in_full():
     ring = np.array([[0, 0], [9, 0], [9, 5], [0, 5.0]])
     point_m = np.array([[4, 2.5, 5.0], [-0.1, 2, 5.0], [4, 5.2, 5.0], [8.9, 2, 5.25]])
-    flat = FittedRoof([ring], np.zeros(4), 5.0, 0.0, 4)
+    flat = FittedRoof([ring], np.zeros(4), 5.0, 0.0)
     assert Fitter(Limits()).loss(flat, point_m) == pytest.approx((0 + 1 + 1 + 0.25) / 4)
 
 

@@ -5,24 +5,16 @@ import pytest
 import shapely
 from toy_roofs import sample
 
-from p2wss.fit.parts.partition import fit_parts
 from p2wss.fit.points import even_order, every_kth, roof_points
-from p2wss.fit.roof.fitter import FittedRoof, Fitter, flat_rings
+from p2wss.fit.roof.fitter import Fitter, flat_rings
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof.starts import edge_groups
-from p2wss.fit.roof.work import NO_PRIOR
-from p2wss.fit.settings import Cutting, Effort, Limits
+from p2wss.fit.settings import Effort, Limits
 
 RECTANGLE = np.array([[0, 0], [11, 0], [11, 7], [0, 7.0]])
 ELL = np.array([[0, 0], [14, 0], [14, 6], [6, 6], [6, 12], [0, 12.0]])
 OUTER = np.array([[0, 0], [24, 0], [24, 20], [0, 20.0]])
 COURTYARD = np.array([[8, 7], [8, 13], [16, 13], [16, 7.0]])
-
-
-def fit_one(fitter, rings, point_m, effort, guesses=(), prior=NO_PRIOR) -> FittedRoof:
-    """The roof of a building of one part."""
-    (roof,) = fit_parts(fitter, rings, point_m, effort, Cutting(max_parts=1), guesses, prior)
-    return roof
 
 
 @pytest.mark.parametrize(
@@ -38,7 +30,7 @@ def fit_one(fitter, rings, point_m, effort, guesses=(), prior=NO_PRIOR) -> Fitte
 )
 def test_recovers_a_known_building(rings, angle_deg):
     point_m = sample(rings, angle_deg, 107.3, 400, noise_m=0.04)
-    fit = fit_one(Fitter(Limits()), rings, point_m, Effort())
+    fit = Fitter(Limits()).fit(rings, point_m, Effort())
     # whole degrees, up to the one that noise moves it by
     np.testing.assert_allclose(fit.angle_deg, angle_deg, atol=1)
     assert fit.eave_z_m == pytest.approx(107.3, abs=0.08)
@@ -47,7 +39,7 @@ def test_recovers_a_known_building(rings, angle_deg):
 
 def test_recovers_a_flat_roof_as_zero_degrees():
     point_m = sample([ELL], [0] * 6, 5.0, 200, noise_m=0.03)
-    fit = fit_one(Fitter(Limits()), [ELL], point_m, Effort())
+    fit = Fitter(Limits()).fit([ELL], point_m, Effort())
     assert fit.angle_deg.tolist() == [0] * 6
     assert fit.eave_z_m == pytest.approx(5.0, abs=0.01)
 
@@ -55,7 +47,7 @@ def test_recovers_a_flat_roof_as_zero_degrees():
 def test_outliers_do_not_move_the_roof():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
     point_m[::12, 2] += 4.0
-    fit = fit_one(Fitter(Limits()), [RECTANGLE], point_m, Effort())
+    fit = Fitter(Limits()).fit([RECTANGLE], point_m, Effort())
     np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
     assert fit.eave_z_m == pytest.approx(6.0, abs=0.08)
 
@@ -64,22 +56,22 @@ def test_returns_from_a_wall_that_stands_back_are_not_a_steep_roof():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 300, noise_m=0.03)
     rng = np.random.default_rng(1)
     wall_m = np.column_stack([np.full(20, 10.6), rng.uniform(2, 5, 20), rng.uniform(6.5, 8.0, 20)])
-    fit = fit_one(Fitter(Limits()), [RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
+    fit = Fitter(Limits()).fit([RECTANGLE], np.concatenate([point_m, wall_m]), Effort())
     np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
 
 
 def test_a_steep_end_that_is_as_wide_as_a_roof_stays():
     point_m = sample([OUTER], [45, 63, 45, 63], 6.0, 600, noise_m=0.03)
-    fit = fit_one(Fitter(Limits()), [OUTER], point_m, Effort(num_points=600))
+    fit = Fitter(Limits()).fit([OUTER], point_m, Effort(num_points=600))
     np.testing.assert_allclose(fit.angle_deg, [45, 63, 45, 63], atol=2)
 
 
 def test_edges_that_face_the_same_way_have_different_slopes_where_the_points_show_it():
     angle_deg = [40, 90, 25, 40, 45, 40]
     point_m = sample([ELL], angle_deg, 6.0, 400, noise_m=0.03)
-    fit = fit_one(Fitter(Limits()), [ELL], point_m, Effort(num_points=400))
+    fit = Fitter(Limits()).fit([ELL], point_m, Effort(num_points=400))
     np.testing.assert_allclose(fit.angle_deg, angle_deg, atol=1)
-    together = fit_one(Fitter(Limits(separate_slope_gain_m=1.0)), [ELL], point_m, Effort(num_points=400))
+    together = Fitter(Limits(separate_slope_gain_m=1.0)).fit([ELL], point_m, Effort(num_points=400))
     assert together.loss_m > fit.loss_m + 0.02
 
 
@@ -100,9 +92,9 @@ def test_never_worse_than_the_guess_or_a_flat_roof(seed):
 def test_same_result_whatever_the_order_of_the_points_and_earlier_fits():
     point_m = sample([ELL], [40, 90, 40, 40, 90, 40], 5.0, 500, noise_m=0.1)
     fitter = Fitter(Limits())
-    first = fit_one(fitter, [ELL], point_m, Effort())
-    fit_one(fitter, [OUTER, COURTYARD], sample([OUTER, COURTYARD], [35] * 8, 5.0, 300), Effort())
-    again = fit_one(fitter, [ELL], point_m[np.random.default_rng(1).permutation(len(point_m))], Effort())
+    first = fitter.fit([ELL], point_m, Effort())
+    fitter.fit([OUTER, COURTYARD], sample([OUTER, COURTYARD], [35] * 8, 5.0, 300), Effort())
+    again = fitter.fit([ELL], point_m[np.random.default_rng(1).permutation(len(point_m))], Effort())
     assert first.angle_deg.tolist() == again.angle_deg.tolist()
     assert first.eave_z_m == again.eave_z_m
 
@@ -120,17 +112,17 @@ def test_a_network_decides_where_points_are_few_and_gives_way_to_many():
     prior = make_prior([RECTANGLE], len(few), network_deg, SURE_GABLE, 6.2)
     # the eave of the network is too high for its slopes, so both give way a little
     np.testing.assert_allclose(
-        fit_one(fitter, [RECTANGLE], few, Effort(), [network_deg], prior).angle_deg, network_deg, atol=3
+        fitter.fit([RECTANGLE], few, Effort(), [network_deg], prior).angle_deg, network_deg, atol=3
     )
     prior = make_prior([RECTANGLE], len(many), network_deg, SURE_GABLE, 6.2)
-    fit = fit_one(fitter, [RECTANGLE], many, Effort(), [network_deg], prior)
+    fit = fitter.fit([RECTANGLE], many, Effort(), [network_deg], prior)
     np.testing.assert_allclose(fit.angle_deg, [35, 90, 35, 90], atol=1)
 
 
 def test_the_prior_is_part_of_the_loss():
     point_m = sample([RECTANGLE], [35, 90, 35, 90], 6.0, 50)
     fitter = Fitter(Limits())
-    fit = fit_one(fitter, [RECTANGLE], point_m, Effort())
+    fit = fitter.fit([RECTANGLE], point_m, Effort())
     probability = np.array([[0.01, 0.01, 0.98], [0.01, 0.98, 0.01], [0.01, 0.01, 0.98], [0.01, 0.09, 0.9]])
     prior = make_prior([RECTANGLE], 50, np.array([35, 90, 35, 45.0]), probability, 6.0 + 2.0)
     more = fitter.loss(fit, point_m, prior) - fitter.loss(fit, point_m)
@@ -149,7 +141,7 @@ def test_many_edges_take_few_evaluations():
     ring = np.column_stack([np.cos(turn), np.sin(turn)]) * 15
     point_m = np.column_stack([sample([RECTANGLE], [0] * 4, 6.0, 200)[:, :2] - 4, np.full(200, 6.0)])
     fitter = Fitter(Limits())
-    assert fit_one(fitter, [ring], point_m, Effort()).loss_m < 0.05
+    assert fitter.fit([ring], point_m, Effort()).loss_m < 0.05
     assert fitter.num_evaluations < 200
 
 

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
 
-from p2wss.fit.parts.roofs import Roof
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -19,25 +17,16 @@ _MAX_HEIGHT_M = 2.0
 class OpenGround:
     """What the points show of open ground within a footprint.
 
-    point_m: (m, 3), the points to which the roof is fitted, in the frame of its parts.
-    num_ground: how many of them, the last ones, are of class ground. A part or a face is open ground if it is level, at
-    most 2 m above the ground, and has more of these points over it than others.
+    point_m: (m, 3), the points to which the roof is fitted. num_ground: how many of them, the last ones, are of class
+    ground. A face is open ground if it is level, at most 2 m above the ground, and has more of these points over it
+    than others.
     """
 
     point_m: np.ndarray
     num_ground: int
 
-    def is_open(self, part: Roof) -> bool:
-        """Whether a part is open ground."""
-        is_level = not part.angle_deg.any()
-        if not self.num_ground or not is_level or part.eave_z_m > _MAX_HEIGHT_M:
-            return False
-        polygon = shapely.Polygon(part.rings[0], part.rings[1:])
-        return self._is_mostly_ground(shapely.contains_xy(polygon, *self.point_m[:, :2].T))
-
     def marked(self, mesh: Mesh) -> Mesh:
-        """The mesh, in the frame of the points, with the kind ``FLOOR`` for open ground. At
-        least one face remains a roof."""
+        """The mesh with the kind ``FLOOR`` for open ground. At least one face remains a roof."""
         if not self.num_ground:
             return mesh
         kind = mesh.kind

@@ -10,13 +10,10 @@ from functools import cache
 
 import numpy as np
 
-from p2wss.fit.parts.best_cut import Line, Roofed, fit_side
-from p2wss.fit.parts.cutting import is_sound, side_of_cut
-from p2wss.fit.roof.rounds import fit_roof, improve_roof
 from p2wss.fit.roof.search import search
 from p2wss.fit.roof.solve import evaluate, improve
-from p2wss.fit.roof.work import NO_PRIOR, Code, Context, FitWork, Polygon, Problem, fit_work
-from p2wss.fit.settings import Effort, Limits, Settings
+from p2wss.fit.roof.work import NO_PRIOR, Code, FitWork, Problem, fit_work
+from p2wss.fit.settings import Effort
 from p2wss.skeleton.compiled import address_of
 
 
@@ -31,15 +28,8 @@ def _code() -> Code:
     row, grid, offset = np.zeros(1), np.zeros((1, 1)), np.zeros(1, np.int64)
     work_at, effort = 1, Effort()
     problem = Problem(1, 1, row, row, row, offset, 1, 1.0, 1.0, NO_PRIOR, grid)
-    polygon, context = Polygon(grid, offset), Context(work_at, Settings(effort, Limits()), NO_PRIOR)
-    part, line = Roofed(polygon, row, grid), Line(1, 1.0)
     return Code(
         evaluate=address_of(evaluate, problem, work_at, row, 1.0),
         improve=address_of(improve, problem, work_at, row, 1.0, 1, True, 1.0),
         search=address_of(search, problem, work_at, effort, grid, 1, 1.0),
-        fit_roof=address_of(fit_roof, polygon, grid, grid, context),
-        improve_roof=address_of(improve_roof, polygon, grid, row, 1.0, 1, context),
-        side_of_cut=address_of(side_of_cut, polygon, 1, 1.0, True),
-        is_sound=address_of(is_sound, polygon, 1.0, work_at),
-        fit_side=address_of(fit_side, part, line, True, 1, 1, 1.0, context),
     )

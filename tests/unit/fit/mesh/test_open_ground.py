@@ -9,8 +9,7 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
-from p2wss.fit.boxes.open_ground import OpenGround
-from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.mesh import Mesh
 from p2wss.skeleton.types import FaceKind
 
@@ -82,21 +81,6 @@ def test_high_ground_is_a_roof() -> None:
     reconstruction = fitted((house, BUILDING), (terrace, GROUND))
     assert not (reconstruction.mesh.kind == FaceKind.FLOOR).any()
     assert area_and_height_m(reconstruction, FaceKind.FLAT)[0] == pytest.approx(160)
-
-
-def part(ring: np.ndarray, angle_deg: float, eave_z_m: float) -> FittedRoof:
-    return FittedRoof([ring], np.full(len(ring), angle_deg), eave_z_m, 0.0, 0)
-
-
-def test_only_level_and_low_parts_with_mostly_ground_are_open() -> None:
-    ring = np.array([[0, 0], [4, 0], [4, 4], [0, 4.0]])
-    inside = np.array([[1, 1, 0.3], [2, 3, 0.3], [3, 2, 0.3], [3, 3, 0.3]])
-    open_ground = OpenGround(inside, 3)
-    assert open_ground.is_open(part(ring, 0.0, 0.3)) and open_ground.is_open(part(ring, 0.0, 1.9))
-    for roof in (part(ring, 20.0, 0.3), part(ring, 0.0, 2.1), part(ring + 9, 0.0, 0.3)):
-        assert not open_ground.is_open(roof)
-    for num_ground in (0, 2):
-        assert not OpenGround(inside, num_ground).is_open(part(ring, 0.0, 0.3))
 
 
 def test_a_building_keeps_a_roof() -> None:

@@ -1,57 +1,21 @@
-"""One closed solid from the parts of a building: their union, with coplanar faces merged."""
+"""Closed meshes without slivers, short edges, and vertices within faces and straight edges."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
 from math import dist
 from operator import mul, sub
 
 import manifold3d
 import numpy as np
 
-from p2wss.fit.boxes.dormers import Box
-from p2wss.fit.parts.roofs import Roof
 from p2wss.mesh import Mesh
 from p2wss.mesh.rules import crosses_itself
 
 _SHORT_EDGE_M = 1e-2
 # triangles smaller than this count as turned over
 _NO_AREA_M2 = 1e-6
-# how much higher each further part is raised where the union without that is not closed
-_STEPS_M = (0.0, 0.02)
 # how far a surface may move when slivers are removed
 _SIMPLIFY_M = 2e-3
-
-
-def union(
-    parts: Sequence[Roof],
-    min_eave_height_m: float,
-    max_roof_height_m: float,
-    recesses: Sequence[Box] = (),
-) -> Mesh | None:
-    """The union of the parts' solids on one ground, less the ``recesses``. None if a part has no solid, or
-    if the result is not one closed manifold.
-
-    parts: in a frame in which the cuts between them run along x or y, so that the walls there are exactly coplanar.
-    The union of parts that meet only in an edge is not a manifold; then each further one is raised by 2 cm more. At an
-    edge of a few millimetres, programs that merge nearby vertices tear a solid open. So the result is the first
-    attempt without such an edge, or the first without one once its ends are merged; if there is none, the first that
-    is closed.
-    """
-    first_closed = None
-    for step_m in _STEPS_M:
-        raised = [replace(part, eave_z_m=part.eave_z_m + i * step_m) for i, part in enumerate(parts)]
-        mesh = _union(raised, min_eave_height_m, max_roof_height_m, recesses)
-        if mesh is None or not mesh.is_closed:
-            continue
-        if mesh.edge_m.min() >= _SHORT_EDGE_M:
-            return mesh
-        merged = collapse_vertices(mesh, _SHORT_EDGE_M)
-        if merged.edge_m.min() >= _SHORT_EDGE_M and merged.is_closed:
-            return merged
-        first_closed = first_closed or mesh
-    return first_closed
 
 
 def is_sound(mesh: Mesh) -> bool:
@@ -62,33 +26,12 @@ def is_sound(mesh: Mesh) -> bool:
     return not crosses_itself(mesh.vertex_m, mesh.triangle)
 
 
-def _union(
-    parts: Sequence[Roof],
-    min_eave_height_m: float,
-    max_roof_height_m: float,
-    recesses: Sequence[Box],
-) -> Mesh | None:
-    solids = [part.solid(min_eave_height_m, max_roof_height_m) for part in parts]
-    if None in solids:
-        return None
-    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add)
-    for recess in recesses:
-        floor_m = max(recess.top_z_m, min_eave_height_m)
-        whole -= _column(recess.ring, floor_m, float(whole.bounding_box()[5]) + 1.0)
-    return _mesh_of(whole)
-
-
 def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
     """A closed mesh (v, 3), (t, 3), some vertices of which may be unused, without the slivers and the vertices within
     faces and straight edges; None if it is not one solid."""
     used, index = np.unique(triangle, return_inverse=True)
     corners = index.reshape(-1, 3).astype(np.uint64)
-    solid = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
-    return _mesh_of(solid)
-
-
-def _mesh_of(whole: manifold3d.Manifold) -> Mesh | None:
-    """The mesh of a solid with its faces; None if it is empty or in pieces."""
+    whole = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertex_m[used]), corners))
     whole = whole.as_original().simplify(_SIMPLIFY_M)
     if whole.status() != manifold3d.Error.NoError or whole.is_empty() or len(whole.decompose()) != 1:
         return None
@@ -96,18 +39,6 @@ def _mesh_of(whole: manifold3d.Manifold) -> Mesh | None:
     vertex_m = np.ascontiguousarray(np.array(out.vert_properties, float)[:, :3])
     mesh = Mesh.of_triangles(vertex_m, np.array(out.tri_verts, np.int32))
     return mesh if (mesh.num_planes_at >= 3).all() else collapse_vertices(mesh)
-
-
-def _column(ring: np.ndarray, low_m: float, high_m: float) -> manifold3d.Manifold:
-    """The solid over a rectangle along the axes; its walls have exactly the coordinates of the ring."""
-    (x0, y0), (x1, y1) = ring.min(axis=0), ring.max(axis=0)
-    corner = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
-    vertex_m = np.vstack([np.column_stack([corner, np.full(4, z)]) for z in (low_m, high_m)])
-    bottom, top = [[0, 2, 1], [0, 3, 2]], [[4, 5, 6], [4, 6, 7]]
-    walls = [[i, (i + 1) % 4, (i + 1) % 4 + 4] for i in range(4)] + [
-        [i, (i + 1) % 4 + 4, i + 4] for i in range(4)
-    ]
-    return manifold3d.Manifold(manifold3d.Mesh64(vertex_m, np.array(bottom + top + walls, np.uint64)))
 
 
 def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:

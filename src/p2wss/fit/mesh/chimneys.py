@@ -15,9 +15,9 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss.fit.boxes.dormers import moved_to_walls
+from p2wss.fit.directions import directions
 from p2wss.fit.mesh.adjustment import CAP_M
-from p2wss.fit.mesh.union import is_sound, simplified
+from p2wss.fit.mesh.simplification import is_sound, simplified
 from p2wss.fit.settings import Chimneys
 from p2wss.mesh import Mesh
 from p2wss.mesh.surface import topmost
@@ -28,8 +28,10 @@ from p2wss.skeleton.types import FaceKind
 _APART_M, _STEP_M = 0.7, 0.3
 # a side lies midway to the next return from the roof, but at most this far from those inside
 _MAX_GAP_M = 0.15
-# a side this near to the end of the roof is moved there
-_TO_WALL_M = 0.15
+# a side is moved so far, beyond a wall, if less than this share of the strip there is within the footprint
+_TO_WALL_M, _INSIDE_SHARE = 0.15, 0.9
+# degrees: directions of walls that differ less are the same
+_SAME_DEG = 4.0
 # how much wider a chimney gets on each side, at most, until its union with the building is sound
 _WIDER_M = (0.0, 0.05, 0.1)
 # vertices below this height are those of the floor
@@ -142,16 +144,30 @@ def _grown(
 
 def with_chimneys(mesh: Mesh, rings: Sequence[np.ndarray], point_m: np.ndarray, chimneys: Chimneys) -> Mesh:
     """The mesh with those chimneys that points (m, 3) on the roof show and with which it is sound. They end at the
-    walls of the building, over the footprint ``rings``, and are parallel to the axes."""
-    footprint = shapely.Polygon(rings[0], rings[1:])
-    for chimney in find_chimneys(mesh, point_m, chimneys):
-        mesh = _united(mesh, _to_walls(chimney, footprint)) or mesh
-    return mesh
+    walls of the building, over the footprint ``rings``, and are parallel to most of them."""
+    angle = directions(rings, _SAME_DEG)[0]
+    along = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turned, local_m = mesh.turned(along), np.column_stack([point_m[:, :2] @ along, point_m[:, 2]])
+    found = find_chimneys(turned, local_m, chimneys)
+    if not found:
+        return mesh
+    footprint = shapely.Polygon(rings[0] @ along, [ring @ along for ring in rings[1:]])
+    for chimney in found:
+        turned = _united(turned, _to_walls(chimney, footprint)) or turned
+    return turned.turned(along.T)
 
 
 def _to_walls(chimney: Chimney, footprint: shapely.Polygon) -> Chimney:
-    """The chimney with those sides moved beyond walls that are nearly there."""
-    bounds = moved_to_walls(np.concatenate([chimney.low, chimney.high]), footprint, _TO_WALL_M)
+    """The chimney with those sides moved outwards beside which the footprint ends nearly there."""
+    bounds = np.concatenate([chimney.low, chimney.high])
+    # for each side the bounds of the strip beyond it
+    strips = np.tile(bounds, (4, 1))
+    for side in range(4):
+        strips[side, side] += -_TO_WALL_M if side < 2 else _TO_WALL_M
+        strips[side, (side + 2) % 4] = bounds[side]
+    beyond = shapely.box(*strips.T)
+    inside_m2 = shapely.area(shapely.intersection(beyond, footprint))
+    bounds = np.where(inside_m2 < _INSIDE_SHARE * shapely.area(beyond), strips.diagonal(), bounds)
     return Chimney(bounds[:2], bounds[2:], chimney.top_z_m)
 
 

@@ -1,0 +1,101 @@
+"""Real houses with few points: how near planes and parametric roofs are to all points; the last line is JSON.
+
+    python benchmarks/few_points.py --data ../shared/data --judge ../shared/tools/evaluate_cityjson.py
+    .. --model models/point2wss.safetensors       # also the network, and parametric roofs that start from it
+
+So many points of each house of Delft are drawn, and as large a share of the points beside it, three times; the judge
+measures against all points. Half A of the houses (every second by id) chose the settings, half B decided nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import real
+from figures import Figures
+
+from p2wss.config import Config, Reconstruct
+from p2wss.data.building import Building, Reconstruction
+from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.fit import fitting
+from p2wss.reconstruct.flat import with_fallback
+from p2wss.reconstruct.network import reconstruct_with_network
+
+_NUM_DRAWS = 3
+# points on each building, or the share of them: (points to mesh, roof CD) in metres that half B must reach
+BARS: dict[float, tuple[float, float]] = {
+    80: (0.133, 0.240),
+    40: (0.160, 0.280),
+    20: (0.185, 0.330),
+    10: (0.240, 0.430),
+    0.1: (0.150, 0.270),
+    0.03: (0.280, 0.450),
+}
+
+
+def thinned(building: Building, amount: float, draw: int) -> Building:
+    """A building with ``amount`` points of class building, or that share of them, and a like share of the others."""
+    on_building = np.flatnonzero(building.classification == BUILDING_CLASS)
+    count = min(len(on_building), round(amount if amount >= 1 else amount * len(on_building)))
+    rng = np.random.default_rng([draw, *building.building_id.encode()])
+    others = np.setdiff1d(np.arange(len(building.point_m)), on_building)
+    chosen = rng.choice(on_building, count, replace=False)
+    others = others[rng.random(len(others)) * max(len(on_building), 1) < count]
+    rows = np.sort(np.concatenate([chosen, others]))
+    return replace(building, point_m=building.point_m[rows], classification=building.classification[rows])
+
+
+def fits_of(
+    buildings: list[Building], config: Reconstruct, predictor: Any
+) -> dict[str, list[Reconstruction]]:
+    """Reconstructions by each method."""
+    parametric = config.model_copy(update={"roofs": "parametric"})
+    fits = {"default": fitting.fit(buildings, config), "parametric": fitting.fit(buildings, parametric)}
+    if predictor is not None:
+        network = reconstruct_with_network(buildings, predictor, config)
+        fits |= {"network": network, "network, parametric": fitting.fit(buildings, parametric, network)}
+    return {name: with_fallback(rows, buildings, config) for name, rows in fits.items()}
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--judge", type=Path, required=True)
+    parser.add_argument("--model", type=Path, default=None, help="weights of a network")
+    arguments = parser.parse_args()
+    config, predictor = Config().reconstruct, None
+    if arguments.model is not None:
+        from p2wss.nets.predictor import load_predictor
+
+        predictor = load_predictor(arguments.model).with_num_views(config.num_views)
+    figures = Figures()
+    buildings = real.read(arguments.data, "delft", Config())
+    half_b = set(sorted(building.building_id for building in buildings)[1::2])
+    print("points".ljust(8) + "method".ljust(22) + "half A, half B: points to mesh/roof CD/triangles")
+    for amount, (p2m, roof) in BARS.items():
+        rows: dict[str, list[dict[str, Any]]] = {}
+        for draw in range(_NUM_DRAWS):
+            few = [thinned(building, amount, draw) for building in buildings]
+            for method, fits in fits_of(few, config, predictor).items():
+                rows.setdefault(method, []).extend(real.judged(fits, "delft", arguments))
+        for method, every in rows.items():
+            halves = [
+                real.summary([row for row in every if (row["id"] in half_b) == is_b])
+                for is_b in (False, True)
+            ]
+            values = "  ".join(f"{half['p2m']:.3f}/{half['roof']:.3f}/{half['tri']:.0f}" for half in halves)
+            print(f"{amount:<8g}{method:<22}{values}", flush=True)
+            figures.row(f"{amount:g}, {method}", {"half A": halves[0], "half B": halves[1]})
+            if method == "default":
+                figures.at_most(f"{amount:g}, points to mesh", halves[1]["p2m"], p2m)
+                figures.at_most(f"{amount:g}, roof CD", halves[1]["roof"], roof)
+    return figures.end()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""Boxes on a roof and in it: dormers, recesses, chimneys, open ground."""

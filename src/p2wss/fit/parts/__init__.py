@@ -1,1 +1,0 @@
-"""Which parts a building has, and what a part costs."""

@@ -1,0 +1,49 @@
+"""One closed mesh from several buildings of the kernel side by side, for tests of what happens to meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import manifold3d
+import numpy as np
+
+from p2wss.fit.mesh.parametric import kernel_mesh
+from p2wss.fit.mesh.simplification import collapse_vertices, simplified
+from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
+from p2wss.mesh.planes import snap_vertices
+
+_SHORT_EDGE_M = 1e-2
+
+
+def union(
+    parts: Sequence[FittedRoof], min_eave_height_m: float = 1.0, max_roof_height_m: float = 50.0
+) -> Mesh:
+    """The union of roofs on one ground, without edges of millimetres."""
+    mesh = union_or_none(parts, min_eave_height_m, max_roof_height_m)
+    assert mesh is not None
+    return mesh
+
+
+def union_or_none(
+    parts: Sequence[FittedRoof], min_eave_height_m: float, max_roof_height_m: float
+) -> Mesh | None:
+    """None if a part has no solid, or if the result is not one closed solid."""
+    solids = []
+    for part in parts:
+        mesh = kernel_mesh(
+            part.rings, part.angle_deg, max(part.eave_z_m, min_eave_height_m), max_roof_height_m
+        )
+        if mesh is None:
+            return None
+        vertex_m = snap_vertices(mesh.vertex_m, np.concatenate(list(part.rings)))
+        solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex_m, mesh.triangle.astype(np.uint64))))
+    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).to_mesh64()
+    vertex_m = np.array(whole.vert_properties, float)[:, :3]
+    mesh = simplified(vertex_m, np.array(whole.tri_verts, np.int32))
+    if mesh is None or not mesh.is_closed:
+        return None
+    if mesh.edge_m.min() >= _SHORT_EDGE_M:
+        return mesh
+    merged = collapse_vertices(mesh, _SHORT_EDGE_M)
+    return merged if merged.is_closed else mesh
