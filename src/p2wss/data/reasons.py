@@ -35,7 +35,6 @@ TOO_FEW_ROOF_POINTS = "too-few-roof-points"
 NO_HEIGHT = "no-height"
 HEIGHT_FROM_ATTRIBUTE = "height-from-attribute"
 NO_ROOF = "no-roof"
-NO_CLOSED_UNION = "no-closed-union"
 INVALID_SOLID = "invalid-solid"
 ROOFER_FAILED = "roofer-failed"
 ROOFER_TIMEOUT = "roofer-timeout"
@@ -76,7 +75,6 @@ MEANINGS: dict[str, str] = {
     NO_HEIGHT: "the method has no height for the building",
     HEIGHT_FROM_ATTRIBUTE: "no point shows the building: a flat roof at the height that its footprint states",
     NO_ROOF: "the fit found no roof for the points",
-    NO_CLOSED_UNION: "the parts of the building have no closed union",
     INVALID_SOLID: "the solid violates a rule of ISO 19107, and so do simpler solids with a fitted roof",
     ROOFER_FAILED: "Roofer ended with an error; see the log",
     ROOFER_TIMEOUT: "Roofer took longer than eval.roofer_timeout_s",
