@@ -17,14 +17,14 @@ import numpy as np
 import real
 import structure
 from figures import Figures
+from roof_edges import roof_edges
+from roof_edges import structure as structure_of
 
 import p2wss
 from p2wss.cli import main as command
 from p2wss.cli.towns import ROOFS
 from p2wss.config import Config
 from p2wss.data.building import Building
-from p2wss.eval.metrics.structure import roof_edges
-from p2wss.eval.metrics.structure import structure as structure_of
 from p2wss.fit import fitting
 from p2wss.fit.settings import PlanePrices, Planes, Thresholds
 from p2wss.mesh import Mesh
