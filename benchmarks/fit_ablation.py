@@ -40,7 +40,6 @@ def _with_prices(**prices: float) -> Thresholds:
 VARIANTS: dict[str, tuple[Reconstruct, Thresholds]] = {
     "default": (_DEFAULT, Thresholds()),
     "short edges stay": (_DEFAULT, Thresholds(short_edge_m=0.0)),
-    "planes are not adjusted": (_DEFAULT, Thresholds(adjust=False)),
     "edges cost nothing, faces four times": (_DEFAULT, _with_prices(face_m3=0.6, edge_m2=1e-9)),
     "all edges cost the same": (_DEFAULT, _with_prices(meet_share=1.0, small_step_share=1.0)),
     "planes stay as detected": (_DEFAULT, _with(detection=Detection(simpler_m=0.0))),

@@ -12,7 +12,6 @@ from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.data.points import MIN_CLASSIFIED_POINTS
-from p2wss.fit.mesh.adjustment import adjusted
 from p2wss.fit.mesh.chimneys import with_chimneys
 from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
@@ -110,7 +109,7 @@ def fit_building(task: _Task) -> Reconstruction:
     solid = cover_with_planes(task, prepared) or raise_parametric(task, prepared)
     if isinstance(solid, str):
         return no_mesh(task.building, task.method, solid)
-    mesh = solid.mesh if solid.is_parametric else smooth(task, prepared, solid.mesh)
+    mesh = solid.mesh if solid.is_parametric else remove_short_edges(task, prepared, solid.mesh)
     mesh = prepared.open_ground.marked(mesh)
     mesh = add_chimneys(task, prepared, mesh)
     return _reconstruction(task, prepared, solid, mesh)
@@ -187,14 +186,13 @@ def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
     return _Solid(mesh, 1, roof.eave_z_m, roof.angle_deg, share, True)
 
 
-def smooth(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:
-    """The mesh without short edges, its planes adjusted to the points."""
+def remove_short_edges(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:
+    """The mesh without short edges."""
     thresholds, rings, point_m = task.thresholds, prepared.rings, prepared.point_m
     area_m2 = shapely.Polygon(rings[0], rings[1:]).area
     price_m3 = thresholds.detail[task.config.detail] * thresholds.short_edge_price_m3
     limits = price_m3 * len(point_m) / area_m2, thresholds.short_edge_m
-    mesh = without_short_edges(mesh, rings, point_m, *limits)
-    return adjusted(mesh, rings, point_m) if thresholds.adjust else mesh
+    return without_short_edges(mesh, rings, point_m, *limits)
 
 
 def add_chimneys(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:

@@ -252,10 +252,8 @@ class Thresholds:
     min_plane_points: int = 10
     # metres: shorter edges of the mesh are removed if the points do not need them
     short_edge_m: float = 0.2
-    # cubic metres between roof and points that two of them may cost
-    short_edge_price_m3: float = 0.84
-    # whether the planes of the mesh are adjusted to the points
-    adjust: bool = True
+    # cubic metres between roof and points that each may cost
+    short_edge_price_m3: float = 0.42
     # multiples of the prices of planes, by `reconstruct.detail`
     detail: dict[str, float] = field(default_factory=lambda: {"low": 2.0, "normal": 1.0, "high": 0.5})
 

@@ -16,7 +16,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
-from p2wss.fit.mesh.adjustment import CAP_M
+from p2wss.fit.mesh.short_edges import CAP_M
 from p2wss.fit.mesh.simplification import is_sound, simplified
 from p2wss.fit.settings import Chimneys
 from p2wss.mesh import Mesh

@@ -13,19 +13,23 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from p2wss.fit.mesh.adjustment import CAP_M, is_free, turned_over
 from p2wss.fit.mesh.simplification import is_sound, simplified
 from p2wss.mesh import Mesh
 from p2wss.mesh.mesh import Planes
 from p2wss.mesh.surface import topmost
-from p2wss.mesh.topology import NEXT, is_closed
+from p2wss.mesh.topology import NEXT, doubled_areas, is_closed
+from p2wss.skeleton.types import FaceKind
 
 # no plane shifts by more than the first figure, and no vertex moves by more than the second
 _MAX_SHIFT_M, _MAX_MOVE_M = 0.2, 0.6
-# each edge may add at most this share of the price of a part to the sum of the residuals
-_PRICE_SHARE = 0.5
 # how heavily a square metre of a plane weighs without points, as a share of the points per square metre
 _AREA_WEIGHT = 0.1
+# a wall whose plane contains an edge of the footprint is an outer wall
+_ON_WALL_M = 1e-3
+# larger residuals count as this, as in the fit
+CAP_M = 1.0
+# a triangle that is turned over by no more than this, twice its area in square metres, has no area
+_NO_AREA_M2 = 1e-6
 # vertices nearer to each other are one
 _SAME_PLACE_M = 1e-3
 _RANK, _INCONSISTENT_M = 1e-6, 1e-6
@@ -38,14 +42,15 @@ def without_short_edges(
     points; the mesh itself if there are none. Edges are removed one after the other, the shortest first. Where the mesh
     without all of them would no longer be sound, the last ones stay.
 
-    rings: of the footprint. point_m: (m, 3), on the roof. price_m: of a part, in the sum of the residuals. All are in
+    rings: of the footprint. point_m: (m, 3), on the roof. price_m: what an edge may add to the sum of the
+    residuals. All are in
     the frame of the mesh.
     """
     edges = _short_edges(mesh, short_edge_m)
     if not edges:
         return mesh
     planes = mesh.planes
-    shifts = _Shifts(planes, is_free(planes, rings))
+    shifts = _Shifts(planes, _is_free(planes, rings))
     residuals = _Residuals.of(mesh, point_m)
     if not len(residuals.plane):
         return mesh
@@ -60,7 +65,7 @@ def without_short_edges(
         shift_m = shifts.smallest(mesh.vertex_m, clusters, weight)
         if shift_m is None or np.abs(shift_m).max() > _MAX_SHIFT_M:
             continue
-        if residuals.growth_m(planes, shift_m) > _PRICE_SHARE * price_m * (num_removed + 1):
+        if residuals.growth_m(planes, shift_m) > price_m * (num_removed + 1):
             continue
         moved_m = shifts.moved(mesh.vertex_m, clusters, shift_m)
         if np.linalg.norm(moved_m - mesh.vertex_m, axis=1).max() > _MAX_MOVE_M:
@@ -212,6 +217,20 @@ def _merged_triangles(mesh: Mesh, moved_m: np.ndarray, cluster_of: np.ndarray) -
     triangle = first[near.argmax(axis=1)][index][mesh.triangle]
     has_area = (triangle != triangle[:, NEXT]).all(axis=1)
     triangle = triangle[has_area]
-    if turned_over(moved_m, triangle, mesh.planes.normal[mesh.planes.number[has_area]]).any():
+    if _turned_over(moved_m, triangle, mesh.planes.normal[mesh.planes.number[has_area]]).any():
         return None
     return triangle if is_closed(moved_m, triangle) else None
+
+
+def _is_free(planes: Planes, rings: Sequence[np.ndarray]) -> np.ndarray:
+    """bool (p,): whether a plane is neither the floor nor an outer wall, over an edge of the footprint ``rings``."""
+    start = np.concatenate(list(rings))
+    end = np.concatenate([points for ring in rings for points in (ring[1:], ring[:1])])
+    gap_m = np.maximum(*(np.abs(ends @ planes.normal[:, :2].T - planes.offset_m) for ends in (start, end)))
+    is_outer = planes.is_wall & (gap_m.min(axis=0) < _ON_WALL_M)
+    return ~is_outer & (planes.kind != FaceKind.GROUND)
+
+
+def _turned_over(vertex_m: np.ndarray, triangle: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """bool (t,): which triangles (t, 3) face away from the normals (t, 3) of their planes."""
+    return (doubled_areas(vertex_m[triangle]) * normal).sum(axis=1) < -_NO_AREA_M2

@@ -35,7 +35,6 @@ class PlanesFit:
     plane: np.ndarray
     cells: Arrangement
     label: np.ndarray
-    num_faces: int
     body: np.ndarray
     off_m: np.ndarray
 
@@ -89,4 +88,4 @@ def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Plane
     label = least_cost(costs)
     within_m, within = point_m[cell >= 0], cell[cell >= 0]
     off_m = within_m[:, 2] - height_over(plane, label[within], within_m[:, :2])
-    return PlanesFit(plane, cells, label, int(costs.faces(label).max()) + 1, costs.bodies(label), off_m)
+    return PlanesFit(plane, cells, label, costs.bodies(label), off_m)
