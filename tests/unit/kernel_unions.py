@@ -11,7 +11,6 @@ from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.mesh.simplification import collapse_vertices, simplified
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
-from p2wss.mesh.planes import snap_vertices
 
 _SHORT_EDGE_M = 1e-2
 
@@ -36,7 +35,7 @@ def union_or_none(
         )
         if mesh is None:
             return None
-        vertex_m = snap_vertices(mesh.vertex_m, np.concatenate(list(part.rings)))
+        vertex_m = _on_rings(mesh.vertex_m, np.concatenate(list(part.rings)))
         solids.append(manifold3d.Manifold(manifold3d.Mesh64(vertex_m, mesh.triangle.astype(np.uint64))))
     whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).to_mesh64()
     vertex_m = np.array(whole.vert_properties, float)[:, :3]
@@ -47,3 +46,13 @@ def union_or_none(
         return mesh
     merged = collapse_vertices(mesh, _SHORT_EDGE_M)
     return merged if merged.is_closed else mesh
+
+
+def _on_rings(vertex_m: np.ndarray, corner_m: np.ndarray) -> np.ndarray:
+    """Vertices of which those over corners and axis-parallel lines of the rings have exactly their coordinates."""
+    result = vertex_m.copy()
+    for axis in range(2):
+        off_m = np.abs(vertex_m[:, axis, None] - corner_m[:, axis])
+        near = off_m.min(axis=1) < 1e-6
+        result[near, axis] = corner_m[off_m.argmin(axis=1)[near], axis]
+    return result

@@ -11,8 +11,6 @@ from p2wss.skeleton.types import FaceKind
 # vertices within this distance of a plane lie in it
 _COPLANAR_M = 4e-3
 _SAME_WAY = 0.99
-# vertices within this distance of a line of the footprint lie on it
-_ON_LINE_M = 1e-6
 _UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
 _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
 _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
@@ -75,18 +73,3 @@ def face_planes(vertex_m, triangle, beside):
                     pending[num_pending] = other
                     num_pending += 1
     return kind, plane
-
-
-@entry
-def snap_vertices(vertex_m, corner_m):
-    """Vertices (v, 3) of which those over corners and axis-parallel lines of the footprint have exactly their
-    coordinates."""
-    result = vertex_m.copy()
-    for axis in range(2):
-        for v in range(len(result)):
-            nearest = _ON_LINE_M
-            for corner in corner_m:
-                off = abs(corner[axis] - vertex_m[v, axis])
-                if off < nearest:
-                    nearest, result[v, axis] = off, corner[axis]
-    return result
