@@ -39,7 +39,7 @@ RECONSTRUCTIONS = pa.schema(
         *FOOTPRINT,
         field("eave_height_m", pa.float32(), "eave above ground_z_m; null for a method without one", True),
         field("angle_deg", pa.list_(pa.float32()), "one per edge; null for a method without angles", True),
-        field("num_parts", pa.int32(), "parts with their own eave height; 1 for the paper's model"),
+        field("num_parts", pa.int32(), "bodies between which there are steps; 1 for the paper's model"),
         *MESH,
     ]
 )

@@ -30,7 +30,7 @@ MEASURES = pa.schema(
             True,
         ),
         field("visible_roof_share", pa.float32(), "as in the crop"),
-        field("num_parts", pa.int32(), "parts with their own eave height; null without a mesh", True),
+        field("num_parts", pa.int32(), "bodies between which there are steps; null without a mesh", True),
         field(
             "num_triangles", pa.int32(), "triangles of the mesh, ground included; null without a mesh", True
         ),
