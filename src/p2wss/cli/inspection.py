@@ -14,6 +14,7 @@ import numpy as np
 from p2wss.data.manifest import read_manifest
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.las_files import crs_of
 
 Facts = dict[str, Any]
 
@@ -208,7 +209,7 @@ def _cloud(path: Path) -> Facts:
     return {
         "kind": "point cloud, COPC" if is_copc else f"point cloud, {path.suffix[1:].upper()}",
         "version": f"LAS {header.version}, point format {header.point_format.id}",
-        "crs": _crs(header.parse_crs()),
+        "crs": _crs(crs_of(header)),
         "bounds": [*header.mins[:2].tolist(), *header.maxs[:2].tolist()],
         "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
         "num_points": header.point_count,

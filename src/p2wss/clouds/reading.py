@@ -15,7 +15,7 @@ from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_files import KIND, open_cloud
+from p2wss.storage.las_files import KIND, crs_of, open_cloud
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
@@ -103,7 +103,7 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
     for path in paths:
         with open_cloud(path) as reader:
             header = reader.header
-            crs = header.parse_crs()
+            crs = crs_of(header)
         (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
         bounds = (float(x_min), float(y_min), float(x_max), float(y_max))
         has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
@@ -153,7 +153,7 @@ def read_in_chunks(
 
 def cloud_of(data: laspy.LasData, classes: ClassSet = LAS) -> Cloud:
     """The points of a cloud that laspy has read, as :func:`read_clouds` returns those of a file."""
-    return _cloud(data.points, data.header, None, classes, data.header.parse_crs())
+    return _cloud(data.points, data.header, None, classes, crs_of(data.header))
 
 
 def _chunks(

@@ -19,7 +19,7 @@ import pyproj
 
 from p2wss.clouds.reading import Cloud
 from p2wss.storage import files, integrity
-from p2wss.storage.las_files import open_cloud
+from p2wss.storage.las_files import crs_of, open_cloud
 
 MM = 0.001
 _READ_AT_ONCE = 1_000_000
@@ -99,7 +99,7 @@ def read_scan(path: str | Path) -> tuple[Cloud, np.ndarray, np.ndarray]:
     needed |= laspy.DecompressionSelection.Z | laspy.DecompressionSelection.ALL_EXTRA_BYTES
     kind = "a readable scan of p2wss, or truncated"
     with open_cloud(path, kind, decompression_selection=needed) as reader:
-        count, crs = reader.header.point_count, reader.header.parse_crs()
+        count, crs = reader.header.point_count, crs_of(reader.header)
         columns = {name: np.empty(count, kind) for name, kind in _COLUMNS.items()}
         first = 0
         for points in reader.chunk_iterator(_READ_AT_ONCE):

@@ -95,7 +95,6 @@ MEANINGS: dict[str, str] = {
     "open-face": "a face of the solid has an open boundary",
     "not-triangulated": "a face of the solid could not be triangulated",
     "not-closed": "the mesh is not closed",
-    "not-manifold": "an edge or a vertex of the mesh is not manifold",
     "wrong-genus": "the mesh does not have one hole per courtyard",
     "not-planar": "a face of the mesh is not planar",
     "wrong-area": "the roof or the ground does not have the area of the footprint",

@@ -15,7 +15,7 @@ import pyproj
 from p2wss.data.crs import check_crs
 from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage import files, integrity
-from p2wss.storage.las_files import open_cloud
+from p2wss.storage.las_files import crs_of, open_cloud
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
@@ -29,7 +29,7 @@ def read_header(path: Path) -> laspy.LasHeader:
 
 def check_cloud(path: Path, crs: str) -> None:
     """Raise :class:`InputError` if the file is truncated or states a CRS that differs from ``crs``."""
-    check_crs(read_header(path).parse_crs(), crs, path)
+    check_crs(crs_of(read_header(path)), crs, path)
 
 
 def write_cloud(

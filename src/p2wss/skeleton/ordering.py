@@ -33,21 +33,6 @@ def stable_order(key: np.ndarray) -> np.ndarray:
 
 
 @inner
-def sort_first(values: np.ndarray, count: int) -> None:
-    """Sort the first ``count`` values, in place and ascending."""
-    gap = count
-    while gap > 1:
-        gap = max(gap * 4 // 9, 1)
-        for i in range(gap, count):
-            value = values[i]
-            k = i
-            while k >= gap and value < values[k - gap]:
-                values[k] = values[k - gap]
-                k -= gap
-            values[k] = value
-
-
-@inner
 def median(values: np.ndarray, count: int) -> float:
     """Median of the first ``count`` values, at least one; reorders them."""
     half = count // 2

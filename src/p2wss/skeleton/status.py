@@ -29,7 +29,6 @@ class Status(IntEnum):
     OPEN_FACE = 14
     NOT_TRIANGULATED = 15
     NOT_CLOSED = 16
-    NOT_MANIFOLD = 17
     WRONG_GENUS = 18
     NOT_PLANAR = 19
     WRONG_AREA = 20
