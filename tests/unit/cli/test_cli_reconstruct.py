@@ -110,7 +110,9 @@ def test_neither_a_model_nor_a_fit_is_an_error(
     assert "--model" in capsys.readouterr().err
 
 
-def test_shipped_weights_are_the_default_of_parametric_roofs(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_shipped_weights_are_the_default_of_parametric_roofs(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     came, own = write_weights(place / "point2wss.safetensors"), write_weights(place / "own")
     loaded: list[Path] = []
     monkeypatch.setattr(predictor, "load_predictor", lambda path, device: loaded.append(path) or Oracle())
