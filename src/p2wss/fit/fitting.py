@@ -20,7 +20,7 @@ from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.points import ground_points, roof_points, wall_hits
 from p2wss.fit.roof import confidence
-from p2wss.fit.roof.evidence import roof_evidence
+from p2wss.fit.roof.evidence import Evidence, roof_evidence
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
@@ -30,8 +30,6 @@ from p2wss.mesh import Mesh
 METHOD = "fit"
 # points of class ground this far inside the footprint show that no building is there
 _GROUND_INSIDE_M = 0.5
-# multiples of the prices of planes: where a solid is not closed, one with fewer faces may be
-_DEARER = (1.0, 2.0, 4.0)
 
 
 def fit(
@@ -147,17 +145,13 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
         return None
     # open ground gets the lowest roof
     raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
-    for dearer in _DEARER:
-        prices = thresholds.planes.times(dearer * thresholds.detail[config.detail])
-        planes = fit_planes(prepared.rings, raised_m, prices)
-        mesh = None if planes is None else planes.mesh(prepared.rings)
-        if planes is None or mesh is not None:
-            break
-    if planes is None or mesh is None:
+    planes = fit_planes(prepared.rings, raised_m, thresholds.planes.times(thresholds.detail[config.detail]))
+    if planes is None:
         return None
-    mesh = simplified(mesh.vertex_m, mesh.triangle) or mesh
+    mesh = simplified(planes.mesh.vertex_m, planes.mesh.triangle) or planes.mesh
     off_m = np.minimum(np.abs(planes.off_m), thresholds.limits.cap_m).mean()
-    share = confidence.share_of_planes(float(off_m), len(point_m))
+    # the height alone: planes have no edges of which the next best answer is known
+    share = confidence.share(Evidence(len(point_m), float(off_m), np.zeros(0), False))
     return _Solid(mesh, int(planes.body.max()) + 1, *planes.parameters(prepared.rings), share, False)
 
 

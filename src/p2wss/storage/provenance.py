@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from hashlib import blake2b
 from pathlib import Path
 from typing import NamedTuple
+
+from p2wss.storage.errors import InputError
 
 PACKAGE = "p2wss"
 # their values reach a stage through the parameters, or they only pass paths on
@@ -89,14 +91,10 @@ def _kept() -> dict[str, Module]:
 
 
 def _keep(modules: dict[str, Module]) -> None:
-    path = _ROOT / _KEPT
-    part = path.with_suffix(f".{os.getpid()}")
-    try:
-        path.parent.mkdir(exist_ok=True)
-        part.write_text(json.dumps(modules), encoding="utf-8")
-        part.replace(path)
-    except OSError:  # the package is installed where nothing can be written
-        part.unlink(missing_ok=True)
+    from p2wss.storage.files import write_text  # which imports pyarrow
+
+    with suppress(InputError):  # the package is installed where nothing can be written
+        write_text(_ROOT / _KEPT, json.dumps(modules))
 
 
 def _read(name: str, known: Module | None) -> Module:

@@ -42,9 +42,8 @@ def without_short_edges(
     points; the mesh itself if there are none. Edges are removed one after the other, the shortest first. Where the mesh
     without all of them would no longer be sound, the last ones stay.
 
-    rings: of the footprint. point_m: (m, 3), on the roof. price_m: what an edge may add to the sum of the
-    residuals. All are in
-    the frame of the mesh.
+    rings: of the footprint. point_m: (m, 3), on the roof. price_m: what an edge may add to the sum of the residuals.
+    All are in the frame of the mesh.
     """
     edges = _short_edges(mesh, short_edge_m)
     if not edges:

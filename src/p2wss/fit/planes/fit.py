@@ -19,6 +19,8 @@ from p2wss.fit.points import even_order
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
 
+# multiples of the prices: where a solid is not closed, one with fewer faces may be
+_DEARER = (1.0, 2.0, 4.0)
 # directions of a footprint along which few points show planes
 _NUM_DIRECTIONS = 2
 # metres: a roof is found so far within the footprint; tangent of the slope of a level roof
@@ -30,17 +32,15 @@ _LOW_M = 2.0
 @dataclass(frozen=True)
 class PlanesFit:
     """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
-    there are steps. off_m: of the points within the footprint, their heights above the roof."""
+    there are steps. off_m: of the points within the footprint, their heights above the roof.
+    mesh: the solid from height 0 to the roof."""
 
     plane: np.ndarray
     cells: Arrangement
     label: np.ndarray
     body: np.ndarray
     off_m: np.ndarray
-
-    def mesh(self, rings: Sequence[np.ndarray]) -> Mesh | None:
-        """The solid from height 0 to the roof, None if it is not closed."""
-        return solid_below(self.cells, self.label, self.plane, np.concatenate(rings))
+    mesh: Mesh
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
         """(eave height of the largest body, angle in degrees of every edge): that of a plane which rises from its edge,
@@ -73,7 +73,8 @@ class PlanesFit:
 
 
 def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Planes) -> PlanesFit | None:
-    """The planes over a footprint that cost least; None if the points (m, 3) show no plane."""
+    """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
+    closed."""
     point_m = point_m[even_order(point_m)]
     density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
     along = directions(rings, settings.drawing.same_deg)
@@ -84,8 +85,15 @@ def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Plane
     drawing = settings.drawing.for_density(density)
     cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
     cell = cells.cells_at(point_m[:, :2])
-    costs = costs_of(cells, plane, found.label, point_m, cell, density, settings.prices)
-    label = least_cost(costs)
+    for dearer in _DEARER:
+        prices = settings.times(dearer).prices
+        costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
+        label = least_cost(costs)
+        mesh = solid_below(cells, label, plane, np.concatenate(rings))
+        if mesh is not None:
+            break
+    else:
+        return None
     within_m, within = point_m[cell >= 0], cell[cell >= 0]
     off_m = within_m[:, 2] - height_over(plane, label[within], within_m[:, :2])
-    return PlanesFit(plane, cells, label, costs.bodies(label), off_m)
+    return PlanesFit(plane, cells, label, costs.bodies(label), off_m, mesh)

@@ -22,12 +22,6 @@ _MIN_MARGIN_M = 0.05
 _FAR_OFF_M, _DROP_PER_M = 0.2, 2.0
 
 
-def share_of_planes(residual_m: float, num_points: int) -> float:
-    """The expected share of right values of a roof of planes, which many points are ``residual_m`` off in the mean."""
-    stated = expit(HEIGHT[0] + HEIGHT[1] * residual_m + HEIGHT[2] * np.log(num_points + 1.0))
-    return max(0.0, min(1.0 - _DROP_PER_M * max(residual_m - _FAR_OFF_M, 0.0), float(stated)))
-
-
 def share(evidence: Evidence) -> float:
     """The expected share of right values of one roof, over its edges and the eave height."""
     edges = expit(EDGE[0] + edge_terms(evidence) @ EDGE[1:])

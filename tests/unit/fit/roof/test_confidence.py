@@ -10,7 +10,7 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building
 from p2wss.fit import fitting
 from p2wss.fit.roof import confidence
-from p2wss.fit.roof.evidence import roof_evidence
+from p2wss.fit.roof.evidence import Evidence, roof_evidence
 from p2wss.fit.roof.fitter import FittedRoof, Fitter
 from p2wss.fit.settings import Limits
 from p2wss.skeleton import Polygons
@@ -163,8 +163,12 @@ def test_a_building_that_no_roof_fits_has_a_low_confidence():
     assert rough.confidence < 0.8 < 0.97 < clean.confidence
 
 
+def of_planes(residual_m: float, num_points: int) -> float:
+    return confidence.share(Evidence(num_points, residual_m, np.zeros(0), False))
+
+
 def test_the_confidence_of_planes_falls_with_their_residual_and_rises_with_points():
-    by_residual = [confidence.share_of_planes(residual_m, 300) for residual_m in (0.05, 0.2, 0.4, 0.8)]
+    by_residual = [of_planes(residual_m, 300) for residual_m in (0.05, 0.2, 0.4, 0.8)]
     assert (np.diff(by_residual) <= 0).all() and by_residual[0] > 0.95 and by_residual[-1] == 0.0
-    by_points = [confidence.share_of_planes(0.1, num_points) for num_points in (3, 10, 30, 300)]
+    by_points = [of_planes(0.1, num_points) for num_points in (3, 10, 30, 300)]
     assert (np.diff(by_points) > 0).all()
