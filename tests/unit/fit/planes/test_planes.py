@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from scipy.spatial import cKDTree
 
 from p2wss.fit.directions import directions
 from p2wss.fit.mesh.simplification import collapse_vertices
+from p2wss.fit.planes import fit as planes_fit
 from p2wss.fit.planes.arrangement import arrange
 from p2wss.fit.planes.detection import _merged, detect, height_over, heights
 from p2wss.fit.planes.fit import fit_planes
-from p2wss.fit.planes.labelling import Costs, least_cost
+from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import Line
 from p2wss.fit.planes.regularity import regular
 from p2wss.fit.planes.solid import solid_below
@@ -79,6 +81,43 @@ def test_few_points_show_the_planes_of_a_gable_roof_beside_a_level_annex(num_poi
     assert (off_m < 0.15).all() and (found.label >= 0).mean() > 0.9
 
 
+def test_planes_are_found_where_the_surface_around_a_point_shows_nothing() -> None:
+    rings, plane = gable(12, 8, 4, 0.3)
+    along, num_found = directions(rings, 4.0), []
+    for seed in range(20):
+        few = sampled(rings, plane, seed)[:14]
+        num_found.append(len(detect(few, 14 / 96, along, PLANES.detection).plane))
+    assert num_found.count(2) >= 17
+
+
+def test_no_roof_falls_below_the_ground() -> None:
+    """Of a steep roof only the upper third is seen: further down its plane is below the ground."""
+    rings = [np.array([[0, 0], [12, 0], [12, 8], [0, 8.0]])]
+    rng = np.random.default_rng(0)
+    xy_m = rng.uniform([8, 0], [12, 8], (300, 2))
+    point_m = np.column_stack([xy_m, 1.5 * (xy_m[:, 0] - 6) + rng.normal(0, 0.02, 300)])
+    assert fit_planes(rings, point_m, PLANES) is None
+
+
+def test_where_a_solid_is_not_closed_faces_get_dearer(monkeypatch: pytest.MonkeyPatch) -> None:
+    rings, plane = gable(12, 8, 4, 0.3)
+    point_m, prices_m3, solids = sampled(rings, plane, 7), [], []
+
+    def recording(*arguments: Any) -> Costs:
+        prices_m3.append(arguments[-1].face_m3)
+        return costs_of(*arguments)
+
+    def closed_at_last(*arguments: Any) -> Mesh | None:
+        solids.append(solid_below(*arguments))
+        return solids[-1] if len(solids) == 3 else None
+
+    monkeypatch.setattr(planes_fit, "costs_of", recording)
+    monkeypatch.setattr(planes_fit, "solid_below", closed_at_last)
+    fit = fit_planes(rings, point_m, PLANES)
+    assert fit is not None and fit.mesh is solids[-1]
+    assert prices_m3 == [factor * PLANES.prices.face_m3 for factor in (1, 2, 4)]
+
+
 def test_points_off_every_plane_have_none() -> None:
     rings, plane = gable(12, 8, 4, 0.3)
     point_m = sampled(rings, plane, 2)
@@ -106,7 +145,7 @@ def test_the_parameters_of_a_gable_roof_and_its_exact_planes(turn: float) -> Non
     eave_m, angle_deg = fit.parameters(rings)
     assert eave_m == pytest.approx(4.0, abs=0.05)
     assert angle_deg == pytest.approx([40, 90, 40, 90], abs=0.7)
-    mesh = fit.mesh(rings)
+    mesh = fit.mesh
     assert mesh is not None
     roof_m = mesh.vertex_m[mesh.vertex_m[:, 2] > 0]
     assert np.abs(heights(fit.plane, roof_m[:, :2]) - roof_m[:, 2:]).min(axis=1).max() < 1e-6
@@ -228,7 +267,7 @@ def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
     assert fit is not None
     assert len(np.unique(fit.label)) == 4
     assert np.abs(fit.off_m).mean() < 0.05
-    mesh = fit.mesh([ring])
+    mesh = fit.mesh
     assert mesh is not None
     # walls are planes, also when vertices within them are gone
     simple = collapse_vertices(mesh)
