@@ -3,37 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 
-# shorter edges stay; points this near to the ends of an edge may belong to the next wall
-_MIN_EDGE_M, _AT_CORNER_M = 2.0, 0.5
-_BIN_M = 1.0
-# the roof behind an edge is a line through the median heights of the points at these distances from it, no steeper
-# than this
-_NEAR_M, _MIDDLE_M, _FAR_M, _STEEPEST = 1.0, 2.0, 3.0, 1.5
-# points further below it are on a wall or on the ground
-_BELOW_ROOF_M = 0.7
-_MIN_POINTS, _MIN_BINS_SHARE = 3, 0.6
-# a wall is moved by at least this much; a quarter of the bins at most may show less
-_MIN_SHIFT_M = 0.3
-# an edge of at least this length is turned if that reduces the mean distance to where the roof begins to this share
-_MIN_TURNED_M, _TURNED_RATIO = 5.0, 0.7
-# what remains of an edge at least
-_MIN_REMAINING_M = 0.5
-# Beyond the wall is open ground: it has at least this share of the points between the wall and the edge, and within
-# this distance beyond the edge at most so many points are of buildings for each of the ground. In a row of houses, a
-# neighbour's wall or lower roof is there instead.
-_GROUND_SHARE, _BEYOND_M, _MOST_BUILDING = 0.2, 1.0, 0.25
-# an overhang has at least so many points of the ground beyond it; points further out than this are not at hand
-_MIN_GROUND_POINTS, _MAX_OVERHANG_M = 3, 1.0
-# the points of the building this near to the end of the roof are of the same edge
-_NEAR_EDGE_M = 0.1
-# nearly straight corners cannot be found from the lines of their edges
-_MIN_TURN = 0.2
+
+@dataclass(frozen=True)
+class Rules:
+    """Where a roof ends beside an edge, and which edges move; all set by hand from what clouds of real houses show.
+
+    min_edge_m: shorter edges stay. at_corner_m: points this near to the ends of an edge may belong to the next wall.
+    bin_m: length of an edge for which the end of the roof is sought. bands_m: the roof behind an edge is a line through
+    the median heights of the points at these distances from it, no steeper than the tangent ``steepest``. below_roof_m:
+    points further below it are on a wall or on the ground. min_points: in each band. min_bins_share: of the length of
+    an edge that shows the end of the roof.
+
+    min_shift_m: a wall is moved by at least this much; a quarter of its length may show less. min_turned_m,
+    turned_share: an edge of this length is turned if that reduces the mean distance to where the roof begins to this
+    share. min_remaining_m: what remains of an edge. min_turn: sine of the turn at a corner that can be found from the
+    lines of its edges.
+
+    ground_share, beyond_m, most_building: beyond a wall that moves is open ground, which has at least this share of the
+    points between the wall and the edge; within this distance beyond the edge, further than which no points are at
+    hand, at most so many points are of buildings for each of the ground. In a row of houses, a neighbour's wall or
+    lower roof is there instead. near_edge_m: points of the building this near to the end of the roof are of the same
+    edge.
+    """
+
+    min_edge_m: float = 2.0
+    at_corner_m: float = 0.5
+    bin_m: float = 1.0
+    bands_m: tuple[float, float, float] = (1.0, 2.0, 3.0)
+    steepest: float = 1.5
+    below_roof_m: float = 0.7
+    min_points: int = 3
+    min_bins_share: float = 0.6
+    min_shift_m: float = 0.3
+    min_turned_m: float = 5.0
+    turned_share: float = 0.7
+    min_remaining_m: float = 0.5
+    min_turn: float = 0.2
+    ground_share: float = 0.2
+    beyond_m: float = 1.0
+    most_building: float = 0.25
+    near_edge_m: float = 0.1
+
+
+RULES = Rules()
+_NEAR_M, _MIDDLE_M, _FAR_M = RULES.bands_m
 
 
 def move_walls(
@@ -50,7 +70,7 @@ def move_walls(
     classification (m,): all points in and around the footprint.
     """
     ring = rings[0]
-    if max_shift_m < _MIN_SHIFT_M or len(roof_point_m) < _MIN_POINTS:
+    if max_shift_m < RULES.min_shift_m or len(roof_point_m) < RULES.min_points:
         return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
     after = np.roll(ring, -1, axis=0)
@@ -60,12 +80,12 @@ def move_walls(
         if not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
             continue
         shifts = _shifts_m(*ends, roof_point_m, max_shift_m)
-        if shifts.any() and _is_open(*ends, float(shifts.mean()), ground_m, building_m, _GROUND_SHARE):
+        if shifts.any() and _is_open(*ends, float(shifts.mean()), ground_m, building_m, RULES.ground_share):
             shift_m[i] = shifts
     if not shift_m.any():
         return list(rings)
     # a short edge between two that move, the chamfer of a corner, moves with them
-    for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < _MIN_EDGE_M).tolist():
+    for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < RULES.min_edge_m).tolist():
         beside = shift_m[i - 1, 1], shift_m[(i + 1) % len(ring), 0]
         shift_m[i] = min(beside, key=abs) if beside[0] * beside[1] > 0 else 0.0
     moved = _moved_ring(ring, shift_m, 2 * max_shift_m)
@@ -93,11 +113,11 @@ def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndar
             if shift_m[i - 1].any() or shift_m[i].any():
                 matrix = normal[[i - 1, i]]
                 shifts = np.array([(end[i - 1] - ring[i]) @ matrix[0], (start[i] - ring[i]) @ matrix[1]])
-                if abs(np.linalg.det(matrix)) < _MIN_TURN:
+                if abs(np.linalg.det(matrix)) < RULES.min_turn:
                     shifts[:] = shifts[np.abs(shifts).argmin()]
                 moved[i] += np.linalg.lstsq(matrix, shifts)[0]
         remaining = ((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1)
-        too_short = np.flatnonzero(remaining <= np.minimum(_MIN_REMAINING_M, 0.5 * length[:, 0]))
+        too_short = np.flatnonzero(remaining <= np.minimum(RULES.min_remaining_m, 0.5 * length[:, 0]))
         too_far = np.flatnonzero(np.linalg.norm(moved - ring, axis=1) > most_m)
         stays = np.concatenate([too_short - 1, too_short, too_short + 1, too_far - 1, too_far]) % len(ring)
         if not len(stays):
@@ -116,28 +136,26 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     """
     building_m, ground_m = (point_m[classification == each] for each in (BUILDING_CLASS, GROUND_CLASS))
     result = np.full(len(ring), np.nan)
-    if len(building_m) < _MIN_POINTS or len(ground_m) < _MIN_GROUND_POINTS:
+    if min(len(building_m), len(ground_m)) < RULES.min_points:
         return result
     for i, (start, end) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True)):
-        length = float(np.hypot(*(end - start)))
-        along = (end - start) / length
-        depths_m = []
-        for xy_m in (building_m[:, :2], ground_m[:, :2]):
-            place, depth = (xy_m - start) @ along, (xy_m - start) @ np.array([-along[1], along[0]])
-            depths_m.append(depth[(place > _AT_CORNER_M) & (place < length - _AT_CORNER_M)])
+        depth_m, ground_depth_m = (_beside(start, end, each)[1] for each in (building_m, ground_m))
         # without ground, as along party walls, there is nothing to find
-        if ((depths_m[1] >= -_MAX_OVERHANG_M) & (depths_m[1] < _FAR_M)).sum() < _MIN_GROUND_POINTS:
+        if ((ground_depth_m >= -RULES.beyond_m) & (ground_depth_m < _FAR_M)).sum() < RULES.min_points:
             continue
-        _, begins_m = _begins_m(start, end, building_m, -_MAX_OVERHANG_M)
+        _, begins_m = _begins_m(start, end, building_m, -RULES.beyond_m)
         if not len(begins_m):
             continue
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
-        num_behind = int(((depths_m[0] > _NEAR_M) & (depths_m[0] < _FAR_M)).sum())
-        gap_m = np.log(2) * (_FAR_M - _NEAR_M) * (length - 2 * _AT_CORNER_M) / max(num_behind, 1)
-        reach_m = min(float(gap_m - np.median(begins_m)), _MAX_OVERHANG_M)
-        outer_m = -reach_m - _NEAR_EDGE_M
-        beyond = [int(((depth < outer_m) & (depth >= -_MAX_OVERHANG_M)).sum()) for depth in depths_m[::-1]]
-        if beyond[0] >= _MIN_GROUND_POINTS and beyond[1] <= _MOST_BUILDING * beyond[0]:
+        num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
+        inner_length_m = np.hypot(*(end - start)) - 2 * RULES.at_corner_m
+        gap_m = np.log(2) * (_FAR_M - _NEAR_M) * inner_length_m / max(num_behind, 1)
+        reach_m = min(float(gap_m - np.median(begins_m)), RULES.beyond_m)
+        outer_m = -reach_m - RULES.near_edge_m
+        num_ground, num_building = (
+            int(((depth < outer_m) & (depth >= -RULES.beyond_m)).sum()) for depth in (ground_depth_m, depth_m)
+        )
+        if num_ground >= RULES.min_points and num_building <= RULES.most_building * num_ground:
             result[i] = reach_m
     return result
 
@@ -161,17 +179,30 @@ def _shifts_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift
     level_m = float(np.median(begins_m))
     first, second = np.triu_indices(len(at), 1)
     is_far = at[second] - at[first] > 0.3
-    if np.hypot(*(end - start)) >= _MIN_TURNED_M and is_far.any():
+    if np.hypot(*(end - start)) >= RULES.min_turned_m and is_far.any():
         # the drawn edge may be turned against the wall: the median of the slopes of all pairs is robust
         slopes_m = (begins_m[second] - begins_m[first])[is_far] / (at[second] - at[first])[is_far]
         rise_m = float(np.median(slopes_m))
         ends_m = float(np.median(begins_m - rise_m * at)) + rise_m * np.array([0.0, 1.0])
         turned, straight = (np.abs(begins_m - line).mean() for line in (ends_m[0] + rise_m * at, level_m))
-        if turned < _TURNED_RATIO * straight and ends_m.max() >= _MIN_SHIFT_M:
+        if turned < RULES.turned_share * straight and ends_m.max() >= RULES.min_shift_m:
             return np.clip(ends_m, 0.0, max_shift_m)
-    if np.quantile(begins_m, 0.25) < _MIN_SHIFT_M:
+    if np.quantile(begins_m, 0.25) < RULES.min_shift_m:
         return np.zeros(2)
     return np.full(2, min(level_m, max_shift_m))
+
+
+def _beside(
+    start: np.ndarray, end: np.ndarray, point_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the points (m, 2 or 3) beside an edge, but not beside its ends: the place along it from 0 to 1, how far they
+    are behind it, and their rows."""
+    length = float(np.hypot(*(end - start)))
+    along = (end - start) / length
+    offset = point_m[:, :2] - start
+    place, depth = offset @ along, offset @ np.array([-along[1], along[0]])
+    row = np.flatnonzero((place > RULES.at_corner_m) & (place < length - RULES.at_corner_m))
+    return (place[row] - RULES.at_corner_m) / (length - 2 * RULES.at_corner_m), depth[row], row
 
 
 def _begins_m(
@@ -180,26 +211,24 @@ def _begins_m(
     """(place along the edge from 0 to 1, how far behind it the roof begins there, ``least_m`` or more) for each metre
     of its length; empty where too few show it."""
     length = float(np.hypot(*(end - start)))
-    if length < _MIN_EDGE_M:
+    if length < RULES.min_edge_m:
         return np.zeros(0), np.zeros(0)
-    along = (end - start) / length
-    offset = point_m[:, :2] - start
-    place, depth = offset @ along, offset @ np.array([-along[1], along[0]])
-    near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M) & (depth > least_m) & (depth < _FAR_M)
-    place, depth, z = place[near] - _AT_CORNER_M, depth[near], point_m[near, 2]
-    num_bins = max(1, int((length - 2 * _AT_CORNER_M) / _BIN_M))
-    number = np.minimum((place * num_bins / (length - 2 * _AT_CORNER_M)).astype(int), num_bins - 1)
+    share, depth, row = _beside(start, end, point_m)
+    near = (depth > least_m) & (depth < _FAR_M)
+    share, depth, z = share[near], depth[near], point_m[row[near], 2]
+    num_bins = max(1, int((length - 2 * RULES.at_corner_m) / RULES.bin_m))
+    number = np.minimum((share * num_bins).astype(int), num_bins - 1)
     at, begins_m = [], []
     for k in range(num_bins):
         here = number == k
         bands = [here & (depth > low) & (depth <= low + 1.0) for low in (_NEAR_M, _MIDDLE_M)]
-        if min(band.sum() for band in bands) >= _MIN_POINTS:
+        if min(band.sum() for band in bands) >= RULES.min_points:
             height_m, next_m = (_median(z[band]) for band in bands)
-            slope = min(max(next_m - height_m, 0.0), _STEEPEST)
+            slope = min(max(next_m - height_m, 0.0), RULES.steepest)
             roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
             at.append((k + 0.5) / num_bins)
-            begins_m.append(depth[here & (z > roof_m - _BELOW_ROOF_M)].min())
-    if len(begins_m) < _MIN_BINS_SHARE * num_bins:
+            begins_m.append(depth[here & (z > roof_m - RULES.below_roof_m)].min())
+    if len(begins_m) < RULES.min_bins_share * num_bins:
         return np.zeros(0), np.zeros(0)
     return np.array(at), np.array(begins_m)
 
@@ -219,14 +248,11 @@ def _is_open(
 ) -> bool:
     """Whether points (n, 2) of the ground and of the building show open ground on both sides of an edge: more than
     ``ground_share`` of the points within it are of the ground."""
-    length = float(np.hypot(*(end - start)))
-    along = (end - start) / length
     inside, beyond = [], []
     for xy_m in (ground_m, building_m):
-        place, depth = (xy_m - start) @ along, (xy_m - start) @ np.array([-along[1], along[0]])
-        near = (place > _AT_CORNER_M) & (place < length - _AT_CORNER_M)
-        inside.append(int((near & (depth > 0) & (depth < shift_m)).sum()))
+        _, depth, _ = _beside(start, end, xy_m)
+        inside.append(int(((depth > 0) & (depth < shift_m)).sum()))
         if not inside[0]:
             return False
-        beyond.append(int((near & (depth < 0) & (depth > -_BEYOND_M)).sum()))
-    return inside[0] > ground_share * sum(inside) and beyond[1] <= _MOST_BUILDING * beyond[0]
+        beyond.append(int(((depth < 0) & (depth > -RULES.beyond_m)).sum()))
+    return inside[0] > ground_share * sum(inside) and beyond[1] <= RULES.most_building * beyond[0]

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from p2wss.fit.planes.arrangement import Arrangement
 from p2wss.fit.planes.detection import heights
 from p2wss.fit.settings import PlanePrices
-from p2wss.skeleton.compiled import entry, inner
+from p2wss.skeleton.compiled import allocating, entry
 from p2wss.skeleton.groups import groups
 
 _MAX_ROUNDS = 4
@@ -166,17 +166,13 @@ def _expanded(costs: Costs, label: np.ndarray) -> np.ndarray:
 def _expand(cell_m3, pair, side_m3, order, first, label):
     """The labels (c,) after planes have taken cells in turn. order: the ends of sides, those of the first cells of all
     sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
-    num_cells, num_sides = len(label), len(pair)
     label, candidate = label.copy(), label.copy()
-    need_m3, rest_m3, came_by = np.empty(num_cells), np.empty(2 * num_sides), np.empty(num_cells, np.int64)
-    queue = np.empty(num_cells, np.int64)
     total_m3 = _sum(cell_m3, pair, side_m3, label)
     for _ in range(_MAX_ROUNDS):
         before_m3 = total_m3
         for number in range(cell_m3.shape[1]):
-            _take(cell_m3, pair, side_m3, order, first, label, number, need_m3, rest_m3, came_by, queue)
-            for cell in range(num_cells):
-                candidate[cell] = number if came_by[cell] != _NOT_REACHED else label[cell]
+            is_taken = _taken(cell_m3, pair, side_m3, order, first, label, number)
+            candidate[:] = np.where(is_taken, number, label)
             candidate_m3 = _sum(cell_m3, pair, side_m3, candidate)
             if candidate_m3 < total_m3 - _GAIN_M3:
                 label[:], total_m3 = candidate, candidate_m3
@@ -196,15 +192,20 @@ def _sum(cell_m3, pair, side_m3, label):
     return total_m3
 
 
-@inner
-def _take(cell_m3, pair, side_m3, order, first, label, number, need_m3, rest_m3, came_by, queue):
-    """Finds the cells that plane ``number`` takes at least cost in all: those that ``came_by`` reaches in the end.
+@allocating
+def _taken(cell_m3, pair, side_m3, order, first, label, number):
+    """bool (c,): the cells that plane ``number`` takes at least cost in all.
 
-    This is a minimum cut by shortest augmenting paths (Edmonds and Karp, 1972). need_m3: what a cell still costs if it
-    is taken; below 0, what it saves. rest_m3: what remains of the capacity of a side, in both directions.
+    This is a minimum cut by shortest augmenting paths (Edmonds and Karp, 1972); those cells are taken that a path still
+    reaches in the end.
     """
-    num_sides = len(pair)
-    for cell in range(len(label)):
+    num_cells, num_sides = len(label), len(pair)
+    came_by, queue = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
+    # what a cell still costs if it is taken; below 0, what it saves
+    need_m3 = np.empty(num_cells)
+    # what remains of the capacity of a side, in both directions
+    rest_m3 = np.empty(2 * num_sides)
+    for cell in range(num_cells):
         need_m3[cell] = cell_m3[cell, number] - cell_m3[cell, label[cell]]
     for side in range(num_sides):
         one, other = pair[side, 0], pair[side, 1]
@@ -216,7 +217,7 @@ def _take(cell_m3, pair, side_m3, order, first, label, number, need_m3, rest_m3,
         rest_m3[side], rest_m3[side + num_sides] = 0.0, max(only_other + only_one - neither, 0.0)
     while True:
         head, tail, end = 0, 0, -1
-        for cell in range(len(label)):
+        for cell in range(num_cells):
             came_by[cell] = _NOT_REACHED
             if need_m3[cell] < -_GAIN_M3:
                 came_by[cell], queue[tail], tail = _START, cell, tail + 1
@@ -231,7 +232,7 @@ def _take(cell_m3, pair, side_m3, order, first, label, number, need_m3, rest_m3,
                         end = beside
                         break
         if end < 0:
-            return
+            return came_by != _NOT_REACHED
         flow_m3, cell = need_m3[end], end
         while came_by[cell] != _START:
             way = came_by[cell]
