@@ -82,7 +82,7 @@ mini: install
 lock:
 	$(BIN)/python -m pip install --quiet pip-tools
 	$(BIN)/pip-compile --quiet --upgrade --allow-unsafe --strip-extras --no-emit-find-links --no-emit-index-url \
-		--no-emit-options --no-header --extra test --extra lint -c envs/constraints.txt -o envs/lock.txt pyproject.toml
+		--no-emit-options --no-header --extra workflow --extra test --extra lint -c envs/constraints.txt -o envs/lock.txt pyproject.toml
 	sed -i -e 's/^torch==\([0-9.]*\)+.*/torch==\1/' envs/lock.txt
 	$(BIN)/pip-compile --quiet --upgrade --allow-unsafe --strip-extras --no-emit-find-links --no-emit-index-url \
 		--no-emit-options --no-header --no-annotate -c envs/lock.txt -o envs/engines.txt envs/engines.in

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from p2wss.reconstruct.inputs import CloudInput, FootprintInput
     from p2wss.reconstruct.scene import Scene
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "InputError",
     "check",

@@ -28,6 +28,8 @@ COMMANDS = {
         "evaluate": "measure the buildings of a CityJSON file of any program against LiDAR",
         "check": "validate the solids of CityJSON files",
         "inspect": "describe the contents of files",
+        "config": "print every setting with its default",
+        "workflow": "begin a project of the Snakemake workflow",
         "warm-up": "compile the code before the first use",
     },
     "Stages of the workflow, in its order": {
@@ -41,6 +43,15 @@ COMMANDS = {
         "model": "train Point2WSS",
         "eval": "evaluate the methods and write the report",
     },
+}
+# packages that only some commands need, and the extras of pyproject.toml that bring them
+EXTRAS = {
+    "torch": "network",
+    "filelock": "network",
+    "embreex": "scan",
+    "matplotlib": "report",
+    "PIL": "report",
+    "snakemake": "workflow",
 }
 _COMPLETE = "_P2WSS_COMPLETE"
 
@@ -107,6 +118,14 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("p2wss: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
+    except ModuleNotFoundError as error:
+        if error.name not in EXTRAS:
+            raise
+        print(
+            f"p2wss: error: needs {error.name}; type: pip install 'p2wss[{EXTRAS[error.name]}]'",
+            file=sys.stderr,
+        )
+        return 2
     except (InputError, click.UsageError) as error:
         print(f"p2wss: error: {_message(error)}", file=sys.stderr)
         return 2

@@ -21,7 +21,7 @@ config_option = option(
     "--config",
     multiple=True,
     metavar="FILE|JSON",
-    help="YAML file, or sections as JSON, over config/default.yaml; may be repeated, later ones win",
+    help="YAML file, or sections as JSON, over the defaults (p2wss config); may be repeated, later ones win",
 )
 place_option = option(
     "--place",

@@ -33,9 +33,12 @@ def _append_section(model: Section, lines: list[str], indent: str) -> None:
             )
 
 
+def json_schema() -> str:
+    """The JSON schema of a config."""
+    return json.dumps(Config.model_json_schema(), indent=1) + "\n"
+
+
 def main(folder: str = "config") -> None:
     """Write ``default.yaml`` and ``schema.json``."""
     Path(folder, "default.yaml").write_text(default_yaml(), encoding="utf-8")
-    Path(folder, "schema.json").write_text(
-        json.dumps(Config.model_json_schema(), indent=1) + "\n", encoding="utf-8"
-    )
+    Path(folder, "schema.json").write_text(json_schema(), encoding="utf-8")

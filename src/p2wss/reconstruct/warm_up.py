@@ -10,6 +10,7 @@ import hashlib
 import platform
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -85,7 +86,9 @@ def warm_footprints_and_meshes() -> None:
 
 
 def warm_network_input() -> None:
-    """The choice of the points that the network sees."""
+    """The choice of the points that the network sees; nothing where there is no torch to run one."""
+    if find_spec("torch") is None:
+        return
     from p2wss.nets.batch import thin
 
     thin(3, 2)

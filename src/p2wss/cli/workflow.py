@@ -1,0 +1,53 @@
+"""``p2wss workflow``: a project of the Snakemake workflow, which comes with the package."""
+
+from __future__ import annotations
+
+import shutil
+import sysconfig
+from pathlib import Path
+
+import click
+
+import p2wss
+from p2wss.cli.common import log
+from p2wss.cli.parser import PATH, Command, Group
+from p2wss.storage.errors import InputError
+
+PARTS = ("Snakefile", "workflow", "config", "profiles", "envs")
+
+
+@click.group(cls=Group)
+def workflow() -> None:
+    """Begin a project of the Snakemake workflow."""
+
+
+@workflow.command("init", cls=Command)
+@click.argument("folder", type=PATH, metavar="FOLDER", help="folder of the project")
+def workflow_init(folder: Path) -> None:
+    """Write rules, configs, profiles and the miniature into a folder, where snakemake then runs."""
+    if taken := [name for name in PARTS if (folder / name).exists()]:
+        raise InputError(f"{folder / taken[0]}: exists; name a folder without a project")
+    from p2wss.towns import MINIATURE_SEED, write_town
+
+    try:
+        for name in PARTS:
+            source = _origin() / name
+            copy = shutil.copytree if source.is_dir() else shutil.copy
+            folder.mkdir(parents=True, exist_ok=True)
+            copy(source, folder / name)
+    except OSError as error:
+        raise InputError(f"{folder}: not written: {error.strerror or error}") from error
+    write_town(folder / "tests/mini", MINIATURE_SEED, with_lidar=True)
+    log.info(
+        "%s: rules, configs, profiles and the miniature; next: cd %s && snakemake -c2 eval_report",
+        folder,
+        folder,
+    )
+
+
+def _origin() -> Path:
+    """Where the files of the workflow are: in the checkout, or beside the installed package."""
+    checkout = Path(p2wss.__file__).parents[2]
+    return (
+        checkout if (checkout / "Snakefile").is_file() else Path(sysconfig.get_path("data"), "share", "p2wss")
+    )

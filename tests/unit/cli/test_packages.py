@@ -1,0 +1,69 @@
+"""What is installed without extras, and what is said where a package of an extra is missing."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from p2wss import cli
+from p2wss.config.generate import default_yaml, json_schema
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {requirement.split(">")[0].split("[")[0] for requirement in requirements}
+
+
+def test_a_missing_package_is_named_with_its_extra() -> None:
+    extras = {name: names(needs) for name, needs in PROJECT["optional-dependencies"].items()}
+    for package, extra in cli.EXTRAS.items():
+        distribution = {"PIL": "pillow"}.get(package, package)
+        assert distribution in extras[extra] and distribution not in names(PROJECT["dependencies"])
+
+
+def test_without_torch_a_network_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert cli.main(["model", "--manifest", str(tmp_path / "m"), "--dvae", "d", "--out", "o", *REST]) == 2
+    assert capsys.readouterr().err == "p2wss: error: needs torch; type: pip install 'p2wss[network]'\n"
+
+
+REST = ["--checkpoints", "c", "--out-metrics", "m"]
+
+
+def test_reconstruction_imports_nothing_of_the_extras() -> None:
+    # None: an import of it fails
+    blocked = f"import sys; sys.modules.update(dict.fromkeys({[*cli.EXTRAS]}))"
+    imports = "from p2wss.reconstruct import scene, exports; import p2wss.formats.outputs, p2wss.eval.files"
+    subprocess.run([sys.executable, "-c", f"{blocked}\n{imports}"], check=True)
+
+
+def test_the_settings_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["config"]) == 0
+    assert capsys.readouterr().out == default_yaml() == (ROOT / "config/default.yaml").read_text()
+    assert cli.main(["config", "--schema"]) == 0
+    assert capsys.readouterr().out == json_schema() == (ROOT / "config/schema.json").read_text()
+
+
+def test_a_project_of_the_workflow_is_begun_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("p2wss.towns.write_town", lambda folder, seed, with_lidar: folder.mkdir(parents=True))
+    project = tmp_path / "project"
+    assert cli.main(["workflow", "init", str(project)]) == 0
+    for name in (
+        "Snakefile",
+        "workflow/rules/common.smk",
+        "config/default.yaml",
+        "profiles/slurm/config.yaml",
+    ):
+        assert (project / name).read_bytes() == (ROOT / name).read_bytes()
+    assert cli.main(["workflow", "init", str(project)]) == 2
+    assert "Snakefile: exists" in capsys.readouterr().err
