@@ -17,7 +17,9 @@ _ROOF, _FLAT = int(FaceKind.ROOF), int(FaceKind.FLAT)
 
 
 @entry
-def face_planes(vertex_m, triangle, beside):
+def face_planes(
+    vertex_m: np.ndarray, triangle: np.ndarray, beside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(kind uint8, plane int32) of every triangle. Planes grow from the largest triangles, whose normals are the most
     accurate. beside: int (t, 3), the triangle across each side, -1 for none."""
     num = len(triangle)

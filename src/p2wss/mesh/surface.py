@@ -40,7 +40,14 @@ def distance_to_mesh(point_m: np.ndarray, vertex_m: np.ndarray, triangle: np.nda
 
 
 @entry
-def _squared_distances(point_m, corner_m, edge_m, share_per_m, inward, normal):
+def _squared_distances(
+    point_m: np.ndarray,
+    corner_m: np.ndarray,
+    edge_m: np.ndarray,
+    share_per_m: np.ndarray,
+    inward: np.ndarray,
+    normal: np.ndarray,
+) -> np.ndarray:
     nearest = np.full(len(point_m), np.inf)
     for t in range(len(corner_m)):
         for i in range(len(point_m)):
@@ -61,7 +68,7 @@ def _squared_distances(point_m, corner_m, edge_m, share_per_m, inward, normal):
 
 
 @entry
-def topmost(corner_m, point_m):
+def topmost(corner_m: np.ndarray, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(number of the topmost triangle over or below each point, its height there); -1 and minus infinity for none.
     corner_m: float64 (t, 3, 3), counter-clockwise seen from above. point_m: float64 (m, 3)."""
     num = len(point_m)

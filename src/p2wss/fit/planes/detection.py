@@ -83,7 +83,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
 
 
 @entry
-def _fit(point_m, rows, num, noise_m):
+def _fit(point_m: np.ndarray, rows: np.ndarray, num: int, noise_m: float) -> np.ndarray:
     """The plane of the points in the first ``num`` of ``rows``."""
     centre = np.zeros(3)
     for t in range(num):
@@ -109,14 +109,22 @@ def _fit(point_m, rows, num, noise_m):
 
 
 @inner
-def _distance(plane, point):
+def _distance(plane: np.ndarray, point: np.ndarray) -> float:
     """The distance of a point from a plane."""
     off = plane[0] * point[0] + plane[1] * point[1] + plane[2] - point[2]
     return abs(off) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
 
 
 @entry
-def _grown(point_m, neighbour, normal, rough_m, order, min_points, settings):
+def _grown(
+    point_m: np.ndarray,
+    neighbour: np.ndarray,
+    normal: np.ndarray,
+    rough_m: np.ndarray,
+    order: np.ndarray,
+    min_points: int,
+    settings: Detection,
+) -> tuple[np.ndarray, np.ndarray]:
     """(planes (k, 3), label (m,)): from each point in ``order``, the plane around it as far as it goes."""
     num = len(point_m)
     label, seen = np.full(num, -1), np.full(num, -1)
@@ -161,7 +169,9 @@ def _grown(point_m, neighbour, normal, rough_m, order, min_points, settings):
 
 
 @entry
-def _largest(point_m, neighbour, axis, min_points, settings):
+def _largest(
+    point_m: np.ndarray, neighbour: np.ndarray, axis: np.ndarray, min_points: int, settings: Detection
+) -> tuple[np.ndarray, np.ndarray]:
     """(planes (k, 3), label (m,)): of the planes through a point that are level, or that rise along an ``axis`` (a, 2)
     to a neighbour, the one nearest to most connected points, and so on with the points that are left."""
     num, num_near = neighbour.shape

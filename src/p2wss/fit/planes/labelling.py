@@ -163,7 +163,14 @@ def _expanded(costs: Costs, label: np.ndarray) -> np.ndarray:
 
 
 @entry
-def _expand(cell_m3, pair, side_m3, order, first, label):
+def _expand(
+    cell_m3: np.ndarray,
+    pair: np.ndarray,
+    side_m3: np.ndarray,
+    order: np.ndarray,
+    first: np.ndarray,
+    label: np.ndarray,
+) -> np.ndarray:
     """The labels (c,) after planes have taken cells in turn. order: the ends of sides, those of the first cells of all
     sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
     label, candidate = label.copy(), label.copy()
@@ -182,7 +189,7 @@ def _expand(cell_m3, pair, side_m3, order, first, label):
 
 
 @entry
-def _sum(cell_m3, pair, side_m3, label):
+def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.ndarray) -> float:
     """What labels cost, without the prices of faces."""
     total_m3 = 0.0
     for cell in range(len(label)):
@@ -193,7 +200,15 @@ def _sum(cell_m3, pair, side_m3, label):
 
 
 @allocating
-def _taken(cell_m3, pair, side_m3, order, first, label, number):
+def _taken(
+    cell_m3: np.ndarray,
+    pair: np.ndarray,
+    side_m3: np.ndarray,
+    order: np.ndarray,
+    first: np.ndarray,
+    label: np.ndarray,
+    number: int,
+) -> np.ndarray:
     """bool (c,): the cells that plane ``number`` takes at least cost in all.
 
     This is a minimum cut by shortest augmenting paths (Edmonds and Karp, 1972); those cells are taken that a path still
