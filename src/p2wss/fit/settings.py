@@ -205,9 +205,13 @@ class PlanePrices(NamedTuple):
     """What a roof of planes pays (`planes/labelling.py`), in cubic metres between the roof and its points."""
 
     # for each face; swept
-    face_m3: float = 0.15
+    face_m3: float = 0.1
     # for each metre of an edge: a step above the limit below; swept
-    edge_m2: float = 0.2
+    edge_m2: float = 0.15
+    # for each line that has steps; those with less than the next figure of them are dispensed with where that pays:
+    # along pieces of many lines, a border would be jagged; swept
+    line_m3: float = 0.15
+    short_line_m: float = 2.0
     # shares of it: where two planes meet, where they are nearly the same plane, and a small step
     meet_share: float = 0.5
     shallow_share: float = 1.0
@@ -236,8 +240,10 @@ class Planes(NamedTuple):
     def times(self, factor: float) -> Planes:
         """The thresholds with all prices multiplied."""
         prices = self.prices
-        dearer = prices._replace(face_m3=factor * prices.face_m3, edge_m2=factor * prices.edge_m2)
-        return self._replace(prices=dearer)
+        names = ("face_m3", "edge_m2", "line_m3")
+        return self._replace(
+            prices=prices._replace(**{name: factor * getattr(prices, name) for name in names})
+        )
 
 
 @dataclass(frozen=True)

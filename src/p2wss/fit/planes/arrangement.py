@@ -19,14 +19,16 @@ GRID_M = 1e-3
 @dataclass(frozen=True)
 class Arrangement:
     """xy_m: (v, 2), vertices. middle_m: (c, 2), a place within each cell. area_m2: (c,). pair: int (s, 2), the cells to
-    the left and to the right of each side, -1 outside the footprint. side: int (s, 2), its vertices. lines: the
-    ``num_edges`` edges of the footprint, then those that divide it; the vertices are on them to :data:`GRID_M`."""
+    the left and to the right of each side, -1 outside the footprint. side: int (s, 2), its vertices. line: int (s,),
+    its line. lines: the ``num_edges`` edges of the footprint, then those that divide it; vertices are on them to
+    :data:`GRID_M`."""
 
     xy_m: np.ndarray
     middle_m: np.ndarray
     area_m2: np.ndarray
     pair: np.ndarray
     side: np.ndarray
+    line: np.ndarray
     tree: shapely.STRtree
     lines: Sequence[Line]
     num_edges: int
@@ -81,13 +83,21 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
     back = reverses(start, end)
     once = np.flatnonzero((back < 0) | (start < end))
     pair = np.column_stack([cell, np.where(back < 0, -1, cell[back])])[once]
+    vertex_m, side, all_lines = xy_m[first], np.column_stack([start, end])[once], [*edges, *lines]
     return Arrangement(
-        xy_m[first],
+        vertex_m,
         shapely.get_coordinates(middle),
         shapely.area(cells),
         pair,
-        np.column_stack([start, end])[once],
+        side,
+        offsets_m(all_lines, vertex_m[side]).argmin(axis=1),
         shapely.STRtree(cells),
-        [*edges, *lines],
+        all_lines,
         len(edges),
     )
+
+
+def offsets_m(lines: Sequence[Line], end_m: np.ndarray) -> np.ndarray:
+    """How far the further end of each piece (s, 2, 2) is from each line, (s, l)."""
+    normal, offset_m = (np.array([getattr(line, name) for line in lines]) for name in ("normal", "offset_m"))
+    return np.asarray(np.abs(end_m @ normal.T - offset_m).max(axis=1))

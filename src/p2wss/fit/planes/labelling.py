@@ -2,12 +2,12 @@
 
 The search is that of Boykov, Veksler and Zabih (Fast Approximate Energy Minimization via Graph Cuts, 2001): each plane
 in turn takes the cells that it covers at less cost, all at once, by a minimum cut. Faces then give way to those around
-them where that saves more than it costs.
+them, and lines with short steps to others, where that saves more than it costs.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,7 +20,7 @@ from p2wss.skeleton.groups import groups
 
 _MAX_ROUNDS = 4
 # metres above the ground: no roof is lower, at a price beyond all others
-_LOWEST_M, _NO_ROOF_M3 = 0.3, 1e4
+_LOWEST_M, _FORBIDDEN_M3 = 0.3, 1e4
 _GAIN_M3 = 1e-6
 # how a cell was reached: not at all, or as the start of a path; otherwise by a side
 _NOT_REACHED, _START = -2, -1
@@ -30,18 +30,29 @@ _NOT_REACHED, _START = -2, -1
 class Costs:
     """What a labelling costs, cubic metres. cell_m3: (c, k), of each plane over each cell. pair: int (s, 2), cells side
     by side. side_m3: (s, k, k), of planes to the left and the right of each side. is_step: bool (s, k, k), whether
-    there is a step between them."""
+    there is a step between them. line: int (s,), the line of each side. length_m: (s,)."""
 
     cell_m3: np.ndarray
     pair: np.ndarray
     side_m3: np.ndarray
     is_step: np.ndarray
-    face_m3: float
+    line: np.ndarray
+    length_m: np.ndarray
+    prices: PlanePrices
 
     def total_m3(self, label: np.ndarray) -> float:
         """Of planes ``label`` (c,) over the cells."""
-        num_faces = int(self.faces(label).max(initial=-1)) + 1
-        return float(_sum(self.cell_m3, self.pair, self.side_m3, label)) + self.face_m3 * num_faces
+        num_faces, num_lines = self.faces(label).max(initial=-1) + 1, np.count_nonzero(self.steps_m(label))
+        total_m3 = _sum(self.cell_m3, self.pair, self.side_m3, label)
+        return float(total_m3 + self.prices.face_m3 * num_faces + self.prices.line_m3 * num_lines)
+
+    def is_step_at(self, label: np.ndarray) -> np.ndarray:
+        """bool (s,): whether there is a step at each side."""
+        return self.is_step[np.arange(len(self.pair)), label[self.pair[:, 0]], label[self.pair[:, 1]]]
+
+    def steps_m(self, label: np.ndarray) -> np.ndarray:
+        """(l,): how much of each line has steps."""
+        return np.bincount(self.line, self.length_m * self.is_step_at(label))
 
     def faces(self, label: np.ndarray) -> np.ndarray:
         """int (c,): numbers of the connected faces."""
@@ -50,10 +61,13 @@ class Costs:
 
     def bodies(self, label: np.ndarray) -> np.ndarray:
         """int (c,): numbers of the faces that no step divides."""
-        sides = np.arange(len(self.pair))
-        return groups(
-            len(label), self.pair[~self.is_step[sides, label[self.pair[:, 0]], label[self.pair[:, 1]]]]
-        )
+        return groups(len(label), self.pair[~self.is_step_at(label)])
+
+    def without(self, line: int) -> Costs:
+        """The costs if a line divides nothing: cells on both sides of it get one plane."""
+        divided = ~np.eye(self.cell_m3.shape[1], dtype=bool)
+        forbidden_m3 = _FORBIDDEN_M3 * ((self.line == line)[:, None, None] & divided)
+        return replace(self, side_m3=self.side_m3 + forbidden_m3)
 
     def of(self, cells: np.ndarray, planes: np.ndarray, label: np.ndarray) -> Costs:
         """The costs of some cells and planes, while all other cells keep their labels."""
@@ -69,7 +83,13 @@ class Costs:
         rows = np.flatnonzero(inside.all(axis=1))
         within = np.ix_(rows, planes, planes)
         return Costs(
-            cell_m3, number[self.pair[rows]], self.side_m3[within], self.is_step[within], self.face_m3
+            cell_m3,
+            number[self.pair[rows]],
+            self.side_m3[within],
+            self.is_step[within],
+            self.line[rows],
+            self.length_m[rows],
+            self.prices,
         )
 
 
@@ -99,7 +119,7 @@ def costs_of(
         below_m = point_m[:, 2].min() - gap_m - prices.support_m - low_z[:, number]
         unsupported_m = np.clip(np.maximum(above_m, below_m), 0.0, prices.cap_m)
         cell_m3[:, number] += cells.area_m2 * (expected_m + unsupported_m)
-    cell_m3[low_z < _LOWEST_M] += _NO_ROOF_M3
+    cell_m3[low_z < _LOWEST_M] += _FORBIDDEN_M3
     is_shared = (cells.pair >= 0).all(axis=1)
     pair, end_m = cells.pair[is_shared], cells.xy_m[cells.side[is_shared]]
     end_z = np.stack([heights(plane, end_m[:, end]) for end in (0, 1)])
@@ -112,11 +132,29 @@ def costs_of(
     share[:, np.arange(num_planes), np.arange(num_planes)] = 0.0
     length_m = np.linalg.norm(end_m[:, 1] - end_m[:, 0], axis=1)
     side_m3 = prices.edge_m2 * length_m[:, None, None] * share
-    return Costs(cell_m3, pair, side_m3, is_step, prices.face_m3)
+    return Costs(cell_m3, pair, side_m3, is_step, cells.line[is_shared], length_m, prices)
 
 
 def least_cost(costs: Costs) -> np.ndarray:
     """int (c,): the plane over each cell."""
+    label = _with_fewer_faces(costs)
+    tried: set[int] = set()
+    while True:
+        steps_m = costs.steps_m(label)
+        is_short = (steps_m > 0) & (steps_m < costs.prices.short_line_m)
+        is_short[list(tried)] = False
+        if not is_short.any():
+            return label
+        line = int(np.where(is_short, steps_m, np.inf).argmin())
+        tried.add(line)
+        without_line = costs.without(line)
+        other = _with_fewer_faces(without_line)
+        if without_line.total_m3(other) < costs.total_m3(label) - _GAIN_M3:
+            label, costs = other, without_line
+
+
+def _with_fewer_faces(costs: Costs) -> np.ndarray:
+    """The labels (c,) of least cost, from which faces have given way to those around them."""
     label = _expanded(costs, costs.cell_m3.argmin(axis=1))
     total_m3, tried = costs.total_m3(label), set()
     while True:
