@@ -20,5 +20,5 @@ def test_files_beside_modules_are_listed_as_package_data():
     paths = [path for path in (ROOT / "src" / "p2wss").rglob("*") if path.is_file()]
     names = [str(path.relative_to(ROOT / "src")) for path in paths if "__pycache__" not in path.parts]
     names = [name for name in names if not name.endswith((".py", ".pyc"))]
-    assert {"p2wss/eval/templates/report.html.j2", "p2wss/formats/templates/shift_map.html.j2"} <= {*names}
+    assert {"p2wss/eval/templates/report.html.j2", "p2wss/formats/assets/viewer.js"} <= {*names}
     assert [name for name in names if not any(fnmatch(name, pattern) for pattern in patterns)] == []

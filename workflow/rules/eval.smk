@@ -130,7 +130,7 @@ rule eval_report:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
     params:
         config=section("region", "dataset", "fetch", "eval", without=("shards_per_job",)),
-        code=fingerprint("eval.report", "eval.templates", "eval.assets"),
+        code=fingerprint("eval.report", "eval.templates", "formats.templates", "formats.assets"),
         folder=subpath(output.report, parent=True),
     shell:
         "p2wss eval report --out {params.folder:q} --manifest {input.manifest:q} --measures @<(printf '%s\\n' {input.measures:q})"

@@ -30,7 +30,7 @@ rule reconstruct_tile:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
-        code=fingerprint("reconstruct", "nets.predictor", "formats.templates"),
+        code=fingerprint("reconstruct", "nets.predictor", "formats.templates", "formats.assets"),
         folder=subpath(output.summary, parent=True),
     shell:
         "p2wss reconstruct {input.clouds:q} {input.footprints:q} {params.folder:q} --model {input.model:q}"

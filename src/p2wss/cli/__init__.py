@@ -23,7 +23,9 @@ from p2wss.storage.errors import InputError
 # module and command have the same name
 COMMANDS = {
     "Commands": {
+        "demo": "reconstruct a small drawn town: a first run that needs no data",
         "reconstruct": "reconstruct buildings from your own LiDAR and footprints",
+        "view": "show buildings of any CityJSON file in 3D, in a browser",
         "outlines": "derive building outlines from LiDAR, without footprints",
         "evaluate": "measure the buildings of a CityJSON file of any program against LiDAR",
         "check": "validate the solids of CityJSON files",

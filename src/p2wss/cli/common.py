@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,7 +16,12 @@ from p2wss.data.tiling import Bounds, tile_bounds
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
 
+if TYPE_CHECKING:
+    from p2wss.reconstruct.scene import Scene
+
 log = logging.getLogger("p2wss")
+# buildings to check that the end of a run names
+NUM_NAMED = 5
 
 config_option = option(
     "--config",
@@ -81,6 +87,20 @@ def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], No
     files.write_text(out_metrics, metrics + integrity.JSON_LINES_TRAILER)
     save(metrics)
     remove_checkpoints(checkpoints)
+
+
+def log_run(out: Path, scene: Scene, written: Sequence[Path], seconds: float) -> None:
+    """What was written, how many buildings are what, which to check, and what to do next."""
+    names = [str(path.relative_to(out)) for path in written]
+    log.info("%s: %s", out, ", ".join(names))
+    log.info("%s, in %.0f s", scene.summary, seconds)
+    to_check = files.read_json(written[-1], dict[str, Any])["buildings"]["to_check"]
+    if to_check:
+        more = f" and {len(to_check) - NUM_NAMED} more" if len(to_check) > NUM_NAMED else ""
+        log.info("to check: %s%s", ", ".join(to_check[:NUM_NAMED]), more)
+    pages = [path for path in written if path.suffix == ".html"]
+    if pages:
+        log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
 
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from p2wss.cli.common import (
     config_option,
     crs_option,
     device_option,
-    log,
+    log_run,
     threads_option,
 )
 from p2wss.cli.parser import PATH, Command, option, setting
@@ -116,14 +117,13 @@ def reconstruct(
     with _importing():
         from p2wss.reconstruct.inputs import check_inputs
 
+    start = time.monotonic()
     checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty=tile is not None)
     with _importing():
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
     with scene.reconstruct(checked, config, scene.Selection(tile=tile), machine) as result:
-        written = result.write(out)
-        log.info("%s: %s", out, ", ".join(str(path.relative_to(out)) for path in written))
-        log.info("%s", result.summary)
+        log_run(out, result, result.write(out), time.monotonic() - start)
 
 
 @contextmanager

@@ -15,8 +15,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 from PIL import Image
 
-from p2wss.skeleton.types import FaceKind
-
 # a $ in a name from the data is no formula
 matplotlib.rcParams["text.parse_math"] = False
 
@@ -27,13 +25,6 @@ COLORS = {
     "roofer": "#2a6f97",
     "lod1": "#6c757d",
     "constant": "#b8a13c",
-}
-FACE_COLORS = {
-    FaceKind.GROUND: "#9a9a9a",
-    FaceKind.WALL: "#e8dfd0",
-    FaceKind.ROOF: "#c8603a",
-    FaceKind.FLAT: "#d9a06b",
-    FaceKind.FLOOR: "#b5bd9c",
 }
 _MAX_STEPS = 2000
 

@@ -177,7 +177,7 @@ def _latex(frame: pd.DataFrame, caption: str, label: str) -> str:
 
 def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFrame]) -> str:
     """The HTML of the report."""
-    environment = html.environment("p2wss.eval")
+    environment = html.environment("p2wss.eval", "p2wss.formats")
     environment.filters["cell"] = _cell
     names = {run.method: run.name for run in tables.ordered(inputs.runs)}
     shown = {method: name for method, name in names.items() if method != "constant"}

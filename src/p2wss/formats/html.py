@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     import jinja2
 
 
-def environment(package: str) -> jinja2.Environment:
-    """The environment of the templates in the folder ``templates`` of a package, such as ``p2wss.eval``.
+def environment(*packages: str) -> jinja2.Environment:
+    """The environment of the templates in the folders ``templates`` of packages, such as ``p2wss.eval``.
 
     A template that uses an undefined value raises ``jinja2.UndefinedError``. Lines that hold only a statement leave
     no blank lines in the page.
@@ -17,7 +17,7 @@ def environment(package: str) -> jinja2.Environment:
     import jinja2  # only once a page is written
 
     return jinja2.Environment(
-        loader=jinja2.PackageLoader(package),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package) for package in packages]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

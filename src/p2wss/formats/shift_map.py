@@ -1,6 +1,6 @@
-"""A page that maps how footprints were moved to where a cloud shows the buildings: one HTML file without scripts.
+"""A map of how footprints were moved to where a cloud shows the buildings: a part of a page, without scripts.
 
-All text from the data is escaped by the template engine.
+All text from the data is escaped by the template engine (``templates/shift_map.html.j2``).
 """
 
 from __future__ import annotations
@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-
-from p2wss.formats import html
 
 # what was done with a block: the words in the table, the colour on the map, the line in the legend
 MOVED, STAYED, UNKNOWN = "moved", "not moved", "no evidence"
@@ -55,10 +53,8 @@ class Block:
     overhang_m: float | None
 
 
-def page(
-    title: str, crs: str, summary: Sequence[str], footprints: Sequence[Footprint], blocks: dict[str, Block]
-) -> str:
-    """The page. crs: its name, for the caption. summary: sentences above the map. blocks: by their names."""
+def content(crs: str, footprints: Sequence[Footprint], blocks: dict[str, Block]) -> dict[str, Any]:
+    """What the template shows. crs: its name, for the caption. blocks: by their names."""
     shapes = [shape for footprint in footprints for shape in (footprint.before, footprint.after)]
     shapes = [shape for shape in shapes if not shape.is_empty]
     x_min, y_min, x_max, y_max = shapely.total_bounds(shapes) if shapes else (0.0, 0.0, 1.0, 1.0)
@@ -77,37 +73,31 @@ def page(
     ]
     rows.sort(key=lambda row: -row["length_m"])
     counts = {action: sum(row["action"] == action for row in rows) for action in LEGEND}
-    return (
-        html.environment("p2wss.formats")
-        .get_template("shift_map.html.j2")
-        .render(
-            title=title,
-            crs=crs,
-            summary=summary,
-            width=f"{width_m:.2f}",
-            height=f"{height_m:.2f}",
-            footprints=[
-                {
-                    "id": footprint.building_id,
-                    "before": frame.path(footprint.before) if blocks[footprint.block].action == MOVED else "",
-                    "after": frame.path(footprint.after),
-                    "color": LEGEND[blocks[footprint.block].action][0],
-                    "is_flagged": bool(footprint.flags),
-                }
-                for footprint in footprints
-                if footprint.block in blocks
-            ],
-            rows=rows[:_MAX_ROWS],
-            num_more=max(len(rows) - _MAX_ROWS, 0),
-            arrows=[row for row in rows if row["arrow"]],
-            flagged=[footprint for footprint in footprints if footprint.flags],
-            legend=[(color, text, counts[action]) for action, (color, text) in LEGEND.items()],
-            colors={color: number for number, (color, _) in enumerate(LEGEND.values())},
-            factor=factor,
-            scale_m=_scale_m(width_m),
-            bar=(f"{margin_m:.2f}", f"{margin_m + _scale_m(width_m):.2f}", f"{height_m - margin_m / 2:.2f}"),
-        )
-    )
+    return {
+        "crs": crs,
+        "width": f"{width_m:.2f}",
+        "height": f"{height_m:.2f}",
+        "footprints": [
+            {
+                "id": footprint.building_id,
+                "before": frame.path(footprint.before) if blocks[footprint.block].action == MOVED else "",
+                "after": frame.path(footprint.after),
+                "color": LEGEND[blocks[footprint.block].action][0],
+                "is_flagged": bool(footprint.flags),
+            }
+            for footprint in footprints
+            if footprint.block in blocks
+        ],
+        "rows": rows[:_MAX_ROWS],
+        "num_more": max(len(rows) - _MAX_ROWS, 0),
+        "arrows": [row for row in rows if row["arrow"]],
+        "flagged": [footprint for footprint in footprints if footprint.flags],
+        "legend": [(color, text, counts[action]) for action, (color, text) in LEGEND.items()],
+        "colors": {color: number for number, (color, _) in enumerate(LEGEND.values())},
+        "factor": factor,
+        "scale_m": _scale_m(width_m),
+        "bar": (f"{margin_m:.2f}", f"{margin_m + _scale_m(width_m):.2f}", f"{height_m - margin_m / 2:.2f}"),
+    }
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,9 @@ from p2wss.formats.outputs import MESH_WRITERS, SINGLE_FILES, FileOptions
 from p2wss.reconstruct import block_skins, terrain_mesh
 from p2wss.reconstruct.attributes import input_footprints, table
 from p2wss.reconstruct.city import city_json
+from p2wss.reconstruct.page import page_of_run
 from p2wss.reconstruct.pipeline import input_columns
 from p2wss.reconstruct.result import Result
-from p2wss.reconstruct.shift_page import shift_page
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.spool import Lazy
@@ -68,7 +68,7 @@ def write(
     for output in outputs:
         path = folder / f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "report":
-            files.write_text(path, shift_page(results, stem, crs))
+            files.write_text(path, page_of_run(results, stem, crs))
         elif output not in MESH_WRITERS:
             _write_results(path, output, results, before, crs, facts, config)
         if output not in MESH_WRITERS:
@@ -217,10 +217,15 @@ def notes(config: Reconstruct, frame: gpd.GeoDataFrame, has_terrain: bool) -> li
 
 
 def counts(results: Sequence[Result]) -> dict[str, Any]:
-    """Numbers of buildings by status, reason and method."""
+    """Numbers of buildings by status, reason and method, and the ids of those to be looked at, the worst first: without
+    a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict."""
     status, reasons, methods = Counter[str](), Counter[str](), Counter[str]()
     not_representable = 0
+    to_check: list[tuple[float, str]] = []
     for result in results:
+        is_contradicted = result.registration is not None and result.registration.flags
+        if result.status != "ok" or result.not_representable or is_contradicted:
+            to_check.append((-np.nan_to_num(result.residual_m), result.reconstruction.building_id))
         status[result.status] += 1
         reasons.update(filter(None, [result.reason]))
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
@@ -231,6 +236,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         "reasons": dict(reasons),
         "methods": dict(methods),
         "not_representable": not_representable,
+        "to_check": [building_id for _, building_id in sorted(to_check)],
     }
 
 

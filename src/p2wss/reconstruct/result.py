@@ -21,6 +21,8 @@ from p2wss.reconstruct.registration import Registration
 
 # a residual is the mean over at most this many points
 _MAX_RESIDUAL_POINTS = 2048
+# that are kept for the page of the run
+_MAX_SAMPLE_POINTS = 256
 # of the share of points near the mesh
 _NEAR_M = 0.2
 
@@ -58,6 +60,7 @@ class Result:
     show it, negative where they end within; NaN where none shows it.
     measures: of the mesh; None without one.
     party_wall_area_m2: of the walls that stand against other buildings of the run.
+    sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
     """
 
     reconstruction: Reconstruction
@@ -76,6 +79,7 @@ class Result:
     overhang_m: float = float("nan")
     measures: MeshMeasures | None = None
     party_wall_area_m2: float = 0.0
+    sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
 
 
 def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> Result:
@@ -111,7 +115,17 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         dates=row.dates,
         overhang_m=overhang_m,
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
+        sample_m=_sample_m(building.point_m[on_building], reconstruction),
     )
+
+
+def _sample_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
+    """See :class:`Result`; of a building without a mesh the distances are 0."""
+    point_m = point_m[:: -(-len(point_m) // _MAX_SAMPLE_POINTS) or 1]
+    distance_m = _distances_m(point_m, reconstruction)
+    if not len(distance_m):
+        distance_m = np.zeros(len(point_m))
+    return np.column_stack([point_m, distance_m]).astype(np.float32)
 
 
 def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:

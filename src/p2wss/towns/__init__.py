@@ -11,6 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import shapely
 
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import write_footprints, write_terrain
@@ -21,6 +22,8 @@ from p2wss.towns.wings import draw_wings
 __all__ = ["MINIATURE_SEED", "draw_town", "write_footprints", "write_lidar", "write_terrain", "write_town"]
 
 MINIATURE_SEED = 652  # the town under tests/mini
+# of the demo: rows and detached houses between the centre and the edge of the town
+_DEMO = shapely.box(653_150, 6_860_690, 653_270, 6_860_790)
 FOOTPRINTS = "bdtopo/BDTOPO_mini.gpkg"
 TERRAIN = "rgealti"
 LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
@@ -39,3 +42,12 @@ def write_town(folder: Path, seed: int, with_lidar: bool, kind: str = "streets")
     if with_lidar:
         write_lidar(town, folder / LIDAR, rng)
     return town
+
+
+def write_demo(folder: Path) -> int:
+    """Write ``footprints.gpkg`` and ``lidar.laz`` of a few streets of a town, and return the number of buildings."""
+    rng = np.random.Generator(np.random.PCG64(MINIATURE_SEED))
+    streets = [building for building in draw_town(rng) if _DEMO.contains(building.footprint)]
+    write_footprints(streets, folder / "footprints.gpkg", rng)
+    write_lidar(streets, folder / "lidar.laz", rng)
+    return len(streets)

@@ -9,8 +9,8 @@ from yard_house import yard_house
 from p2wss.config import Eval
 from p2wss.data.building import Building
 from p2wss.eval.cases import Case
-from p2wss.eval.figures import FACE_COLORS
 from p2wss.eval.measure import measure_building
+from p2wss.formats.viewer import FACE_COLORS
 from p2wss.mesh.surface import sample_surface
 from p2wss.skeleton.types import FaceKind
 from p2wss.storage.schemas.crops import REAL

@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -19,9 +18,13 @@ import pytest
 from all_cases import all_test_cases
 from matplotlib.image import imread
 
+import p2wss
 from p2wss.config import Eval, Reconstruct
 from p2wss.eval import measure, tables
-from p2wss.eval.viewer import MAX_POINTS, Viewer, choices, viewer
+from p2wss.eval.viewer import MAX_POINTS, choices, viewer
+from p2wss.formats import html
+from p2wss.formats.viewer import Layer, Shown, Viewer, scene_page
+from p2wss.mesh import Mesh
 from p2wss.reconstruct.flat import constant, lod1
 from p2wss.storage.schemas.measures import MEASURES
 
@@ -68,7 +71,7 @@ def test_the_page_stores_the_buildings_and_meshes(view: Viewer, hamlet: Path) ->
     assert next(b["id"] for b in data["buildings"] if b["group"] == "LiDAR: worst") == without_mesh
     for case in test_cases[:-1]:
         stored = by_id[case.building.building_id]
-        point_m = numbers(stored["points"], "<i2").reshape(-1, 3) / 100
+        point_m = numbers(stored["points"], "<i2").reshape(-1, 3) / 100 + stored["place"]
         expected = case.building.point_m
         assert len(point_m) <= MAX_POINTS and point_m == pytest.approx(expected, abs=0.0051)
         mesh = stored["meshes"]["point2wss"]
@@ -147,12 +150,16 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def path(view: Viewer, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("p2wss.eval"), autoescape=True)
     head = (
         '<!doctype html><meta charset="utf-8"><meta name="viewport" content="width=device-width"><h1>Top</h1>'
     )
     path = tmp_path_factory.mktemp("page") / "report.html"
-    path.write_text(head + environment.get_template("viewer.html.j2").render(viewer=view))
+    templates = html.environment("p2wss.formats")
+    parts = [
+        templates.get_template(name).render(viewer=view)
+        for name in ("viewer.html.j2", "viewer_scripts.html.j2")
+    ]
+    path.write_text(head + "".join(parts))
     return path
 
 
@@ -227,3 +234,76 @@ def test_without_webgl_it_says_so(browser: Any, path: Path) -> None:
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     page.goto(path.as_uri())
     assert page.locator("#viewer .sorry").is_visible() and not page.locator("#viewer canvas").is_visible()
+
+
+HOSTILE = "</script><script>document.title='owned'</script>"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four houses in a row: fitting, far from its points, flat, without a mesh."""
+    house = p2wss.roof([[0, 0], [10, 0], [10, 8], [0, 8]], 5, [45, 90, 45, 90])
+    mesh = Mesh.of_triangles(house.vertices, np.asarray(house.faces))
+    states = [
+        (HOSTILE, {"status": "ok", "residual_m": 0.07, "note": float("nan")}),
+        ("far", {"status": "ok", "residual_m": 0.6, "not_representable": True}),
+        ("level", {"status": "flat", "residual_m": 0.1, "reason": "too-few-points"}),
+        ("gone", {"status": "none", "residual_m": None, "reason": "no-points"}),
+    ]
+    buildings = []
+    for number, (name, facts) in enumerate(states):
+        at = np.array([14.0 * number, 0, 0])
+        meshes = {} if name == "gone" else {"m": mesh.translated(at)}
+        buildings.append(Shown(name, meshes, house.vertices + at, np.zeros(len(house.vertices)), facts))
+    path = tmp_path_factory.mktemp("scene") / "scene.html"
+    path.write_text(scene_page("street", ["4 buildings"], buildings, [Layer("m", "Meshes", "#c8603a", True)]))
+    return path
+
+
+def test_the_page_of_a_scene_has_every_building_the_worst_first(scene: Path) -> None:
+    text = scene.read_text(encoding="utf-8")
+    assert text.count("<script") == 3 and "document.title='owned'</script>" not in text
+    data = json.loads(text.split('id="viewer-data">')[1].split("</script>")[0])
+    assert data["together"] and [each["id"] for each in data["buildings"]] == [
+        "far",
+        "level",
+        HOSTILE,
+        "gone",
+    ]
+    assert [each["state"] for each in data["buildings"]] == ["flagged", "flat", "ok", "none"]
+    assert data["buildings"][2]["attributes"]["note"] is None and data["buildings"][3]["meshes"] == {}
+
+
+def test_a_click_on_a_building_or_its_row_shows_its_attributes(browser: Any, scene: Path) -> None:
+    view = Page(browser.new_page(viewport={"width": 1200, "height": 1000}), scene)
+    first, panel = view.pixels(), view.page.locator(".attributes")
+    assert drawn(first) > 0.03 and view.page.title() == "Buildings of street"
+    rows = view.page.locator(".buildings tbody tr")
+    assert [rows.nth(i).locator("td").first.inner_text() for i in range(4)] == [
+        "far",
+        "level",
+        HOSTILE,
+        "gone",
+    ]
+    for kind in ("residual", "state"):
+        view.page.select_option("select.paint", kind)
+        assert changed(first, view.pixels()) > 0.02
+    rows.nth(0).click()
+    assert "not_representable" in panel.inner_text() and view.building == "far"
+    # the chosen one is in the middle of the picture now
+    rows.nth(2).click()
+    assert view.building == HOSTILE
+    canvas = view.page.locator("#viewer canvas")
+    canvas.click(position={"x": 3, "y": 3})
+    assert view.building == ""
+    rows.nth(0).click()
+    canvas.click(position={"x": 3, "y": 3})
+    assert view.building == ""
+    canvas.click()
+    assert view.building == "far"
+    canvas.click(position={"x": 3, "y": 3})
+    assert view.building == "" and panel.inner_text() == ""
+    view.page.locator(".buildings th").nth(1).click()
+    view.page.locator(".buildings th").nth(1).click()
+    assert rows.nth(0).locator("td").first.inner_text() != "gone"
+    assert view.messages == []

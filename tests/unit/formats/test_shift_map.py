@@ -11,12 +11,17 @@ from shapely import affinity
 
 from p2wss.formats import shift_map
 from p2wss.formats.shift_map import LEGEND, MOVED, STAYED, UNKNOWN, Block, Footprint
+from p2wss.formats.viewer import scene_page
 
 HOSTILE = "</title><script>document.title='owned'</script>{{ 7 * 7 }}"
 
 
 def square(x: float) -> shapely.Polygon:
     return shapely.box(x, 0, x + 10, 10)
+
+
+def page_of(footprints: list[Footprint], blocks: dict[str, Block], title: str = "x", crs: str = "y") -> str:
+    return scene_page(title, ["5 buildings"], [], [], shift_map.content(crs, footprints, blocks))
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +38,7 @@ def page() -> str:
         HOSTILE: Block(STAYED, 0.0, 0.0, 0.2, -0.1),
         "D": Block(UNKNOWN, 0.0, 0.0, None, None),
     }
-    return shift_map.page(HOSTILE, "Lambert & Co", ["5 buildings"], footprints, blocks)
+    return page_of(footprints, blocks, HOSTILE, "Lambert & Co")
 
 
 def map_of(page: str) -> ET.Element:
@@ -86,11 +91,11 @@ def test_tables(page: str) -> None:
 
 
 def test_a_run_without_footprints() -> None:
-    assert "<table>" in shift_map.page("x", "y", [], [], {})
+    assert "<table>" in page_of([], {})
 
 
 def test_long_lists_are_cut() -> None:
     footprints = [Footprint(f"f{i}", f"f{i}", square(20 * i), square(20 * i)) for i in range(2100)]
     blocks = {f"f{i}": Block(STAYED, 0.0, 0.0, 0.1, 0.1) for i in range(2100)}
-    page = shift_map.page("x", "y", [], footprints, blocks)
+    page = page_of(footprints, blocks)
     assert page.count("<tr><td") == 2000 and "100 more blocks" in page

@@ -17,7 +17,9 @@ export {
   PerspectiveCamera,
   Points,
   PointsMaterial,
+  Raycaster,
   Scene,
+  Vector2,
   Vector3,
   WebGLRenderer,
 } from "three";

@@ -1,0 +1,66 @@
+"""``p2wss view``: buildings of any CityJSON file on a page."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+
+import click
+
+from p2wss.cli.common import log
+from p2wss.cli.parser import PATH, Command, option
+from p2wss.storage import files
+from p2wss.storage.errors import InputError
+
+CITY = (".json", ".jsonl")
+
+
+@click.command(cls=Command)
+@click.argument(
+    "paths",
+    type=PATH,
+    nargs=-1,
+    required=True,
+    metavar="FOLDER|FILE .. [CLOUD ..]",
+    help="folder of a run, or CityJSON files of any program, which are compared; then clouds in the same CRS",
+)
+@option("--out", type=PATH, help="page to write (default: view.html beside the first file)")
+@option("--open", "opens", is_flag=True, help="open the page in the browser")
+def view(paths: tuple[Path, ...], out: Path | None, opens: bool) -> None:
+    """Show buildings in 3D with points and attributes: one HTML page that needs no internet."""
+    cities, clouds = [], []
+    for path in paths:
+        inside = [each for each in sorted(path.glob("*.city.json*")) if each.suffix in CITY]
+        if inside or path.suffix in CITY:
+            cities += inside or [path]
+        else:
+            clouds.append(path)
+    if not cities:
+        raise InputError(f"{paths[0]}: no CityJSON file, nor a folder with one (.city.json, .city.jsonl)")
+    of_run = cities[0].with_name(cities[0].name.split(".")[0] + ".html")
+    if len(paths) == 1 and paths[0].is_dir() and out is None and of_run.exists():
+        page = of_run  # with the points, and how footprints were moved
+    else:
+        page = out or cities[0].with_name("view.html")
+        files.write_text(page, _page(cities, clouds))
+    log.info("open %s in a browser", page)
+    if opens:
+        webbrowser.open(page.resolve().as_uri())
+
+
+def _page(cities: list[Path], clouds: list[Path]) -> str:
+    import p2wss
+    from p2wss.data.crs import check_crs
+    from p2wss.reconstruct.inputs import open_clouds, read_cloud
+    from p2wss.reconstruct.page import page_of_scenes
+
+    names = {
+        path.name if len({each.name for each in cities}) == len(cities) else str(path): path
+        for path in cities
+    }
+    scenes = {name: p2wss.read(path) for name, path in names.items()}
+    cloud = read_cloud(*open_clouds(clouds)) if clouds else None
+    crs = next(iter(scenes.values())).crs
+    if cloud is not None and crs is not None:
+        check_crs(cloud.crs, crs, clouds[0], f"{cities[0]} is", "reproject one of them")
+    return page_of_scenes(", ".join(names), scenes, cloud)

@@ -1,0 +1,179 @@
+"""Buildings in 3D on a page: points and meshes as data, and the scripts that draw them.
+
+All of it is embedded in the page. Points are whole centimetres in int16 and vertices whole millimetres in int32,
+in base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from p2wss.formats import html
+from p2wss.mesh import Mesh
+from p2wss.skeleton.types import FaceKind
+
+FACE_COLORS = {
+    FaceKind.GROUND: "#9a9a9a",
+    FaceKind.WALL: "#e8dfd0",
+    FaceKind.ROOF: "#c8603a",
+    FaceKind.FLAT: "#d9a06b",
+    FaceKind.FLOOR: "#b5bd9c",
+}
+# what the attributes of a building say of it, as the legend has it
+OK, FLAGGED, FLAT, NONE = "ok", "flagged", "flat", "none"
+# of the files that are compared with the first
+OTHER_COLORS = ("#2a6f97", "#3f7d4e", "#b8a13c", "#6c757d")
+# attribute: title of its column in the table, the first of them is sorted by
+COLUMNS = {
+    "residual_m": "distance of the points (m)",
+    "state": "state",
+    "reason": "reason",
+    "footprint_flags": "footprint",
+    "roof_type": "roof",
+    "num_points": "points",
+    "num_triangles": "triangles",
+}
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Meshes of one origin. is_ours: the distances of points are to these, and their faces are coloured."""
+
+    key: str
+    name: str
+    color: str
+    is_ours: bool
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A building on the page. meshes: by the keys of their layers. point_m: (n, 3), in the frame of the meshes.
+    distance_m: (n,), of the points to our mesh. group, title, about: where one building is shown at a time."""
+
+    building_id: str
+    meshes: Mapping[str, Mesh]
+    point_m: np.ndarray
+    distance_m: np.ndarray
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    group: str = ""
+    title: str = ""
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """What a template embeds: the data as JSON, three.js, and the script that draws the data with it. together: all
+    buildings in one picture."""
+
+    data: str
+    library: str
+    script: str
+    together: bool
+
+
+def viewer(buildings: Sequence[Shown], layers: Sequence[Layer], together: bool) -> Viewer:
+    """The view of these buildings, of which there is at least one: one at a time, or all ``together``."""
+    data = {
+        "kinds": [FACE_COLORS[kind] for kind in sorted(FACE_COLORS)],
+        "methods": [
+            {"key": layer.key, "name": layer.name, "color": layer.color, "ours": layer.is_ours}
+            for layer in layers
+        ],
+        "together": together,
+        "buildings": [_building(building) for building in buildings],
+    }
+    assets = files("p2wss.formats") / "assets"
+    # "</script>" in a building's id must not end the element
+    text = json.dumps(data, separators=(",", ":"), default=str).replace("<", "\\u003c")
+    library, script = ((assets / name).read_text("utf-8") for name in ("three.min.js", "viewer.js"))
+    return Viewer(text, library, script, together)
+
+
+def scene_page(
+    title: str,
+    summary: Sequence[str],
+    buildings: Sequence[Shown],
+    layers: Sequence[Layer],
+    shifts: Mapping[str, Any] | None = None,
+) -> str:
+    """A page with all buildings in one picture and in a table.
+
+    summary: sentences above. shifts: of :func:`p2wss.formats.shift_map.content`, for a second tab.
+    """
+    buildings = sorted(buildings, key=lambda building: -(_number(building.attributes, "residual_m") or 0.0))
+    present = {
+        name for building in buildings for name, value in building.attributes.items() if value is not None
+    }
+    return (
+        html.environment("p2wss.formats")
+        .get_template("scene.html.j2")
+        .render(
+            title=title,
+            summary=summary,
+            viewer=viewer(buildings, layers, together=True) if buildings else None,
+            columns={name: text for name, text in COLUMNS.items() if name in present or name == "state"},
+            shifts=shifts,
+        )
+    )
+
+
+def _building(building: Shown) -> dict[str, Any]:
+    point_m = building.point_m
+    place_m = np.round(point_m.mean(axis=0)) if len(point_m) else np.zeros(3)
+    near = (np.abs(point_m - place_m) <= np.iinfo(np.int16).max // 100).all(axis=1)
+    point_m, distance_m = point_m[near], building.distance_m[near]
+    corners = np.concatenate([point_m, *(mesh.vertex_m for mesh in building.meshes.values())])
+    if not len(corners):
+        corners = np.zeros((1, 3))
+    return {
+        "id": building.building_id,
+        "group": building.group,
+        "title": building.title,
+        "about": building.about,
+        "state": _state(building),
+        "residual": _number(building.attributes, "residual_m"),
+        # JSON has no NaN
+        "attributes": {
+            name: None if isinstance(value, float) and not np.isfinite(value) else value
+            for name, value in building.attributes.items()
+        },
+        "bounds": np.round([corners.min(axis=0), corners.max(axis=0)], 2).tolist(),
+        "place": place_m.tolist(),
+        "points": _base64(np.round((point_m - place_m) * 100).astype(np.int16)),
+        "distances": _base64(np.round(np.clip(distance_m, 0, 1) * 255).astype(np.uint8)),
+        "meshes": {
+            key: {
+                "vertices": _base64(np.round(mesh.vertex_m * 1000).astype(np.int32)),
+                "triangles": _base64(mesh.triangle.astype(np.uint32)),
+                "kinds": _base64(mesh.kind.astype(np.uint8)),
+                "facts": f"{len(mesh.triangle)} triangles",
+            }
+            for key, mesh in building.meshes.items()
+        },
+    }
+
+
+def _state(building: Shown) -> str:
+    if not building.meshes:
+        return NONE
+    if building.attributes.get("status") == FLAT:
+        return FLAT
+    flags = ("not_representable", "footprint_flags")
+    return FLAGGED if any(building.attributes.get(name) for name in flags) else OK
+
+
+def _number(attributes: Mapping[str, Any], name: str) -> float | None:
+    value = attributes.get(name)
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) else None
+
+
+def _base64(values: np.ndarray) -> str:
+    little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+    return base64.b64encode(little.tobytes()).decode()

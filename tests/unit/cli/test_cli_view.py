@@ -1,0 +1,59 @@
+"""The demo, and buildings of any file on a page."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from p2wss import cli
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo") / "p2wss-demo"
+    assert cli.main(["demo", str(folder)]) == 0
+    return folder
+
+
+def buildings(page: Path) -> list[dict[str, Any]]:
+    text = page.read_text(encoding="utf-8").split('id="viewer-data">')[1].split("</script>")[0]
+    return json.loads(text)["buildings"]  # type: ignore[no-any-return]
+
+
+def test_the_demo_reconstructs_a_small_town(demo: Path) -> None:
+    summary = json.loads((demo / "out/lidar.json").read_text())["buildings"]
+    assert 20 <= summary["total"] <= 40 and summary["status"]["ok"] >= summary["total"] - 1
+    shown = buildings(demo / "out/lidar.html")
+    assert len(shown) == summary["total"]
+    assert all(each["meshes"] and each["attributes"]["num_points"] > 50 for each in shown)
+    residual_m = [each["residual"] for each in shown]
+    assert residual_m == sorted(residual_m, reverse=True) and residual_m[0] < 0.25
+
+
+def test_the_page_of_a_run_is_shown_as_it_is(demo: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level("INFO"):
+        assert cli.main(["view", str(demo / "out")]) == 0
+    assert "lidar.html" in caplog.text and not (demo / "out/view.html").exists()
+
+
+def test_files_of_any_program_are_compared_on_a_page(demo: Path, tmp_path: Path) -> None:
+    ours = demo / "out/lidar.city.json"
+    document = json.loads(ours.read_text())
+    for city_object in document["CityObjects"].values():
+        city_object["attributes"] = {}
+    other, page = tmp_path / "other.city.json", tmp_path / "page.html"
+    other.write_text(json.dumps(document))
+    assert cli.main(["view", str(other), str(ours), str(demo / "lidar.laz"), "--out", str(page)]) == 0
+    by_id = {each["id"]: each for each in buildings(demo / "out/lidar.html")}
+    for each in buildings(page):
+        assert set(each["meshes"]) == {"other.city.json", "lidar.city.json"}
+        # measured on other points of the same building
+        assert each["attributes"]["residual_m"] == pytest.approx(by_id[each["id"]]["residual"], abs=0.05)
+
+
+def test_what_is_no_cityjson_is_named(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["view", str(demo / "lidar.laz")]) == 2
+    assert "no CityJSON file" in capsys.readouterr().err
