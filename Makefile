@@ -3,6 +3,7 @@
 # make test          install, then format, lint, types and tests, a real run of the reduced miniature among them
 # make audit         known vulnerabilities of the pinned packages, from a service: needs the network
 # make test-faults   kills of the workflow, 10,000 damaged files, determinism of results: the slow tests of tests/faults
+# make test-wheel    the wheel in an empty environment, from its installation to a page of buildings
 # make test-slurm    the reduced miniature on a Slurm of this machine alone; as root, with Debian's packages of Slurm
 PYTHON ?= python3
 BIN := .venv/bin
@@ -12,7 +13,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-slurm lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-slurm test-wheel lint audit format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -47,6 +48,10 @@ test-slow: install
 
 test-faults: install
 	pytest -m slow --timeout 7200 tests/faults
+
+# the wheel in an empty environment, up to a page of buildings: needs a package index
+test-wheel: install
+	$(BIN)/python benchmarks/wheel.py
 
 test-slurm: engines
 	pytest -m slow --timeout 3600 -s tests/workflow/test_slurm.py

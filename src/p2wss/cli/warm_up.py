@@ -24,10 +24,13 @@ def warm_up(with_scans: bool, jobs: int | None) -> None:
     if marker is not None and marker.exists():
         log.info("all code is already compiled")
         return
-    from p2wss.scans.warm_up import warm_survey
     from p2wss.storage.progress import Progress
 
-    tasks = (*of_reconstruct.TASKS, warm_survey) if with_scans else of_reconstruct.TASKS
+    tasks = of_reconstruct.TASKS
+    if with_scans:
+        from p2wss.scans.warm_up import warm_survey
+
+        tasks = (*tasks, warm_survey)
     log.info("compiling for this computer, with %d processes: up to a minute", jobs)
     start = time.monotonic()
     with Progress("compiling", len(tasks) + 1, "parts") as progress:
