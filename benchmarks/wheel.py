@@ -3,8 +3,8 @@
     python benchmarks/wheel.py
 
 Builds the wheel, installs it without extras, and runs ``p2wss demo``, ``p2wss view``, ``p2wss check``, ``p2wss config``
-and ``p2wss workflow init`` in an empty folder. Needs a package index, or a warm cache of pip. Most of what is installed is
-llvmlite, pyarrow, scipy and two copies of GDAL. The last line is JSON.
+and ``p2wss workflow init`` in an empty folder. Needs a package index, or a warm cache of pip. Most of what is installed
+is llvmlite, pyarrow, scipy and two copies of GDAL. The last line is JSON.
 """
 
 from __future__ import annotations

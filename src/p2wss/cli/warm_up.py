@@ -26,11 +26,11 @@ def warm_up(with_scans: bool, jobs: int | None) -> None:
         return
     from p2wss.storage.progress import Progress
 
-    tasks = of_reconstruct.TASKS
+    tasks = list(of_reconstruct.TASKS)
     if with_scans:
         from p2wss.scans.warm_up import warm_survey
 
-        tasks = (*tasks, warm_survey)
+        tasks.append(warm_survey)
     log.info("compiling for this computer, with %d processes: up to a minute", jobs)
     start = time.monotonic()
     with Progress("compiling", len(tasks) + 1, "parts") as progress:
