@@ -23,17 +23,18 @@ ROOFS = "roofs/roofs.city.jsonl"
 @option("--lidar", is_flag=True, help="also simulate stand-in LiDAR for tile 0653_6861")
 @option(
     "--kind",
-    type=click.Choice(["streets", "wings"]),
+    type=click.Choice(["streets", "wings", "old"]),
     default="streets",
     show_default=True,
-    help="wings: houses whose roofs consist of several bodies, with their true roofs as CityJSON",
+    help="wings: houses whose roofs consist of several bodies; old: tall ones wall to wall; both with their true roofs "
+    "as CityJSON",
 )
 def towns(seed: int, out: Path, lidar: bool, kind: str) -> None:
     """Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats."""
     from p2wss.towns import write_town
 
     town = write_town(out, seed, lidar, kind)
-    if kind == "wings":
+    if kind != "streets":
         _write_roofs(town, out / ROOFS)
     log.info(f"{out}: town {seed} with {len(town)} buildings")
 

@@ -16,6 +16,7 @@ import shapely
 from p2wss.towns.buildings import DrawnBuilding
 from p2wss.towns.ign import write_footprints, write_terrain
 from p2wss.towns.lidar import write_lidar
+from p2wss.towns.old import draw_old
 from p2wss.towns.plan import draw_town
 from p2wss.towns.wings import draw_wings
 
@@ -32,12 +33,13 @@ LIDAR = "lidar/LHD_FXX_0653_6861_PTS_LAMB93_IGN69.laz"
 def write_town(folder: Path, seed: int, with_lidar: bool, kind: str = "streets") -> list[DrawnBuilding]:
     """Draw the town of ``seed``, write its files into ``folder`` and return its buildings.
 
-    Footprints and terrain are the same with and without the LiDAR. kind: ``streets``, or ``wings`` for houses whose
-    roofs consist of several bodies (:mod:`p2wss.towns.wings`).
+    Footprints and terrain are the same with and without the LiDAR. kind: ``streets``, ``wings`` for houses whose
+    roofs consist of several bodies (:mod:`p2wss.towns.wings`), or ``old`` for tall houses wall to wall
+    (:mod:`p2wss.towns.old`).
     """
     rng = np.random.Generator(np.random.PCG64(seed))
-    town = draw_wings(rng) if kind == "wings" else draw_town(rng)
-    write_terrain(folder / TERRAIN)
+    town = {"streets": draw_town, "wings": draw_wings, "old": draw_old}[kind](rng)
+    write_terrain(folder / TERRAIN, town[0].ground)
     write_footprints(town, folder / FOOTPRINTS, rng)
     if with_lidar:
         write_lidar(town, folder / LIDAR, rng)

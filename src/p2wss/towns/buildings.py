@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
 import shapely
 
-from p2wss.towns.site import ground_z_m
+from p2wss.towns.site import BUILDING_CLASS, ground_z_m
 
 
 @dataclass
@@ -20,7 +21,11 @@ class Wing:
     pitch_deg: float
     slopes: tuple[int, ...]  # edge i runs from vertex i to i + 1; none = a flat roof
     more: tuple[tuple[int, float, float], ...] = ()  # other planes: edge, metres above the eave there, pitch
-    detail: str = ""  # what a model of the building leaves out: a chimney, a parapet, ..
+    detail: str = (
+        ""  # what a model of the building leaves out: a chimney, a parapet, ..; "shaft" is open above
+    )
+    seen_as: int = BUILDING_CLASS  # the class of its points
+    seen_share: float = 1.0  # of its points, those that the scanner records
 
     def planes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The planes that rise from edges: points (p, 2), unit vectors of the edges (p, 2), metres above the eave at
@@ -50,8 +55,13 @@ class DrawnBuilding:
     """Wings that touch; their union is the footprint."""
 
     wings: list[Wing]
-    kind: str  # house, row, block, hall, annex; of a town of wings, one of its shapes
+    kind: str  # house, row, block, hall, annex; of a town of wings, one of its shapes; of an old one, its trouble
     footprint: shapely.Polygon = field(default_factory=shapely.Polygon)
+    ground: Callable[[np.ndarray, np.ndarray], np.ndarray] = ground_z_m
+    crowns: Sequence[
+        Sequence[float]
+    ] = ()  # plants on it: x, y, z of the centre, radius, half height, density
+    hidden_ground_m: float = 0.0  # so near to it, no point of the ground has its class
 
     def __post_init__(self) -> None:
         # 0.1 m is the resolution of BD TOPO; the tiny opening closes slits between wings
@@ -70,4 +80,4 @@ class DrawnBuilding:
     @property
     def floor_m(self) -> float:
         """Height of the ground, where the walls begin."""
-        return float(np.median(ground_z_m(*shapely.get_coordinates(self.footprint).T)))
+        return float(np.median(self.ground(*shapely.get_coordinates(self.footprint).T)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import date
 from io import BytesIO
 from pathlib import Path
@@ -80,7 +81,7 @@ def building_id(index: int) -> str:
 def _row(index: int, building: DrawnBuilding, rng: np.random.Generator) -> tuple[dict[str, Any], float]:
     """The columns of a building, and the height of its eaves above sea level. index: of the building in its town."""
     corner = shapely.get_coordinates(building.footprint)
-    around = ground_z_m(corner[:, 0], corner[:, 1])
+    around = building.ground(corner[:, 0], corner[:, 1])
     low, high = round(float(around.min()), 1), round(float(around.max()), 1)
     eave = round(building.eave_m, 1)
     ridge = max(wing.ridge_m for wing in building.wings)
@@ -134,13 +135,13 @@ def _with_blemishes(outline: shapely.Polygon, rng: np.random.Generator) -> shape
     return shapely.Polygon(ring, [hole.coords for hole in outline.interiors])
 
 
-def write_terrain(folder: Path) -> None:
+def write_terrain(folder: Path, ground: Callable[[np.ndarray, np.ndarray], np.ndarray] = ground_z_m) -> None:
     """Write one ASC tile per kilometre: cells of 5 m centred on multiples of 5 m, north row first."""
     cell, size = 5, 200
     for x_min in range(X_MIN, X_MAX, 1000):
         for y_max in range(Y_MIN + 1000, Y_MAX + 1, 1000):
             x, y = np.meshgrid(x_min + cell * np.arange(size), y_max - cell * np.arange(size))
-            rows = [" ".join(f"{z:.2f}" for z in row) for row in ground_z_m(x, y)]
+            rows = [" ".join(f"{z:.2f}" for z in row) for row in ground(x, y)]
             header = (
                 f"ncols        {size}\nnrows        {size}\n"
                 f"xllcorner    {x_min - cell / 2:.12f}\n"

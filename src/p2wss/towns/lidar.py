@@ -11,6 +11,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pyproj
+import shapely
 
 from p2wss.storage import files
 from p2wss.towns.buildings import DrawnBuilding
@@ -18,6 +19,7 @@ from p2wss.towns.ign import DATE
 from p2wss.towns.site import (
     BUILDING_CLASS,
     CRS,
+    GROUND_CLASS,
     LIDAR_X_MIN,
     LIDAR_Y_MAX,
     UNCLASSIFIED_CLASS,
@@ -43,6 +45,7 @@ def write_lidar(town: list[DrawnBuilding], path: Path, rng: np.random.Generator)
     strips = [_scan(surface, trees, number, rng) for number in range(len(HEADINGS_DEG))]
     points = {name: np.concatenate([strip[name] for strip in strips]) for name in strips[0]}
     keep = surface.near(points["x"], points["y"]) & (points["x"] >= LIDAR_X_MIN) & (points["y"] < LIDAR_Y_MAX)
+    keep &= _recorded(buildings, points, rng)
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales, header.offsets = [0.01] * 3, [0, 0, 0]
     header.creation_date = DATE
@@ -54,6 +57,34 @@ def write_lidar(town: list[DrawnBuilding], path: Path, rng: np.random.Generator)
         cloud[name] = values[keep]
     with files.atomic(path) as temporary:
         cloud.write(temporary)
+
+
+def _recorded(
+    buildings: list[DrawnBuilding], points: dict[str, np.ndarray], rng: np.random.Generator
+) -> np.ndarray:
+    """The points that the scanner records, bool (n,); those on roofs that are hard to classify get other classes."""
+    keep, classes = np.ones(len(points["x"]), bool), points["classification"]
+    areas = [
+        (wing.outline, BUILDING_CLASS, wing.seen_as, wing.seen_share)
+        for building in buildings
+        for wing in building.wings
+        if (wing.seen_as, wing.seen_share) != (BUILDING_CLASS, 1)
+    ]
+    near = [
+        each.footprint.buffer(each.hidden_ground_m).exterior.coords
+        for each in buildings
+        if each.hidden_ground_m
+    ]
+    areas += [(np.array(ring), GROUND_CLASS, UNCLASSIFIED_CLASS, 1.0) for ring in near]
+    if not areas:
+        return keep
+    tree = shapely.STRtree(np.asarray(shapely.points(points["x"], points["y"])))
+    for ring, number, seen_as, share in areas:
+        inside = tree.query(shapely.Polygon(ring), "contains")
+        inside = inside[classes[inside] == number]
+        keep[inside] = rng.random(len(inside)) < share
+        classes[inside] = seen_as
+    return keep
 
 
 def _scan(surface: Surface, trees: np.ndarray, strip: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -76,9 +107,9 @@ def _scan(surface: Surface, trees: np.ndarray, strip: int, rng: np.random.Genera
     time, angle, plane_xy, sideways = time[keep], angle[keep], plane_xy[keep], sideways[keep]
 
     descent, kind = _first_hit(surface, plane_xy, plane_z, sideways)
-    in_crown = _crown_hit(trees, plane_xy, plane_z, sideways, descent, rng)
+    in_crown, passing = _crown_hit(trees, plane_xy, plane_z, sideways, descent, rng)
     hit_crown = np.isfinite(in_crown)
-    through = hit_crown & (rng.random(len(time)) < 0.35)  # a second return below the crown
+    through = hit_crown & (rng.random(len(time)) < passing)  # a second return below the crown
     single = np.where(hit_crown, in_crown, descent)
     pulse = np.concatenate([np.arange(len(time)), np.flatnonzero(through)])
     depth = np.concatenate([single, descent[through]])
@@ -134,11 +165,11 @@ def _crown_hit(
     sideways: np.ndarray,
     descent: np.ndarray,
     rng: np.random.Generator,
-) -> np.ndarray:
-    """Descent at which leaves stop a pulse; NaN where none does before ``descent``."""
-    result = np.full(len(plane_xy), np.nan)
+) -> tuple[np.ndarray, np.ndarray]:
+    """(descent at which leaves stop a pulse, NaN where none does before ``descent``; the chance that some passes)."""
+    result, passing = np.full((2, len(plane_xy)), np.nan)
     chance, inside = rng.random(len(plane_xy)), rng.random(len(plane_xy))
-    for x, y, z, radius, half in trees:
+    for x, y, z, radius, half, density in trees:
         start = plane_xy - (x, y)
         candidates = np.flatnonzero(np.hypot(*(start + (plane_z - z) * sideways).T) < radius + half)
         s, d = start[candidates] / radius, sideways[candidates] / radius
@@ -146,9 +177,9 @@ def _crown_hit(
         b = (s * d).sum(axis=1) - (plane_z - z) / half**2
         c = (s**2).sum(axis=1) + ((plane_z - z) / half) ** 2 - 1
         root = b**2 - a * c
-        met = (root > 0) & (chance[candidates] < 0.75)
+        met = (root > 0) & (chance[candidates] < density)
         first, width = (-b - np.sqrt(np.maximum(root, 0))) / a, 2 * np.sqrt(np.maximum(root, 0)) / a
         leaf = first + width * inside[candidates] ** 2 * 0.6
         met &= leaf < descent[candidates]
-        result[candidates[met]] = leaf[met]
-    return result
+        result[candidates[met]], passing[candidates[met]] = leaf[met], 1.4 * (1 - density)
+    return result, passing

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import shapely
 
 from p2wss.towns.buildings import DrawnBuilding, Wing
 from p2wss.towns.lots import block_side, rectangle, to_world
-from p2wss.towns.site import BUILDING_CLASS, GROUND_CLASS, ground_z_m, in_lidar_tile
+from p2wss.towns.site import BUILDING_CLASS, GROUND_CLASS, UNCLASSIFIED_CLASS, in_lidar_tile
 
 CELL_M = 0.1
+_DENSITY = 0.75  # of crowns
 AROUND_M = 4.0  # points further from a building are not written, to keep the file small
 
 
@@ -22,12 +25,18 @@ class Surface:
         self.x_min, self.y_min = np.floor(bounds[:2]) - 20
         columns, rows = (np.ceil((bounds[2:] + 20 - (self.x_min, self.y_min)) / CELL_M)).astype(int)
         x, y = np.meshgrid(self.x_min + CELL_M * np.arange(columns), self.y_min + CELL_M * np.arange(rows))
-        self.z = ground_z_m(x, y)
+        self.z = buildings[0].ground(x, y)
         self.kind = np.full(self.z.shape, GROUND_CLASS, np.uint8)
+        shafts = []
         for building in buildings:
             floor = building.floor_m
-            for wing in [*building.wings, *draw_details(building, rng)]:
-                self._raise(wing, floor)
+            for wing in [*building.wings, *draw_details(building, rng)] if building.kind != "gone" else []:
+                if wing.detail == "shaft":
+                    shafts.append((wing, floor))
+                else:
+                    self._raise(wing, floor)
+        for wing, floor in shafts:
+            self._raise(wing, floor)
         coarse = max(1, round(0.5 / CELL_M))
         near = shapely.union_all([outline.buffer(AROUND_M) for outline in outlines])
         shapely.prepare(near)
@@ -46,6 +55,9 @@ class Surface:
         inside = shapely.contains_xy(shapely.Polygon(outline), x, y)
         top = floor_m + wing.eave_m + wing.rise_m(np.column_stack([x[inside], y[inside]]))
         z, kind = self.z[window], self.kind[window]
+        if wing.detail == "shaft":
+            z[inside], kind[inside] = top, GROUND_CLASS if wing.eave_m < 1 else UNCLASSIFIED_CLASS
+            return
         z[inside] = np.where(kind[inside] == BUILDING_CLASS, np.maximum(z[inside], top), top)
         kind[inside] = BUILDING_CLASS
 
@@ -89,10 +101,12 @@ def draw_details(building: DrawnBuilding, rng: np.random.Generator) -> list[Wing
 
 
 def draw_trees(buildings: list[DrawnBuilding], rng: np.random.Generator) -> np.ndarray:
-    """Crowns beside buildings: x, y, z of the centre, radius, half height. Float array (n, 5)."""
+    """Crowns beside buildings, and those on them: x, y, z of the centre, radius, half height, the share of
+    pulses that they stop. Float array (n, 6)."""
     houses = shapely.union_all([building.footprint for building in buildings])
-    crowns = []
+    crowns: list[Sequence[float]] = []
     for building in buildings:
+        crowns += building.crowns
         if rng.random() > 0.4:
             continue
         centre, reach = (
@@ -105,5 +119,5 @@ def draw_trees(buildings: list[DrawnBuilding], rng: np.random.Generator) -> np.n
         if houses.distance(here) < 0.6 * radius or not in_lidar_tile(here):
             continue
         half = radius * rng.uniform(0.9, 1.5)
-        crowns.append((x, y, float(ground_z_m(x, y)) + 1.6 + half, radius, half))
-    return np.array(crowns).reshape(-1, 5)
+        crowns.append((x, y, float(building.ground(x, y)) + 1.6 + half, radius, half, _DENSITY))
+    return np.array(crowns).reshape(-1, 6)

@@ -258,12 +258,18 @@ def _draw_row(rng: np.random.Generator) -> list[list[Wing]]:
 
 
 def true_solids(town: Sequence[DrawnBuilding]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The union of the bodies of each building, on the ground: vertices (v, 3) in the CRS, triangles (t, 3)."""
+    """The union of the bodies of each building, less its shafts, on the ground: vertices (v, 3) in the CRS, triangles
+    (t, 3)."""
     for building in town:
         # in the frame in which it was drawn, to the millimetre, so that bodies side by side have the same coordinates
         origin, rotation = building.wings[0].outline[0], _axes(building.wings[0])
         bodies = [_prism(wing, origin, rotation) for wing in building.wings if not wing.detail]
-        mesh = Manifold.batch_boolean(bodies, OpType.Add).as_original().simplify(_SIMPLIFY_M).to_mesh64()
+        solid = Manifold.batch_boolean(bodies, OpType.Add)
+        for wing in building.wings:
+            if wing.detail == "shaft":
+                above = _prism(replace(wing, eave_m=100.0), origin, rotation)
+                solid -= above - _prism(wing, origin, rotation)
+        mesh = solid.as_original().simplify(_SIMPLIFY_M).to_mesh64()
         vertex_m = np.add(mesh.vert_properties[:, :3], (0.0, 0.0, building.floor_m))
         vertex_m[:, :2] = vertex_m[:, :2] @ rotation.T + origin
         yield vertex_m, mesh.tri_verts.astype(np.int32)
