@@ -32,6 +32,7 @@ COMMANDS = {
         "inspect": "describe the contents of files",
         "config": "print every setting with its default",
         "workflow": "begin a project of the Snakemake workflow",
+        "doctor": "show what is installed, and what is missing for what",
         "warm-up": "compile the code before the first use",
     },
     "Stages of the workflow, in its order": {

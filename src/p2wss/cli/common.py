@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("p2wss")
 # buildings to check that the end of a run names
 NUM_NAMED = 5
+# of footprints without points, beyond which the cloud may be of another place
+MAX_BARE_SHARE = 0.05
 
 config_option = option(
     "--config",
@@ -51,6 +54,14 @@ device_option = option(
     default="auto",
     more=True,
     help="where the network runs; auto: on a GPU if there is one",
+)
+quiet_option = option(
+    "--quiet",
+    "-q",
+    is_flag=True,
+    expose_value=False,
+    callback=lambda context, parameter, value: log.setLevel(logging.WARNING if value else logging.NOTSET),
+    help="show warnings and errors only",
 )
 crs_option = option("--crs", help="CRS of clouds that do not state it, such as EPSG:28992")
 clouds_argument = click.argument(
@@ -89,18 +100,35 @@ def write_trained(checkpoints: Path, out_metrics: Path, save: Callable[[str], No
     remove_checkpoints(checkpoints)
 
 
-def log_run(out: Path, scene: Scene, written: Sequence[Path], seconds: float) -> None:
-    """What was written, how many buildings are what, which to check, and what to do next."""
+def write_run(
+    out: Path, scene: Scene, start_s: float, formats: list[str] | None = None, name: str | None = None
+) -> None:
+    """Write the files of a run that began at ``start_s``, and log what was written, how many buildings are what, which
+    to check, and what to do next."""
+    earlier = _delivered(out / f"{name or scene.name}.json")
+    written = scene.write(out, formats, name)
     names = [str(path.relative_to(out)) for path in written]
     log.info("%s: %s", out, ", ".join(names))
-    log.info("%s, in %.0f s", scene.summary, seconds)
-    to_check = files.read_json(written[-1], dict[str, Any])["buildings"]["to_check"]
-    if to_check:
+    log.info("%s, in %.0f s", scene.summary, time.monotonic() - start_s)
+    if old := sorted(path for path in earlier - _delivered(written[-1]) if (out / path).exists()):
+        log.warning("warning: %s: of an earlier run, not of this one; delete them: %s", out, ", ".join(old))
+    counts = files.read_json(written[-1], dict[str, Any])["buildings"]
+    if (num_bare := counts["without_points"]) > MAX_BARE_SHARE * counts["total"]:
+        log.warning("warning: the cloud has no point at %d of %d footprints", num_bare, counts["total"])
+    if to_check := counts["to_check"]:
         more = f" and {len(to_check) - NUM_NAMED} more" if len(to_check) > NUM_NAMED else ""
         log.info("to check: %s%s", ", ".join(to_check[:NUM_NAMED]), more)
     pages = [path for path in written if path.suffix == ".html"]
     if pages:
         log.info("open %s in a browser: buildings in 3D with their points, and a table", pages[0])
+
+
+def _delivered(summary: Path) -> set[str]:
+    """The files that a summary of a run lists; none if there is no summary, or another file of this name."""
+    try:
+        return set(files.read_json(summary, dict[str, Any]).get("sha256", {}))
+    except InputError:
+        return set()
 
 
 def bounds_of_tile(tile: str, config: Config, margin_m: float = 0.0) -> Bounds:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from p2wss.cli.common import log, log_run
+from p2wss.cli.common import log, quiet_option, write_run
 from p2wss.cli.parser import PATH, Command
 from p2wss.cli.warm_up import warm_up
 
@@ -16,6 +16,7 @@ from p2wss.cli.warm_up import warm_up
 @click.argument(
     "folder", type=PATH, default="p2wss-demo", metavar="[FOLDER]", help="folder to write (p2wss-demo)"
 )
+@quiet_option
 def demo(folder: Path) -> None:
     """Draw a small town and its LiDAR, and reconstruct it."""
     import p2wss
@@ -29,6 +30,5 @@ def demo(folder: Path) -> None:
     click.get_current_context().invoke(warm_up, with_scans=False, jobs=None)
     start = time.monotonic()
     with p2wss.reconstruct(cloud, footprints) as scene:
-        out = folder / "out"
-        log_run(out, scene, scene.write(out, ["cityjson", "glb", "gpkg", "report"]), time.monotonic() - start)
-    log.info("the same with files of your own: p2wss reconstruct %s %s %s", cloud, footprints, out)
+        write_run(folder / "out", scene, start, ["cityjson", "glb", "gpkg", "report"])
+    log.info("the same with files of your own: p2wss reconstruct %s %s %s", cloud, footprints, folder / "out")

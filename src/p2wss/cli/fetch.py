@@ -32,7 +32,8 @@ _downloads_option = file_option(
     type=float,
     nargs=4,
     metavar="X_MIN Y_MIN X_MAX Y_MAX",
-    help="create a new region with these bounds, in metres in --crs; rounded outwards to whole tiles",
+    help="create a new region with these bounds, in metres in --crs or in degrees (longitude, latitude); rounded "
+    "outwards to whole tiles",
 )
 @option(
     "--vintage",
@@ -62,12 +63,13 @@ def fetch(
     import yaml
 
     from p2wss.fetch import plan
+    from p2wss.fetch.area import bounds_of_bbox
 
     if region is None:
         raise InputError("fetch: give --region NAME, with --bbox for a new region; see p2wss fetch --help")
     path = Path("config/regions", f"{region}.yaml")
     if bbox is not None:
-        text = plan.region_yaml(region, bbox, vintage, crs, lidar)
+        text = plan.region_yaml(region, bounds_of_bbox(bbox, crs), vintage, crs, lidar)
         config = load(yaml.safe_load(text))
     else:
         text, config = "", load(path)

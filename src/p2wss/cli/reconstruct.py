@@ -18,10 +18,11 @@ from p2wss.cli.common import (
     config_option,
     crs_option,
     device_option,
-    log_run,
+    quiet_option,
     threads_option,
+    write_run,
 )
-from p2wss.cli.parser import PATH, Command, option, setting
+from p2wss.cli.parser import PATH, Command, Names, option, setting
 from p2wss.config import Config
 
 if TYPE_CHECKING:
@@ -55,7 +56,17 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 )
 @option("--terrain", type=PATH, help="raster of heights; meshes then stand on a block of terrain")
 @setting("reconstruct.skin", more=False, help="merge the buildings of a block into one mesh")
+@option("--ids", type=Names(), help="reconstruct only the buildings of these ids")
+@option(
+    "--bbox",
+    type=float,
+    nargs=4,
+    metavar="X_MIN Y_MIN X_MAX Y_MAX",
+    help="only those with their centre in this box, in the CRS of the clouds or in degrees (longitude, latitude)",
+)
+@option("--name", help="name of the files, without ending (default: that of the first cloud)")
 @threads_option
+@quiet_option
 @config_option
 @option(
     "--model",
@@ -97,6 +108,9 @@ def reconstruct(
     model: Path | None,
     device: DeviceName,
     tile: str | None,
+    ids: list[str] | None,
+    bbox: tuple[float, float, float, float] | None,
+    name: str | None,
 ) -> None:
     """Reconstruct buildings from your own LiDAR and footprints.
 
@@ -120,10 +134,13 @@ def reconstruct(
     start = time.monotonic()
     checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty=tile is not None)
     with _importing():
+        from p2wss.fetch.area import bounds_of_bbox
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
-    with scene.reconstruct(checked, config, scene.Selection(tile=tile), machine) as result:
-        log_run(out, result, result.write(out), time.monotonic() - start)
+    if bbox is not None:
+        bbox = bounds_of_bbox(bbox, checked.crs.to_string())
+    with scene.reconstruct(checked, config, scene.Selection(ids, bbox, tile), machine) as result:
+        write_run(out, result, start, name=name)
 
 
 @contextmanager

@@ -68,5 +68,12 @@ def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
     return low_x, low_y, high_x, high_y
 
 
+def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:
+    """A box in metres of a projected CRS, from one in it or in degrees of longitude and latitude, as which no box in
+    metres can pass that is not at the origin of the CRS. Raises :class:`InputError` for one that is neither."""
+    in_degrees = max(map(abs, bbox[::2])) <= 180 and max(map(abs, bbox[1::2])) <= 90
+    return bounds_in_region(bbox, "EPSG:4326" if in_degrees else crs, crs)
+
+
 def _text(bounds: Bounds) -> str:
     return ", ".join(f"{value:.10g}" for value in bounds)

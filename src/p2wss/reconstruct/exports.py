@@ -236,6 +236,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         "reasons": dict(reasons),
         "methods": dict(methods),
         "not_representable": not_representable,
+        "without_points": sum(result.num_points == 0 for result in results),
         "to_check": [building_id for _, building_id in sorted(to_check)],
     }
 

@@ -1,0 +1,56 @@
+"""``p2wss doctor``: what this computer has, and what each missing piece costs."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import tempfile
+from importlib.metadata import PackageNotFoundError, version
+
+import click
+
+import p2wss
+from p2wss.cli import EXTRAS
+from p2wss.cli.parser import Command
+
+# programs and packages: without them
+COSTS = {
+    "torch": "no parametric roofs from the network, no training",
+    "filelock": "no training",
+    "embreex": "no simulated surveys",
+    "matplotlib": "no report of the evaluation",
+    "PIL": "no report of the evaluation",
+    "snakemake": "no pipeline",
+    "pdal": "fetch prepare cannot classify clouds that have no ground",
+    "roofer": "the evaluation uses recorded results of Roofer, or none",
+}
+_DISTRIBUTIONS = {"PIL": "pillow"}
+
+
+@click.command(cls=Command)
+def doctor() -> None:
+    """Show what is installed, and what each missing piece costs."""
+    from p2wss.reconstruct.warm_up import marker
+
+    compiled, scratch = marker(with_scans=False), tempfile.gettempdir()
+    state = "in the first run, up to a minute each: no folder can be written"
+    if compiled is not None:
+        state = (
+            "done" if compiled.exists() else "in the first run, up to a minute; p2wss warm-up does it ahead"
+        )
+    rows = {
+        "p2wss": f"{p2wss.__version__}, Python {platform.python_version()}, {platform.machine()}",
+        "cores": str(os.cpu_count()),
+        "compiled code": state,
+        "temporary files": f"{shutil.disk_usage(scratch).free / 1e9:.0f} GB free in {scratch}",
+    }
+    for package, extra in EXTRAS.items():
+        try:
+            rows[package] = version(_DISTRIBUTIONS.get(package, package))
+        except PackageNotFoundError:
+            rows[package] = f"missing: {COSTS[package]}; pip install 'p2wss[{extra}]'"
+    for program in ("pdal", "roofer"):
+        rows[program] = shutil.which(program) or f"missing: {COSTS[program]}"
+    for name, text in rows.items():
+        print(f"{name:<16} {text}")

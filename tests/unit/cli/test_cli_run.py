@@ -1,0 +1,108 @@
+"""Which buildings a run is of, how its files are called, and what its end says."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import geopandas as gpd
+import pytest
+
+import p2wss
+from p2wss import cli
+from p2wss.towns import write_demo
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("demo")
+    write_demo(folder)
+    return folder
+
+
+def run(demo: Path, out: Path, *options: str) -> int:
+    inputs = [str(demo / "lidar.laz"), str(demo / "footprints.gpkg"), str(out)]
+    return cli.main(["reconstruct", *inputs, "--outputs", "cityjson", *options])
+
+
+def test_buildings_are_chosen_by_id_and_by_a_box_in_metres_or_degrees(demo: Path, tmp_path: Path) -> None:
+    footprints = gpd.read_file(demo / "footprints.gpkg").set_index("cleabs")
+    first = footprints.index[5]
+    assert run(demo, tmp_path, "--ids", first, "--name", "one") == 0
+    assert list(p2wss.read(tmp_path / "one.city.json")) == [first]
+    around = footprints.loc[[first]].buffer(1)
+    for name, box in (("metres", around.total_bounds), ("degrees", around.to_crs(4326).total_bounds)):
+        assert run(demo, tmp_path, "--bbox", *map(str, box), "--name", name) == 0
+        assert first in p2wss.read(tmp_path / f"{name}.city.json")
+    first_box, second_box = (p2wss.read(tmp_path / f"{name}.city.json") for name in ("metres", "degrees"))
+    assert list(first_box) == list(second_box) and len(first_box) < 5
+
+
+def test_an_unknown_id_and_an_empty_box_are_named(
+    demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for options, text in (
+        (["--ids", "x"], "has no building x"),
+        (["--bbox", "3", "45", "2", "46"], "is empty"),
+    ):
+        assert run(demo, tmp_path, *options) == 2
+        error = capsys.readouterr().err.splitlines()
+        assert text in error[-1] and not any("Traceback" in line for line in error)
+
+
+def test_files_that_an_earlier_run_left_are_named(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = gpd.read_file(demo / "footprints.gpkg")["cleabs"][0]
+    with caplog.at_level(logging.WARNING):
+        assert run(demo, tmp_path, "--ids", one, "--outputs", "glb,gpkg") == 0
+        assert "earlier run" not in caplog.text
+        assert run(demo, tmp_path, "--ids", one) == 0
+    assert "of an earlier run, not of this one; delete them: lidar.glb, lidar.gpkg" in caplog.text
+
+
+def test_footprints_beyond_the_cloud_are_counted(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    footprints = gpd.read_file(demo / "footprints.gpkg").iloc[:4].assign(hauteur=float("nan"))
+    footprints.loc[footprints.index[2:], "geometry"] = footprints.geometry[2:].translate(900, 0)
+    footprints.to_file(tmp_path / "footprints.gpkg")
+    inputs = [str(demo / "lidar.laz"), str(tmp_path / "footprints.gpkg"), str(tmp_path / "out")]
+    with caplog.at_level(logging.INFO):
+        assert cli.main(["reconstruct", *inputs, "--outputs", "cityjson"]) == 0
+    assert "warning: the cloud has no point at 2 of 4 footprints" in caplog.text
+    counts = json.loads((tmp_path / "out/lidar.json").read_text(encoding="utf-8"))["buildings"]
+    assert counts["without_points"] == 2 and {*footprints["cleabs"][2:]} <= {*counts["to_check"]}
+    assert f"to check: {', '.join(counts['to_check'])}" in caplog.text
+
+
+def test_quiet_says_nothing_of_a_run_without_faults(
+    demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    one = gpd.read_file(demo / "footprints.gpkg")["cleabs"][0]
+    assert run(demo, tmp_path, "--ids", one, "-q") == 0
+    assert caplog.text == ""
+    # of this command only
+    with caplog.at_level(logging.INFO):
+        assert run(demo, tmp_path, "--ids", one) == 0
+    assert "1 buildings: 1 ok" in caplog.text
+
+
+def test_the_doctor_says_what_is_missing_for_what(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    assert cli.main(["doctor"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {line.split()[0] for line in lines} > {*cli.EXTRAS, "p2wss", "cores", "pdal", "roofer"}
+    assert next(line for line in lines if line.startswith("pdal")).endswith("clouds that have no ground")
+
+
+def test_a_mistyped_command_is_guessed_and_none_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["recontruct"]) == 2
+    assert "Did you mean 'reconstruct'?" in capsys.readouterr().err
+    assert cli.main(["reconstruct", "--detial", "low"]) == 2
+    assert "--detail" in capsys.readouterr().err
+    assert cli.main([]) == 0
+    assert capsys.readouterr().out.startswith("Usage: p2wss")
