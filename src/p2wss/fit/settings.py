@@ -214,8 +214,8 @@ class PlanePrices(NamedTuple):
     short_line_m: float = 2.0
     # shares of it: where two planes meet, where they are nearly the same plane, and a small step
     meet_share: float = 0.5
-    shallow_share: float = 1.0
-    small_step_share: float = 1.6
+    shallow_share: float = 1.5
+    small_step_share: float = 2.0
     # metres: planes meet along an edge if no end of it has a larger step
     meet_m: float = 0.08
     small_step_m: float = 0.4
