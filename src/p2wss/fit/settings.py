@@ -163,7 +163,7 @@ class Detection(NamedTuple):
     # per square metre: fewer points are sparse, and the surface around one of them shows nothing
     sparse_per_m2: float = 2.0
     num_sparse_neighbours: int = 8
-    min_sparse_points: int = 3
+    min_sparse_points: int = 2
     # points from which planes through sparse points are sought, and at most so many times all points
     num_seeds: int = 120
     max_seed_points: int = 40000
@@ -205,7 +205,7 @@ class PlanePrices(NamedTuple):
     """What a roof of planes pays (`planes/labelling.py`), in cubic metres between the roof and its points."""
 
     # for each face; swept
-    face_m3: float = 0.1
+    face_m3: float = 0.06
     # for each metre of an edge: a step above the limit below; swept
     edge_m2: float = 0.15
     # for each line that has steps; those with less than the next figure of them are dispensed with where that pays:
@@ -223,11 +223,21 @@ class PlanePrices(NamedTuple):
     shallow: float = 0.09
     # metres: larger residuals count as this
     cap_m: float = 1.0
+    # metres between the roof and one point: a face and a line with steps also cost these, times the area for which a
+    # point stands, so that no single one of few points makes a face; swept on thinned clouds
+    face_m: float = 0.3
+    line_m: float = 0.1
     # metres by which a roof may rise above its points, or fall below all of them
     support_m: float = 0.5
     # metres a roof is expected to be off per metre beyond its points, after the first metre, and at most
     beyond_share: float = 0.02
     max_beyond_m: float = 0.1
+
+    def for_density(self, per_m2: float) -> PlanePrices:
+        """The prices where so many points are on a square metre."""
+        return self._replace(
+            face_m3=self.face_m3 + self.face_m / per_m2, line_m3=self.line_m3 + self.line_m / per_m2
+        )
 
 
 class Planes(NamedTuple):
@@ -240,7 +250,7 @@ class Planes(NamedTuple):
     def times(self, factor: float) -> Planes:
         """The thresholds with all prices multiplied."""
         prices = self.prices
-        names = ("face_m3", "edge_m2", "line_m3")
+        names = ("face_m3", "edge_m2", "line_m3", "face_m", "line_m")
         return self._replace(
             prices=prices._replace(**{name: factor * getattr(prices, name) for name in names})
         )
@@ -255,7 +265,7 @@ class Thresholds:
     chimneys: Chimneys = field(default_factory=Chimneys)
     planes: Planes = field(default_factory=Planes)
     # points on a roof: with fewer, the parametric model knows more than planes in them show
-    min_plane_points: int = 10
+    min_plane_points: int = 5
     # metres: shorter edges of the mesh are removed if the points do not need them
     short_edge_m: float = 0.2
     # cubic metres between roof and points that each may cost

@@ -69,7 +69,7 @@ def test_few_points_and_the_model_of_the_paper_give_parametric_buildings():
     case = house_and_annex()
     (planes,) = fitting.fit([case], CONFIG)
     assert planes.num_parts == 2
-    few = replace(case, point_m=case.point_m[::70], classification=case.classification[::70])
+    few = replace(case, point_m=case.point_m[::160], classification=case.classification[::160])
     any_number = CONFIG.model_copy(update={"min_num_points": 3})
     parametric = CONFIG.model_copy(update={"roofs": "parametric"})
     for chosen, config in ((few, any_number), (case, parametric)):

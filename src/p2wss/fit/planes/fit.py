@@ -86,7 +86,7 @@ def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Plane
     cells = arrange(rings, lines_of(rings, plane, found.label, point_m, along, drawing))
     cell = cells.cells_at(point_m[:, :2])
     for dearer in _DEARER:
-        prices = settings.times(dearer).prices
+        prices = settings.times(dearer).prices.for_density(density)
         costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
         label = least_cost(costs)
         mesh = solid_below(cells, label, plane, np.concatenate(rings))
