@@ -118,7 +118,10 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:  # whoever reads what this prints has stopped, as head does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 128 + signal.SIGPIPE
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        # the second is what compiled code makes of the first
+        if not isinstance(error.__cause__ or error, KeyboardInterrupt):
+            raise
         print("p2wss: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
     except ModuleNotFoundError as error:

@@ -99,6 +99,20 @@ def test_the_doctor_says_what_is_missing_for_what(
     assert next(line for line in lines if line.startswith("pdal")).endswith("clouds that have no ground")
 
 
+def test_an_interruption_is_one_line_also_within_compiled_code(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(path: Path) -> None:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise SystemError("CPUDispatcher returned a result with an exception set") from error
+
+    monkeypatch.setattr(p2wss, "check", interrupted)
+    assert cli.main(["check", "x.city.json"]) == 130
+    assert capsys.readouterr().err == "p2wss: interrupted\n"
+
+
 def test_a_mistyped_command_is_guessed_and_none_shows_the_help(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["recontruct"]) == 2
     assert "Did you mean 'reconstruct'?" in capsys.readouterr().err
