@@ -1,6 +1,7 @@
 # make eval_report   install, then the whole pipeline on the miniature: results/mini/eval/report.html
 # make dry-run       install, then the plan of the miniature: its jobs, none of which runs
 # make test          install, then format, lint, types and tests, a real run of the reduced miniature among them
+# make docs         the site of the documentation: site/index.html
 # make audit         known vulnerabilities of the pinned packages, from a service: needs the network
 # make test-faults   kills of the workflow, 10,000 damaged files, determinism of results: the slow tests of tests/faults
 # make test-wheel    the wheel in an empty environment, from its installation to a page of buildings
@@ -13,7 +14,7 @@ export OMP_WAIT_POLICY := PASSIVE
 export GOMP_SPINCOUNT := 0
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 
-.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-slurm test-wheel lint audit format config mini lock clean
+.PHONY: install engines eval_report dry-run test test-unit test-workflow test-slow test-faults test-slurm test-wheel docs lint audit format config mini lock clean
 install: $(BIN)/.installed
 	$(BIN)/p2wss warm-up --all
 
@@ -55,6 +56,11 @@ test-wheel: install
 
 test-slurm: engines
 	pytest -m slow --timeout 3600 -s tests/workflow/test_slurm.py
+
+# the site in site/; mkdocs is not part of the locked packages, since nothing else needs it
+docs: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'mkdocs-material>=9.6' 'mkdocstrings[python]>=0.29'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 lint: install
 	ruff check .

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import json
 import os
 import re
 import subprocess
@@ -13,6 +14,7 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
+from matplotlib import pyplot
 from places import ROOT, SHARED
 
 import p2wss
@@ -29,6 +31,18 @@ def test_every_example_of_the_page_runs(tmp_path: Path, monkeypatch: pytest.Monk
     for block in blocks:
         exec(block, names)
     assert {"survey.city.json", "survey.glb"} <= {path.name for path in (tmp_path / "out").iterdir()}
+
+
+@pytest.mark.parametrize("name", ["neighbourhood", "simulated_scan"])
+def test_every_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    notebook = json.loads((ROOT / f"docs/notebooks/{name}.ipynb").read_text(encoding="utf-8"))
+    names: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    pyplot.close("all")
 
 
 def test_the_examples_of_docstrings() -> None:

@@ -1,0 +1,94 @@
+"""Hooks of mkdocs: pages that are made from the code, and files of the repository that pages link to."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+from mkdocs.structure.files import File
+
+from p2wss import cli
+from p2wss.config.generate import default_yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+_LINK = re.compile(r"(\]\()([^)#\s]+)([^)]*\))")
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the reference, and every file of the repository that a page links to, below ``repository/``."""
+    pages = {
+        "reference/python.md": "# Python\n\n[Examples](../manual/python.md).\n\n::: p2wss\n",
+        "reference/commands.md": f"# Commands\n\n{_commands()}",
+        "reference/settings.md": f"# Settings\n\n`p2wss config` prints the same.\n\n```yaml\n{default_yaml()}```\n",
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    pending = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md"]
+    for file in list(files):
+        if file.src_uri.endswith(".md") and file.src_uri not in pages:
+            pending += [path for _, path in _outside(f"docs/{file.src_uri}", file.content_string)]
+    added = set()
+    while pending:
+        path = pending.pop()
+        if path in added or not (ROOT / path).is_file():
+            continue
+        added.add(path)
+        if path.endswith(".md"):
+            text = (ROOT / path).read_text(encoding="utf-8")
+            pending += [each for _, each in _outside(path, text)]
+            files.append(File.generated(config, f"repository/{path}", content=_relinked(path, text)))
+        else:
+            files.append(File.generated(config, f"repository/{path}", abs_src_path=str(ROOT / path)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
+    """Links to files outside of docs/ lead to their copies."""
+    source = page.file.src_uri
+    return (
+        markdown
+        if source.startswith(("repository/", "reference/"))
+        else _relinked(f"docs/{source}", markdown)
+    )
+
+
+def _outside(page: str, text: str) -> list[tuple[str, str]]:
+    """(link, path in the repository) of the links of a page to files outside of docs/."""
+    links = [link for _, link, _ in _LINK.findall(text) if "://" not in link]
+    paths = [(link, posixpath.normpath(posixpath.join(posixpath.dirname(page), link))) for link in links]
+    return [(link, path) for link, path in paths if not path.startswith("docs/")]
+
+
+def _relinked(page: str, text: str) -> str:
+    """The text with links that work in the site, where docs/ is the top and the repository a folder of it."""
+    place = page.removeprefix("docs/") if page.startswith("docs/") else f"repository/{page}"
+
+    def link_to(match: re.Match[str]) -> str:
+        before, link, rest = match.groups()
+        if "://" in link:
+            return match[0]
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(page), link))
+        target = path.removeprefix("docs/") if path.startswith("docs/") else f"repository/{path}"
+        return before + posixpath.relpath(target, posixpath.dirname(place) or ".") + rest
+
+    return _LINK.sub(link_to, text)
+
+
+def _commands() -> str:
+    """The help of every command."""
+    parts = []
+    top = click.Context(cli.program, info_name="p2wss")
+    for name in cli.program.list_commands(top):
+        command = cli.program.get_command(top, name)
+        assert command is not None
+        context = click.Context(command, info_name=name, parent=top, max_content_width=100)
+        parts.append(f"## {name}\n\n```text\n{command.get_help(context)}\n```\n")
+        for part in command.list_commands(context) if isinstance(command, click.Group) else ():
+            inner = command.get_command(context, part)
+            assert inner is not None
+            help_text = inner.get_help(click.Context(inner, info_name=part, parent=context))
+            parts.append(f"### {name} {part}\n\n```text\n{help_text}\n```\n")
+    return "\n".join(parts)
