@@ -59,7 +59,7 @@ test-slurm: engines
 
 # the site in site/; mkdocs is not part of the locked packages, since nothing else needs it
 docs: install
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'mkdocs-material>=9.6' 'mkdocstrings[python]>=0.29'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check 'mkdocs-material>=9.6'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 lint: install

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import posixpath
 import re
 from pathlib import Path
@@ -10,17 +11,22 @@ from typing import Any
 import click
 from mkdocs.structure.files import File
 
+import p2wss
 from p2wss import cli
 from p2wss.config.generate import default_yaml
+from p2wss.fetch.area import Fetched
+from p2wss.formats.validity import Validity
+from p2wss.reconstruct.scene import Scene, SceneBuilding, Surface
 
 ROOT = Path(__file__).resolve().parents[1]
+_ROLE = re.compile(r":\w+:`~?([^`]+)`")
 _LINK = re.compile(r"(\]\()([^)#\s]+)([^)]*\))")
 
 
 def on_files(files: Any, config: Any) -> Any:
     """Add the reference, and every file of the repository that a page links to, below ``repository/``."""
     pages = {
-        "reference/python.md": "# Python\n\n[Examples](../manual/python.md).\n\n::: p2wss\n",
+        "reference/python.md": f"# Python\n\n[Examples](../manual/python.md).\n\n{_python()}",
         "reference/commands.md": f"# Commands\n\n{_commands()}",
         "reference/settings.md": f"# Settings\n\n`p2wss config` prints the same.\n\n```yaml\n{default_yaml()}```\n",
     }
@@ -75,6 +81,27 @@ def _relinked(page: str, text: str) -> str:
         return before + posixpath.relpath(target, posixpath.dirname(place) or ".") + rest
 
     return _LINK.sub(link_to, text)
+
+
+def _python() -> str:
+    """Signatures and docstrings of the public interface."""
+    named = {f"p2wss.{name}": getattr(p2wss, name) for name in p2wss.__all__}
+    for kind in (Scene, SceneBuilding, Surface, Fetched, Validity):
+        members = {f"{kind.__name__}.{name}": each for name, each in vars(kind).items() if name[0] != "_"}
+        named |= {kind.__name__: kind} | {
+            name: each for name, each in members.items() if inspect.getdoc(each)
+        }
+    parts = []
+    for name, each in named.items():
+        if "." in name and isinstance(each, str | int | float | tuple):
+            continue
+        signature = str(inspect.signature(each)) if inspect.isfunction(each) else ""
+        text = _ROLE.sub(r"`\1`", inspect.getdoc(each) or "")
+        paragraphs = [f"```python\n{p}\n```" if p.startswith(">>>") else p for p in text.split("\n\n")]
+        level = "###" if name.split(".")[0] != "p2wss" and "." in name else "##"
+        head = f"{level} {name}\n\n" + (f"```python\n{name}{signature}\n```\n\n" if signature else "")
+        parts.append(head + "\n\n".join(paragraphs) + "\n")
+    return "\n".join(parts)
 
 
 def _commands() -> str:
