@@ -57,6 +57,11 @@ def curves(series: Mapping[str, pd.Series], x_label: str, title: str) -> Figure:
     every = pd.concat(list(series.values()))
     if every.min() > 0 and every.max() / every.min() > 10:
         axes.set_yscale("log")
+        # its own formatter writes formulas
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(
+            lambda value, place: f"{value:g}" if every.max() < 30 * every.min() else ""
+        )
     axes.set_xlabel(x_label)
     axes.set_title(title, fontsize=10)
     axes.grid(alpha=0.3)

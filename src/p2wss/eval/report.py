@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -37,6 +38,28 @@ CAPTIONS = {
     "without_mesh": "Buildings without a mesh, or with a flat roof instead, by reason.",
     "groups": "Errors by kind of building: medians of distances, means of errors against the labels.",
     "worst": "The worst buildings of our best variant.",
+}
+
+# of the comparison on the page: measures in their order, and those of which the least is the best
+DISTANCES = ("Points to mesh (m)", "Roof CD (m)", "Height RMSE (m)", "CD (m)")
+COMPARED = (
+    *DISTANCES[:3],
+    "Triangles",
+    "Watertight (%)",
+    "Planar faces (%)",
+    "Without a mesh",
+    "Buildings",
+    "CD (m)",
+)
+# rows of the paper's table 2
+WORDS = {
+    "mu_CD": "CD mean (m)",
+    "Q1_CD": "CD first quartile",
+    "Q2_CD": "CD median",
+    "Q3_CD": "CD third quartile",
+    "sigma_CD": "CD standard deviation",
+    "mu_#T": "triangles mean",
+    "sigma_#T": "triangles standard deviation",
 }
 
 
@@ -189,11 +212,16 @@ def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFra
         main=names.get(main, main),
         settings=["Paper", *tables.SETTINGS_1.values()],
         table1=frames["table1"].to_dict("records"),
-        table2=frames["table2"].set_index("Statistic").T.rename_axis("Method").reset_index(),
-        more=frames["table2_more"],
+        table2=frames["table2"]
+        .set_index("Statistic")
+        .T.rename(columns=WORDS)
+        .rename_axis("Method")
+        .reset_index(),
+        comparisons=_comparisons(frames["table2_more"], titles(inputs.config)),
         without_mesh=frames["without_mesh"],
         groups=[(" / ".join(map(str, name)), _distances(part)) for name, part in groups],
-        worst=frames["worst"],
+        worst=_off(frames["worst"], inputs.config.reconstruct.not_representable_m),
+        off_m=inputs.config.reconstruct.not_representable_m,
         num_buildings=len(
             frame.loc[frame["dataset"] == SIMULATED, ["tile", "building_id"]].drop_duplicates()
         ),
@@ -207,6 +235,38 @@ def _render(inputs: Inputs, frame: pd.DataFrame, frames: Mapping[str, pd.DataFra
         attribution=attribution(inputs.config),
         provenance=inputs.provenance,
     )
+
+
+def _comparisons(more: pd.DataFrame, titles: Mapping[str, str]) -> dict[str, pd.DataFrame]:
+    """Per data set a row per method: means and the intervals of distances, CD last, the best in asterisks."""
+    by_measure = more.set_index("Measure")
+    result = {}
+    for title in titles.values():
+        of_dataset = by_measure.filter(regex=f"^{re.escape(title)} / ").dropna(axis="columns", how="all")
+        if of_dataset.empty:
+            continue
+        table = pd.DataFrame({"Method": [str(name).removeprefix(f"{title} / ") for name in of_dataset]})
+        for measure in COMPARED:
+            values = of_dataset.loc[measure].to_numpy()
+            texts = [_cell(value) for value in values]
+            if measure in DISTANCES:
+                best = _cell(pd.Series(values, dtype=float).min())
+                bounds = (
+                    of_dataset.loc[[f"{measure}, 95 % low", f"{measure}, 95 % high"]].map(_cell).to_numpy()
+                )
+                ranges = [f"{text} ({low} to {high})" for text, low, high in zip(texts, *bounds, strict=True)]
+                texts = [
+                    f"*{each}*" if text == best else each for text, each in zip(texts, ranges, strict=True)
+                ]
+            table[measure] = texts
+        result[title] = table
+    return result
+
+
+def _off(worst: pd.DataFrame, limit_m: float) -> pd.DataFrame:
+    """Those of the worst buildings that are farther from their points than ``limit_m``, or that have no mesh."""
+    distance_m = worst["Points to mesh (m)"]
+    return worst[distance_m.isna() | (distance_m > limit_m)]
 
 
 def _distances(group: pd.DataFrame) -> pd.DataFrame:
@@ -224,7 +284,7 @@ def _cell(value: Any, digits: int = 2, unknown: str = "–") -> str:
 def _distributions(frame: pd.DataFrame, names: Mapping[str, str], titles: Mapping[str, str]) -> list[str]:
     images = []
     for dataset, title in titles.items():
-        for column in ("chamfer_m", "points_to_mesh_m"):
+        for column in ("points_to_mesh_m", "chamfer_m"):
             rows = frame[(frame["dataset"] == dataset) & frame[column].notna()]
             values = {
                 str(name): part.to_numpy() for name, part in rows.groupby("method", observed=True)[column]
@@ -250,6 +310,16 @@ def read_training(path: Path) -> list[dict[str, Any]]:
     return records
 
 
+def _words(name: str) -> str:
+    """The name of a curve in words; the title has the unit.
+
+    >>> _words("val_height_mae_constant_m")
+    'validation height MAE constant'
+    """
+    name = re.sub("_(m|deg)$", "", name).replace("val_", "validation ").replace("mae", "MAE")
+    return name.replace("_", " ")
+
+
 def _training(stages: Mapping[str, Sequence[dict[str, Any]]]) -> list[tuple[str, str]]:
     """(stage, image) with the curves of losses, of errors in metres and of errors in degrees."""
     images = []
@@ -257,7 +327,9 @@ def _training(stages: Mapping[str, Sequence[dict[str, Any]]]) -> list[tuple[str,
         frame = pd.DataFrame(records).astype(float)
         for title, pattern in (("losses", "loss"), ("errors (m)", "_m$"), ("errors (°)", "_deg$")):
             chosen = frame.set_index("step").filter(regex=pattern)
-            curves = {str(name): values.dropna() for name, values in chosen.items()}
+            curves = {
+                _words(str(name)): values.dropna() for name, values in chosen.items() if values.notna().any()
+            }
             if curves:
                 figure = figures.curves(curves, "step", f"{stage}: {title}")
                 images.append((stage, figures.data_uri(figure)))

@@ -22,7 +22,7 @@ from p2wss import cli
 from p2wss.config import Config, Eval, load
 from p2wss.data.building import no_mesh
 from p2wss.data.manifest import Manifest, Shard, read_manifest
-from p2wss.eval import cases, measure, methods, report, roofer_command, tables
+from p2wss.eval import cases, figures, measure, methods, report, roofer_command, tables
 from p2wss.eval.reconstructions import (
     RECONSTRUCTIONS,
     read_reconstructions,
@@ -359,6 +359,13 @@ def test_report_from_files_is_one_self_contained_page(
     assert "not run: cannot start" in page
     assert page.count("Simulated scan of tile 0652_6862") == 1
     assert "4567" in page and "Training curves of model" in page
+    # distances before the paper's tables, and the best of each in bold
+    heads = re.findall(r'<h2 id="(\w[\w-]*)"', page)
+    assert heads[:5] == ["comparison", "distributions", "kinds", "table1", "table2"] and heads[-1] == "worst"
+    assert {*re.findall(r'<a href="#([\w-]+)"', page)} <= {*re.findall(r' id="([\w-]+)"', page)}
+    rows = re.findall(r"<tr><td>(.*?)</td>(.*?)</tr>", page.split('id="comparison"')[1].split("<h2")[0])
+    bold = {name for name, cells in rows if "<strong>" in cells}
+    assert "Point2WSS + fit" in bold and not bold & {"LoD1 (flat)", "Constant"}
     assert (tmp_path / "table1.csv").read_text().startswith("Parameter,Paper MAE")
     assert "mu_CD" in (tmp_path / "table2.csv").read_text()
     for name in report.CAPTIONS:
@@ -367,6 +374,18 @@ def test_report_from_files_is_one_self_contained_page(
         body = [line for line in lines if line.endswith(r"\\")]
         assert len(body) == len(rows), name
         assert {len(re.findall(r"(?<!\\)&", line)) for line in body} == {len(rows[0]) - 1}
+
+
+def test_the_page_lists_only_buildings_that_are_off() -> None:
+    worst = pd.DataFrame({"Building": list("abc"), "Points to mesh (m)": [np.nan, 0.4, 0.05]})
+    assert list(report._off(worst, 0.25)["Building"]) == ["a", "b"]
+
+
+def test_log_axes_have_plain_numbers() -> None:
+    figure = figures.curves({"loss": pd.Series([30.0, 3.0, 0.3], [0, 1, 2])}, "step", "losses")
+    figure.canvas.draw()
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels(which="both")]
+    assert "10" in labels and not any("$" in label for label in labels)
 
 
 HOSTILE = r"50 % & #1_{x} $\alpha$ ~ ^ <b>"

@@ -227,7 +227,7 @@
     scene.add(parts);
     const gradient = `linear-gradient(90deg, ${RAMP.join(", ")})`;
     layers.replaceChildren(
-      toggle("points", "Points", gradient),
+      toggle("points", `Points: 0 to ${REACH} m from the mesh`, gradient),
       ...data.methods.map((method) => toggle(method.key, method.name, method.color)),
     );
     const about = together ? `${indices.length} buildings` : buildings[0].about;
