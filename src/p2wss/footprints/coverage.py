@@ -22,6 +22,8 @@ from p2wss.skeleton.types import Polygons
 
 # a vertex that is nearer to the line between its neighbours is within an edge
 _WITHIN_EDGE_M = 1e-6
+# one that is nearer than this moves there, as do up to so many side by side: solids have no wall that turns by less
+_STRAIGHT_M, _MAX_INNER, _NUM_ROUNDS = 5e-3, 8, 6
 # of walls at a vertex, and of a vertex from the line between its neighbours: with less it goes
 _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
 
@@ -89,6 +91,7 @@ def _clean(shapes: np.ndarray, origin: np.ndarray, settings: Scenes) -> tuple[np
         level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
         return np.zeros(0, object), is_whole
+    xy_m = rings.straightened(xy_m)
     result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
     return polygon_arrays.to_geometries(result), is_accepted(result)
 
@@ -136,13 +139,42 @@ class _Rings:
         shapes = polygon_arrays.to_geometries(self.polygons(xy_m))
         return shapely.is_valid(shapes) & ~shapely.is_empty(shapes)
 
-    def without_inner(self, xy_m: np.ndarray) -> _Rings:
-        """The rings without the vertices within their edges, which are corners of neighbours only."""
+    def _is_inner(self, xy_m: np.ndarray, most_m: float) -> np.ndarray:
+        """Whether each vertex is nearer than ``most_m`` to the line between its neighbours."""
         here = xy_m[self.node]
         before, after = here[previous_in_ring(self.ring_offset)], here[next_in_ring(self.ring_offset)]
         u, v = here - before, after - here
         offset_m = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.hypot(*(after - before).T)
-        keep = (offset_m >= _WITHIN_EDGE_M) | ((u * v).sum(axis=1) <= 0)
+        return np.asarray((offset_m < most_m) & ((u * v).sum(axis=1) > 0))
+
+    def straightened(self, xy_m: np.ndarray) -> np.ndarray:
+        """The places of the nodes after those at which a wall hardly turns have moved onto the line between its ends,
+        of the longest where there are several. Such a node is a corner of a neighbouring building: its wall ends there
+        as before, and this one is a plane."""
+        xy_m = xy_m.copy()
+        for _ in range(_NUM_ROUNDS):
+            is_inner = self._is_inner(xy_m, _STRAIGHT_M)
+            row, end = np.flatnonzero(is_inner), []
+            for beside in (previous_in_ring(self.ring_offset), next_in_ring(self.ring_offset)):
+                corner = beside[row]
+                for _ in range(_MAX_INNER):
+                    corner = np.where(is_inner[corner], beside[corner], corner)
+                end.append(xy_m[self.node[corner]])
+            along = end[1] - end[0]
+            length_m = np.hypot(*along.T)
+            foot_m, node = end[0].copy(), self.node[row]
+            share = ((xy_m[node] - end[0]) * along).sum(axis=1) / length_m**2
+            foot_m += share[:, None] * along
+            step_m = np.hypot(*(foot_m - xy_m[node]).T)
+            order = np.lexsort((*foot_m.T, -length_m, node))
+            order = order[(step_m < _STRAIGHT_M)[order]]
+            first = order[np.unique(node[order], return_index=True)[1]]
+            xy_m[node[first]] = foot_m[first]
+        return xy_m
+
+    def without_inner(self, xy_m: np.ndarray) -> _Rings:
+        """The rings without the vertices within their edges, which are corners of neighbours only."""
+        keep = ~self._is_inner(xy_m, _WITHIN_EDGE_M)
         num_kept = np.concatenate([[0], np.cumsum(keep)])
         return _Rings(self.node[keep], num_kept[self.ring_offset], self.polygon_offset)
 

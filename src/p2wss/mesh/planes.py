@@ -8,8 +8,9 @@ from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.ordering import stable_order
 from p2wss.skeleton.types import FaceKind
 
-# vertices within this distance of a plane lie in it
-_COPLANAR_M = 4e-3
+# vertices within this distance of a roof, and of a wall, lie in it: heights nearer than the first are one, but walls
+# that turn by little are two, and rounded coordinates are off by less than the second
+_COPLANAR_M, _IN_WALL_M = 4e-3, 1.5e-3
 _SAME_WAY = 0.99
 _UPRIGHT_NZ, _LEVEL_NZ = 0.05, 0.9999
 _WALL, _GROUND = int(FaceKind.WALL), int(FaceKind.GROUND)
@@ -53,6 +54,7 @@ def face_planes(
             of_plane = _GROUND
         else:
             of_plane = _FLAT if z > _LEVEL_NZ else _ROOF
+        most_m = _IN_WALL_M if of_plane == _WALL else _COPLANAR_M
         plane[seed], kind[seed] = number, of_plane
         pending[0], num_pending = seed, 1
         while num_pending > 0:
@@ -68,7 +70,7 @@ def face_planes(
                 in_plane = True
                 for m in range(3):
                     corner = vertex_m[triangle[other, m]]
-                    if abs(corner[0] * x + corner[1] * y + corner[2] * z - offset) >= _COPLANAR_M:
+                    if abs(corner[0] * x + corner[1] * y + corner[2] * z - offset) >= most_m:
                         in_plane = False
                 if in_plane:
                     plane[other], kind[other] = number, of_plane

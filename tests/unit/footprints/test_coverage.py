@@ -216,6 +216,20 @@ def test_any_tessellation_stays_one(seed: int) -> None:
     assert after > 0.98 * before - 0.5
 
 
+def test_a_corner_of_a_neighbour_that_is_hardly_off_a_wall_moves_onto_it() -> None:
+    """3 mm off the long wall of a row: the wall stays one edge, and both houses of it end there."""
+    long = np.array([[0, 0], [20, 0], [20, 8], [8, 8.003], [0, 8]])
+    above = [
+        np.array([[0, 8], [8, 8.003], [8, 15], [0, 15]]),
+        np.array([[8, 8.003], [20, 8], [20, 15], [8, 15]]),
+    ]
+    cleaned = clean([shapely.Polygon(each) for each in (long, *above)], Scenes())
+    assert [len(shape.exterior.coords) - 1 for shape in cleaned] == [4, 4, 4]
+    corner = min(shapely.get_coordinates(cleaned[1]).tolist(), key=lambda xy: abs(xy[0] - 8) + abs(xy[1] - 8))
+    assert corner == pytest.approx([8, 8], abs=1e-9)
+    assert overlap_m2(cleaned) == 0
+
+
 def test_blocks_are_those_that_touch() -> None:
     shapes = np.array(
         [shapely.box(0, 0, 5, 5), shapely.box(30, 0, 35, 5), shapely.box(5.09, 0, 9, 5), shapely.Polygon()]
