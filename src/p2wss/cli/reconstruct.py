@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -107,10 +107,8 @@ def reconstruct(
     config: Config,
     model: Path | None,
     device: DeviceName,
-    tile: str | None,
-    ids: list[str] | None,
-    bbox: tuple[float, float, float, float] | None,
     name: str | None,
+    **chosen: Any,
 ) -> None:
     """Reconstruct buildings from your own LiDAR and footprints.
 
@@ -127,19 +125,21 @@ def reconstruct(
     clouds, footprints = (list(inputs), None) if no_footprints else (list(inputs[:-1]), inputs[-1])
     if not clouds:
         raise click.UsageError("FOOTPRINTS or CLOUD is missing", context)
-    argument_checks.check(out, terrain, tile, model, device, config)
+    argument_checks.check(out, terrain, chosen["tile"], model, device, config)
     with _importing():
         from p2wss.reconstruct.inputs import check_inputs
 
     start = time.monotonic()
-    checked = check_inputs(clouds, footprints, config, crs, terrain, model, may_be_empty=tile is not None)
+    checked = check_inputs(
+        clouds, footprints, config, crs, terrain, model, may_be_empty=chosen["tile"] is not None
+    )
     with _importing():
         from p2wss.fetch.area import bounds_of_bbox
         from p2wss.reconstruct import scene  # only now, as it takes a second
     machine = scene.Machine(device, threads, argument_checks.existing_folder(out))
-    if bbox is not None:
-        bbox = bounds_of_bbox(bbox, checked.crs.to_string())
-    with scene.reconstruct(checked, config, scene.Selection(ids, bbox, tile), machine) as result:
+    if chosen["bbox"] is not None:
+        chosen["bbox"] = bounds_of_bbox(chosen["bbox"], checked.crs.to_string())
+    with scene.reconstruct(checked, config, scene.Selection(**chosen), machine) as result:
         write_run(out, result, start, name=name)
 
 
