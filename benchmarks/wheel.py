@@ -60,7 +60,7 @@ def main() -> int:
     figures.row("wheel", {"buildings of the demo": summary["total"], "page, kB": round(page_kb)})
     figures.at_most("installed, MB", round(installed_mb), 1000)
     figures.at_most("installation, s", round(install_s), 60)
-    figures.at_most("demo with its compilation, s", round(demo_s), 60)
+    figures.at_most("demo with its compilation, s", round(demo_s), 90)
     figures.at_most("from nothing to a picture, s", round(install_s + demo_s), 120)
     figures.at_most("packages of extras", len(present), 0)
     figures.at_most("buildings without a mesh", summary["status"].get("none", 0), 0)
