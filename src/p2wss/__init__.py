@@ -76,8 +76,8 @@ def reconstruct(
     heights, in which written meshes then stand. detail: ``low``, ``normal`` or ``high``. model: weights of a network,
     or ``"none"``; by default the weights that come with the package where parametric roofs are asked for, and otherwise
     none. config: a file, or sections such as ``{"reconstruct": {"roofs": "parametric"}}``; docs/manual and
-    config/default.yaml describe every setting. threads: of the network. progress: whether to show a bar, or a function
-    that is called with (number done, number in all).
+    config/default.yaml describe every setting. threads: of the network; without one, as many processes
+    fit. progress: whether to show a bar, or a function that is called with (number done, number in all).
 
     Raises :class:`InputError` for inputs that cannot work. A building that cannot be reconstructed raises nothing: its
     ``status`` and ``reason`` tell.

@@ -22,6 +22,7 @@ from p2wss.data.terrain import Terrain
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
+from p2wss.reconstruct.processes import in_processes
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
@@ -72,7 +73,8 @@ class Store(Protocol):
 class Rows:
     """The rows of a run, reconstructed part by part, and at the end what depends on several parts.
 
-    num_rows: of the run. results: where they are stored. The other arguments are those of :func:`run`.
+    num_rows: of the run. results: where they are stored. num_processes: that fit; one with a network, whose threads a
+    fork would lack. The other arguments are those of :func:`run`.
     """
 
     def __init__(
@@ -83,8 +85,10 @@ class Rows:
         tile: str,
         config: Reconstruct,
         terrain: Terrain | None = None,
+        num_processes: int = 1,
     ) -> None:
         self._num_rows, self._results = num_rows, results
+        self._num_processes = num_processes if predictor is None else 1
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
         self._origin_xy_m = np.full((num_rows, 2), np.nan)
@@ -160,16 +164,20 @@ class Rows:
         return reconstruction.placed_mesh if reconstruction.has_mesh else None
 
     def _store(self, rows: Sequence[Row]) -> None:
-        """Reconstruct these rows. One whose footprint has another status than "ok" gets no mesh."""
+        for row, result in zip(rows, in_processes(self._done, rows, self._num_processes), strict=True):
+            self._results[row.number] = result
+
+    def _done(self, rows: Sequence[Row]) -> list[Result]:
+        """The results of these rows. One whose footprint has another status than "ok" gets no mesh."""
         usable = [row for row in rows if row.status == "ok"]
         done = reconstruct_buildings([row.building for row in usable], self._predictor, self._config)
         reconstructions = {row.number: each for row, each in zip(usable, done, strict=True)}
         method = method_name(self._predictor, self._config)
+        results = []
         for row in rows:
             rejected = no_mesh(row.building, method, row.status)
-            self._results[row.number] = result_of(
-                row, reconstructions.get(row.number, rejected), self._config
-            )
+            results.append(result_of(row, reconstructions.get(row.number, rejected), self._config))
+        return results
 
 
 def _ground_z_m(

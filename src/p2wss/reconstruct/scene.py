@@ -264,7 +264,8 @@ class Selection:
 
 @dataclass(frozen=True)
 class Machine:
-    """Where a run computes. device: of the network. threads: of the network. scratch: folder of temporary files."""
+    """Where a run computes. device: of the network. threads: of the network, or processes of the fit without
+    one. scratch: folder of temporary files."""
 
     device: DeviceName = "auto"
     threads: int = 1
@@ -324,7 +325,7 @@ def reconstruct(
         log.info("%d footprints, %d points around them; %s", len(rows), points.num_points, method)
         stem = tile or inputs.name
         with _reporting(progress, len(area.numbers)) as report:
-            to_do = Rows(len(area.numbers), store, predictor, stem, settings, terrain)
+            to_do = Rows(len(area.numbers), store, predictor, stem, settings, terrain, machine.threads)
             run_area(area, points, to_do, registers, report)
         results = store[: len(rows)]
         if registers[area.is_chosen].any():

@@ -110,8 +110,8 @@ def warm_product() -> None:
     frame, cloud = sample()
     config = Reconstruct(detail="high")
     results = run(frame, cloud, None, "sample", config)
-    run(frame, cloud, _Network(), "sample", config)
-    # only a building of which there are few points, or of the model of the paper
+    run(frame, cloud, _Network(), "sample", config.model_copy(update={"roofs": "parametric"}))
+    # only a building of which there are few points
     house, within = frame.geometry[1], shapely.contains_xy(frame.geometry[1], cloud.x_m, cloud.y_m)
     ring = shapely.get_coordinates(house)[:-1]
     point_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[within]

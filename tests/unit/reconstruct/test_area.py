@@ -10,7 +10,6 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
-import torch
 from shapely import affinity
 from toy_clouds import LAMBERT, cleaned
 
@@ -64,7 +63,11 @@ def town() -> tuple[gpd.GeoDataFrame, Cloud]:
 
 
 def results_of(
-    town: tuple[gpd.GeoDataFrame, Cloud], folder: Path, is_chosen: np.ndarray | None = None, **options: bool
+    town: tuple[gpd.GeoDataFrame, Cloud],
+    folder: Path,
+    is_chosen: np.ndarray | None = None,
+    num_processes: int = 1,
+    **options: bool,
 ) -> tuple[dict[str, Result], int]:
     """The results by the ids of buildings, and the number of batches."""
     frame, cloud = town
@@ -73,7 +76,8 @@ def results_of(
     with CloudIndex(area.boxes, folder) as points, Spool[Any](len(area.numbers), folder) as store:
         points.append(cloud)
         registers = area.may_move(points) | options.get("registers", False)
-        run_area(area, points, Rows(len(area.numbers), store, None, "tile", CONFIG), registers)
+        rows = Rows(len(area.numbers), store, None, "tile", CONFIG, None, num_processes)
+        run_area(area, points, rows, registers)
         num_batches = len(list(area.batches(points)))
         results = list(store[: int(is_chosen.sum())])
     return {result.reconstruction.building_id: result for result in results}, num_batches
@@ -100,22 +104,17 @@ def whole(town: tuple[gpd.GeoDataFrame, Cloud], tmp_path_factory: pytest.TempPat
     return {name: content(result) for name, result in results.items()}
 
 
-@pytest.mark.parametrize(("limit", "threads"), [("MAX_FOOTPRINTS", 1), ("MAX_POINTS", 2)])
+@pytest.mark.parametrize(("limit", "num_processes"), [("MAX_FOOTPRINTS", 1), ("MAX_POINTS", 2)])
 def test_batches_change_nothing(
     town: tuple[gpd.GeoDataFrame, Cloud],
     whole: dict[str, Any],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     limit: str,
-    threads: int,
+    num_processes: int,
 ) -> None:
     monkeypatch.setattr(areas, limit, 4 if limit == "MAX_FOOTPRINTS" else 60_000)
-    num_threads = torch.get_num_threads()
-    torch.set_num_threads(threads)
-    try:
-        results, num_batches = results_of(town, tmp_path)
-    finally:
-        torch.set_num_threads(num_threads)
+    results, num_batches = results_of(town, tmp_path, num_processes=num_processes)
     assert num_batches >= 4
     assert {name: content(result) for name, result in results.items()} == whole
 
