@@ -9,7 +9,6 @@ import click
 
 from p2wss.cli.common import log, quiet_option, write_run
 from p2wss.cli.parser import PATH, Command
-from p2wss.cli.warm_up import warm_up
 
 
 @click.command(cls=Command)
@@ -27,7 +26,6 @@ def demo(folder: Path) -> None:
     log.info(
         "%s: %d drawn buildings, and LiDAR of them that is simulated; %s", cloud, num_buildings, footprints
     )
-    click.get_current_context().invoke(warm_up, with_scans=False, jobs=None)
     start = time.monotonic()
     with p2wss.reconstruct(cloud, footprints) as scene:
         write_run(folder / "out", scene, start, ["cityjson", "glb", "gpkg", "report"])

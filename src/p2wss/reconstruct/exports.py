@@ -220,7 +220,7 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
     """Numbers of buildings by status, reason and method, and the ids of those to be looked at, the worst first: without
     a mesh, with a flat roof instead, far from their points, or with a footprint that the points contradict."""
     status, reasons, methods = Counter[str](), Counter[str](), Counter[str]()
-    not_representable = 0
+    not_representable = without_points = 0
     to_check: list[tuple[float, str]] = []
     for result in results:
         is_contradicted = result.registration is not None and result.registration.flags
@@ -230,13 +230,14 @@ def counts(results: Sequence[Result]) -> dict[str, Any]:
         reasons.update(filter(None, [result.reason]))
         methods.update([result.reconstruction.method] if result.reconstruction.has_mesh else [])
         not_representable += result.not_representable
+        without_points += result.num_points == 0
     return {
         "total": len(results),
         "status": dict(status),
         "reasons": dict(reasons),
         "methods": dict(methods),
         "not_representable": not_representable,
-        "without_points": sum(result.num_points == 0 for result in results),
+        "without_points": without_points,
         "to_check": [building_id for _, building_id in sorted(to_check)],
     }
 

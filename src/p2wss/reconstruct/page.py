@@ -42,12 +42,10 @@ def page_of_run(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
     every = -(-sum(len(result.sample_m) for result in chosen) // MAX_POINTS) or 1
     buildings = [_shown(result, origin_m, every) for result in chosen]
     sentences = [summary(results), *_left_out(len(results))]
-    rows = [result.registration for result in results if result.registration is not None]
-    if rows:
-        sentences.append(registration_summary(rows))
-    else:
-        sentences.append("registration: off, or the cloud has no points of class building")
-    shifts = shift_map.content(horizontal(crs).name, *_moved(results)) if rows else None
+    rows, footprints, blocks = _moved(results)
+    off = "registration: off, or the cloud has no points of class building"
+    sentences.append(registration_summary(rows) if rows else off)
+    shifts = shift_map.content(horizontal(crs).name, footprints, blocks) if rows else None
     layer = Layer(_OURS, "Meshes", "#c8603a", is_ours=True)
     return viewer.scene_page(stem, sentences, buildings, [layer], shifts)
 
@@ -130,11 +128,13 @@ def _shown(result: Result, origin_m: np.ndarray, every: int) -> Shown:
     )
 
 
-def _moved(results: Sequence[Result]) -> tuple[list[Footprint], dict[str, Block]]:
-    """The footprints with a block, and what was done with each block."""
-    footprints, blocks = [], {}
+def _moved(results: Sequence[Result]) -> tuple[list[Registration], list[Footprint], dict[str, Block]]:
+    """The registrations, the footprints with a block, and what was done with each block; results are read once."""
+    rows, footprints, blocks = [], [], {}
     for result in results:
         row, reconstruction = result.registration, result.reconstruction
+        if row is not None:
+            rows.append(row)
         if row is None or not row.block or not reconstruction.rings:
             continue
         rings = [ring + reconstruction.origin_xy_m for ring in reconstruction.rings]
@@ -144,7 +144,7 @@ def _moved(results: Sequence[Result]) -> tuple[list[Footprint], dict[str, Block]
             Footprint(reconstruction.building_id, row.block, row.input_polygon, used, *evidence)
         )
         blocks[row.block] = Block(_action(row), *row.shift_m, row.shift_sd_m, row.overhang_m)
-    return footprints, blocks
+    return rows, footprints, blocks
 
 
 def _action(row: Registration) -> str:
