@@ -81,7 +81,8 @@ def compare(building: Any, truth: Any, footprint: Any, beside: Any, point_m: np.
     is_true = np.isfinite(true)
     row: dict[str, Any] = {"kind": truth.attributes["shape"], **building.attributes}
     true_z = true[is_true]
-    row["ground above roof"] = building.attributes["ground_z_m"] > np.quantile(true_z, 0.1) - 0.5
+    lowest_z = np.quantile(true_z[true_z > true_z.min() + 0.3] if row["kind"] == "shaft" else true_z, 0.1)
+    row["ground above roof"] = building.attributes["ground_z_m"] > lowest_z - 0.5
     row["shafts"] = row["found"] = row["false shafts"] = row["slabs"] = row["above"] = 0
     # without the cells at walls that the map has elsewhere
     inner = raster.inside & ndimage.binary_erosion(is_true, _disc(0.5))

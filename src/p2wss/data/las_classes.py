@@ -12,7 +12,10 @@ GROUND_CLASS = 2
 VEGETATION_CLASS = 5
 BUILDING_CLASS = 6
 WATER_CLASS = 9
+PLANT_CLASSES = (3, 4, VEGETATION_CLASS)  # low, medium and high vegetation
 NOISE_CLASSES = (7, 18)  # low and high noise
+# for a building, the roof of another one over its footprint is noise; that of producers is left out before
+NEIGHBOUR_CLASS = NOISE_CLASSES[1]
 
 
 @dataclass(frozen=True)

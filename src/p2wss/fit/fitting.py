@@ -11,14 +11,14 @@ import shapely
 from p2wss.config import Reconstruct
 from p2wss.data import reasons
 from p2wss.data.building import Building, Reconstruction, no_mesh
-from p2wss.data.points import MIN_CLASSIFIED_POINTS
+from p2wss.data.points import MIN_CLASSIFIED_POINTS, MIN_HEIGHT_M
 from p2wss.fit.mesh.chimneys import with_chimneys
 from p2wss.fit.mesh.open_ground import OpenGround
 from p2wss.fit.mesh.parametric import kernel_mesh
 from p2wss.fit.mesh.short_edges import without_short_edges
 from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
-from p2wss.fit.points import ground_points, roof_points, wall_hits
+from p2wss.fit.points import ground_points, roof_points, shaft_points, wall_hits
 from p2wss.fit.roof import confidence
 from p2wss.fit.roof.evidence import Evidence, roof_evidence
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
@@ -133,6 +133,9 @@ def prepare(task: _Task) -> _Prepared | str:
     open_m = np.zeros((0, 3))
     if len(roof_m) >= MIN_CLASSIFIED_POINTS:
         open_m = ground_points(polygon, building.point_m, building.classification, _GROUND_INSIDE_M)
+        shaft_m = shaft_points(polygon, building.point_m, building.classification, roof_m)
+        is_ground = shaft_m[:, 2] < MIN_HEIGHT_M
+        roof_m, open_m = np.vstack([roof_m, shaft_m[~is_ground]]), np.vstack([shaft_m[is_ground], open_m])
     point_m = np.vstack([roof_m, open_m])
     return _Prepared(rings, point_m, OpenGround(point_m, len(open_m)))
 

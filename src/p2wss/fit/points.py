@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import shapely
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from p2wss.data.las_classes import GROUND_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NOISE_CLASSES, PLANT_CLASSES
 from p2wss.data.points import MIN_CLASSIFIED_POINTS, points_on_building
 
 _CELL_M = 0.5
 # Returns from walls: in a cell of the plan of this size at most this share of the points is within about this height of
 # them, and two points are at least so far above.
 _WALL_CELL_M, _WALL_SHARE, _SAME_HEIGHT_M, _BELOW_TOP_M = 0.6, 0.25, 0.3, 2.0
+
+# Shafts: areas of so many square metres in squares of so many cells, with low points in this share of the cells. Points
+# are low this far below all of so many points on the roof beside them; this quantile of them is the floor.
+_MIN_SHAFT_M2, _COMPACT, _LOW_SHARE = 1.5, 2, 0.3
+_BELOW_ROOF_M, _NUM_BESIDE, _MIN_LOW_POINTS, _FLOOR_QUANTILE = 2.0, 4, 3, 0.2
 
 
 def _spread(value: np.ndarray) -> np.ndarray:
@@ -66,6 +73,58 @@ def ground_points(
         return np.zeros((0, 3))
     within = polygon.buffer(-inside_m)
     return ground_m[shapely.contains_xy(within, ground_m[:, 0], ground_m[:, 1])]
+
+
+def shaft_points(
+    polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray, roof_m: np.ndarray
+) -> np.ndarray:
+    """Points (k, 3) on the floors of shafts and other places within the polygon that no roof covers: compact areas
+    without points on the roof (r, 3) whose points are far below those on the roof beside them.
+
+    Walls hide most of such a floor, so that it gets as many points as a roof, at the height of the low points.
+    """
+    inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
+    low_m = point_m[inside & ~np.isin(classification, (BUILDING_CLASS, *PLANT_CLASSES, *NOISE_CLASSES))]
+    if len(low_m) < _MIN_LOW_POINTS or len(roof_m) < _NUM_BESIDE:
+        return np.zeros((0, 3))
+    nearest = cKDTree(roof_m[:, :2]).query(low_m[:, :2], _NUM_BESIDE)[1]
+    low_m = low_m[low_m[:, 2] < roof_m[nearest, 2].min(axis=1) - _BELOW_ROOF_M]
+    gap_m = float((polygon.area / len(roof_m)) ** 0.5)
+    # cells in which a roof has several points
+    cell_m = max(_CELL_M, 2 * gap_m)
+    start = np.floor(point_m[:, :2].min(axis=0)) - 1
+    shape = tuple((np.ceil((point_m[:, :2].max(axis=0) - start) / cell_m) + 2).astype(int))
+    is_open, has_low = np.ones(shape, bool), np.zeros(shape, bool)
+    is_open[tuple(_cells(roof_m, start, cell_m))] = False
+    has_low[tuple(_cells(low_m, start, cell_m))] = True
+    middle = start + cell_m * (np.indices(shape).reshape(2, -1).T + 0.5)
+    is_open &= shapely.contains_xy(polygon, middle[:, 0], middle[:, 1]).reshape(shape)
+    area, count = ndimage.label(ndimage.binary_opening(is_open, np.ones((_COMPACT, _COMPACT), bool)))
+    floors = [np.zeros((0, 3))]
+    of_low = area[tuple(_cells(low_m, start, cell_m))]
+    gap_m = max(gap_m, _CELL_M / 4)
+    for number in range(1, count + 1):
+        cells = area == number
+        num_low = (cells & has_low).sum()
+        if cells.sum() * cell_m**2 < _MIN_SHAFT_M2 or num_low < _LOW_SHARE * cells.sum():
+            continue
+        corner = start + cell_m * np.argwhere(cells)
+        low, high = corner.min(axis=0), corner.max(axis=0) + cell_m
+        x, y = (
+            each.ravel()
+            for each in np.meshgrid(
+                *(np.arange(a + gap_m / 2, b, gap_m) for a, b in zip(low, high, strict=True))
+            )
+        )
+        floor_m = np.column_stack(
+            [x, y, np.full(len(x), np.quantile(low_m[of_low == number, 2], _FLOOR_QUANTILE))]
+        )
+        floors.append(floor_m[cells[tuple(_cells(floor_m, start, cell_m))]])
+    return np.concatenate(floors)
+
+
+def _cells(point_m: np.ndarray, start: np.ndarray, cell_m: float) -> np.ndarray:
+    return np.floor((point_m[:, :2] - start) / cell_m).astype(np.int64).T
 
 
 def even_order(point_m: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from p2wss.clouds.crops import CloudCrops, crop_cloud
+from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
@@ -20,19 +20,20 @@ from p2wss.data.building import Building, no_mesh
 from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
 from p2wss.mesh import Mesh
+from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
+from p2wss.reconstruct.own_points import own_classes
 from p2wss.reconstruct.processes import in_processes
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
 from p2wss.reconstruct.result import Result, Row, result_of
 from p2wss.reconstruct.spool import Lazy
-from p2wss.skeleton.types import Polygons
 
 # columns that reading and cleaning add to the input's own
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
-# number of buildings between two reports of progress
-_BATCH = 256
+# number of buildings between two reports of progress: of each process, and with a network, which is faster with many
+_BATCH, _NETWORK_BATCH = 12, 256
 # whose ground is that of a building without points
 _NUM_NEIGHBOURS = 5
 
@@ -91,6 +92,7 @@ class Rows:
         self._num_processes = num_processes if predictor is None else 1
         self._predictor, self._tile = predictor, tile
         self._config, self._terrain = config, terrain
+        self._batch = _BATCH * self._num_processes if predictor is None else _NETWORK_BATCH
         self._origin_xy_m = np.full((num_rows, 2), np.nan)
         # of buildings with points
         self._ground_z_m = np.full(num_rows, np.nan)
@@ -110,7 +112,9 @@ class Rows:
         what moved it."""
         polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
-        ground_z_m, is_pending = _ground_z_m(cropped, polygons, self._terrain)
+        ground = ground_of(cloud, cropped, polygons, self._terrain)
+        ground_z_m = ground.z_m
+        is_pending = np.isnan(ground_z_m) & (np.diff(polygons.vertex_offset) > 0)
         origin_xy_m = polygon_arrays.origins(polygons)
         self._origin_xy_m[numbers] = origin_xy_m
         self._ground_z_m[numbers] = np.where(np.diff(cropped.offset) > 0, ground_z_m, np.nan)
@@ -119,26 +123,29 @@ class Rows:
         names, status = frame["building_id"].astype(str).to_list(), frame["status"].astype(str).to_list()
         unknown = pd.Series(np.nan, index=frame.index)
         stated_height_m = frame.get("stated_height_m", unknown).astype(float).to_list()
-        for first in range(0, len(frame), _BATCH):
+        for first in range(0, len(frame), self._batch):
             batch: list[Row] = []
-            for i in range(first, min(first + _BATCH, len(frame))):
+            for i in range(first, min(first + self._batch, len(frame))):
                 point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
                 xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
+                rings = [ring - origin for ring in polygons.rings(i)]
+                point_m = on_millimetres(xyz_m, origin) - [0.0, 0.0, ground_z_m[i]]
                 building = Building(
                     names[i],
                     self._tile,
                     (float(origin[0]), float(origin[1])),
-                    [ring - origin for ring in polygons.rings(i)],
-                    on_millimetres(xyz_m, origin) - [0.0, 0.0, ground_z_m[i]],
-                    cloud.classification[point],
+                    rings,
+                    point_m,
+                    own_classes(rings, point_m, cloud.classification[point]),
                     float(ground_z_m[i]),
                     stated_height_m[i],
                 )
                 dates = _dates(cloud, point)
-                row = Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates)
+                source = str(ground.source[i]), float(ground.sd_m[i])
+                row = Row(int(numbers[i]), building, status[i], columns[i], registrations[i], dates, source)
                 (self._pending if is_pending[i] else batch).append(row)
             self._store(batch)
-            progress(min(first + _BATCH, len(frame)))
+            progress(min(first + self._batch, len(frame)))
 
     def finish(self) -> None:
         """Reconstruct the buildings whose ground is the median of the nearest ones with points, and measure party
@@ -152,8 +159,8 @@ class Rows:
                 )[1]
                 ground_z_m = float(np.median(self._ground_z_m[known][nearest]))
                 self._pending[k] = replace(row, building=replace(row.building, ground_z_m=ground_z_m))
-        for first in range(0, len(self._pending), _BATCH):
-            self._store(self._pending[first : first + _BATCH])
+        for first in range(0, len(self._pending), self._batch):
+            self._store(self._pending[first : first + self._batch])
         meshes = Lazy(self._placed_mesh, range(self._num_rows))
         area_m2 = party_wall_areas_m2(meshes)
         for number in np.flatnonzero(area_m2).tolist():
@@ -178,22 +185,6 @@ class Rows:
             rejected = no_mesh(row.building, method, row.status)
             results.append(result_of(row, reconstructions.get(row.number, rejected), self._config))
         return results
-
-
-def _ground_z_m(
-    cropped: CloudCrops, polygons: Polygons, terrain: Terrain | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """(the ground of each building, whether it is that of others). Of those without points it is the mean of the
-    terrain at the vertices of the footprint, else what ground the cloud has nearby, else that of others."""
-    result = cropped.ground_z_m.copy()
-    is_pending = (np.diff(cropped.offset) == 0) & (np.diff(polygons.vertex_offset) > 0)
-    if terrain is not None:
-        for i in np.flatnonzero(is_pending):
-            x_m, y_m = polygons.xy_m[polygons.vertex_offset[i] : polygons.vertex_offset[i + 1]].T
-            height_m = terrain.interpolated(x_m, y_m)
-            if np.isfinite(height_m).any():
-                result[i] = np.nanmean(height_m)
-    return result, is_pending & np.isnan(result)
 
 
 def input_columns(frame: gpd.GeoDataFrame) -> list[dict[str, Any]]:

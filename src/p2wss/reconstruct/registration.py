@@ -301,7 +301,7 @@ def decide(estimates: list[Estimate], gain: np.ndarray) -> Shifts:
         if not length_m <= MAX_SHIFT_M or block_sd_m > EVIDENCE.max_sd_m:
             continue
         source[block], sd_m[block], overhang_m[block] = EDGES, block_sd_m, each.overhang_m
-        is_significant = each.shift_m @ each.information @ each.shift_m >= EVIDENCE.min_sigmas**2
+        is_significant = length_m >= EVIDENCE.min_sigmas * block_sd_m
         if is_significant and gain[block] >= EVIDENCE.min_gain and length_m >= EVIDENCE.min_shift_m:
             shift_m[block] = np.round(each.shift_m, 3)
     return Shifts(shift_m, sd_m, source, overhang_m)

@@ -15,6 +15,7 @@ from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
+from p2wss.reconstruct.causes import cause_of
 from p2wss.reconstruct.measures import MeshMeasures, measure
 from p2wss.reconstruct.product import FIT
 from p2wss.reconstruct.registration import Registration
@@ -32,7 +33,7 @@ class Row:
     """A row of the input: a footprint with its points.
 
     number: of the row in the results. status: of the footprint, "ok" or why it cannot be used. columns, registration,
-    dates: as in :class:`Result`.
+    dates, ground: as in :class:`Result`.
     """
 
     number: int
@@ -41,6 +42,7 @@ class Row:
     columns: Mapping[str, Any] = field(default_factory=dict)
     registration: Registration | None = None
     dates: tuple[date, date] | None = None
+    ground: tuple[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -55,11 +57,14 @@ class Result:
     registration: how the footprint was moved, None without a registration.
     rmse_m, share_within_20cm: of the same distances as the residual.
     is_reliable: a reconstruction that the points support.
+    cause: why a building that is not reliable is not represented, from :data:`p2wss.data.reasons.CAUSES`.
     dates: the first and the last day of its points; None if unknown.
     overhang_m: how far roofs reach beyond the edges of the footprint, the mean over the length of those where points
     show it, negative where they end within; NaN where none shows it.
     measures: of the mesh; None without one.
     party_wall_area_m2: of the walls that stand against other buildings of the run.
+    ground: where the height of the ground is from, and its standard deviation
+    (:class:`p2wss.reconstruct.ground.Grounds`).
     sample_m: float32 (n, 4), some of the points on the building in the frame of its mesh, and their distances to it.
     """
 
@@ -79,6 +84,8 @@ class Result:
     overhang_m: float = float("nan")
     measures: MeshMeasures | None = None
     party_wall_area_m2: float = 0.0
+    ground: tuple[str, float] | None = None
+    cause: str | None = None
     sample_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.float32))
 
 
@@ -99,6 +106,7 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     overhang_m = float("nan")
     if building.rings:
         overhang_m = mean_overhang_m(building.rings[0], building.point_m, building.classification)
+    is_reliable = status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5
     return Result(
         reconstruction,
         status,
@@ -111,8 +119,10 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         row.registration,
         rmse_m,
         share_within_20cm,
-        is_reliable=status == "ok" and len(distance_m) > 0 and not is_far and visible_share >= 0.5,
+        is_reliable=is_reliable,
         dates=row.dates,
+        ground=row.ground,
+        cause=None if is_reliable else cause_of(building),
         overhang_m=overhang_m,
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
         sample_m=_sample_m(building.point_m[on_building], reconstruction),

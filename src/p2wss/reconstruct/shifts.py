@@ -19,6 +19,8 @@ from p2wss.skeleton.types import Polygons
 
 # the largest shift, and the depth of the strip on either side of an edge
 MAX_SHIFT_M, WINDOW_M = 3.0, 1.25
+# points within this distance beyond an edge, and so many of those beside it, show that the data do not end there
+DATA_M, _MIN_BEYOND_SHARE = 4.0, 0.2
 # sums of weights that differ by less are equal: they are sums of halves
 _ROUNDING = 1e-9
 # components of a shift: as many steps are explained by it exactly
@@ -174,15 +176,16 @@ def _rasterised(edge: np.ndarray, rows: int, columns: int) -> np.ndarray:
     return (np.cumsum(crossings.reshape(rows, columns + 1), axis=1)[:, :columns] & 1).astype(float)
 
 
-def strips(edge: np.ndarray) -> Polygons:
-    """A rectangle over each edge (e, 4), ``WINDOW_M`` to either side; empty for an edge that is too short."""
+def strips(edge: np.ndarray, outside_m: float = WINDOW_M, inside_m: float = WINDOW_M) -> Polygons:
+    """A rectangle over each edge (e, 4), so far to either side; empty for an edge that is too short."""
     start, end = edge[:, :2], edge[:, 2:]
     length = np.linalg.norm(end - start, axis=1)
     is_long = np.flatnonzero(length >= STEP.min_edge_m)
     along = (end - start)[is_long] / length[is_long, None]
-    normal = np.column_stack([along[:, 1], -along[:, 0]]) * WINDOW_M
+    normal = np.column_stack([along[:, 1], -along[:, 0]])
     first, last = start[is_long] + STEP.end_m * along, end[is_long] - STEP.end_m * along
-    corner = np.stack([first + normal, last + normal, last - normal, first - normal], axis=1)
+    outside, inside = outside_m * normal, inside_m * normal
+    corner = np.stack([first + outside, last + outside, last - inside, first - inside], axis=1)
     num_rings = np.zeros(len(edge) + 1, np.int64)
     num_rings[is_long + 1] = 1
     return Polygons(corner.reshape(-1, 2), np.arange(len(is_long) + 1) * 4, np.cumsum(num_rings))
@@ -211,7 +214,11 @@ def edge_steps(
     keep = (block_of_point[point] == block[of_edge]) | (block_of_point[point] < 0)
     of_edge, distance, value = of_edge[keep], distance[keep], weight[point[keep]]
     order = np.lexsort([value, distance, of_edge])
-    return _steps(of_edge[order], distance[order], value[order], edge)
+    steps = _steps(of_edge[order], distance[order], value[order], edge)
+    # where the data end, nothing shows that the building does
+    _, _, beyond = crop_points(x_m, y_m, strips(edge, DATA_M, 0.0), 0.0)
+    is_shown = np.diff(beyond) > np.diff(offset) * _MIN_BEYOND_SHARE
+    return Steps(np.where(is_shown, steps.offset_m, np.nan), np.where(is_shown, steps.sd_m, np.nan))
 
 
 def _steps(of_edge: np.ndarray, distance: np.ndarray, value: np.ndarray, edge: np.ndarray) -> Steps:

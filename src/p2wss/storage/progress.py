@@ -12,13 +12,13 @@ from typing import Any
 
 log = logging.getLogger("p2wss")
 
-INTERVAL_S = 10.0
+INTERVAL_S = 2.0
 
 
 class Progress:
     """How many of ``total`` items are done, for use in a ``with`` block.
 
-    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every ten seconds and none for
+    On a terminal a tqdm bar shows it. Elsewhere ``report`` gets a line, at most every two seconds and none for
     the last item, because a summary follows. Nothing is shown where the log's level hides information.
     ``initial`` items were done before, for example by the run that this one resumes.
     """

@@ -34,6 +34,28 @@ def test_an_edge_without_a_building_has_no_step() -> None:
     assert np.isnan(steps_of([], [(-2, 0)]).offset_m).all()
 
 
+def test_an_edge_at_the_border_of_the_data_has_no_step() -> None:
+    """Ground up to 0.8 m beyond the roof may be all that was read."""
+    draw = np.random.default_rng(0)
+    x_m, y_m = draw.uniform(-2, 0.1, 800), draw.uniform(0, 10, 800)
+    inside = np.where(x_m < 0, 0, -1)
+    for width_m, is_shown in ((0.0, False), (2.0, True)):
+        ground_x, ground_y = draw.uniform(0.1, 0.2 + width_m, 400), draw.uniform(0, 10, 400)
+        weight = np.concatenate([np.ones(800), -np.ones(400)])
+        if not is_shown:
+            ground_x, ground_y = ground_x[:60], ground_y[:60]
+            weight = weight[:860]
+        steps = edge_steps(
+            WALL,
+            np.zeros(1, np.int64),
+            np.concatenate([x_m, ground_x]),
+            np.concatenate([y_m, ground_y]),
+            weight,
+            np.concatenate([inside, np.full(len(ground_x), -1)]),
+        )
+        assert np.isfinite(steps.offset_m[0]) == is_shown
+
+
 def test_one_wrong_step_hardly_moves_a_block() -> None:
     """Eight edges around a block that is 0.4 m and 0.2 m off; an annex without a footprint hides one of them."""
     corner = np.array([[0, 0], [6, 0], [12, 0], [12, 5], [12, 10], [6, 10], [0, 10], [0, 5.0]])

@@ -10,17 +10,17 @@ import pytest
 from p2wss.storage.progress import Progress
 
 
-def test_a_log_gets_a_line_every_ten_seconds() -> None:
+def test_a_log_gets_a_line_every_two_seconds() -> None:
     now, lines = [0.0], []
     with Progress("reconstruct", 2560, "buildings", report=lines.append, clock=lambda: now[0]) as progress:
         for num_done in range(256, 2561, 256):
-            now[0] += 4
+            now[0] += 0.8
             progress.update(num_done)
-    # after 12, 24 and 36 seconds; not at the end, where a summary follows
+    # after 2.4, 4.8 and 7.2 seconds; not at the end, where a summary follows
     assert lines == [
-        "reconstruct: 768 of 2560 buildings, about 28 s left",
-        "reconstruct: 1536 of 2560 buildings, about 16 s left",
-        "reconstruct: 2304 of 2560 buildings, about 4 s left",
+        "reconstruct: 768 of 2560 buildings, about 6 s left",
+        "reconstruct: 1536 of 2560 buildings, about 3 s left",
+        "reconstruct: 2304 of 2560 buildings, about 1 s left",
     ]
 
 

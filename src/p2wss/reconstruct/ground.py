@@ -1,0 +1,84 @@
+"""The ground of each building: a chain of sources, none of which may be above what the building's own points allow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from p2wss.clouds.cropping import crop_points
+from p2wss.clouds.crops import GROUND_RINGS_M, CloudCrops
+from p2wss.clouds.reading import Cloud
+from p2wss.data import polygon_arrays
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES
+from p2wss.data.terrain import Terrain
+from p2wss.skeleton.types import Polygons
+
+# where the ground of a building is from
+AROUND, BELOW, TERRAIN, LOWEST, STOREY = "around", "below", "terrain", "lowest-points", "storey"
+# the lowest roof is at least this high, and a storey if nothing else is known
+_LOWEST_ROOF_M, _STOREY_M = 1.0, 3.0
+# of the heights of a building's points: lower ones may be of a shaft, or of a neighbour's roof
+_LOW_QUANTILE = 0.05
+_MIN_OWN_POINTS, _MIN_POINTS = 10, 5
+# shares of the lowest points around, and expected standard deviations without points of the ground, metres
+_LOWEST_SHARE, _TERRAIN_SD_M, _STOREY_SD_M = 0.02, 0.5, 3.0
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """z_m: (n,), of each building; NaN of one without points or terrain, whose ground is that of others. source: object
+    (n,). sd_m: (n,), its standard deviation; NaN for the usual source, the ground around the footprint."""
+
+    z_m: np.ndarray
+    source: np.ndarray
+    sd_m: np.ndarray
+
+
+def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Terrain | None) -> Grounds:
+    """The ground of buildings. That of one without points is the mean of the terrain at the vertices of the footprint.
+
+    The ground around a footprint is not that of the building if the points on its roof are lower: then the ground is
+    that of the points of class ground around which are below the roof, the terrain, the lowest points around, or a
+    storey below the roof, the first that is below it.
+    """
+    count = len(cropped.ground_z_m)
+    z_m, sd_m = cropped.ground_z_m.copy(), np.full(count, np.nan)
+    source = np.full(count, AROUND, dtype=object)
+    terrain_z = np.full(count, np.nan)
+    highest_z = np.full(count, np.inf)
+    for p in range(count):
+        some = slice(cropped.offset[p], cropped.offset[p + 1])
+        own = cropped.point[some][cropped.inside[some]]
+        classes = cloud.classification[own]
+        roof = own[classes == BUILDING_CLASS]
+        if len(roof) >= _MIN_OWN_POINTS:
+            highest_z[p] = np.quantile(cloud.z_m[roof], _LOW_QUANTILE) - _LOWEST_ROOF_M
+        elif len(own := own[~np.isin(classes, PLANT_CLASSES)]) >= _MIN_OWN_POINTS:
+            # these may be of the ground, too
+            highest_z[p] = np.quantile(cloud.z_m[own], _LOW_QUANTILE) + _LOWEST_ROOF_M
+        if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p]):
+            corner = slice(polygons.vertex_offset[p], polygons.vertex_offset[p + 1])
+            height_m = terrain.interpolated(*polygons.xy_m[corner].T)
+            terrain_z[p] = np.nanmean(height_m) if np.isfinite(height_m).any() else np.nan
+    is_empty = (np.diff(cropped.offset) == 0) & np.isfinite(terrain_z)
+    z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, _TERRAIN_SD_M
+    too_high = np.flatnonzero(z_m > highest_z)
+    is_ground = cloud.classification == GROUND_CLASS
+    for distance_m in GROUND_RINGS_M[1:3]:
+        chosen = polygon_arrays.take(polygons, too_high)
+        point, _, offset = crop_points(cloud.x_m, cloud.y_m, chosen, distance_m)
+        for k, p in enumerate(too_high.tolist()):
+            around = point[offset[k] : offset[k + 1]]
+            low_z = cloud.z_m[around[cloud.z_m[around] < highest_z[p]]]
+            ground_z = cloud.z_m[around[is_ground[around] & (cloud.z_m[around] < highest_z[p])]]
+            if source[p] not in (BELOW, TERRAIN) and len(ground_z) >= _MIN_POINTS:
+                z_m[p], source[p], sd_m[p] = np.median(ground_z), BELOW, np.std(ground_z)
+            elif source[p] == AROUND and terrain_z[p] < highest_z[p]:
+                z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, _TERRAIN_SD_M
+            elif distance_m == GROUND_RINGS_M[2] and source[p] == AROUND and len(low_z) >= _MIN_POINTS:
+                z_m[p], source[p] = np.quantile(low_z, _LOWEST_SHARE), LOWEST
+                sd_m[p] = z_m[p] - low_z.min() + _TERRAIN_SD_M
+    for p in too_high[source[too_high] == AROUND]:
+        z_m[p], source[p], sd_m[p] = highest_z[p] - _STOREY_M + _LOWEST_ROOF_M, STOREY, _STOREY_SD_M
+    return Grounds(z_m, source, sd_m)

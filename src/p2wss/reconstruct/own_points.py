@@ -1,0 +1,91 @@
+"""Whose points are these? Classes of the points of a building, as its roof needs them.
+
+Along the border to another building, points of class building may be of that one: its roof reaches over the border, or
+the map has the border elsewhere, and pulses hit its wall. What is on either side decides: a point that continues the
+surface beyond the border, and not the own roof further within, is the neighbour's. The same rule holds from the other
+side, so that no order of buildings matters. Roofs that the producer took for ground are told by what is beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, PLANT_CLASSES
+from p2wss.data.points import MIN_HEIGHT_M
+
+# metres: points this near to the border may be another building's; those of walls are nearer
+_STRIP_M, _WALL_M = 1.0, 0.6
+# metres: surfaces on both sides of a border are different from this on; a point is on one of them within the second
+_STEP_M, _ON_M = 1.0, 0.25
+# points that show the surface on one side, and how many of them are how near, so that there is no gap
+_NUM_POINTS, _NUM_NEAR, _REACH_M = 12, 2, 2.0
+# metres: smaller residuals have full weight; rounds of the fit
+_NOISE_M, _NUM_ROUNDS = 0.05, 4
+# tangent of the steepest roof
+_STEEPEST = 2.2
+
+
+def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
+    """The classes (m,) of points (m, 3), with :data:`NEIGHBOUR_CLASS` where they are another building's, and with class
+    building where a roof has class ground. point_m: in and around the footprint ``rings``, z above the ground."""
+    result = classification
+    if not len(rings) or not len(point_m):
+        return result
+    polygon = shapely.Polygon(rings[0], rings[1:])
+    inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
+    roof = inside & (classification == GROUND_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
+    if roof.any():
+        beside = ~inside & (classification == GROUND_CLASS)
+        if beside.any():
+            nearest = cKDTree(point_m[beside, :2]).query(point_m[roof, :2])[1]
+            roof[roof] = point_m[roof, 2] > point_m[beside, 2][nearest] + MIN_HEIGHT_M
+        result = np.where(roof, np.uint8(BUILDING_CLASS), result)
+    beyond = np.flatnonzero(~inside & (result == BUILDING_CLASS))
+    is_own = inside & (result == BUILDING_CLASS)
+    if len(beyond) < _NUM_POINTS or not is_own.any():
+        return result
+    depth_m = np.zeros(len(point_m))
+    depth_m[inside] = shapely.distance(polygon.boundary, shapely.points(point_m[inside, :2]))
+    strip = np.flatnonzero(is_own & (depth_m <= _STRIP_M))
+    within = np.flatnonzero(is_own & (depth_m > _STRIP_M))
+    if len(within) < _NUM_POINTS:
+        within = np.flatnonzero((depth_m > _STRIP_M) & ~np.isin(classification, PLANT_CLASSES))
+    if len(strip) == 0 or len(within) < _NUM_POINTS:
+        return result
+    own_z, is_known = _surface(point_m[within], point_m[strip])
+    other_z, is_other = _surface(point_m[beyond], point_m[strip])
+    z, step_m = point_m[strip, 2], other_z - own_z
+    off_own, off_other = np.abs(z - own_z), np.abs(z - other_z)
+    continues = (off_other < _ON_M) & (off_own > 2 * _ON_M)
+    is_wall = (z > own_z + 2 * _ON_M) & (z < other_z) & (depth_m[strip] < _WALL_M)
+    theirs = is_known & is_other & (np.abs(step_m) > _STEP_M) & (continues | is_wall)
+    if theirs.any():
+        result = result.copy()
+        result[strip[theirs]] = NEIGHBOUR_CLASS
+    return result
+
+
+def _surface(point_m: np.ndarray, place_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(the height at places (n, 2 or more) of the plane of the points (m, 3) nearest to each, whether it is shown),
+    both (n,)."""
+    reach_m, near = cKDTree(point_m[:, :2]).query(place_m[:, :2], _NUM_POINTS)
+    around = point_m[near] - np.column_stack([place_m[:, :2], np.zeros(len(place_m))])[:, None]
+    design = np.concatenate([around[:, :, :2], np.ones((*near.shape, 1))], axis=2)
+    z = around[:, :, 2]
+    level = np.median(z, axis=1)
+    value = np.column_stack([np.zeros((len(z), 2)), level])
+    # a slope needs some points, but few points in a line show none across it
+    prior = np.diag([0.5, 0.5, 1e-6])
+    for _ in range(_NUM_ROUNDS):
+        off_m = np.abs(z - np.einsum("nki,ni->nk", design, value))
+        weight = 1 / np.maximum(off_m, _NOISE_M)
+        matrix = np.einsum("nki,nk,nkj->nij", design, weight, design) + prior
+        right = np.einsum("nki,nk->ni", design, weight * (z - level[:, None]))
+        value = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+        value[:, 2] += level
+    slope = np.hypot(value[:, 0], value[:, 1])
+    return value[:, 2], (reach_m[:, _NUM_NEAR] < _REACH_M) & (slope < _STEEPEST)

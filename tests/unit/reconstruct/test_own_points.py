@@ -1,0 +1,146 @@
+"""Whose points are these, where is the ground, why is a building not represented: on points whose answer is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from p2wss.clouds.crops import crop_cloud
+from p2wss.clouds.reading import Cloud
+from p2wss.data import polygon_arrays, reasons
+from p2wss.data.building import Building
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
+from p2wss.data.terrain import Terrain
+from p2wss.fit.points import shaft_points
+from p2wss.reconstruct.causes import cause_of
+from p2wss.reconstruct.ground import ground_of
+from p2wss.reconstruct.own_points import own_classes
+
+RING = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 10.0], [0.0, 10.0]])
+
+
+def grid(low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:
+    x, y = np.meshgrid(*(np.arange(a + 0.12, b, 0.25) for a, b in zip(low, high, strict=True)))
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def surface(z_of_x: dict[tuple[float, float], float], slope: float = 0.0) -> np.ndarray:
+    """Points from x = -1 to 9; heights at x = 0 by ranges of x."""
+    xy = grid((-1, 0), (9, 10))
+    z = np.full(len(xy), np.nan)
+    for (low, high), height in z_of_x.items():
+        here = (xy[:, 0] >= low) & (xy[:, 0] < high)
+        z[here] = height + slope * xy[here, 1]
+    return np.column_stack([xy, z])
+
+
+@pytest.mark.parametrize("own_z, other_z", [(3.0, 15.0), (15.0, 3.0)])
+def test_the_roof_over_the_border_is_the_neighbours_from_either_side(own_z: float, other_z: float) -> None:
+    """The border is at x = 8; the other building's roof reaches half a metre over it."""
+    point_m = surface({(-1, 7.5): own_z, (7.5, 9): other_z}, slope=0.3)
+    classes = np.full(len(point_m), BUILDING_CLASS, np.uint8)
+    found = own_classes([RING], point_m, classes)
+    theirs = (point_m[:, 0] > 7.5) & (point_m[:, 0] < 8)
+    assert (found[theirs] == NEIGHBOUR_CLASS).mean() > 0.95 and (found[~theirs] == BUILDING_CLASS).all()
+    assert (classes == BUILDING_CLASS).all()
+
+
+def test_a_roof_that_goes_on_beyond_the_border_stays_and_so_does_a_wide_body() -> None:
+    for point_m in (surface({(-1, 9): 6.0}, slope=0.3), surface({(-1, 4): 3.0, (4, 9): 15.0})):
+        classes = np.full(len(point_m), BUILDING_CLASS, np.uint8)
+        assert (own_classes([RING], point_m, classes) == BUILDING_CLASS).all()
+
+
+def test_returns_from_the_wall_of_the_neighbour() -> None:
+    point_m = surface({(-1, 8): 3.0, (8, 9): 15.0})
+    wall_m = np.column_stack([np.full(40, 7.8), np.linspace(1, 9, 40), np.linspace(4.5, 14, 40)])
+    classes = np.full(len(point_m) + 40, BUILDING_CLASS, np.uint8)
+    found = own_classes([RING], np.vstack([point_m, wall_m]), classes)
+    assert (found[-40:] == NEIGHBOUR_CLASS).all() and (found[:-40] == BUILDING_CLASS).all()
+
+
+def test_class_ground_at_roof_height_is_roof_and_a_hillside_is_not() -> None:
+    point_m = surface({(-1, 0): 0.0, (0, 8): 4.0, (8, 9): 0.0})
+    classes = np.full(len(point_m), GROUND_CLASS, np.uint8)
+    inside = (point_m[:, 0] > 0) & (point_m[:, 0] < 8)
+    assert ((own_classes([RING], point_m, classes) == BUILDING_CLASS) == inside).all()
+    hill_m = surface({(-1, 9): 0.0}, slope=0.5)
+    assert (own_classes([RING], hill_m, classes) == GROUND_CLASS).all()
+
+
+def cloud_of(roof_z: float, ground: np.ndarray, ground_class: int = GROUND_CLASS) -> Cloud:
+    roof = np.column_stack([xy := grid((0, 0), (8, 10)), np.full(len(xy), roof_z)])
+    x, y, z = np.vstack([roof, ground]).T.copy()
+    classes = np.repeat([BUILDING_CLASS, ground_class], [len(roof), len(ground)]).astype(np.uint8)
+    return Cloud(x, y, z, classes, None)
+
+
+def test_the_ground_is_never_above_the_own_points() -> None:
+    polygons = polygon_arrays.to_polygons(np.array([shapely.Polygon(RING)]))
+    uphill = np.column_stack([xy := grid((-0.9, 0), (0, 10)), np.full(len(xy), 40.0)])
+    downhill = np.column_stack([xy := grid((9, 0), (12, 10)), np.full(len(xy), 20.0)])
+    terrain = Terrain(np.full((40, 40), 22.0, np.float32), -10.0, 30.0, 1.0)
+
+    def found(cloud: Cloud, terrain: Terrain | None = None) -> tuple[float, str]:
+        ground = ground_of(cloud, crop_cloud(cloud, polygons), polygons, terrain)
+        assert np.isnan(ground.sd_m[0]) == (ground.source[0] == "around")
+        return float(ground.z_m[0]), str(ground.source[0])
+
+    assert found(cloud_of(45.0, uphill)) == (40.0, "around")
+    assert found(cloud_of(28.0, np.vstack([uphill, downhill]))) == (20.0, "below")
+    assert found(cloud_of(28.0, uphill), terrain) == (22.0, "terrain")
+    assert found(cloud_of(28.0, uphill)) == (25.0, "storey")
+    low = cloud_of(28.0, np.vstack([uphill, downhill]))
+    is_low = low.z_m == 20.0
+    low = replace(
+        low, classification=np.where(is_low, UNCLASSIFIED_CLASS, low.classification).astype(np.uint8)
+    )
+    assert found(low) == (20.0, "lowest-points")
+
+
+def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
+    roof_m = surface({(0, 8): 12.0})
+    roof_m = roof_m[np.isfinite(roof_m[:, 2])]
+    well = (np.abs(roof_m[:, 0] - 4) < 1.1) & (np.abs(roof_m[:, 1] - 5) < 1.1)
+    floor_m = np.column_stack([np.random.default_rng(0).uniform((3, 4), (5, 6), (20, 2)), np.full(20, 1.0)])
+    polygon = shapely.Polygon(RING)
+
+    def found(roof_m: np.ndarray, low_m: np.ndarray) -> np.ndarray:
+        point_m = np.vstack([roof_m, low_m])
+        classes = np.repeat([BUILDING_CLASS, UNCLASSIFIED_CLASS], [len(roof_m), len(low_m)]).astype(np.uint8)
+        return shaft_points(polygon, point_m, classes, roof_m)
+
+    shaft_m = found(roof_m[~well], floor_m)
+    assert len(shaft_m) > 30 and (shaft_m[:, 2] == 1.0).all()
+    assert (np.abs(shaft_m[:, :2] - [4, 5]) < 1.3).all()
+    # points under a roof, as of a canopy, and a hole without low points, as of water on it, are no shafts
+    assert not len(found(roof_m, floor_m)) and not len(found(roof_m[~well], floor_m[:0]))
+    # nor is a place that is not far below
+    assert not len(found(roof_m[~well], np.add(floor_m, (0, 0, 9.5))))
+
+
+def test_one_cause_for_each() -> None:
+    xy = grid((0, 0), (8, 10))
+    of_class = {
+        "roof": (6, 6.0),
+        "plants": (5, 7.0),
+        "neighbour": (NEIGHBOUR_CLASS, 12.0),
+        "ground": (2, 0.0),
+    }
+
+    def cause(first: str, second: str = "", share: float = 0.0, every: int = 1) -> str:
+        names = np.where(xy[:, 0] < 8 * (1 - share), first, second)[::every]
+        z = np.array([of_class[name][1] for name in names])
+        classes = np.array([of_class[name][0] for name in names], np.uint8)
+        return cause_of(
+            Building("a", "t", (0.0, 0.0), [RING], np.column_stack([xy[::every], z]), classes, 0.0)
+        )
+
+    assert cause("plants") == cause("roof", "plants", 0.5) == reasons.VEGETATION_OVER
+    assert cause("roof", "neighbour", 0.5) == reasons.NEIGHBOUR_OVER
+    assert (cause("ground"), cause("roof", "ground", 0.5)) == (reasons.GONE, reasons.CHANGED)
+    assert (cause("roof"), cause("roof", every=40)) == (reasons.MANY_LEVELS, reasons.FEW_POINTS)
+    assert set(reasons.CAUSES) >= {cause("roof"), cause("ground"), cause("plants")}
