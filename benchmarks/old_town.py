@@ -182,7 +182,9 @@ def main() -> int:
     drawn = [row for row in unreliable if row["kind"] in DRAWN_CAUSES]
     figures.at_most("false slabs, of 1,000 buildings", 1000 * whole["slabs"] / len(rows), 0)
     figures.at_least("shafts found", whole["found"] / whole["shafts"], 0.9)
-    figures.at_most("false shafts", whole["false shafts"] / (whole["found"] + whole["false shafts"]), 0.02)
+    figures.at_most(
+        "false shafts", whole["false shafts"] / max(whole["found"] + whole["false shafts"], 1), 0.02
+    )
     figures.at_most(
         "not representable where seen", np.mean([bool(row["not_representable"]) for row in seen]), 0.08
     )
