@@ -16,13 +16,29 @@ from p2wss.skeleton.types import Polygons
 
 # where the ground of a building is from
 AROUND, BELOW, TERRAIN, LOWEST, STOREY = "around", "below", "terrain", "lowest-points", "storey"
-# the lowest roof is at least this high, and a storey if nothing else is known
-_LOWEST_ROOF_M, _STOREY_M = 1.0, 3.0
-# of the heights of a building's points: lower ones may be of a shaft, or of a neighbour's roof
-_LOW_QUANTILE = 0.05
-_MIN_OWN_POINTS, _MIN_POINTS = 10, 5
-# shares of the lowest points around, and expected standard deviations without points of the ground, metres
-_LOWEST_SHARE, _TERRAIN_SD_M, _STOREY_SD_M = 0.02, 0.5, 3.0
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Where the ground of a building may be; set by hand from drawn old towns.
+
+    lowest_roof_m, storey_m: the lowest roof is at least this high, and a storey if nothing else is known.
+    low_quantile: of the heights of a building's points; lower ones may be of a shaft, or of a neighbour's roof.
+    min_own_points, min_points: that show a roof, and the ground. lowest_share: of the points around that may be ground.
+    terrain_sd_m, storey_sd_m: expected standard deviations without points of the ground.
+    """
+
+    lowest_roof_m: float = 1.0
+    storey_m: float = 3.0
+    low_quantile: float = 0.05
+    min_own_points: int = 10
+    min_points: int = 5
+    lowest_share: float = 0.02
+    terrain_sd_m: float = 0.5
+    storey_sd_m: float = 3.0
+
+
+RULES = Rules()
 
 
 @dataclass(frozen=True)
@@ -52,17 +68,17 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
         own = cropped.point[some][cropped.inside[some]]
         classes = cloud.classification[own]
         roof = own[classes == BUILDING_CLASS]
-        if len(roof) >= _MIN_OWN_POINTS:
-            highest_z[p] = np.quantile(cloud.z_m[roof], _LOW_QUANTILE) - _LOWEST_ROOF_M
-        elif len(own := own[~np.isin(classes, PLANT_CLASSES)]) >= _MIN_OWN_POINTS:
+        if len(roof) >= RULES.min_own_points:
+            highest_z[p] = np.quantile(cloud.z_m[roof], RULES.low_quantile) - RULES.lowest_roof_m
+        elif len(own := own[~np.isin(classes, PLANT_CLASSES)]) >= RULES.min_own_points:
             # these may be of the ground, too
-            highest_z[p] = np.quantile(cloud.z_m[own], _LOW_QUANTILE) + _LOWEST_ROOF_M
+            highest_z[p] = np.quantile(cloud.z_m[own], RULES.low_quantile) + RULES.lowest_roof_m
         if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p]):
             corner = slice(polygons.vertex_offset[p], polygons.vertex_offset[p + 1])
             height_m = terrain.interpolated(*polygons.xy_m[corner].T)
             terrain_z[p] = np.nanmean(height_m) if np.isfinite(height_m).any() else np.nan
     is_empty = (np.diff(cropped.offset) == 0) & np.isfinite(terrain_z)
-    z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, _TERRAIN_SD_M
+    z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, RULES.terrain_sd_m
     too_high = np.flatnonzero(z_m > highest_z)
     is_ground = cloud.classification == GROUND_CLASS
     for distance_m in GROUND_RINGS_M[1:3]:
@@ -72,13 +88,17 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
             around = point[offset[k] : offset[k + 1]]
             low_z = cloud.z_m[around[cloud.z_m[around] < highest_z[p]]]
             ground_z = cloud.z_m[around[is_ground[around] & (cloud.z_m[around] < highest_z[p])]]
-            if source[p] not in (BELOW, TERRAIN) and len(ground_z) >= _MIN_POINTS:
+            if source[p] not in (BELOW, TERRAIN) and len(ground_z) >= RULES.min_points:
                 z_m[p], source[p], sd_m[p] = np.median(ground_z), BELOW, np.std(ground_z)
             elif source[p] == AROUND and terrain_z[p] < highest_z[p]:
-                z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, _TERRAIN_SD_M
-            elif distance_m == GROUND_RINGS_M[2] and source[p] == AROUND and len(low_z) >= _MIN_POINTS:
-                z_m[p], source[p] = np.quantile(low_z, _LOWEST_SHARE), LOWEST
-                sd_m[p] = z_m[p] - low_z.min() + _TERRAIN_SD_M
+                z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, RULES.terrain_sd_m
+            elif distance_m == GROUND_RINGS_M[2] and source[p] == AROUND and len(low_z) >= RULES.min_points:
+                z_m[p], source[p] = np.quantile(low_z, RULES.lowest_share), LOWEST
+                sd_m[p] = z_m[p] - low_z.min() + RULES.terrain_sd_m
     for p in too_high[source[too_high] == AROUND]:
-        z_m[p], source[p], sd_m[p] = highest_z[p] - _STOREY_M + _LOWEST_ROOF_M, STOREY, _STOREY_SD_M
+        z_m[p], source[p], sd_m[p] = (
+            highest_z[p] - RULES.storey_m + RULES.lowest_roof_m,
+            STOREY,
+            RULES.storey_sd_m,
+        )
     return Grounds(z_m, source, sd_m)

@@ -9,6 +9,7 @@ side, so that no order of buildings matters. Roofs that the producer took for gr
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -17,16 +18,31 @@ from scipy.spatial import cKDTree
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, PLANT_CLASSES
 from p2wss.data.points import MIN_HEIGHT_M
 
-# metres: points this near to the border may be another building's; those of walls are nearer
-_STRIP_M, _WALL_M = 1.0, 0.6
-# metres: surfaces on both sides of a border are different from this on; a point is on one of them within the second
-_STEP_M, _ON_M = 1.0, 0.25
-# points that show the surface on one side, and how many of them are how near, so that there is no gap
-_NUM_POINTS, _NUM_NEAR, _REACH_M = 12, 2, 2.0
-# metres: smaller residuals have full weight; rounds of the fit
-_NOISE_M, _NUM_ROUNDS = 0.05, 4
-# tangent of the steepest roof
-_STEEPEST = 2.2
+
+@dataclass(frozen=True)
+class Rules:
+    """Whose the points at a border are; set by hand from drawn old towns.
+
+    strip_m, wall_m: points this near to the border may be another building's; those of walls are nearer. step_m, on_m:
+    surfaces on both sides of a border are different from this on; a point is on one of them within the second.
+    num_points, num_near, reach_m: points that show the surface on one side, and how many of them are how near, so that
+    there is no gap. noise_m: smaller residuals have full weight. num_rounds: of the fit. steepest: tangent of the
+    steepest roof.
+    """
+
+    strip_m: float = 1.0
+    wall_m: float = 0.6
+    step_m: float = 1.0
+    on_m: float = 0.25
+    num_points: int = 12
+    num_near: int = 2
+    reach_m: float = 2.0
+    noise_m: float = 0.05
+    num_rounds: int = 4
+    steepest: float = 2.2
+
+
+RULES = Rules()
 
 
 def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
@@ -46,23 +62,23 @@ def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification
         result = np.where(roof, np.uint8(BUILDING_CLASS), result)
     beyond = np.flatnonzero(~inside & (result == BUILDING_CLASS))
     is_own = inside & (result == BUILDING_CLASS)
-    if len(beyond) < _NUM_POINTS or not is_own.any():
+    if len(beyond) < RULES.num_points or not is_own.any():
         return result
     depth_m = np.zeros(len(point_m))
     depth_m[inside] = shapely.distance(polygon.boundary, shapely.points(point_m[inside, :2]))
-    strip = np.flatnonzero(is_own & (depth_m <= _STRIP_M))
-    within = np.flatnonzero(is_own & (depth_m > _STRIP_M))
-    if len(within) < _NUM_POINTS:
-        within = np.flatnonzero((depth_m > _STRIP_M) & ~np.isin(classification, PLANT_CLASSES))
-    if len(strip) == 0 or len(within) < _NUM_POINTS:
+    strip = np.flatnonzero(is_own & (depth_m <= RULES.strip_m))
+    within = np.flatnonzero(is_own & (depth_m > RULES.strip_m))
+    if len(within) < RULES.num_points:
+        within = np.flatnonzero((depth_m > RULES.strip_m) & ~np.isin(classification, PLANT_CLASSES))
+    if len(strip) == 0 or len(within) < RULES.num_points:
         return result
     own_z, is_known = _surface(point_m[within], point_m[strip])
     other_z, is_other = _surface(point_m[beyond], point_m[strip])
     z, step_m = point_m[strip, 2], other_z - own_z
     off_own, off_other = np.abs(z - own_z), np.abs(z - other_z)
-    continues = (off_other < _ON_M) & (off_own > 2 * _ON_M)
-    is_wall = (z > own_z + 2 * _ON_M) & (z < other_z) & (depth_m[strip] < _WALL_M)
-    theirs = is_known & is_other & (np.abs(step_m) > _STEP_M) & (continues | is_wall)
+    continues = (off_other < RULES.on_m) & (off_own > 2 * RULES.on_m)
+    is_wall = (z > own_z + 2 * RULES.on_m) & (z < other_z) & (depth_m[strip] < RULES.wall_m)
+    theirs = is_known & is_other & (np.abs(step_m) > RULES.step_m) & (continues | is_wall)
     if theirs.any():
         result = result.copy()
         result[strip[theirs]] = NEIGHBOUR_CLASS
@@ -72,7 +88,7 @@ def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification
 def _surface(point_m: np.ndarray, place_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(the height at places (n, 2 or more) of the plane of the points (m, 3) nearest to each, whether it is shown),
     both (n,)."""
-    reach_m, near = cKDTree(point_m[:, :2]).query(place_m[:, :2], _NUM_POINTS)
+    reach_m, near = cKDTree(point_m[:, :2]).query(place_m[:, :2], RULES.num_points)
     around = point_m[near] - np.column_stack([place_m[:, :2], np.zeros(len(place_m))])[:, None]
     design = np.concatenate([around[:, :, :2], np.ones((*near.shape, 1))], axis=2)
     z = around[:, :, 2]
@@ -80,12 +96,12 @@ def _surface(point_m: np.ndarray, place_m: np.ndarray) -> tuple[np.ndarray, np.n
     value = np.column_stack([np.zeros((len(z), 2)), level])
     # a slope needs some points, but few points in a line show none across it
     prior = np.diag([0.5, 0.5, 1e-6])
-    for _ in range(_NUM_ROUNDS):
+    for _ in range(RULES.num_rounds):
         off_m = np.abs(z - np.einsum("nki,ni->nk", design, value))
-        weight = 1 / np.maximum(off_m, _NOISE_M)
+        weight = 1 / np.maximum(off_m, RULES.noise_m)
         matrix = np.einsum("nki,nk,nkj->nij", design, weight, design) + prior
         right = np.einsum("nki,nk->ni", design, weight * (z - level[:, None]))
         value = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
         value[:, 2] += level
     slope = np.hypot(value[:, 0], value[:, 1])
-    return value[:, 2], (reach_m[:, _NUM_NEAR] < _REACH_M) & (slope < _STEEPEST)
+    return value[:, 2], (reach_m[:, RULES.num_near] < RULES.reach_m) & (slope < RULES.steepest)

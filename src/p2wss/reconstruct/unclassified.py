@@ -7,7 +7,7 @@ airborne LIDAR data"). Buildings: points at least 2 m above the ground whose nei
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -22,18 +22,29 @@ from p2wss.data.las_classes import (
 )
 from p2wss.data.points import MIN_HEIGHT_M
 
-_CELL_M = 1.0
-# half the width of the widest building that is not taken for ground
-_MAX_RADIUS_M = 30
-_GROUND_SLOPE = 0.15
-# without single low outliers: a cell counts as no lower than this below the second lowest of the nine around it
-_LOW_PERCENTILE, _MAX_BELOW_M = 20, 1.0
-_GROUND_TOLERANCE_M = 0.4
-_NUM_NEIGHBOURS = 12
-_MAX_DISTANCE_M = 2.0
-# rms distance of neighbours from their plane, and the steepest plane
-_MAX_ROUGHNESS_M = 0.12
-_MIN_UPRIGHT = np.cos(np.radians(75))
+
+@dataclass(frozen=True)
+class Rules:
+    """What is ground, and what lies on a plane; set by hand.
+
+    max_radius_m: half the width of the widest building that is not taken for ground. low_percentile, max_below_m:
+    without single low outliers, a cell counts as no lower than this below the second lowest of the nine around it.
+    max_roughness_m: rms distance of neighbours, no further than max_distance_m, from their plane. steepest_deg: plane.
+    """
+
+    cell_m: float = 1.0
+    max_radius_m: int = 30
+    ground_slope: float = 0.15
+    low_percentile: int = 20
+    max_below_m: float = 1.0
+    ground_tolerance_m: float = 0.4
+    num_neighbours: int = 12
+    max_distance_m: float = 2.0
+    max_roughness_m: float = 0.12
+    steepest_deg: float = 75.0
+
+
+RULES = Rules()
 _CHUNK = 100_000
 _WITHOUT_GROUND = (
     "ground is estimated from the lowest points; a classification by the producer, or by PDAL's filters.smrf, may be"
@@ -89,8 +100,8 @@ def _is_open(classes: np.ndarray) -> np.ndarray:
 def _cells(cloud: Cloud) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
     """(row of each point, its column, shape of the raster); cells begin at whole metres, whatever the window."""
     row, column = (
-        np.floor(cloud.y_m / _CELL_M).astype(np.int64),
-        np.floor(cloud.x_m / _CELL_M).astype(np.int64),
+        np.floor(cloud.y_m / RULES.cell_m).astype(np.int64),
+        np.floor(cloud.x_m / RULES.cell_m).astype(np.int64),
     )
     row, column = row - row.min(), column - column.min()
     return row, column, (int(row.max()) + 1, int(column.max()) + 1)
@@ -111,17 +122,17 @@ def _lowest(cloud: Cloud) -> np.ndarray:
     np.minimum.at(lowest, (row, column), cloud.z_m)
     lowest[np.isinf(lowest)] = np.nan
     surface = _filled(lowest)
-    low = scipy.ndimage.percentile_filter(surface, _LOW_PERCENTILE, 3)
-    surface = np.maximum(surface, low - _MAX_BELOW_M)
+    low = scipy.ndimage.percentile_filter(surface, RULES.low_percentile, 3)
+    surface = np.maximum(surface, low - RULES.max_below_m)
     is_object = np.zeros(shape, bool)
     opened = surface
-    for radius in range(1, int(_MAX_RADIUS_M / _CELL_M) + 1):
+    for radius in range(1, int(RULES.max_radius_m / RULES.cell_m) + 1):
         size = 2 * radius + 1
         after = scipy.ndimage.grey_opening(opened, (size, size)) if radius < 4 or radius % 3 == 0 else opened
-        is_object |= opened - after > _GROUND_SLOPE * radius * _CELL_M
+        is_object |= opened - after > RULES.ground_slope * radius * RULES.cell_m
         opened = after
     ground = _filled(np.where(is_object | np.isnan(lowest), np.nan, surface))
-    return cloud.z_m - ground[row, column] <= _GROUND_TOLERANCE_M
+    return cloud.z_m - ground[row, column] <= RULES.ground_tolerance_m
 
 
 def _ground_z_m(cloud: Cloud, is_ground: np.ndarray) -> np.ndarray:
@@ -139,22 +150,22 @@ def _ground_z_m(cloud: Cloud, is_ground: np.ndarray) -> np.ndarray:
 
 def _planar(xyz_m: np.ndarray) -> np.ndarray:
     """Whether each point is on a plane with most of its neighbours, bool (n,)."""
-    if len(xyz_m) <= _NUM_NEIGHBOURS:
+    if len(xyz_m) <= RULES.num_neighbours:
         return np.zeros(len(xyz_m), bool)
     local = xyz_m - np.floor(xyz_m.min(axis=0))
     tree = scipy.spatial.cKDTree(local)
     is_flat = np.zeros(len(local), bool)
-    neighbour = np.empty((len(local), _NUM_NEIGHBOURS), np.int32)
+    neighbour = np.empty((len(local), RULES.num_neighbours), np.int32)
     for first in range(0, len(local), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        distance_m, neighbour[rows] = tree.query(local[rows], _NUM_NEIGHBOURS)
+        distance_m, neighbour[rows] = tree.query(local[rows], RULES.num_neighbours)
         around = local[neighbour[rows]]
         around = around - around.mean(axis=1, keepdims=True)
-        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / _NUM_NEIGHBOURS)
+        values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / RULES.num_neighbours)
         is_flat[rows] = (
-            (np.sqrt(np.maximum(values[:, 0], 0)) <= _MAX_ROUGHNESS_M)
-            & (np.abs(vectors[:, 2, 0]) >= _MIN_UPRIGHT)
-            & (distance_m[:, -1] <= _MAX_DISTANCE_M)
+            (np.sqrt(np.maximum(values[:, 0], 0)) <= RULES.max_roughness_m)
+            & (np.abs(vectors[:, 2, 0]) >= np.cos(np.radians(RULES.steepest_deg)))
+            & (distance_m[:, -1] <= RULES.max_distance_m)
         )
     # edges and chimneys of a roof are among its points, single branches of a tree are not
     return is_flat[neighbour].mean(axis=1) >= 0.5
