@@ -56,7 +56,7 @@ def test_hosted_ci_and_ours_call_targets_that_exist():
     assert called | ours <= TARGETS
     assert {"lint", "dry-run", "test", "test-slurm"} <= called and {"dry-run", "test"} <= ours
     on_push = [job for job in hosted["jobs"].values() if "if" not in job]
-    assert len(on_push) == 2 and "schedule" in hosted["jobs"]["slurm"]["if"]
+    assert len(on_push) == 4 and "schedule" in hosted["jobs"]["slurm"]["if"]
 
 
 def test_the_image_is_built_from_the_lock_file():
