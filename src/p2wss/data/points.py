@@ -17,6 +17,11 @@ MIN_HEIGHT_M = 2.0
 _NEVER_ON_A_BUILDING = (GROUND_CLASS, WATER_CLASS, *NOISE_CLASSES)
 
 
+def stride(num: int, max_count: int) -> int:
+    """The k for which every k-th of ``num`` values are at most ``max_count``, so that no random draw is needed."""
+    return max(-(-num // max_count), 1)
+
+
 def points_on_building(
     polygon: shapely.Polygon, point_m: np.ndarray, classification: np.ndarray
 ) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from p2wss.data.building import Reconstruction
+from p2wss.data.points import stride
 from p2wss.eval.cases import Case
 from p2wss.eval.figures import COLORS
 from p2wss.eval.reconstructions import Key
@@ -75,7 +76,7 @@ def viewer(
 def _shown(view: View, case: Case, reconstructions: Mapping[str, Reconstruction | None], ours: str) -> Shown:
     """One building for the page, relative to its origin and to its ground."""
     building = case.building
-    point_m = building.point_m[:: max(-(-len(building.point_m) // MAX_POINTS), 1)]
+    point_m = building.point_m[:: stride(len(building.point_m), MAX_POINTS)]
     meshes = {
         method: row.mesh.translated(row.position_m - building.position_m)
         for method, row in reconstructions.items()

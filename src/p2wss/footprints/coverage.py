@@ -162,9 +162,9 @@ class _Rings:
                 end.append(xy_m[self.node[corner]])
             along = end[1] - end[0]
             length_m = np.hypot(*along.T)
-            foot_m, node = end[0].copy(), self.node[row]
+            node = self.node[row]
             share = ((xy_m[node] - end[0]) * along).sum(axis=1) / length_m**2
-            foot_m += share[:, None] * along
+            foot_m = end[0] + share[:, None] * along
             step_m = np.hypot(*(foot_m - xy_m[node]).T)
             order = np.lexsort((*foot_m.T, -length_m, node))
             order = order[(step_m < _STRAIGHT_M)[order]]

@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 
 from p2wss.data import reasons
+from p2wss.data.points import stride
 
 # no building is longer; the largest has 1.7 km
 MAX_EXTENT_M = 5000.0
@@ -108,6 +109,6 @@ def _num_crossings(shape: shapely.Geometry) -> float:
         return 0.0
     start, end = np.concatenate([r[:-1] for r in rings]), np.concatenate([r[1:] for r in rings])
     edges = np.asarray(shapely.linestrings(np.stack([start, end], axis=1)))
-    sample = edges[:: -(-len(edges) // _NUM_SAMPLED_EDGES)]
+    sample = edges[:: stride(len(edges), _NUM_SAMPLED_EDGES)]
     edge, _ = shapely.STRtree(edges).query(sample, predicate="crosses")
     return len(edge) / len(sample) * len(edges) / 2

@@ -9,12 +9,13 @@ side, so that no order of buildings matters. Roofs that the producer took for gr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
+from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, PLANT_CLASSES
 from p2wss.data.points import MIN_HEIGHT_M
 
@@ -45,6 +46,12 @@ class Rules:
 RULES = Rules()
 
 
+def with_own_classes(building: Building) -> Building:
+    """The building with the classes of :func:`own_classes`."""
+    classes = own_classes(building.rings, building.point_m, building.classification)
+    return replace(building, classification=classes)
+
+
 def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
     """The classes (m,) of points (m, 3), with :data:`NEIGHBOUR_CLASS` where they are another building's, and with class
     building where a roof has class ground. point_m: in and around the footprint ``rings``, z above the ground."""
@@ -72,23 +79,26 @@ def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification
         within = np.flatnonzero((depth_m > RULES.strip_m) & ~np.isin(classification, PLANT_CLASSES))
     if len(strip) == 0 or len(within) < RULES.num_points:
         return result
-    own_z, is_known = _surface(point_m[within], point_m[strip])
-    other_z, is_other = _surface(point_m[beyond], point_m[strip])
-    z, step_m = point_m[strip, 2], other_z - own_z
+    other_z = _surface(point_m[beyond], point_m[strip])
+    strip, other_z = strip[np.isfinite(other_z)], other_z[np.isfinite(other_z)]
+    own_z, z = _surface(point_m[within], point_m[strip]), point_m[strip, 2]
     off_own, off_other = np.abs(z - own_z), np.abs(z - other_z)
     continues = (off_other < RULES.on_m) & (off_own > 2 * RULES.on_m)
     is_wall = (z > own_z + 2 * RULES.on_m) & (z < other_z) & (depth_m[strip] < RULES.wall_m)
-    theirs = is_known & is_other & (np.abs(step_m) > RULES.step_m) & (continues | is_wall)
+    theirs = (np.abs(other_z - own_z) > RULES.step_m) & (continues | is_wall)
     if theirs.any():
         result = result.copy()
         result[strip[theirs]] = NEIGHBOUR_CLASS
     return result
 
 
-def _surface(point_m: np.ndarray, place_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(the height at places (n, 2 or more) of the plane of the points (m, 3) nearest to each, whether it is shown),
-    both (n,)."""
+def _surface(point_m: np.ndarray, place_m: np.ndarray) -> np.ndarray:
+    """The height at places (n, 2 or more) of the plane of the points (m, 3) nearest to each, (n,); NaN where they do
+    not show one."""
+    result = np.full(len(place_m), np.nan)
     reach_m, near = cKDTree(point_m[:, :2]).query(place_m[:, :2], RULES.num_points)
+    is_near = reach_m[:, RULES.num_near] < RULES.reach_m
+    near, place_m = near[is_near], place_m[is_near]
     around = point_m[near] - np.column_stack([place_m[:, :2], np.zeros(len(place_m))])[:, None]
     design = np.concatenate([around[:, :, :2], np.ones((*near.shape, 1))], axis=2)
     z = around[:, :, 2]
@@ -97,11 +107,11 @@ def _surface(point_m: np.ndarray, place_m: np.ndarray) -> tuple[np.ndarray, np.n
     # a slope needs some points, but few points in a line show none across it
     prior = np.diag([0.5, 0.5, 1e-6])
     for _ in range(RULES.num_rounds):
-        off_m = np.abs(z - np.einsum("nki,ni->nk", design, value))
-        weight = 1 / np.maximum(off_m, RULES.noise_m)
-        matrix = np.einsum("nki,nk,nkj->nij", design, weight, design) + prior
-        right = np.einsum("nki,nk->ni", design, weight * (z - level[:, None]))
-        value = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+        off_m = np.abs(z - (design @ value[:, :, None])[:, :, 0])
+        weighted = (design / np.maximum(off_m, RULES.noise_m)[:, :, None]).transpose(0, 2, 1)
+        right = weighted @ (z - level[:, None])[:, :, None]
+        value = np.linalg.solve(weighted @ design + prior, right)[:, :, 0]
         value[:, 2] += level
-    slope = np.hypot(value[:, 0], value[:, 1])
-    return value[:, 2], (reach_m[:, RULES.num_near] < RULES.reach_m) & (slope < RULES.steepest)
+    is_steep = np.hypot(value[:, 0], value[:, 1]) >= RULES.steepest
+    result[is_near] = np.where(is_steep, np.nan, value[:, 2])
+    return result

@@ -3,9 +3,8 @@ CityJSON files."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
-from itertools import cycle
+from itertools import cycle, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +15,7 @@ from p2wss.clouds.cropping import crop_points
 from p2wss.data import polygon_arrays
 from p2wss.data.crs import horizontal
 from p2wss.data.las_classes import BUILDING_CLASS
+from p2wss.data.points import stride
 from p2wss.formats import shift_map, viewer
 from p2wss.formats.shift_map import Block, Footprint
 from p2wss.formats.viewer import Layer, Shown
@@ -39,7 +39,7 @@ def page_of_run(results: Sequence[Result], stem: str, crs: pyproj.CRS) -> str:
     worst = np.argsort([-np.nan_to_num(result.residual_m, nan=-1.0) for result in results], kind="stable")
     chosen = [results[number] for number in np.sort(worst[:MAX_BUILDINGS])]
     origin_m = _origin_m([result.reconstruction.position_m for result in chosen])
-    every = -(-sum(len(result.sample_m) for result in chosen) // MAX_POINTS) or 1
+    every = stride(sum(len(result.sample_m) for result in chosen), MAX_POINTS)
     buildings = [_shown(result, origin_m, every) for result in chosen]
     sentences = [summary(results), *_left_out(len(results))]
     rows, footprints, blocks = _moved(results)
@@ -98,9 +98,9 @@ def _points_of(plans: Sequence[shapely.Geometry], cloud: Cloud | None) -> list[n
     polygons = polygon_arrays.to_polygons(np.array(areas, dtype=object))
     among = cloud.classification == BUILDING_CLASS
     point, _, offset = crop_points(cloud.x_m, cloud.y_m, polygons, 0.0, among if among.any() else None)
-    every = -(-len(point) // MAX_POINTS) or 1
+    every = stride(len(point), MAX_POINTS)
     xyz_m = np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])
-    return [xyz_m[point[start:end:every]] for start, end in itertools.pairwise(offset)]
+    return [xyz_m[point[start:end:every]] for start, end in pairwise(offset)]
 
 
 def _left_out(num_buildings: int) -> list[str]:

@@ -23,7 +23,7 @@ from p2wss.mesh import Mesh
 from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.measures import party_wall_areas_m2
 from p2wss.reconstruct.network import Predictor
-from p2wss.reconstruct.own_points import own_classes
+from p2wss.reconstruct.own_points import with_own_classes
 from p2wss.reconstruct.processes import in_processes
 from p2wss.reconstruct.product import method_name, reconstruct_buildings
 from p2wss.reconstruct.registration import Registration
@@ -136,7 +136,7 @@ class Rows:
                     (float(origin[0]), float(origin[1])),
                     rings,
                     point_m,
-                    own_classes(rings, point_m, cloud.classification[point]),
+                    cloud.classification[point],
                     float(ground_z_m[i]),
                     stated_height_m[i],
                 )
@@ -175,7 +175,9 @@ class Rows:
             self._results[row.number] = result
 
     def _done(self, rows: Sequence[Row]) -> list[Result]:
-        """The results of these rows. One whose footprint has another status than "ok" gets no mesh."""
+        """The results of these rows, from the points that are their own. One whose footprint has another status than
+        "ok" gets no mesh."""
+        rows = [replace(row, building=with_own_classes(row.building)) for row in rows]
         usable = [row for row in rows if row.status == "ok"]
         done = reconstruct_buildings([row.building for row in usable], self._predictor, self._config)
         reconstructions = {row.number: each for row, each in zip(usable, done, strict=True)}

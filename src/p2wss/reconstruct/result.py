@@ -13,6 +13,7 @@ import numpy as np
 from p2wss.clouds.cropping import seen_share
 from p2wss.config import Reconstruct
 from p2wss.data.building import Building, Reconstruction
+from p2wss.data.points import stride
 from p2wss.fit.roof_edges import mean_overhang_m
 from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.causes import cause_of
@@ -95,7 +96,11 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
     reason = None if reconstruction.status == "ok" else reconstruction.status
     status = "none" if not reconstruction.has_mesh else "ok" if reason is None else "flat"
     on_building = building.is_on_building if building.rings else np.zeros(len(building.point_m), bool)
-    distance_m = _distances_m(building.point_m[on_building], reconstruction)
+    point_m = building.point_m[on_building]
+    point_m = point_m[:: stride(len(point_m), _MAX_RESIDUAL_POINTS)]
+    distance_m = _distances_m(point_m, reconstruction)
+    # of a building without a mesh the distances are 0
+    with_distance = np.column_stack([point_m, distance_m if len(distance_m) else np.zeros(len(point_m))])
     residual_m = rmse_m = share_within_20cm = float("nan")
     if len(distance_m):
         residual_m, rmse_m = float(distance_m.mean()), float(np.sqrt((distance_m**2).mean()))
@@ -125,17 +130,8 @@ def result_of(row: Row, reconstruction: Reconstruction, config: Reconstruct) -> 
         cause=None if is_reliable else cause_of(building),
         overhang_m=overhang_m,
         measures=measure(reconstruction.placed_mesh) if reconstruction.has_mesh else None,
-        sample_m=_sample_m(building.point_m[on_building], reconstruction),
+        sample_m=with_distance[:: stride(len(point_m), _MAX_SAMPLE_POINTS)].astype(np.float32),
     )
-
-
-def _sample_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
-    """See :class:`Result`; of a building without a mesh the distances are 0."""
-    point_m = point_m[:: -(-len(point_m) // _MAX_SAMPLE_POINTS) or 1]
-    distance_m = _distances_m(point_m, reconstruction)
-    if not len(distance_m):
-        distance_m = np.zeros(len(point_m))
-    return np.column_stack([point_m, distance_m]).astype(np.float32)
 
 
 def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
@@ -143,8 +139,6 @@ def _distances_m(point_m: np.ndarray, reconstruction: Reconstruction) -> np.ndar
     mesh = reconstruction.mesh
     if mesh is None or not len(point_m):
         return np.zeros(0)
-    # every k-th point, so that no random draw is needed
-    point_m = point_m[:: -(-len(point_m) // _MAX_RESIDUAL_POINTS)]
     return distance_to_mesh(point_m, mesh.vertex_m, mesh.triangle)
 
 

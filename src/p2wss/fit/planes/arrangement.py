@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from p2wss.fit.planes.detection import heights
-from p2wss.fit.planes.lines import Line, edges_of
+from p2wss.fit.planes.lines import Line, as_arrays, edges_of
 from p2wss.mesh.topology import reverses
 
 # metres: coordinates of the arrangement are multiples of this
@@ -90,14 +90,13 @@ def arrange(rings: Sequence[np.ndarray], lines: Sequence[Line]) -> Arrangement:
         shapely.area(cells),
         pair,
         side,
-        offsets_m(all_lines, vertex_m[side]).argmin(axis=1),
+        furthest_m(vertex_m[side], *as_arrays(all_lines)).argmin(axis=1),
         shapely.STRtree(cells),
         all_lines,
         len(edges),
     )
 
 
-def offsets_m(lines: Sequence[Line], end_m: np.ndarray) -> np.ndarray:
-    """How far the further end of each piece (s, 2, 2) is from each line, (s, l)."""
-    normal, offset_m = (np.array([getattr(line, name) for line in lines]) for name in ("normal", "offset_m"))
+def furthest_m(end_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:
+    """How far the further end of each piece (s, 2, 2) is from each line (:func:`as_arrays`), (s, l)."""
     return np.asarray(np.abs(end_m @ normal.T - offset_m).max(axis=1))

@@ -8,6 +8,7 @@ them, and lines with short steps to others, where that saves more than it costs.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -65,9 +66,9 @@ class Costs:
 
     def without(self, line: int) -> Costs:
         """The costs if a line divides nothing: cells on both sides of it get one plane."""
-        divided = ~np.eye(self.cell_m3.shape[1], dtype=bool)
-        forbidden_m3 = _FORBIDDEN_M3 * ((self.line == line)[:, None, None] & divided)
-        return replace(self, side_m3=self.side_m3 + forbidden_m3)
+        side_m3 = self.side_m3.copy()
+        side_m3[self.line == line] += _FORBIDDEN_M3 * ~np.eye(self.cell_m3.shape[1], dtype=bool)
+        return replace(self, side_m3=side_m3)
 
     def of(self, cells: np.ndarray, planes: np.ndarray, label: np.ndarray) -> Costs:
         """The costs of some cells and planes, while all other cells keep their labels."""
@@ -137,7 +138,7 @@ def costs_of(
 
 def least_cost(costs: Costs) -> np.ndarray:
     """int (c,): the plane over each cell."""
-    label = _with_fewer_faces(costs)
+    label, total_m3 = _with_fewer_faces(costs)
     tried: set[int] = set()
     while True:
         steps_m = costs.steps_m(label)
@@ -148,13 +149,13 @@ def least_cost(costs: Costs) -> np.ndarray:
         line = int(np.where(is_short, steps_m, np.inf).argmin())
         tried.add(line)
         without_line = costs.without(line)
-        other = _with_fewer_faces(without_line)
-        if without_line.total_m3(other) < costs.total_m3(label) - _GAIN_M3:
-            label, costs = other, without_line
+        other, other_m3 = _with_fewer_faces(without_line)
+        if other_m3 < total_m3 - _GAIN_M3:
+            label, total_m3, costs = other, other_m3, without_line
 
 
-def _with_fewer_faces(costs: Costs) -> np.ndarray:
-    """The labels (c,) of least cost, from which faces have given way to those around them."""
+def _with_fewer_faces(costs: Costs) -> tuple[np.ndarray, float]:
+    """The labels (c,) of least cost, from which faces have given way to those around them, and what they cost."""
     label = _expanded(costs, costs.cell_m3.argmin(axis=1))
     total_m3, tried = costs.total_m3(label), set()
     while True:
@@ -173,7 +174,7 @@ def _with_fewer_faces(costs: Costs) -> np.ndarray:
                 label, total_m3 = simpler, simpler_m3
                 break
         else:
-            return label
+            return label, total_m3
 
 
 def _given_away(costs: Costs, label: np.ndarray, cells: np.ndarray) -> np.ndarray | None:
@@ -197,26 +198,30 @@ def _expanded(costs: Costs, label: np.ndarray) -> np.ndarray:
     end = np.concatenate([costs.pair[:, 0], costs.pair[:, 1]])
     order = np.argsort(end, kind="stable")
     first = np.searchsorted(end[order], np.arange(len(label) + 1))
-    return np.asarray(_expand(costs.cell_m3, costs.pair, costs.side_m3, order, first, label))
+    return np.asarray(_expand(_Graph(costs.cell_m3, costs.pair, costs.side_m3, order, first), label))
+
+
+class _Graph(NamedTuple):
+    """Costs for compiled code, and the sides of each cell. order: the ends of sides, those of the first cells of all
+    sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
+
+    cell_m3: np.ndarray
+    pair: np.ndarray
+    side_m3: np.ndarray
+    order: np.ndarray
+    first: np.ndarray
 
 
 @entry
-def _expand(
-    cell_m3: np.ndarray,
-    pair: np.ndarray,
-    side_m3: np.ndarray,
-    order: np.ndarray,
-    first: np.ndarray,
-    label: np.ndarray,
-) -> np.ndarray:
-    """The labels (c,) after planes have taken cells in turn. order: the ends of sides, those of the first cells of all
-    sides before those of the second, by cell; first: (c + 1,), where those of each cell begin."""
+def _expand(graph: _Graph, label: np.ndarray) -> np.ndarray:
+    """The labels (c,) after planes have taken cells in turn."""
+    cell_m3, pair, side_m3 = graph.cell_m3, graph.pair, graph.side_m3
     label, candidate = label.copy(), label.copy()
     total_m3 = _sum(cell_m3, pair, side_m3, label)
     for _ in range(_MAX_ROUNDS):
         before_m3 = total_m3
         for number in range(cell_m3.shape[1]):
-            is_taken = _taken(cell_m3, pair, side_m3, order, first, label, number)
+            is_taken = _taken(graph, label, number)
             candidate[:] = np.where(is_taken, number, label)
             candidate_m3 = _sum(cell_m3, pair, side_m3, candidate)
             if candidate_m3 < total_m3 - _GAIN_M3:
@@ -238,20 +243,13 @@ def _sum(cell_m3: np.ndarray, pair: np.ndarray, side_m3: np.ndarray, label: np.n
 
 
 @allocating
-def _taken(
-    cell_m3: np.ndarray,
-    pair: np.ndarray,
-    side_m3: np.ndarray,
-    order: np.ndarray,
-    first: np.ndarray,
-    label: np.ndarray,
-    number: int,
-) -> np.ndarray:
+def _taken(graph: _Graph, label: np.ndarray, number: int) -> np.ndarray:
     """bool (c,): the cells that plane ``number`` takes at least cost in all.
 
     This is a minimum cut by shortest augmenting paths (Edmonds and Karp, 1972); those cells are taken that a path still
     reaches in the end.
     """
+    cell_m3, pair, side_m3, order, first = graph
     num_cells, num_sides = len(label), len(pair)
     came_by, queue = np.empty(num_cells, np.int64), np.empty(num_cells, np.int64)
     # what a cell still costs if it is taken; below 0, what it saves

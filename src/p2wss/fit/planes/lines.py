@@ -44,6 +44,11 @@ class Line:
         return replace(self, low_m=min(low, place.min() - reach_m), high_m=max(high, place.max() + reach_m))
 
 
+def as_arrays(lines: Sequence[Line]) -> tuple[np.ndarray, np.ndarray]:
+    """(normals (l, 2), offsets (l,)) of lines."""
+    return np.array([line.normal for line in lines]), np.array([line.offset_m for line in lines])
+
+
 def lines_of(
     rings: Sequence[np.ndarray],
     plane: np.ndarray,
@@ -162,9 +167,7 @@ def _extent(xy_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
 def _snapped(steps: Sequence[Line], edges: Sequence[Line], settings: Drawing) -> list[Line]:
     """Steps, those near to an edge of the footprint or to an earlier step as parts of its line; each line once."""
     targets = [*edges, *steps]
-    normal, offset_m = (
-        np.array([getattr(each, name) for each in targets]) for name in ("normal", "offset_m")
-    )
+    normal, offset_m = as_arrays(targets)
     middle_m = np.array([step.ends_m.mean(axis=0) for step in steps]).reshape(-1, 2)
     is_same = np.abs(normal[len(edges) :] @ normal.T) > np.cos(np.radians(settings.same_deg / 2))
     is_same &= np.abs(middle_m @ normal.T - offset_m) < settings.snap_m

@@ -14,7 +14,8 @@ from statistics import fmean
 import numpy as np
 import shapely
 
-from p2wss.fit.planes.arrangement import GRID_M, Arrangement, offsets_m
+from p2wss.fit.planes.arrangement import GRID_M, Arrangement, furthest_m
+from p2wss.fit.planes.lines import as_arrays
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.topology import is_closed
@@ -133,13 +134,11 @@ class _Network:
         fold = np.hypot(slope[:, 0], slope[:, 1])
         off_m = np.abs((xy_m[edge] * slope[:, None, :2]).sum(axis=2) + slope[:, None, 2]).max(axis=1)
         is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
-        normals, line_offset_m = (
-            np.array([getattr(line, name) for line in cells.lines]) for name in ("normal", "offset_m")
-        )
-        beside_m = offsets_m(cells.lines, xy_m[edge])
+        normals, offsets_m = as_arrays(cells.lines)
+        beside_m = furthest_m(xy_m[edge], normals, offsets_m)
         beside_m[is_outer, cells.num_edges :] = np.inf
         line = beside_m.argmin(axis=1)
-        normal, offset_m = normals[line], line_offset_m[line]
+        normal, offset_m = normals[line], offsets_m[line]
         normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
         offset_m[is_meet] = -slope[is_meet, 2] / fold[is_meet]
         weight = np.where(is_outer, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
