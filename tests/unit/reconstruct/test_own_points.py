@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
 
 from p2wss.clouds.crops import crop_cloud
 from p2wss.clouds.reading import Cloud
+from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays, reasons
 from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.terrain import Terrain
 from p2wss.fit.points import shaft_points
+from p2wss.mesh.surface import distance_to_mesh
 from p2wss.reconstruct.causes import cause_of
 from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.own_points import own_classes
+from p2wss.reconstruct.pipeline import Rows
+from p2wss.reconstruct.result import Result
 
 RING = np.array([[0.0, 0.0], [8.0, 0.0], [8.0, 10.0], [0.0, 10.0]])
 
@@ -46,6 +51,28 @@ def test_the_roof_over_the_border_is_the_neighbours_from_either_side(own_z: floa
     theirs = (point_m[:, 0] > 7.5) & (point_m[:, 0] < 8)
     assert (found[theirs] == NEIGHBOUR_CLASS).mean() > 0.95 and (found[~theirs] == BUILDING_CLASS).all()
     assert (classes == BUILDING_CLASS).all()
+
+
+def test_buildings_are_fitted_to_their_own_points() -> None:
+    """Also by a second process. A roof of 15 m reaches half a metre over the border of a house of 3 m."""
+    point_m = surface({(-1, 7.5): 3.0, (7.5, 9): 15.0})
+    ground = np.array([[x, y, 0.0] for x in (-0.9, 8.9) for y in np.arange(-0.9, 11, 0.2)])
+    x, y, z = np.vstack([point_m, ground]).T.copy()
+    classes = np.repeat([BUILDING_CLASS, GROUND_CLASS], [len(point_m), len(ground)]).astype(np.uint8)
+    house, far = shapely.Polygon(RING), shapely.box(30, 0, 38, 10)
+    frame = gpd.GeoDataFrame(
+        {"building_id": ["house", "far"], "status": "ok"}, geometry=[house, far], crs="EPSG:2154"
+    )
+    for num_processes in (1, 2):
+        results: dict[int, Result] = {}
+        rows = Rows(2, results, None, "t", Reconstruct(), num_processes=num_processes)
+        rows.reconstruct(np.arange(2), frame, Cloud(x, y, z, classes, None))
+        assert results[0].reconstruction.mesh.vertex_m[:, 2].max() == pytest.approx(3.0, abs=0.05)
+        sample_m, mesh = results[0].sample_m, results[0].reconstruction.mesh
+        assert 100 < len(sample_m) <= 256
+        assert sample_m[:, 3] == pytest.approx(
+            distance_to_mesh(sample_m[:, :3].astype(float), mesh.vertex_m, mesh.triangle), abs=1e-5
+        )
 
 
 def test_a_roof_that_goes_on_beyond_the_border_stays_and_so_does_a_wide_body() -> None:

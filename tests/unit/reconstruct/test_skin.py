@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from skin_solids import Solid, assert_closed, gable, solid, united, volume
@@ -237,6 +239,31 @@ def test_wedge_of_a_ridge() -> None:
     edges = wedges(skins(dict([gable("a", (0, 0, 8, 10), 5, 40)]))[0])
     ridge = (edges.end_m[:, :, 2] > 8).all(axis=1)
     assert edges.opening_angle_deg[ridge] == pytest.approx([100]) and len(edges.face) == 4 + 4 + 2 + 4 + 1
+
+
+def test_wedges_are_the_convex_edges_of_the_mesh_whatever_its_faces_should_be() -> None:
+    """A corner of the roof is 30 cm too high: the fold within its face is an edge of the mesh."""
+    (skin,) = skins(dict([gable("a", (0, 0, 8, 10), 5, 40)]))
+    vertex_m = skin.mesh.vertex_m.copy()
+    vertex_m[np.flatnonzero(np.isclose(vertex_m[:, 2], 5))[0], 2] += 0.3
+    bent = replace(skin, mesh=skin.mesh.moved(vertex_m))
+    mesh = trimesh.Trimesh(bent.mesh.vertex_m, bent.mesh.triangle, process=False)
+    angle_deg = np.degrees(mesh.face_adjacency_angles)
+    is_convex = mesh.face_adjacency_convex & (angle_deg > 1)
+    expected = {
+        tuple(sorted(edge)): 180 - angle
+        for edge, angle in zip(
+            mesh.face_adjacency_edges[is_convex].tolist(), angle_deg[is_convex], strict=True
+        )
+    }
+    edges = wedges(bent)
+    number = {tuple(place): i for i, place in enumerate(vertex_m.round(6).tolist())}
+    found = {
+        tuple(sorted(number[tuple(end)] for end in ends)): angle
+        for ends, angle in zip(edges.end_m.round(6).tolist(), edges.opening_angle_deg, strict=True)
+    }
+    assert found == pytest.approx(expected, abs=0.01) and len(edges.face) == len(expected)
+    assert any(165 < angle < 179 for angle in expected.values())
 
 
 def test_a_narrow_gap_between_houses_has_no_wedge_inside() -> None:

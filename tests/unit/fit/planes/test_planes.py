@@ -305,6 +305,20 @@ def test_a_wing_askew_meets_the_main_roof_in_valleys() -> None:
     assert np.linalg.norm(doubled_areas(corner_m[within]), axis=1).sum() / 2 < 0.3
 
 
+def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
+    """Each stands for six square metres."""
+    xy_m = np.array([[x, y] for x in np.arange(1, 20, 2.5) for y in np.arange(1, 12, 2.5)])
+    rings = [np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 12.0], [0.0, 12.0]])]
+    num_planes = []
+    for up_m in (0.3, 0.7):
+        z_m = np.full(len(xy_m), 4.0)
+        z_m[:2] += up_m
+        fit = fit_planes(rings, np.column_stack([xy_m, z_m]), PLANES)
+        assert fit is not None
+        num_planes.append(len(np.unique(fit.label)))
+    assert num_planes == [1, 2]
+
+
 def test_too_few_points_show_no_plane() -> None:
     rings, plane = gable(12, 8, 4, 0.0)
     assert fit_planes(rings, sampled(rings, plane, 3)[:1], PLANES) is None
