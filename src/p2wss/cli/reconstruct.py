@@ -24,6 +24,7 @@ from p2wss.cli.common import (
 )
 from p2wss.cli.parser import PATH, Command, Names, option, setting
 from p2wss.config import Config
+from p2wss.storage import files
 
 if TYPE_CHECKING:
     from p2wss.nets.compute import DeviceName
@@ -125,6 +126,7 @@ def reconstruct(
     clouds, footprints = (list(inputs), None) if no_footprints else (list(inputs[:-1]), inputs[-1])
     if not clouds:
         raise click.UsageError("FOOTPRINTS or CLOUD is missing", context)
+    files.check_stem(name or "")
     argument_checks.check(out, terrain, chosen["tile"], model, device, config)
     with _importing():
         from p2wss.reconstruct.inputs import check_inputs

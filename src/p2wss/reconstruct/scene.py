@@ -209,6 +209,7 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
             checked = load({"reconstruct": {"outputs": list(formats)}}).reconstruct.outputs
             settings = settings.model_copy(update={"outputs": checked})
         folder, name = Path(folder), name or self.name
+        files.check_stem(name)
         if self._run is not None:
             run = self._run
             terrain = run.inputs.terrain and run.inputs.terrain[0]

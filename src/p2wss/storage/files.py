@@ -254,6 +254,12 @@ def write_json(path: str | Path, value: Any) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def check_stem(name: str) -> None:
+    """Raise :class:`InputError` for a name of files that states a folder, too."""
+    if name != Path(name).name:
+        raise InputError(f"name {name}: must be that of a file without ending, and no folder")
+
+
 def write_text(path: str | Path, text: str | Iterable[str]) -> None:
     """Write a text file, of one text or of pieces that follow each other."""
     with atomic(path) as temporary, temporary.open("w", encoding="utf-8") as file:

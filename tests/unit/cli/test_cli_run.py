@@ -51,6 +51,18 @@ def test_an_unknown_id_and_an_empty_box_are_named(
         assert text in error[-1] and not any("Traceback" in line for line in error)
 
 
+@pytest.mark.parametrize("name", ["a/b", "../out", "/tmp/x"])
+def test_a_name_of_files_with_a_folder_is_refused_before_anything_is_read(
+    demo: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(demo, tmp_path / "new", "--name", name) == 2
+    assert (
+        capsys.readouterr().err
+        == f"p2wss: error: name {name}: must be that of a file without ending, and no folder\n"
+    )
+    assert not (tmp_path / "new").exists()
+
+
 def test_files_that_an_earlier_run_left_are_named(
     demo: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
