@@ -1,9 +1,10 @@
 """Whose points are these? Classes of the points of a building, as its roof needs them.
 
-Along the border to another building, points of class building may be of that one: its roof reaches over the border, or
-the map has the border elsewhere, and pulses hit its wall. What is on either side decides: a point that continues the
-surface beyond the border, and not the own roof further within, is the neighbour's. The same rule holds from the other
-side, so that no order of buildings matters. Roofs that the producer took for ground are told by what is beside them.
+Along the border to another building, points may be of that one: its roof reaches over the border, or the map has the
+border elsewhere, and pulses hit its wall. Planes are grown over both sides of the border: one that is found beyond it
+and within it, but only in a strip along it, is the neighbour's, and so are the returns from walls below it. The same
+rule holds from the other side, so that no order of buildings matters. Roofs that the producer took for ground are told
+by what is beside them.
 """
 
 from __future__ import annotations
@@ -16,34 +17,37 @@ import shapely
 from scipy.spatial import cKDTree
 
 from p2wss.data.building import Building
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, PLANT_CLASSES
-from p2wss.data.points import MIN_HEIGHT_M
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
+from p2wss.data.points import MIN_HEIGHT_M, points_on_building
+from p2wss.fit.planes.detection import detect, height_over
+from p2wss.fit.settings import Detection
 
 
 @dataclass(frozen=True)
 class Rules:
     """Whose the points at a border are; set by hand from drawn old towns.
 
-    strip_m, wall_m: points this near to the border may be another building's; those of walls are nearer. step_m, on_m:
-    surfaces on both sides of a border are different from this on; a point is on one of them within the second.
-    num_points, num_near, reach_m: points that show the surface on one side, and how many of them are how near, so that
-    there is no gap. noise_m: smaller residuals have full weight. num_rounds: of the fit. steepest: tangent of the
-    steepest roof.
+    strip_m, wall_m: points this near to the border may be another building's; those of walls are nearer. band_m: what
+    the building has at the strip is seen within this distance of the border. core_m: half the width of a wing, less the
+    strip; narrower ones have no strip, because their own roof looks like one. step_m: the median height between a
+    plane of the neighbour and the points of the building nearest to it, of which so many (``num_near``) are looked at.
+    on_m: returns from walls are at most this far above the plane. num_points: that show a plane beyond the border.
+    deep_share: a plane with a larger share of its points within the border beyond the strip is the building's.
     """
 
     strip_m: float = 1.0
     wall_m: float = 0.6
+    band_m: float = 2.5
+    core_m: float = 0.5
     step_m: float = 1.0
+    num_near: int = 4
     on_m: float = 0.25
-    num_points: int = 12
-    num_near: int = 2
-    reach_m: float = 2.0
-    noise_m: float = 0.05
-    num_rounds: int = 4
-    steepest: float = 2.2
+    num_points: int = 5
+    deep_share: float = 0.1
 
 
 RULES = Rules()
+_DETECTION = Detection(num_rounds=1)
 
 
 def with_own_classes(building: Building) -> Building:
@@ -55,63 +59,77 @@ def with_own_classes(building: Building) -> Building:
 def own_classes(rings: Sequence[np.ndarray], point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
     """The classes (m,) of points (m, 3), with :data:`NEIGHBOUR_CLASS` where they are another building's, and with class
     building where a roof has class ground. point_m: in and around the footprint ``rings``, z above the ground."""
-    result = classification
     if not len(rings) or not len(point_m):
-        return result
+        return classification
     polygon = shapely.Polygon(rings[0], rings[1:])
     inside = shapely.contains_xy(polygon, point_m[:, 0], point_m[:, 1])
-    roof = inside & (classification == GROUND_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
-    if roof.any():
-        beside = ~inside & (classification == GROUND_CLASS)
-        if beside.any():
-            nearest = cKDTree(point_m[beside, :2]).query(point_m[roof, :2])[1]
-            roof[roof] = point_m[roof, 2] > point_m[beside, 2][nearest] + MIN_HEIGHT_M
-        result = np.where(roof, np.uint8(BUILDING_CLASS), result)
-    beyond = np.flatnonzero(~inside & (result == BUILDING_CLASS))
-    is_own = inside & (result == BUILDING_CLASS)
-    if len(beyond) < RULES.num_points or not is_own.any():
-        return result
-    depth_m = np.zeros(len(point_m))
-    depth_m[inside] = shapely.distance(polygon.boundary, shapely.points(point_m[inside, :2]))
-    strip = np.flatnonzero(is_own & (depth_m <= RULES.strip_m))
-    within = np.flatnonzero(is_own & (depth_m > RULES.strip_m))
-    if len(within) < RULES.num_points:
-        within = np.flatnonzero((depth_m > RULES.strip_m) & ~np.isin(classification, PLANT_CLASSES))
-    if len(strip) == 0 or len(within) < RULES.num_points:
-        return result
-    other_z = _surface(point_m[beyond], point_m[strip])
-    strip, other_z = strip[np.isfinite(other_z)], other_z[np.isfinite(other_z)]
-    own_z, z = _surface(point_m[within], point_m[strip]), point_m[strip, 2]
-    off_own, off_other = np.abs(z - own_z), np.abs(z - other_z)
-    continues = (off_other < RULES.on_m) & (off_own > 2 * RULES.on_m)
-    is_wall = (z > own_z + 2 * RULES.on_m) & (z < other_z) & (depth_m[strip] < RULES.wall_m)
-    theirs = (np.abs(other_z - own_z) > RULES.step_m) & (continues | is_wall)
-    if theirs.any():
-        result = result.copy()
-        result[strip[theirs]] = NEIGHBOUR_CLASS
-    return result
+    result = _with_roofs_as_ground(inside, point_m, classification)
+    theirs = _theirs(polygon, inside, point_m, result)
+    return np.where(theirs, np.uint8(NEIGHBOUR_CLASS), result) if theirs.any() else result
 
 
-def _surface(point_m: np.ndarray, place_m: np.ndarray) -> np.ndarray:
-    """The height at places (n, 2 or more) of the plane of the points (m, 3) nearest to each, (n,); NaN where they do
-    not show one."""
-    result = np.full(len(place_m), np.nan)
-    reach_m, near = cKDTree(point_m[:, :2]).query(place_m[:, :2], RULES.num_points)
-    is_near = reach_m[:, RULES.num_near] < RULES.reach_m
-    near, place_m = near[is_near], place_m[is_near]
-    around = point_m[near] - np.column_stack([place_m[:, :2], np.zeros(len(place_m))])[:, None]
-    design = np.concatenate([around[:, :, :2], np.ones((*near.shape, 1))], axis=2)
-    z = around[:, :, 2]
-    level = np.median(z, axis=1)
-    value = np.column_stack([np.zeros((len(z), 2)), level])
-    # a slope needs some points, but few points in a line show none across it
-    prior = np.diag([0.5, 0.5, 1e-6])
-    for _ in range(RULES.num_rounds):
-        off_m = np.abs(z - (design @ value[:, :, None])[:, :, 0])
-        weighted = (design / np.maximum(off_m, RULES.noise_m)[:, :, None]).transpose(0, 2, 1)
-        right = weighted @ (z - level[:, None])[:, :, None]
-        value = np.linalg.solve(weighted @ design + prior, right)[:, :, 0]
-        value[:, 2] += level
-    is_steep = np.hypot(value[:, 0], value[:, 1]) >= RULES.steepest
-    result[is_near] = np.where(is_steep, np.nan, value[:, 2])
+def _with_roofs_as_ground(inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray) -> np.ndarray:
+    """The classes (m,) with class building for points inside of class ground that are above the ground beside."""
+    is_ground = classification == GROUND_CLASS
+    roof = inside & is_ground & (point_m[:, 2] >= MIN_HEIGHT_M)
+    if not roof.any():
+        return classification
+    beside = ~inside & is_ground
+    if beside.any():
+        nearest = cKDTree(point_m[beside, :2]).query(point_m[roof, :2])[1]
+        roof[roof] = point_m[roof, 2] > point_m[beside, 2][nearest] + MIN_HEIGHT_M
+    return np.where(roof, np.uint8(BUILDING_CLASS), classification)
+
+
+def _theirs(
+    polygon: shapely.Polygon, inside: np.ndarray, point_m: np.ndarray, classification: np.ndarray
+) -> np.ndarray:
+    """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
+    result = np.zeros(len(point_m), bool)
+    is_built = classification == BUILDING_CLASS
+    margin_m = RULES.strip_m + RULES.core_m
+    core, border = polygon.buffer(-margin_m).buffer(RULES.core_m), polygon.boundary
+    if core.is_empty or (is_built & ~inside).sum() < RULES.num_points:
+        return result
+    shapely.prepare([core, border])
+    place = np.asarray(shapely.points(point_m[:, :2]))
+    is_strip = inside & shapely.dwithin(border, place, RULES.strip_m)
+    is_strip[is_strip] = shapely.dwithin(core, place[is_strip], 2 * RULES.strip_m)
+    # where all that has class building is in the strip, the classifier may have missed the building itself
+    unknown = np.where(is_built & is_strip, np.uint8(UNCLASSIFIED_CLASS), classification)
+    is_own = inside & (is_built & is_strip | points_on_building(polygon, point_m, unknown))
+    band = np.flatnonzero(is_built & ~inside | is_own & shapely.dwithin(border, place, RULES.band_m))
+    beyond, near = ~inside[band], is_strip[band]
+    deep, band_m = np.flatnonzero(~beyond & ~near), point_m[band]
+    if not len(deep) or not near.any():
+        return result
+    count = min(RULES.num_near, len(deep))
+    _, nearest = cKDTree(band_m[deep, :2]).query(band_m[:, :2], count)
+    beside_m = band_m[deep[nearest.reshape(len(band), count)]]
+    step_m = np.abs(band_m[:, 2] - np.median(beside_m[:, :, 2], axis=1))
+    if (step_m[near] > RULES.step_m).sum() < RULES.num_points:
+        return result
+    ring_m2 = polygon.buffer(RULES.strip_m).area - polygon.buffer(-RULES.band_m).area
+    density = max(len(band) / ring_m2, _DETECTION.sparse_per_m2)
+    found = detect(band_m, density, (), _DETECTION)
+    label, is_deep = found.label, ~beyond & ~near
+    is_theirs = np.zeros(len(band), bool)
+    for number in range(len(found.plane)):
+        on = label == number
+        mine = on & near
+        if not mine.any() or (on & beyond).sum() < RULES.num_points:
+            continue
+        if (on & is_deep).sum() > RULES.deep_share * mine.sum():
+            continue
+        other_m = beside_m[mine].reshape(-1, 3)
+        off_m = height_over(found.plane, np.full(len(other_m), number), other_m[:, :2]) - other_m[:, 2]
+        if np.median(np.abs(off_m)) > RULES.step_m:
+            is_theirs |= on
+    if not is_theirs.any():
+        return result
+    on_wall = near & (label < 0) & shapely.dwithin(border, place[band], RULES.wall_m)
+    far_m, nearest = cKDTree(band_m[is_theirs, :2]).query(band_m[:, :2])
+    top_m = height_over(found.plane, label[is_theirs][nearest], band_m[:, :2]) + RULES.on_m
+    is_below = (far_m < RULES.strip_m) & (band_m[:, 2] < top_m)
+    result[band] = near & is_theirs | on_wall & is_below
     return result

@@ -14,8 +14,6 @@ from scipy.spatial import cKDTree
 from p2wss.fit.settings import Detection
 from p2wss.skeleton.compiled import entry, inner
 
-_NUM_ROUNDS = 3
-
 
 @dataclass(frozen=True)
 class RoofPlanes:
@@ -74,7 +72,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         rough_m = np.sqrt(np.maximum(spread[:, 0], 0))
         order = np.argsort(rough_m, kind="stable")
         plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
-    for _ in range(_NUM_ROUNDS):
+    for _ in range(settings.num_rounds):
         if not len(plane):
             break
         label = _reassigned(point_m, plane, label, neighbour, settings.distance_m)
