@@ -39,10 +39,10 @@ class Rules:
     wall_m: float = 0.6
     band_m: float = 2.5
     core_m: float = 0.5
-    step_m: float = 1.0
+    step_m: float = 0.7
     num_near: int = 4
     on_m: float = 0.25
-    num_points: int = 5
+    num_points: int = 3
     deep_share: float = 0.1
 
 
@@ -87,6 +87,7 @@ def _theirs(
     """Mask (m,) of the points of other buildings, of those ``inside`` the footprint."""
     result = np.zeros(len(point_m), bool)
     is_built = classification == BUILDING_CLASS
+    is_built |= ~inside & (classification == UNCLASSIFIED_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
     margin_m = RULES.strip_m + RULES.core_m
     core, border = polygon.buffer(-margin_m).buffer(RULES.core_m), polygon.boundary
     if core.is_empty or (is_built & ~inside).sum() < RULES.num_points:
