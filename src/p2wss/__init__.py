@@ -174,10 +174,11 @@ def fetch(
 
     Raises :class:`InputError` for a box that is not in ``crs``, and if a service does not answer.
     """
-    from p2wss.config import as_config
+    from p2wss.config import IGN, Config, load
     from p2wss.fetch.area import fetch_area
 
-    return fetch_area(bbox, crs, Path(folder), as_config(config))
+    settings = config if isinstance(config, Config) else load(IGN, config or {})
+    return fetch_area(bbox, crs, Path(folder), settings)
 
 
 def roof(

@@ -25,6 +25,7 @@ COMMANDS = {
     "Commands": {
         "demo": "reconstruct a small drawn town: a first run that needs no data",
         "reconstruct": "reconstruct buildings from your own LiDAR and footprints",
+        "scene": "a place on the map as a scene for radar: fetch its data, reconstruct it",
         "view": "show buildings of any CityJSON file in 3D, in a browser",
         "outlines": "derive building outlines from LiDAR, without footprints",
         "evaluate": "measure the buildings of a CityJSON file of any program against LiDAR",

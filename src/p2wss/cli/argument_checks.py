@@ -33,7 +33,7 @@ def check(
 
 
 def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
-    _check_folder(out)
+    check_folder(out)
     outputs = config.reconstruct.outputs
     if any(name not in TABLES_AND_MODELS for name in outputs):
         return
@@ -49,7 +49,7 @@ def _check_outputs(out: Path, terrain: Path | None, config: Config) -> None:
             log.warning("warning: --%s has no effect on files: none of %s is a mesh format", name, names)
 
 
-def _check_folder(out: Path) -> None:
+def check_folder(out: Path) -> None:
     """Raise :class:`InputError` if ``out`` is not a folder, or no file can be written there."""
     folder = existing_folder(out)
     if not folder.is_dir():

@@ -28,7 +28,12 @@ class Option(click.Option):
 
 
 class Command(click.Command):
-    """A command, whose parameter ``config`` is the config of ``--config`` and of the options for its settings."""
+    """A command, whose parameter ``config`` is the config of ``--config`` and of the options for its settings, over
+    ``defaults``: those of this command alone."""
+
+    def __init__(self, *args: Any, defaults: dict[str, Any] | None = None, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.defaults = defaults or {}
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the arguments. Raises :class:`InputError` that names the setting with an invalid value."""
@@ -37,7 +42,7 @@ class Command(click.Command):
         if "config" in ctx.params and not ctx.resilient_parsing:
             settings = [(option.key, ctx.params.pop(str(option.name))) for option in options if option.key]
             stated = [_document(key, value) for key, value in settings if value is not None]
-            ctx.params["config"] = load(*ctx.params["config"], *stated)
+            ctx.params["config"] = load(self.defaults, *ctx.params["config"], *stated)
         return rest
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -97,14 +102,15 @@ def file_option(name: str, help: str, required: bool = True, takes_list: bool = 
 
 
 def setting(key: str, *names: str, more: bool = True, **options: Any) -> Decorator[Any]:
-    """Add an option that overrides the setting ``key``, with the name, the type and the description of the key."""
+    """Add an option that overrides the setting ``key``, with the name, the type, the description and the default of
+    the key; ``default`` where the command has another one."""
     *sections, last = key.split(".")
     section: Any = Config
     for name in sections:
         section = section.model_fields[name].annotation
     field = section.model_fields[last]
     name = f"--{last.replace('_', '-')}"
-    kind, default = field.annotation, field.default
+    kind, default = field.annotation, options.pop("default", field.default)
     if kind is bool:
         name, default = f"{name}/--no-{name[2:]}", str(default).lower()
     elif get_origin(kind) is Literal:

@@ -11,7 +11,7 @@ from p2wss.config.crops import Crops
 from p2wss.config.dataset import Dataset, Member
 from p2wss.config.dvae import Dvae
 from p2wss.config.eval import Eval
-from p2wss.config.fetch import Fetch, Folder, Geoplateforme, Prepare
+from p2wss.config.fetch import IGN, Fetch, Folder, Geoplateforme, Prepare
 from p2wss.config.load import as_config, load, section_json
 from p2wss.config.model import Augmentation, Decoding, LossWeights, Masking, Model, ModelOptimiser
 from p2wss.config.places import (
@@ -40,6 +40,7 @@ from p2wss.config.training import Compute, Optimiser
 __all__ = [
     "ALL",
     "CLASSES_ALONE",
+    "IGN",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",
     "TABLES_AND_MODELS",

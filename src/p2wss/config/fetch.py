@@ -9,6 +9,9 @@ from pydantic import Field
 from p2wss.config.base import Section
 from p2wss.config.reconstruct import SchemaName
 
+# the source of a place that a user names, unless the user names another one
+IGN = {"fetch": {"source": "geoplateforme"}}
+
 
 class Folder(Section):
     """Source folder: files on disk."""

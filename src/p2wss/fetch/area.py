@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,15 +10,14 @@ import pyproj
 
 from p2wss.config import Config
 from p2wss.data.terrain import write_terrain
-from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
+from p2wss.data.tiling import Bounds, are_near, grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch.bdtopo import write_footprints
 from p2wss.fetch.cloud import write_cloud
 from p2wss.fetch.source import delivery_window, known_height_share, open_source, read_buildings
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 
-# points and heights around the buildings at the border
-_MARGIN_M = 32.0
+log = logging.getLogger("p2wss")
 
 
 class Fetched(NamedTuple):
@@ -33,20 +33,23 @@ def fetch_area(bbox: Bounds, crs: str, folder: Path, config: Config) -> Fetched:
     bounds = bounds_in_region(bbox, crs, config.region.crs)
     region = config.region.model_copy(update={"bounds_m": bounds})
     source = open_source(region, config.fetch, folder / "downloads")
-    around = grown(bounds, _MARGIN_M)
     frame = read_buildings(source, region, config.fetch, bounds, f"{_text(bounds)} of {region.crs}")
+    log.info("%d buildings from %s", len(frame), source.name)
+    west, south, east, north = frame.total_bounds.tolist()  # a building at the border is fetched whole
+    whole = min(bounds[0], west), min(bounds[1], south), max(bounds[2], east), max(bounds[3], north)
+    around = grown(whole, config.fetch.margin_m)
     facts = files.provenance(crs=region.crs, bounds_m=list(bounds))
-    result = Fetched(folder / "footprints.gpkg", folder / "terrain.tif", [])
+    result = Fetched(folder / "footprints.gpkg", folder / "terrain.tif", [folder / "lidar.laz"])
     write_footprints(result.footprints, frame, facts)
     terrain = source.dtm(around)
     known_height_share(terrain, bounds, f"terrain of {_text(bounds)}")
     write_terrain(result.terrain, terrain, region.crs, facts)
     cloud_crs, window = delivery_window(region, config.fetch, around)
-    for tile in tiles_of_bounds(bounds, region.tile_size_m):
-        paths = source.lidar(tile_bounds(tile, region.tile_size_m))
-        path = folder / f"lidar_{tile}.laz"
-        write_cloud(path, paths, window, cloud_crs, link=False)
-        result.clouds.append(path)
+    tiles = [tile_bounds(tile, region.tile_size_m) for tile in tiles_of_bounds(whole, region.tile_size_m)]
+    # a file may be of several tiles
+    paths = dict.fromkeys(path for tile in tiles for path in source.lidar(tile))
+    num_points = write_cloud(result.clouds[0], list(paths), window, cloud_crs)
+    log.info("%d points from %s", num_points, ", ".join(path.name for path in paths))
     return result
 
 
@@ -71,8 +74,27 @@ def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
 def bounds_of_bbox(bbox: Bounds, crs: str) -> Bounds:
     """A box in metres of a projected CRS, from one in it or in degrees of longitude and latitude, as which no box in
     metres can pass that is not at the origin of the CRS. Raises :class:`InputError` for one that is neither."""
-    in_degrees = max(map(abs, bbox[::2])) <= 180 and max(map(abs, bbox[1::2])) <= 90
-    return bounds_in_region(bbox, "EPSG:4326" if in_degrees else crs, crs)
+    if max(map(abs, bbox[::2])) > 180 or max(map(abs, bbox[1::2])) > 90:
+        return bounds_in_region(bbox, crs, crs)
+    area = pyproj.CRS.from_user_input(crs).area_of_use
+    if area is not None and not are_near(area.bounds, bbox, 0):
+        raise InputError(
+            f"{_text(bbox)}: degrees (longitude, latitude) outside {area.name}, where {crs} is used"
+        )
+    return bounds_in_region(bbox, "EPSG:4326", crs)
+
+
+def bounds_around(place: str, radius_m: float, crs: str) -> Bounds:
+    """A square of twice ``radius_m`` in a projected CRS around a place: "latitude longitude" in degrees, in the order
+    of maps, or "x y" in metres of the CRS. Raises :class:`InputError` for anything else."""
+    try:
+        x, y = map(float, place.replace(",", " ").split())
+    except ValueError as error:
+        raise InputError(f'"{place}": state two numbers: latitude longitude, or x y in {crs}') from error
+    if abs(x) <= 90 and abs(y) <= 180:
+        west, south, east, north = bounds_of_bbox((y - 1e-9, x - 1e-9, y + 1e-9, x + 1e-9), crs)
+        x, y = (west + east) / 2, (south + north) / 2
+    return grown((x, y, x, y), radius_m)
 
 
 def _text(bounds: Bounds) -> str:

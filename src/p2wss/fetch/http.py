@@ -16,14 +16,18 @@ import tenacity
 
 from p2wss.config import Geoplateforme
 from p2wss.storage.errors import InputError
+from p2wss.storage.progress import Progress
 
 log = logging.getLogger(__name__)
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
 _NOT_FOUND = {404, 410}
 _LONGEST_PAUSE_S = 60.0
 _CHUNK_BYTES = 1 << 18
-_PROGRESS_BYTES = 50_000_000
 _QUOTE_CHARACTERS = 200
+_OTHERWISE = (
+    "try again later, or set fetch.source: folder with files that you have: fetch.folder.footprints, fetch.folder.dtm"
+    " (terrain) and fetch.folder.lidar"
+)
 Result = TypeVar("Result")
 
 
@@ -65,7 +69,13 @@ class Client:
         """
 
         def attempt(deadline: float) -> None:
-            with self._response(url, {}) as response, path.open("wb") as file:
+            with (
+                self._response(url, {}) as response,
+                path.open("wb") as file,
+                Progress(
+                    path.name, int(response.headers.get("Content-Length", 0)) // 10**6, "MB"
+                ) as progress,
+            ):
                 num_bytes = 0
                 for chunk in _body(response, deadline, self.config.max_download_mb):
                     if num_bytes == 0 and not chunk.startswith(magic):
@@ -73,9 +83,8 @@ class Client:
                             f"{url}: expected a file that begins with {magic!r}, got {quote(chunk)}"
                         )
                     file.write(chunk)
-                    previous, num_bytes = num_bytes, num_bytes + len(chunk)
-                    if num_bytes // _PROGRESS_BYTES > previous // _PROGRESS_BYTES:
-                        log.info(f"{url}: {num_bytes / 1e6:.0f} MB")
+                    num_bytes += len(chunk)
+                    progress.update(num_bytes // 10**6)
 
         self._with_retries(url, attempt)
 
@@ -96,8 +105,7 @@ class Client:
             return retrying(attempt, deadline)
         except TransientError as error:
             raise InputError(
-                f"{url}: {error}, after {retrying.statistics.get('attempt_number', 1)} attempts; "
-                "try again later, or set fetch.source: folder and use files that you already have"
+                f"{url}: {error}, after {retrying.statistics.get('attempt_number', 1)} attempts; {_OTHERWISE}"
             ) from error
 
     @contextmanager
@@ -127,6 +135,9 @@ class Client:
                 f"{url}: its TLS certificate cannot be verified: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
             ) from error
         except requests.RequestException as error:
+            if "Failed to resolve" in str(error):
+                host = urlsplit(url).hostname
+                raise InputError(f"{url}: no network, or no host {host}; {_OTHERWISE}") from error
             raise TransientError(
                 f"{type(error).__name__}: {' '.join(str(error).split())[:_QUOTE_CHARACTERS]}"
             ) from error

@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from p2wss.config import ALL, Config, load
-from p2wss.data.tiling import grown, tile_bounds, tiles_of_bounds
+from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.fetch.source import open_source
 
@@ -34,8 +34,11 @@ class Estimate:
     basis: str
 
 
-def estimate_downloads(config: Config) -> list[Estimate]:
-    """One estimate per product, of what an empty folder of downloads needs; an empty list for files on disk."""
+def estimate_downloads(config: Config, terrain: Sequence[Bounds] | None = None) -> list[Estimate]:
+    """One estimate per product, of what an empty folder of downloads needs; an empty list for files on disk.
+
+    terrain: its windows; by default the tiles with their margins.
+    """
     region, fetch = config.region, config.fetch
     if fetch.source == "folder":
         return []
@@ -44,7 +47,9 @@ def estimate_downloads(config: Config) -> list[Estimate]:
     windows = source.footprint_windows(grown(region.bounds_m, fetch.margin_m))
     counts = [_BUILDINGS_PER_KM2 * (w[2] - w[0]) * (w[3] - w[1]) / 1e6 for w in windows]
     pages = sum(max(1, math.ceil(count / settings.page_size)) for count in counts)
-    maps = [m for tile in tiles(config) for m in source.map_requests(_bounds(config, tile, fetch.margin_m))]
+    if terrain is None:
+        terrain = [_bounds(config, tile, fetch.margin_m) for tile in tiles(config)]
+    maps = [request for window in terrain for request in source.map_requests(window)]
     terrain_mb = sum(4 * m.rows * m.columns for m in maps) / 1e6
     num_clouds = len(lidar_tiles(config))
     return [
@@ -136,5 +141,5 @@ def region_yaml(name: str, bbox: Sequence[float], vintage: str, crs: str, lidar_
     return head + yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
 
 
-def _bounds(config: Config, tile: str, margin_m: float = 0.0) -> tuple[float, float, float, float]:
+def _bounds(config: Config, tile: str, margin_m: float = 0.0) -> Bounds:
     return tile_bounds(tile, config.region.tile_size_m, margin_m)

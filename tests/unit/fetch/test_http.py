@@ -194,9 +194,13 @@ def test_a_certificate_that_does_not_verify_is_not_asked_again(tmp_path: Path) -
         assert len(server.log) == 0
 
 
-def test_a_host_that_does_not_exist_is_an_error_with_the_number_of_attempts() -> None:
-    with pytest.raises(InputError, match="after 2 attempts"):
-        client(max_attempts=2).get("http://no-such-host.invalid/x")
+def test_without_network_the_files_to_give_are_named_at_once() -> None:
+    waits: list[float] = []
+    with pytest.raises(
+        InputError, match=r"no host no-such-host\.invalid; .*fetch\.folder\.footprints"
+    ) as error:
+        client(waits).get("http://no-such-host.invalid/x")
+    assert waits == [] and all(f"fetch.folder.{name}" in str(error.value) for name in ("dtm", "lidar"))
 
 
 def test_connection_lost_in_the_body() -> None:
