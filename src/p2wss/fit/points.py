@@ -15,9 +15,11 @@ _CELL_M = 0.5
 # them, and two points are at least so far above.
 _WALL_CELL_M, _WALL_SHARE, _SAME_HEIGHT_M, _BELOW_TOP_M = 0.6, 0.25, 0.3, 2.0
 
-# Shafts: areas of so many square metres in squares of so many cells, with low points in this share of the cells. Points
-# are low this far below all of so many points on the roof beside them; this quantile of them is the floor.
-_MIN_SHAFT_M2, _COMPACT, _LOW_SHARE = 1.5, 2, 0.3
+# Shafts: areas of so many square metres of discs of this radius, or of this multiple of the distance between points,
+# with low points near to this share of them. Points are low this far below all of so many points on the roof beside
+# them; this quantile of them is the floor.
+_MIN_SHAFT_M2, _SHAFT_RADIUS_M, _NUM_GAPS, _LOW_SHARE = 1.5, 0.6, 2.0, 0.2
+_FLOOR_STEP = 0.7
 _BELOW_ROOF_M, _NUM_BESIDE, _MIN_LOW_POINTS, _FLOOR_QUANTILE = 2.0, 4, 3, 0.2
 
 
@@ -89,42 +91,33 @@ def shaft_points(
         return np.zeros((0, 3))
     nearest = cKDTree(roof_m[:, :2]).query(low_m[:, :2], _NUM_BESIDE)[1]
     low_m = low_m[low_m[:, 2] < roof_m[nearest, 2].min(axis=1) - _BELOW_ROOF_M]
-    gap_m = float((polygon.area / len(roof_m)) ** 0.5)
-    # cells in which a roof has several points
-    cell_m = max(_CELL_M, 2 * gap_m)
-    start = np.floor(point_m[:, :2].min(axis=0)) - 1
-    shape = tuple((np.ceil((point_m[:, :2].max(axis=0) - start) / cell_m) + 2).astype(int))
-    is_open, has_low = np.ones(shape, bool), np.zeros(shape, bool)
-    is_open[tuple(_cells(roof_m, start, cell_m))] = False
-    has_low[tuple(_cells(low_m, start, cell_m))] = True
-    middle = start + cell_m * (np.indices(shape).reshape(2, -1).T + 0.5)
-    is_open &= shapely.contains_xy(polygon, middle[:, 0], middle[:, 1]).reshape(shape)
-    area, count = ndimage.label(ndimage.binary_opening(is_open, np.ones((_COMPACT, _COMPACT), bool)))
+    gap_m = max(float((polygon.area / len(roof_m)) ** 0.5), _CELL_M / 4)
+    start_m, end_m = point_m[:, :2].min(axis=0), point_m[:, :2].max(axis=0)
+    step_m = _FLOOR_STEP * gap_m
+    x, y = np.meshgrid(*(np.arange(a, b, step_m) for a, b in zip(start_m, end_m, strict=True)), indexing="ij")
+    place_m = np.column_stack([x.ravel(), y.ravel()])
+    # a disc without points on the roof, of which each place is part
+    radius_m = max(_SHAFT_RADIUS_M, _NUM_GAPS * gap_m)
+    far_m, _ = cKDTree(roof_m[:, :2]).query(place_m)
+    inside = shapely.contains_xy(polygon, *place_m.T)
+    is_middle = inside & (far_m > radius_m)
+    if not is_middle.any():
+        return np.zeros((0, 3))
+    far_m, _ = cKDTree(place_m[is_middle]).query(place_m)
+    is_open = inside & (far_m < radius_m)
+    area = ndimage.label(is_open.reshape(x.shape))[0].ravel()
+    far_m, nearest = cKDTree(low_m[:, :2]).query(place_m)
+    _, place = cKDTree(place_m).query(low_m[:, :2])
     floors = [np.zeros((0, 3))]
-    of_low = area[tuple(_cells(low_m, start, cell_m))]
-    gap_m = max(gap_m, _CELL_M / 4)
-    for number in range(1, count + 1):
-        cells = area == number
-        num_low = (cells & has_low).sum()
-        if cells.sum() * cell_m**2 < _MIN_SHAFT_M2 or num_low < _LOW_SHARE * cells.sum():
+    for number in range(1, area.max() + 1):
+        places = area == number
+        num_near, low_z = (places & (far_m < radius_m)).sum(), low_m[area[place] == number, 2]
+        if places.sum() * step_m**2 < _MIN_SHAFT_M2 or len(low_z) < _MIN_LOW_POINTS:
             continue
-        corner = start + cell_m * np.argwhere(cells)
-        low, high = corner.min(axis=0), corner.max(axis=0) + cell_m
-        x, y = (
-            each.ravel()
-            for each in np.meshgrid(
-                *(np.arange(a + gap_m / 2, b, gap_m) for a, b in zip(low, high, strict=True))
-            )
-        )
-        floor_m = np.column_stack(
-            [x, y, np.full(len(x), np.quantile(low_m[of_low == number, 2], _FLOOR_QUANTILE))]
-        )
-        floors.append(floor_m[cells[tuple(_cells(floor_m, start, cell_m))]])
+        if num_near >= _LOW_SHARE * places.sum():
+            floor_z = np.quantile(low_z, _FLOOR_QUANTILE)
+            floors.append(np.column_stack([place_m[places], np.full(places.sum(), floor_z)]))
     return np.concatenate(floors)
-
-
-def _cells(point_m: np.ndarray, start: np.ndarray, cell_m: float) -> np.ndarray:
-    return np.floor((point_m[:, :2] - start) / cell_m).astype(np.int64).T
 
 
 def even_order(point_m: np.ndarray) -> np.ndarray:

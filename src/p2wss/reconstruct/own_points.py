@@ -117,12 +117,11 @@ def _theirs(
     is_theirs = np.zeros(len(band), bool)
     for number in range(len(found.plane)):
         on = label == number
-        mine = on & near
-        if not mine.any() or (on & beyond).sum() < RULES.num_points:
+        if (on & beyond).sum() < RULES.num_points:
             continue
-        if (on & is_deep).sum() > RULES.deep_share * mine.sum():
+        if (on & is_deep).sum() > RULES.deep_share * (on & near).sum():
             continue
-        other_m = beside_m[mine].reshape(-1, 3)
+        other_m = beside_m[on].reshape(-1, 3)
         off_m = height_over(found.plane, np.full(len(other_m), number), other_m[:, :2]) - other_m[:, 2]
         if np.median(np.abs(off_m)) > RULES.step_m:
             is_theirs |= on
