@@ -8,9 +8,10 @@ import manifold3d
 import numpy as np
 
 from p2wss.fit.mesh.parametric import kernel_mesh
-from p2wss.fit.mesh.simplification import collapse_vertices, simplified
+from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.roof.fitter import FittedRoof
 from p2wss.mesh import Mesh
+from p2wss.mesh.planar import with_exact_faces
 
 _SHORT_EDGE_M = 1e-2
 
@@ -44,7 +45,7 @@ def union_or_none(
         return None
     if mesh.edge_m.min() >= _SHORT_EDGE_M:
         return mesh
-    merged = collapse_vertices(mesh, _SHORT_EDGE_M)
+    merged = with_exact_faces(mesh, _SHORT_EDGE_M)
     return merged if merged.is_closed else mesh
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from p2wss import __version__
-from p2wss.formats.materials import MATERIALS
+from p2wss.formats.materials import EDITION, MATERIALS
 from p2wss.formats.meshes import Body, Frame, faces_of, material_names
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
@@ -22,12 +22,14 @@ _AXES = "x = easting - origin_m[0], y = height - origin_m[2], z = origin_m[1] - 
 
 
 def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
-    """Bytes of a GLB with one node per mesh below a root node, and one primitive per building and material.
+    """Bytes of a GLB with one node per mesh below a root node, and one primitive per material; all of a
+    mesh share its vertices.
 
     A point (x, y, z) of the CRS has the coordinates (x - x0, z - z0, y0 - y) in the file, with
     ``frame.origin_m`` = (x0, y0, z0). CRS, origin and axes are in the extras of the asset and of the root node, which
     readers keep as properties of an object; the asset's also hold ``facts`` under ``p2wss``. A node's extras hold the
-    ids and materials of its buildings, a primitive's the id of its building, a material's its type in ITU-R P.2040.
+    ids and materials of its buildings; a primitive's, under ``triangles``, pairs of a building's id and how many of its
+    triangles follow; a material's its type in ITU-R P.2040 with the edition.
     """
     place = {"crs": frame.crs, "origin_m": [float(value) for value in frame.origin_m], "axes": _AXES}
     binary = Binary()
@@ -100,17 +102,18 @@ def _primitives(body: Body, frame: Frame, names: Sequence[str], binary: Binary) 
     vertex = np.column_stack([x, z, -y]).astype("<f4")
     bounds = {"min": vertex.min(axis=0).tolist(), "max": vertex.max(axis=0).tolist()}
     position = binary.append(vertex, ARRAY_BUFFER, componentType=FLOAT, type="VEC3", **bounds)
-    pieces: dict[tuple[str, str], list[np.ndarray]] = {}
+    pieces: dict[str, list[tuple[str, np.ndarray]]] = {}
     for faces in faces_of(body):
-        pieces.setdefault((faces.building_id, faces.material), []).append(faces.triangle)
+        pieces.setdefault(faces.material, []).append((faces.building_id, faces.triangle))
     result = []
-    for (building_id, material), triangles in pieces.items():
-        corner = body.mesh.triangle[np.sort(np.concatenate(triangles))].astype("<u4").ravel()
+    for material, parts in pieces.items():
+        rows = np.concatenate([triangle for _, triangle in parts])
+        corner = body.mesh.triangle[rows].astype("<u4").ravel()
         primitive = {
             "attributes": {"POSITION": position},
             "indices": binary.append(corner, ELEMENT_ARRAY_BUFFER, componentType=UNSIGNED_INT, type="SCALAR"),
             "material": names.index(material),
-            "extras": {"building_id": building_id},
+            "extras": {"triangles": [[building_id, len(triangle)] for building_id, triangle in parts]},
         }
         result.append(primitive)
     return result
@@ -137,7 +140,7 @@ def gltf_material(name: str) -> dict[str, Any]:
             "metallicFactor": 0.0,
             "roughnessFactor": 0.9,
         },
-        "extras": {"itu_r_p2040": material.itu_type},
+        "extras": {"itu_r_p2040": material.itu_type, "edition": EDITION},
     }
 
 

@@ -23,7 +23,9 @@ class Material:
     colour: tuple[int, int, int]
 
 
-# the types of ITU-R P.2040-3, table 3, that occur outdoors, and the materials of BD TOPO
+# of the recommendation whose types, table 3, these are
+EDITION = "ITU-R P.2040-3"
+# its types that occur outdoors, and the materials of BD TOPO
 MATERIALS = {
     "concrete": Material("concrete", (186, 184, 178)),
     "brick": Material("brick", (165, 92, 70)),

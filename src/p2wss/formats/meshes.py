@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from p2wss import __version__
-from p2wss.formats.materials import DEFAULTS, MATERIALS
+from p2wss.formats.materials import DEFAULTS, EDITION, MATERIALS
 from p2wss.mesh import Mesh
 from p2wss.mesh.topology import unit_normals
 from p2wss.skeleton.types import FaceKind
@@ -116,10 +116,9 @@ def faces_of(body: Body) -> list[Faces]:
 
 
 def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> bytes:
-    """Wavefront OBJ: one object per mesh, its faces in groups named after their surfaces.
+    """Wavefront OBJ: one object per mesh, its faces by material, with their surfaces and buildings as comments.
 
-    The faces of a mesh of several buildings are also in a group named after the building. library: name of the file
-    with the materials (:func:`mtl`).
+    There are no groups, at which loaders cut a mesh apart. library: name of the file with the materials (:func:`mtl`).
     """
     lines = [
         f"# p2wss {__version__}; metres; x east, y north, z up",
@@ -134,9 +133,8 @@ def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> byt
         lines.append(f"o {_word(body.name)}")
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         material = None
-        for faces in faces_of(body):
-            building = f" {_word(faces.building_id)}" if len(body.buildings) > 1 else ""
-            lines.append(f"g {faces.surface}{building}")
+        for faces in sorted(faces_of(body), key=lambda faces: faces.material):
+            lines.append(f"# {faces.surface} {_word(faces.building_id)}")
             if library is not None and faces.material != material:
                 material = faces.material
                 lines.append(f"usemtl {material}")
@@ -153,7 +151,7 @@ def mtl(bodies: Sequence[Body]) -> bytes:
         red, green, blue = (value / 255 for value in material.colour)
         lines += [
             f"newmtl {name}",
-            f"# ITU-R P.2040: {material.itu_type}",
+            f"# {EDITION}: {material.itu_type}",
             f"Kd {red:.3f} {green:.3f} {blue:.3f}",
             "illum 1",
         ]

@@ -19,7 +19,7 @@ import scipy
 import shapely
 
 from p2wss import __version__
-from p2wss.formats.materials import MATERIALS
+from p2wss.formats.materials import EDITION, MATERIALS
 from p2wss.formats.meshes import AXES, Body, Frame, faces_of, file_names, material_names
 from p2wss.formats.radio_materials import Properties, properties
 from p2wss.mesh import Mesh
@@ -141,7 +141,7 @@ def notes(
         if values.held_from_ghz is not None:
             low, high = values.valid_ghz
             result.append(
-                f"ITU-R P.2040 defines {itu_type} from {low:g} to {high:g} GHz, not at {frequency_ghz:g} GHz"
+                f"{EDITION} defines {itu_type} from {low:g} to {high:g} GHz, not at {frequency_ghz:g} GHz"
                 f" (--frequency-ghz); the scene uses its permittivity at {values.held_from_ghz:g} GHz"
             )
     if not has_terrain:
@@ -257,6 +257,7 @@ def _bsdf(name: str, values: Properties, frequency_ghz: float) -> list[str]:
 def _facts(name: str, values: Properties) -> dict[str, Any]:
     return {
         "itu_r_p2040": MATERIALS[name].itu_type,
+        "edition": EDITION,
         "relative_permittivity": round(values.relative_permittivity, 6),
         "conductivity_s_per_m": round(values.conductivity_s_per_m, 6),
         "valid_ghz": list(values.valid_ghz),

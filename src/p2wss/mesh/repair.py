@@ -1,4 +1,4 @@
-"""Repair solids that violate a rule of ISO 19107, by merging vertices within millimetres."""
+"""Solids as files store them; faces that would violate a rule of ISO 19107 there become triangles."""
 
 from __future__ import annotations
 
@@ -10,13 +10,9 @@ import numpy as np
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
 from p2wss.mesh.rules import WRITING, Breach, breaches
-from p2wss.mesh.topology import NEXT
 
 # files store coordinates as integers of this size: finer than any plane's tolerance, as Roofer does
 SCALE_M = 1e-4
-# ends of an edge that are nearer than this are merged
-_NEAR_M = 2e-3
-_MAX_MERGERS = 40
 
 
 def stored(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
@@ -66,38 +62,3 @@ def _stored_breaches(vertex_m: np.ndarray, surfaces: Sequence[Surface]) -> list[
         (breach, of_grid[breach.face].face if breach.face >= 0 else -1)
         for breach in breaches(grid * SCALE_M, of_grid, WRITING)
     ]
-
-
-def repaired(mesh: Mesh) -> tuple[Mesh, list[Surface]] | None:
-    """The mesh, in the CRS, and its planar polygons, if its solid is valid; else those of the mesh without its shortest
-    edges; None if that is not valid either."""
-    surfaces, broken = surfaces_to_write(mesh)
-    if broken:
-        mesh = _without_shortest_edges(mesh)
-        surfaces, broken = surfaces_to_write(mesh)
-    return None if broken else (mesh, surfaces)
-
-
-def _without_shortest_edges(mesh: Mesh) -> Mesh:
-    """The mesh with the ends of edges up to ``_NEAR_M`` merged, as far as it stays manifold."""
-    for _ in range(_MAX_MERGERS):
-        shortest = int(mesh.edge_m.argmin())
-        if mesh.edge_m.flat[shortest] > _NEAR_M:
-            break
-        ends = mesh.triangle.flat[shortest], mesh.triangle[:, NEXT].flat[shortest]
-        merged = _merged(mesh, min(ends), max(ends))
-        if merged is None:
-            break
-        mesh = merged
-    return mesh
-
-
-def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
-    """The mesh after vertex ``moved`` has moved along an edge to ``end``; None if it would not be manifold."""
-    triangle = mesh.triangle
-    at_end, at_moved = (triangle == end).any(axis=1), (triangle == moved).any(axis=1)
-    gone = at_end & at_moved
-    common = np.intersect1d(triangle[at_end], triangle[at_moved])
-    if gone.sum() != 2 or len(common) != 4:
-        return None
-    return replace(mesh, triangle=np.where(triangle == moved, end, triangle)).part(~gone)

@@ -16,7 +16,7 @@ from p2wss.formats import cityjson
 from p2wss.formats.cityjson import Metadata, Solid
 from p2wss.mesh import Mesh
 from p2wss.mesh.faces import Surface
-from p2wss.mesh.repair import repaired, surfaces_to_write
+from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
 from p2wss.reconstruct.result import Result
 from p2wss.skeleton.types import Polygons
@@ -120,4 +120,6 @@ def _block(result: Result) -> tuple[Mesh, list[Surface]] | None:
     )
     if meshes.status[0] != skeleton.Status.OK:
         return None
-    return repaired(Mesh.of_kernel(meshes, 0).translated(reconstruction.position_m))
+    mesh = Mesh.of_kernel(meshes, 0).translated(reconstruction.position_m)
+    surfaces, broken = surfaces_to_write(mesh)
+    return None if broken else (mesh, surfaces)

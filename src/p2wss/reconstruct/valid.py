@@ -1,4 +1,4 @@
-"""Make the solids of reconstructions valid by the rules of ISO 19107: repair them, or replace them by simpler ones."""
+"""Make the solids of reconstructions exact, and valid by the rules of ISO 19107, or replace them by simpler ones."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from p2wss.data.building import Building, Reconstruction, no_mesh
 from p2wss.fit import fitting
 from p2wss.fit.mesh.walls import REACH_M, with_exact_walls
 from p2wss.mesh import Mesh
-from p2wss.mesh.repair import repaired
+from p2wss.mesh.planar import with_exact_faces
+from p2wss.mesh.repair import surfaces_to_write
 
 # of a row: simpler reconstructions, the best first
 Simpler = Callable[[int], Iterable[Reconstruction]]
@@ -24,10 +25,10 @@ def with_valid_solids(
     simpler: Simpler = lambda row: (),
 ) -> list[Reconstruction]:
     """The reconstructions, all of whose meshes are valid solids once they are stored in a file, with outer walls on the
-    edges of the footprints (:mod:`p2wss.fit.mesh.walls`).
+    edges of the footprints (:mod:`p2wss.fit.mesh.walls`) and exact faces (:mod:`p2wss.mesh.planar`).
 
-    A solid that violates a rule is repaired by moving vertices by millimetres; otherwise it is replaced by the first
-    valid one of ``simpler``; otherwise the building has no mesh, for the reason ``invalid-solid``.
+    A solid that violates a rule is replaced by the first valid one of ``simpler``; otherwise the building has no mesh,
+    for the reason ``invalid-solid``.
     """
     result = list(reconstructions)
     for row, reconstruction in enumerate(reconstructions):
@@ -48,7 +49,11 @@ def _on_footprint(reconstruction: Reconstruction) -> Reconstruction | None:
     if mesh is None:
         return None
     candidates = chain(
-        (with_exact_walls(mesh, reconstruction.rings, reach_m) for reach_m in (REACH_M, 0.0)), [mesh]
+        (
+            with_exact_faces(with_exact_walls(mesh, reconstruction.rings, reach_m))
+            for reach_m in (REACH_M, 0.0)
+        ),
+        [mesh],
     )
     return next(filter(None, (_as_valid_solid(reconstruction, candidate) for candidate in candidates)), None)
 
@@ -66,12 +71,6 @@ def simpler_fits(
 
 
 def _as_valid_solid(reconstruction: Reconstruction, mesh: Mesh) -> Reconstruction | None:
-    """The reconstruction with a mesh if that follows the rules, else with a repaired one, or None."""
-    in_crs = mesh.translated(reconstruction.position_m)
-    valid = repaired(in_crs)
-    if valid is None:
-        return None
-    solid, surfaces = valid
-    if solid is not in_crs:
-        mesh = solid.translated(-reconstruction.position_m)
-    return replace(reconstruction, mesh=mesh, surfaces=surfaces)
+    """The reconstruction with a mesh if that follows the rules, or None."""
+    surfaces, broken = surfaces_to_write(mesh.translated(reconstruction.position_m))
+    return None if broken else replace(reconstruction, mesh=mesh, surfaces=surfaces)

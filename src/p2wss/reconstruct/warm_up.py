@@ -77,12 +77,12 @@ def warm_footprints_and_meshes() -> None:
     from p2wss import skeleton
     from p2wss.clouds.crops import crop_cloud
     from p2wss.mesh import Mesh
-    from p2wss.mesh.repair import repaired
+    from p2wss.mesh.repair import surfaces_to_write
 
     square = skeleton.Polygons.from_rings([[np.array([[0, 0], [8, 0], [8, 8], [0, 8.0]])]])
     crop_cloud(_cloud(np.zeros((1, 3)), np.full(1, 2, np.uint8)), square)
     meshes = skeleton.build(square, np.full(4, 40.0), np.full(1, 5.0))
-    repaired(Mesh.of_kernel(meshes, 0))
+    surfaces_to_write(Mesh.of_kernel(meshes, 0))
 
 
 def warm_network_input() -> None:

@@ -99,14 +99,14 @@ def test_solids_come_back_closed_and_outwards(kind: str, meshes: list[Body], fra
     assert np.array([low, high]) == pytest.approx(expected_bounds, abs=2e-4)
 
 
-def test_names_and_groups_in_obj(meshes: list[Body], frame: Frame) -> None:
+def test_names_and_surfaces_in_obj(meshes: list[Body], frame: Frame) -> None:
     lines = obj(meshes, frame).decode().splitlines()
     assert [line for line in lines if line.startswith("o ")] == ["o house_1", "o courtyard"]
     assert "# crs EPSG:2154" in lines
     assert "# origin_m 652000 6861000 103 (add it to every vertex)" in lines
     num_faces: dict[str, int] = {}
     for line in lines:
-        if line.startswith("g "):
+        if line.startswith("# "):
             name = line.split()[1]
         if line.startswith("f "):
             num_faces[name] = num_faces.get(name, 0) + 1
@@ -126,7 +126,7 @@ def test_open_ground_is_a_surface_of_its_own(frame: Frame) -> None:
     unnamed = faces_of(Body.of_building("yard", row.mesh))
     assert {f.surface: f.material for f in unnamed}["outer_floor"] == "medium_dry_ground"
     lines = obj([mesh], frame, "yard.mtl").decode().splitlines()
-    start = lines.index("g outer_floor")
+    start = lines.index("# outer_floor yard")
     assert lines[start + 1] == "usemtl wet_ground" and "newmtl wet_ground" in mtl([mesh]).decode()
     group = [line.startswith("f ") for line in lines[start + 2 :]]
     assert (group.index(False) if False in group else len(group)) == floor.sum()
@@ -172,7 +172,8 @@ def test_ply_numbers_the_buildings_of_a_mesh_of_several(meshes: list[Body], fram
 
 
 def test_materials_in_obj(meshes: list[Body], frame: Frame) -> None:
-    """A group has the material of its surface, and a mesh of two buildings has groups of each."""
+    """Faces have the material of their surface, and comments state these and the buildings; each material of an object
+    begins once, and no group cuts it apart."""
     house, courtyard = meshes
     halves = np.arange(len(courtyard.mesh.triangle), dtype=np.int32) % 2
     materials = {"wall": "brick", "roof": "tile", "ground": "brick"}
@@ -182,7 +183,8 @@ def test_materials_in_obj(meshes: list[Body], frame: Frame) -> None:
     num_faces: dict[tuple[str, ...], int] = {}
     for line in obj([skin, house], frame, "scene.mtl").decode().splitlines():
         word, *rest = line.split()
-        if word == "g":
+        assert word not in "gs"
+        if word == "#":
             group = tuple(rest)
         if word == "usemtl":
             (material,) = rest
@@ -196,9 +198,9 @@ def test_materials_in_obj(meshes: list[Body], frame: Frame) -> None:
         ("wall", "b"): {"wood"},
         ("roof", "b"): {"concrete"},
         ("ground", "b"): {"concrete"},
-        ("wall",): {"concrete"},
-        ("roof",): {"concrete"},
-        ("ground",): {"concrete"},
+        ("wall", "house_1"): {"concrete"},
+        ("roof", "house_1"): {"concrete"},
+        ("ground", "house_1"): {"concrete"},
     }
     assert num_faces["wall", "b"] == ((skin.mesh.kind == FaceKind.WALL) & (halves == 1)).sum()
     library = mtl([skin, house]).decode().splitlines()
@@ -257,3 +259,26 @@ def test_files_without_meshes_are_valid() -> None:
     assert stl([], frame)[80:] == bytes(4)
     assert b"element face 0" in ply([], frame) and obj([], frame).startswith(b"# p2wss")
     assert glb([], frame, {})[:4] == b"glTF"
+
+
+def test_loaders_keep_each_mesh_whole(meshes: list[Body], frame: Frame) -> None:
+    """A building, and a block of two, are one closed mesh each for trimesh, in OBJ and GLB."""
+    house, courtyard = meshes
+    halves = np.arange(len(courtyard.mesh.triangle), dtype=np.int32) % 2
+    skin = replace(courtyard, name="block", building=halves, buildings=(BuildingRef("a"), BuildingRef("b")))
+    for kind, content in (
+        ("obj", obj([house, skin], frame, "x.mtl")),
+        ("glb", glb([house, skin], frame, {})),
+    ):
+        options = {"split_objects": True} if kind == "obj" else {}
+        loaded = trimesh.load_scene(BytesIO(content), file_type=kind, **options)
+        sizes = sorted(len(mesh.faces) for mesh in loaded.geometry.values())
+        assert sizes == sorted(len(body.mesh.triangle) for body in (house, skin)), kind
+        assert all(mesh.is_watertight for mesh in loaded.geometry.values()), kind
+    tree = json.loads(glb_json(glb([skin], frame, {})))
+    (primitive,) = tree["meshes"][0]["primitives"]
+    num_triangles: dict[str, int] = {}
+    for building_id, number in primitive["extras"]["triangles"]:
+        num_triangles[building_id] = num_triangles.get(building_id, 0) + number
+    assert num_triangles == {"a": int((halves == 0).sum()), "b": int((halves == 1).sum())}
+    assert tree["materials"][0]["extras"]["edition"] == "ITU-R P.2040-3"

@@ -222,7 +222,7 @@ def test_materials_at_a_frequency(
     plain = [name for name, values in scene.materials.items() if values["kind"] == "itu-radio-material"]
     suffix = f"-{round(frequency_ghz * 1000)}-MHz"
     assert sorted(scene.materials) == sorted(plain + [f"mat-{name}{suffix}" for name in constant])
-    about = [note for note in scene.facts["notes"] if note.startswith("ITU-R P.2040 defines ")]
+    about = [note for note in scene.facts["notes"] if note.startswith("ITU-R P.2040-3 defines ")]
     assert sorted(note.split()[3] for note in about) == sorted(constant)
     assert scene.facts["frequency_ghz"] == frequency_ghz
 

@@ -158,7 +158,7 @@ def test_four_houses_around_a_point(heights: tuple[float, ...]) -> None:
 
 
 @given(
-    heights=st.lists(st.sampled_from([3.0, 3.04, 3.3, 4.0, 5.0]), min_size=12, max_size=12),
+    heights=st.lists(st.sampled_from([3.0, 3.06, 3.3, 4.0, 5.0]), min_size=12, max_size=12),
     roofs=st.lists(st.sampled_from([0, 30, 45, 90]), min_size=12, max_size=12),
     cuts=st.lists(st.floats(0.3, 2.7), min_size=6, max_size=6),
     turn_deg=st.floats(0, 90),

@@ -15,6 +15,7 @@ from p2wss.data.building import Building, Reconstruction
 from p2wss.fit import fitting
 from p2wss.mesh import Mesh
 from p2wss.mesh.repair import surfaces_to_write
+from p2wss.mesh.rules import Breach
 from p2wss.reconstruct import valid
 from p2wss.reconstruct.product import reconstruct_buildings
 from p2wss.reconstruct.valid import simpler_fits, with_valid_solids
@@ -102,6 +103,6 @@ def test_the_product_falls_back_to_a_flat_roof_with_the_reason(monkeypatch: pyte
     assert (flat.method, flat.status) == ("lod1", reasons.INVALID_SOLID)
     assert flat.has_mesh and flat.eave_height_m == pytest.approx(6.0)
     # nothing is valid
-    monkeypatch.setattr(valid, "repaired", lambda mesh: None)
+    monkeypatch.setattr(valid, "surfaces_to_write", lambda mesh: ([], [Breach(302)]))
     (none,) = reconstruct_buildings([building()], None, Reconstruct())
     assert not none.has_mesh and none.status == reasons.INVALID_SOLID

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from math import dist
-from operator import mul, sub
-
 import manifold3d
 import numpy as np
 
@@ -41,11 +38,10 @@ def simplified(vertex_m: np.ndarray, triangle: np.ndarray) -> Mesh | None:
     return mesh if (mesh.num_planes_at >= 3).all() else collapse_vertices(mesh)
 
 
-def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
-    """The mesh without the vertices in only two planes, which lie within a straight edge, and after vertices have moved
-    along edges shorter than ``short_m`` to their other ends."""
-    vertex_m, triangle = mesh.vertex_m, mesh.triangle
-    rows, place, plane_of = dict(enumerate(triangle.tolist())), vertex_m.tolist(), mesh.label.tolist()
+def collapse_vertices(mesh: Mesh) -> Mesh:
+    """The mesh without the vertices in only two planes, which lie within a straight edge."""
+    vertex_m = mesh.vertex_m
+    rows, plane_of = dict(enumerate(mesh.triangle.tolist())), mesh.label.tolist()
     kind_of = mesh.kind.tolist()
     normal_of = _plane_normals(mesh)
     around: dict[int, set[int]] = {}
@@ -53,35 +49,22 @@ def collapse_vertices(mesh: Mesh, short_m: float = 0.0) -> Mesh:
         for v in corners:
             around.setdefault(v, set()).add(t)
     for v in sorted(around):
-        if len({plane_of[t] for t in around[v]}) == 2:
-            filled = _without_straight_vertex(vertex_m, rows, around, plane_of, normal_of, v)
-            if filled is not None:
-                for t in sorted(around.pop(v)):
-                    for w in rows.pop(t):
-                        if w != v:
-                            around[w].discard(t)
-                for like, corners in filled:
-                    t = len(plane_of)
-                    rows[t] = corners
-                    plane_of.append(plane_of[like])
-                    kind_of.append(kind_of[like])
-                    normal_of.append(normal_of[like])
-                    for w in corners:
-                        around[w].add(t)
-                continue
-        if not short_m:
+        if len({plane_of[t] for t in around[v]}) != 2:
             continue
-        for end in sorted({w for t in around[v] for w in rows[t]} - {v}):
-            if dist(place[v], place[end]) < short_m and _can_move(place, rows, around, normal_of, v, end):
-                for t in around.pop(v):
-                    if end in rows[t]:
-                        for w in rows.pop(t):
-                            if w != v:
-                                around[w].discard(t)
-                    else:
-                        rows[t] = [end if w == v else w for w in rows[t]]
-                        around[end].add(t)
-                break
+        filled = _without_straight_vertex(vertex_m, rows, around, plane_of, normal_of, v)
+        if filled is not None:
+            for t in sorted(around.pop(v)):
+                for w in rows.pop(t):
+                    if w != v:
+                        around[w].discard(t)
+            for like, corners in filled:
+                t = len(plane_of)
+                rows[t] = corners
+                plane_of.append(plane_of[like])
+                kind_of.append(kind_of[like])
+                normal_of.append(normal_of[like])
+                for w in corners:
+                    around[w].add(t)
     remaining = list(rows)
     used, index = np.unique(np.array(list(rows.values()), int), return_inverse=True)
     kind, label = np.array(kind_of, np.uint8)[remaining], np.array(plane_of, np.int32)[remaining]
@@ -137,29 +120,3 @@ def _plane_normals(mesh: Mesh) -> list[list[float]]:
     total = np.zeros((mesh.label.max() + 1, 3))
     np.add.at(total, mesh.label, mesh.doubled_m2)
     return total[mesh.label].tolist()
-
-
-def _can_move(
-    place: list[list[float]],
-    rows: dict[int, list[int]],
-    around: dict[int, set[int]],
-    normal_of: list[list[float]],
-    v: int,
-    end: int,
-) -> bool:
-    """Whether the mesh stays a manifold, and no triangle turns over, if ``v`` moves to ``end``."""
-    near_v, near_end = ({w for t in around[u] for w in rows[t]} - {v, end} for u in (v, end))
-    if len(near_v & near_end) != 2:
-        return False
-    for t in around[v]:
-        if end not in rows[t]:
-            after = _normal(*(place[end if w == v else w] for w in rows[t]))
-            if sum(x * x for x in after) < _NO_AREA_M2**2 or sum(map(mul, after, normal_of[t])) < 0:
-                return False
-    return True
-
-
-def _normal(a: list[float], b: list[float], c: list[float]) -> tuple[float, float, float]:
-    """The normal of a triangle; for three vertices numpy would take ten times as long."""
-    (ux, uy, uz), (vx, vy, vz) = map(sub, b, a), map(sub, c, a)
-    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from p2wss.mesh import Mesh
+from p2wss.mesh.planar import with_exact_faces
 from p2wss.reconstruct.skin.noding import node
 from p2wss.reconstruct.skin.party_walls import NotJoined, without_common
 from p2wss.reconstruct.skin.solids import (
@@ -103,5 +104,6 @@ def _skin(
 ) -> Skin:
     mesh, building = triangulated(point, [replace(face, label=number) for number, face in enumerate(faces)])
     vertex_m, triangle = sheets(mesh.vertex_m, mesh.triangle)
-    mesh = replace(mesh, vertex_m=vertex_m + origin, triangle=triangle.astype(np.int32))
-    return Skin(tuple(building_ids), mesh, building, failure)
+    exact = with_exact_faces(replace(mesh, vertex_m=vertex_m, triangle=triangle.astype(np.int32)))
+    building = np.array([face.building for face in faces], np.int32)[exact.label]
+    return Skin(tuple(building_ids), exact.translated(origin), building, failure)

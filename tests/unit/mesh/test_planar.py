@@ -1,0 +1,79 @@
+"""Roofs become planes to the micrometre, and short edges go, without a wall that moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kernel_unions import union
+
+from p2wss import skeleton
+from p2wss.fit.roof.fitter import FittedRoof
+from p2wss.mesh import Mesh
+from p2wss.mesh.planar import SHORT_EDGE_M, with_exact_faces
+from p2wss.skeleton import FaceKind, Polygons
+
+RING = np.array([[0, 0], [12, 0], [12, 8], [0, 8]], float)
+
+
+def hip() -> Mesh:
+    meshes = skeleton.build(Polygons.from_rings([[RING]]), np.full(4, 40.0), np.array([5.0]))
+    return Mesh.of_kernel(meshes, 0)
+
+
+def boxes(step_m: float) -> Mesh:
+    """Two level roofs side by side, the second higher by ``step_m``."""
+    halves = [RING * [0.5, 1], RING * [0.5, 1] + [6, 0]]
+    levels = (5.0, 5.0 + step_m)
+    return union([FittedRoof([xy], np.full(4, 90.0), z, 0.0) for xy, z in zip(halves, levels, strict=True)])
+
+
+def furthest_m(mesh: Mesh) -> float:
+    """How far a vertex is from the plane of least squares of its face."""
+    result = 0.0
+    for surface in mesh.surfaces:
+        corner_m = mesh.vertex_m[np.concatenate(surface.rings)]
+        corner_m = corner_m - corner_m.mean(axis=0)
+        result = max(result, float(np.abs(corner_m @ np.linalg.svd(corner_m)[2][2]).max()))
+    return result
+
+
+def test_bent_roofs_become_planes_and_nothing_moves_in_plan() -> None:
+    mesh = hip()
+    bent = mesh.vertex_m.copy()
+    bent[bent[:, 2] > 1, 2] += np.random.default_rng(0).uniform(-9e-3, 9e-3, (bent[:, 2] > 1).sum())
+    exact = with_exact_faces(mesh.moved(bent))
+    assert furthest_m(mesh.moved(bent)) > 2e-4 and furthest_m(exact) < 1e-6
+    assert (exact.vertex_m[:, :2] == bent[:, :2]).all() and np.abs(exact.vertex_m - bent).max() < 0.02
+    assert (exact.vertex_m[bent[:, 2] == 0, 2] == 0).all()
+
+
+def test_planes_stay_as_they_are_to_the_bit() -> None:
+    mesh = hip()
+    assert with_exact_faces(mesh) is mesh
+
+
+def test_roofs_bent_by_more_than_centimetres_stay() -> None:
+    mesh = hip()
+    bent = mesh.vertex_m.copy()
+    bent[int(np.argmax(bent[:, 2]))] += [0, 0, 0.5]
+    assert with_exact_faces(mesh.moved(bent)).vertex_m.tolist() == bent.tolist()
+
+
+@pytest.mark.parametrize(("step_m", "stays"), [(0.02, False), (0.04, False), (0.08, True)])
+def test_a_low_step_between_level_roofs_goes_and_they_stay_level(step_m: float, stays: bool) -> None:
+    mesh = boxes(step_m)
+    exact = with_exact_faces(mesh)
+    assert exact.is_closed and exact.volume_m3 == pytest.approx(mesh.volume_m3, rel=1e-3)
+    assert (exact.edge_m.min() > SHORT_EDGE_M) and furthest_m(exact) < 1e-5
+    roof_z_m = exact.corner_m[exact.kind == FaceKind.FLAT, :, 2]
+    assert len(set(np.round(roof_z_m, 3).ravel())) == (2 if stays else 1)
+    wall = exact.doubled_m2[exact.kind == FaceKind.WALL]
+    assert np.abs(wall[:, 2]).max() == 0.0
+
+
+def test_a_notch_of_the_footprint_stays() -> None:
+    """An edge of 3 cm between two walls: moving an end would turn a wall."""
+    ring = np.array([[0, 0], [12, 0], [12, 4], [12.03, 4], [12.03, 8], [0, 8]])
+    meshes = skeleton.build(Polygons.from_rings([[ring]]), np.full(6, 90.0), np.array([5.0]))
+    mesh = Mesh.of_kernel(meshes, 0)
+    assert with_exact_faces(mesh) is mesh and mesh.edge_m.min() == pytest.approx(0.03)
