@@ -96,11 +96,13 @@ def edges_of(vertex_m: np.ndarray, triangle: np.ndarray, building: np.ndarray) -
     length_m = np.linalg.norm(along, axis=1)
     sine = (np.cross(normal[left], normal[right]) * along).sum(axis=1) / length_m
     turn_deg = np.degrees(np.arctan2(sine, (normal[left] * normal[right]).sum(axis=1)))
-    low_m = np.minimum(twice_m2[left], twice_m2[right]) / length_m
+    # a corner that moves turns a triangle by so much at most, by its least height
+    side_m = np.linalg.norm(corner - np.roll(corner, -1, axis=1), axis=2)
+    blurred_deg = np.degrees(np.arctan2(ROUNDED_M, twice_m2 / side_m.max(axis=1)))
     return Edges(
         vertex_m[np.column_stack([start, end])],
         turn_deg,
-        np.degrees(np.arctan2(ROUNDED_M, low_m)),
+        blurred_deg[left] + blurred_deg[right],
         building[left] != building[right],
     )
 
@@ -109,8 +111,10 @@ def new_folds(skin: Edges, parts: Edges) -> np.ndarray:
     """Which edges of a skin, bool (e,), are folds where the parts have none."""
     result = skin.folds
     rows = np.flatnonzero(result)
-    lines = shapely.linestrings(parts.end_m[parts.folds])
-    ends = parts.end_m[parts.folds]
+    # beside thin triangles, an edge of the parts may be a fold or not
+    turn_deg = np.abs(parts.turn_deg)
+    ends = parts.end_m[(turn_deg + parts.blur_deg > FOLD_DEG[0]) & (turn_deg - parts.blur_deg < FOLD_DEG[1])]
+    lines = shapely.linestrings(ends)
     middle = skin.end_m[rows].mean(axis=1)
     place, line = shapely.STRtree(lines).query(shapely.points(middle[:, :2]), "dwithin", SAME_M)
     along = ends[line, 1] - ends[line, 0]
@@ -122,29 +126,26 @@ def new_folds(skin: Edges, parts: Edges) -> np.ndarray:
 
 def wrong_wedges(edges: Edges, table: pd.DataFrame, origin_m: np.ndarray) -> dict[str, int]:
     """Numbers of convex edges that the table lacks, of rows without such an edge, and of angles that are off."""
-    is_convex = edges.turn_deg > WEDGE_DEG
-    end_m, turn_deg, blur_deg = edges.end_m[is_convex], edges.turn_deg[is_convex], edges.blur_deg[is_convex]
     stated = np.stack(
         [table[[f"{axis}{k}_m" for axis in "xyz"]].to_numpy() - origin_m for k in (0, 1)], axis=1
     )
-    # ends in either order; several solids may have an edge at one place
-    tree = cKDTree(end_m.mean(axis=1))
-    pending, extra, off = set(range(len(end_m))), 0, 0
+    tree = cKDTree(edges.end_m.mean(axis=1))
+    is_listed, extra, off = np.zeros(len(edges.end_m), bool), 0, 0
     for ends, angle_deg in zip(stated, table["opening_angle_deg"], strict=True):
         found = []
         for k in tree.query_ball_point(ends.mean(axis=0), SAME_M):
-            gap_m = min(np.abs(end_m[k] - ends).max(), np.abs(end_m[k] - ends[::-1]).max())
-            if k in pending and gap_m < ROUNDED_M:
-                found.append((abs(180 - turn_deg[k] - angle_deg), k))
+            # ends in either order; several solids may have an edge at one place
+            gap_m = min(np.abs(edges.end_m[k] - ends).max(), np.abs(edges.end_m[k] - ends[::-1]).max())
+            if not is_listed[k] and gap_m < ROUNDED_M:
+                found.append((abs(180 - edges.turn_deg[k] - angle_deg), k))
         if not found:
             extra += 1
             continue
         error_deg, nearest = min(found)
-        pending.remove(nearest)
-        off += error_deg > ANGLE_DEG + blur_deg[nearest]
-    # an edge that turns by hardly more or less than the least turn may be either
-    clear = np.abs(turn_deg - WEDGE_DEG) > blur_deg
-    return {"missing": int(clear[sorted(pending)].sum()), "extra": extra, "off": int(off)}
+        is_listed[nearest] = True
+        off += error_deg > ANGLE_DEG + edges.blur_deg[nearest]
+    is_convex = edges.turn_deg > WEDGE_DEG + edges.blur_deg
+    return {"missing": int((is_convex & ~is_listed).sum()), "extra": extra, "off": int(off)}
 
 
 def shells(path: Path) -> Iterator[tuple[np.ndarray, list[list[list[int]]]]]:

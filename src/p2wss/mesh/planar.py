@@ -15,8 +15,8 @@ from p2wss.skeleton.types import FaceKind
 _EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 1e-4, 0.06
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
-# a triangle of no more than this, twice its area in square metres, has no area
-_NO_AREA_M2 = 1e-6
+# a triangle of less height than this has no normal that survives the rounding of a file
+_NO_HEIGHT_M = 1e-3
 # how much more the heights that a slope of a level roof makes count than others; roofs narrower than the second share
 # of their length have no slope across
 _STIFF, _THIN = 100.0, 1e-12
@@ -64,10 +64,10 @@ def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
 
 
 def _faults(mesh: Mesh) -> tuple[int, float]:
-    """How many triangles are turned over or have no area, and how far corners of roofs are from their planes."""
+    """How many triangles are turned over or have no height, and how far corners of roofs are from their planes."""
     planes = mesh.planes
     normal = planes.normal[planes.number]
-    is_turned = (mesh.doubled_m2 * normal).sum(axis=1) < _NO_AREA_M2
+    is_turned = (mesh.doubled_m2 * normal).sum(axis=1) < _NO_HEIGHT_M * mesh.edge_m.max(axis=1)
     along_m = (mesh.corner_m * normal[:, None]).sum(axis=2)
     size = np.maximum(np.bincount(planes.number), 1)
     off_m = np.abs(along_m - (np.bincount(planes.number, along_m.mean(axis=1)) / size)[planes.number, None])
