@@ -15,8 +15,9 @@ from p2wss.skeleton.types import FaceKind
 _EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 1e-4, 0.06
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
-# a triangle of less height than this has no normal that survives the rounding of a file
-_NO_HEIGHT_M = 1e-3
+# a triangle of less height than this has no normal that survives the rounding of a file; one is turned over if twice
+# its area is less than minus the second figure
+_NO_HEIGHT_M, _NO_AREA_M2 = 1e-3, 1e-6
 # how much more the heights that a slope of a level roof makes count than others; roofs narrower than the second share
 # of their length have no slope across
 _STIFF, _THIN = 100.0, 1e-12
@@ -40,6 +41,10 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
             end, moved = int(mesh.triangle.flat[row]), int(mesh.triangle[:, NEXT].flat[row])
             shorter = _merged(mesh, end, moved) if _can_move(mesh, end, moved) else None
             result = None if shorter is None else with_planar_roofs(shorter, mesh)
+            if result is not None and _num_thin(result) > _num_thin(mesh):
+                # the other end of a step that went
+                result = with_exact_faces(result, _NO_HEIGHT_M)
+                result = None if _num_thin(result) > _num_thin(mesh) else result
             if result is not None:
                 break
     return mesh
@@ -63,11 +68,16 @@ def _merged(mesh: Mesh, end: int, moved: int) -> Mesh | None:
     return replace(mesh, triangle=np.where(triangle == moved, end, triangle)).part(~gone)
 
 
+def _num_thin(mesh: Mesh) -> int:
+    """How many triangles have no height."""
+    return int((2 * mesh.area_m2 < _NO_HEIGHT_M * mesh.edge_m.max(axis=1)).sum())
+
+
 def _faults(mesh: Mesh) -> tuple[int, float]:
-    """How many triangles are turned over or have no height, and how far corners of roofs are from their planes."""
+    """How many triangles are turned over, and how far corners of roofs are from their planes."""
     planes = mesh.planes
     normal = planes.normal[planes.number]
-    is_turned = (mesh.doubled_m2 * normal).sum(axis=1) < _NO_HEIGHT_M * mesh.edge_m.max(axis=1)
+    is_turned = (mesh.doubled_m2 * normal).sum(axis=1) < -_NO_AREA_M2
     along_m = (mesh.corner_m * normal[:, None]).sum(axis=2)
     size = np.maximum(np.bincount(planes.number), 1)
     off_m = np.abs(along_m - (np.bincount(planes.number, along_m.mean(axis=1)) / size)[planes.number, None])

@@ -195,8 +195,8 @@ def test_any_coverage(
                 )
                 polygon = shapely.Polygon(corner @ turned + place)
                 solids.append(solid(f"{number:02}", polygon, heights[number], angles))
-    # a slope may end within millimetres of the height of a neighbour
-    exact(solids, merged_m3=0.05)
+    # a slope may end within centimetres of the height of a neighbour: then the edge goes, and roofs move
+    exact(solids, merged_m3=1.0)
 
 
 def test_overlapping_buildings_stay_apart_with_the_reason() -> None:
