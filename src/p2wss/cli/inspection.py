@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from p2wss.data.manifest import read_manifest
 from p2wss.storage import files, integrity
@@ -78,25 +79,10 @@ def describe(path: Path) -> Facts:
     return facts | {"checksum": check(path)["checksum"]}
 
 
-def text(facts: Facts, indent: str = "") -> str:
-    """Facts as indented lines of text."""
-    lines = []
-    for name, value in facts.items():
-        if isinstance(value, dict) and value:
-            lines += [f"{indent}{name}:", text(value, indent + "  ")]
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            lines += [f"{indent}{name}:", *(text({"-": item}, indent + "  ") for item in value)]
-        else:
-            lines.append(f"{indent}{name}: {_plain(value)}")
-    return "\n".join(lines)
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.10g}"
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value))
-    return "-" if value is None or value == {} else str(value)
+def text(facts: Facts) -> str:
+    """Facts as YAML."""
+    plain = json.loads(json.dumps(facts))
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True, width=120).rstrip()
 
 
 def _provenance(stored: str | bytes | Facts | None) -> Facts:

@@ -57,6 +57,9 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 )
 @option("--terrain", type=PATH, help="raster of heights; meshes then stand on a block of terrain")
 @setting("reconstruct.skin", more=False, help="merge the buildings of a block into one mesh")
+@setting(
+    "reconstruct.vegetation", more=False, help="also write trees and clumps of plants, as closed volumes"
+)
 @option("--ids", type=Names(), help="reconstruct only the buildings of these ids")
 @option(
     "--bbox",
@@ -93,7 +96,7 @@ OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field",
 @setting("reconstruct.wedges")
 @setting(
     "reconstruct.materials",
-    metavar="wall=A,roof=B,ground=C",
+    metavar="wall=A,roof=B,ground=C,vegetation=D",
     help="materials in mesh files: of the terrain, and of buildings whose footprints state none",
 )
 @setting("reconstruct.frequency_ghz", metavar="F")

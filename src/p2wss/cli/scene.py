@@ -48,11 +48,16 @@ OUTPUTS = ["cityjson", "sionna", "glb", "report"]
 @setting("reconstruct.outputs", "--outputs", "--format", default=OUTPUTS, more=False, help="formats to write")
 @setting("reconstruct.detail", more=False, help="fewer triangles, or nearer to the points")
 @setting("reconstruct.skin", default=True, more=False, help="merge the buildings of a block into one mesh")
+@setting(
+    "reconstruct.vegetation", more=False, help="also write trees and clumps of plants, as closed volumes"
+)
 @threads_option
 @quiet_option
 @config_option
 @setting("region.classes.preset", "--classes")
-@setting("reconstruct.materials", metavar="wall=A,roof=B,ground=C", help="materials in mesh files")
+@setting(
+    "reconstruct.materials", metavar="wall=A,roof=B,ground=C,vegetation=D", help="materials in mesh files"
+)
 @setting("reconstruct.frequency_ghz", metavar="F")
 def scene(
     out: Path,

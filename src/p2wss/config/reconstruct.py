@@ -61,6 +61,7 @@ class Materials(Section):
         "medium_dry_ground",
         description="material of the terrain of --terrain and of open ground in footprints",
     )
+    vegetation: MaterialName = Field("wood", description="material of the plants of --vegetation")
     from_footprints: bool = Field(
         True,
         description="use the materials stated in the BD TOPO columns materiaux_des_murs and "
@@ -227,6 +228,10 @@ class Reconstruct(Section):
         description="with skin and a terrain: cut = walls end on the terrain, which has a hole below "
         "buildings;"
         "overlap = all meshes are closed solids, and walls extend into the terrain",
+    )
+    vegetation: bool = Field(
+        False,
+        description="also write trees and clumps of plants, as closed volumes, to mesh files and CityJSON",
     )
     wedges: bool = Field(False, description="also write the convex edges of the skin to a Parquet file")
     terrain_tolerance_m: float = Field(

@@ -36,7 +36,8 @@ class Solid:
     """A building to write: vertex_m float64 (v, 3) in the CRS, surfaces, and attributes of JSON types.
 
     Without surfaces it becomes a Building without geometry. block: the same building as a block with a flat roof, of
-    LoD 1.2: surfaces of vertices in ``block_vertex_m``; none to leave it out.
+    LoD 1.2: surfaces of vertices in ``block_vertex_m``; none to leave it out. city_type: of the city object; one
+    that is no Building has no semantic surfaces.
     """
 
     building_id: str
@@ -45,6 +46,7 @@ class Solid:
     attributes: dict[str, Any] = field(default_factory=dict)
     block_vertex_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     block: Sequence[Surface] = ()
+    city_type: str = "Building"
 
     @classmethod
     def of_triangles(
@@ -158,9 +160,12 @@ def _feature(solid: Solid, translate: np.ndarray, metadata: Metadata) -> dict[st
         _geometry("1.2", solid.block_vertex_m, solid.block, translate, vertices, metadata),
         _geometry("2.0", solid.vertex_m, solid.surfaces, translate, vertices, metadata),
     ]
-    building: dict[str, Any] = {"type": "Building", "attributes": solid.attributes}
+    building: dict[str, Any] = {"type": solid.city_type, "attributes": solid.attributes}
     if any(geometries):
         building["geometry"] = [geometry for geometry in geometries if geometry]
+    if solid.city_type != "Building":
+        for geometry in building["geometry"]:
+            del geometry["semantics"]
     return {
         "type": "CityJSONFeature",
         "id": solid.building_id,

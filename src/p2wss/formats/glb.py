@@ -36,7 +36,7 @@ def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
     names = material_names(bodies)
     nodes, shapes = [], []
     for number, body in enumerate(bodies):
-        nodes.append({"name": body.name, "mesh": number, "extras": _extras(body)})
+        nodes.append({"name": body.name, "mesh": number, "extras": {**_extras(body), **body.attributes}})
         shapes.append({"name": body.name, "primitives": _primitives(body, frame, names, binary)})
     root = {"name": "p2wss", "children": list(range(1, len(nodes) + 1)), "extras": place}
     tree = {

@@ -55,6 +55,7 @@ DEFAULTS = {
     "ground": "concrete",
     "outer_floor": "medium_dry_ground",
     "terrain": "medium_dry_ground",
+    "vegetation": "wood",
 }
 
 # 0 is unknown (indéterminé), 9 is other (autres)

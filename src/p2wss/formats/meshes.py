@@ -18,8 +18,9 @@ from p2wss.mesh import Mesh
 from p2wss.mesh.topology import unit_normals
 from p2wss.skeleton.types import FaceKind
 
-# kind of the triangles of terrain, after those of ``FaceKind``
+# kinds of the triangles of terrain and of plants, after those of ``FaceKind``
 TERRAIN = max(FaceKind) + 1
+VEGETATION = TERRAIN + 1
 SURFACE_NAMES = {
     FaceKind.GROUND: "ground",
     FaceKind.WALL: "wall",
@@ -27,6 +28,7 @@ SURFACE_NAMES = {
     FaceKind.FLAT: "roof",
     FaceKind.FLOOR: "outer_floor",
     TERRAIN: "terrain",
+    VEGETATION: "vegetation",
 }
 AXES = "x = easting - origin_m[0], y = northing - origin_m[1], z = height - origin_m[2]; metres"
 _VERTEX = np.dtype([("xyz", "<f4", 3)])
@@ -47,14 +49,16 @@ class BuildingRef:
 class Body:
     """A named mesh to write: one building, a skin of several buildings that touch, or the terrain.
 
-    mesh: in the CRS; the kind of terrain is :data:`TERRAIN`. building: int32 (t,), the building that each triangle
-    belongs to, an index into ``buildings``. The terrain is the only "building" of its mesh.
+    mesh: in the CRS; the kind of terrain is :data:`TERRAIN`, that of a plant :data:`VEGETATION`. building: int32 (t,),
+    the building that each triangle belongs to, an index into ``buildings``. The terrain, or a plant, is the only
+    "building" of its mesh. attributes: for files that have a place for them.
     """
 
     name: str
     mesh: Mesh
     building: np.ndarray
     buildings: tuple[BuildingRef, ...]
+    attributes: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of_building(cls, name: str, mesh: Mesh, materials: Mapping[str, str] | None = None) -> Body:
@@ -65,6 +69,11 @@ class Body:
     def is_terrain(self) -> bool:
         """Whether it is the terrain."""
         return TERRAIN in self.mesh.kind
+
+    @property
+    def is_plant(self) -> bool:
+        """Whether it is a tree or a clump."""
+        return VEGETATION in self.mesh.kind
 
 
 @dataclass(frozen=True)
@@ -131,6 +140,7 @@ def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> byt
     for body in bodies:
         mesh = body.mesh
         lines.append(f"o {_word(body.name)}")
+        lines += [f"# {name} {value:g}" for name, value in body.attributes.items()]
         lines += [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in (mesh.vertex_m - frame.origin_m).tolist()]
         material = None
         for faces in sorted(faces_of(body), key=lambda faces: faces.material):

@@ -53,8 +53,12 @@ def scene_files(
     wall area has. map_cell_m: size of the squares of the terrain's top.
     """
     terrain = [body for body in bodies if body.is_terrain]
-    others = [body for body in bodies if not body.is_terrain]
+    plants = [body for body in bodies if body.is_plant]
+    others = [body for body in bodies if not (body.is_terrain or body.is_plant)]
     shapes = [shape for body in (*terrain, *others) for shape in _shapes(body, split_materials)]
+    if plants:
+        (material,) = material_names(plants)
+        shapes.append(_Shape("vegetation", [], material, Mesh.joined([body.mesh for body in plants])))
     # Mitsuba reserves the point in ids; Sionna RT reads the XML in the encoding of the system
     ids = file_names([re.sub(r"[^A-Za-z0-9_-]", "_", shape.name) for shape in shapes])
     materials = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from p2wss.mesh.faces import Surface
 from p2wss.mesh.repair import surfaces_to_write
 from p2wss.reconstruct.attributes import NAMES_3DBAG, P2WSS, TO_3DBAG, attributes
 from p2wss.reconstruct.result import Result
-from p2wss.skeleton.types import Polygons
+from p2wss.reconstruct.vegetation import Plant
+from p2wss.skeleton.types import FaceKind, Polygons
 
 # as many clouds are named in the title
 _MAX_CLOUDS = 3
@@ -32,11 +34,13 @@ def city_json(
     facts: Mapping[str, Any] | None = None,
     lods: Sequence[str] = ("2.0",),
     names: str = P2WSS,
+    plants: Sequence[Plant] = (),
 ) -> Iterator[str]:
     """All buildings as a CityJSON text sequence, or as one document for the output ``cityjson``, in pieces of text. A
     building without a mesh has no geometry.
 
     facts: of the run, for attributes and metadata. lods: levels of detail, from 1.2 and 2.0. names: of attributes.
+    plants: follow the buildings.
     """
     facts = facts or {}
     has_mesh: list[bool] = []
@@ -45,7 +49,7 @@ def city_json(
         has_mesh.append(result.reconstruction.has_mesh)
         days |= {day.isoformat() for day in result.dates or ()}
     order = sorted(range(len(results)), key=lambda number: not has_mesh[number])
-    solids = (solid(results[number], facts, lods, names) for number in order)
+    solids = chain((solid(results[number], facts, lods, names) for number in order), map(_plant, plants))
     metadata = _metadata(sorted(days), crs, facts, names)
     if output == "cityjson":
         yield from cityjson.document_pieces(solids, metadata)
@@ -106,6 +110,12 @@ def solid(
     if block is None:
         return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values)
     return Solid(reconstruction.building_id, mesh.vertex_m, surfaces, values, block[0].vertex_m, block[1])
+
+
+def _plant(plant: Plant) -> Solid:
+    vertex_m, triangle = plant.mesh.vertex_m, plant.mesh.triangle
+    surfaces = [Surface(FaceKind.WALL, -1, [ring]) for ring in triangle]
+    return Solid(plant.name, vertex_m, surfaces, dict(plant.attributes), city_type=plant.city_type)
 
 
 def _block(result: Result) -> tuple[Mesh, list[Surface]] | None:

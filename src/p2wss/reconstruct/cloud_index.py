@@ -15,7 +15,7 @@ import numpy as np
 import pyproj
 
 from p2wss.clouds.reading import Cloud
-from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES
 from p2wss.reconstruct.unclassified import with_classes
 from p2wss.storage.temporary import Closeable, Scratch
 
@@ -49,6 +49,7 @@ class CloudIndex(Closeable):
         self._adds_classes = adds_classes
         self.crs: pyproj.CRS | None = None
         self.num_points = 0
+        self.has_plants = False
         square = np.unique(_square(_cells_of(boxes)))
         self._key = np.unique(_cells_around(square))
         self._square, self._of_square = np.unique(_square(self._key), return_inverse=True)
@@ -76,6 +77,7 @@ class CloudIndex(Closeable):
     def append(self, cloud: Cloud) -> None:
         """Add a chunk; points outside the cells are dropped."""
         self.crs = self.crs or cloud.crs
+        self.has_plants |= bool(np.isin(cloud.classification, PLANT_CLASSES).any())
         for first in range(0, len(cloud), _CHUNK):
             self._append(cloud, slice(first, min(first + _CHUNK, len(cloud))))
 
@@ -105,8 +107,9 @@ class CloudIndex(Closeable):
         self.num_points += len(rows)
         self._scratch.append(records.view(np.uint8).data)
 
-    def near(self, boxes: np.ndarray) -> Cloud:
-        """The points in all cells that boxes (n, 4) touch, in the order in which they were added, with classes.
+    def near(self, boxes: np.ndarray, adds_classes: bool = True) -> Cloud:
+        """The points in all cells that boxes (n, 4) touch, in the order in which they were added, with classes unless
+        ``adds_classes`` is false.
 
         Points of a square of two by two cells get classes if no point of class ground, or none of class building, is
         in the four by four cells around its centre. boxes: within those of the index.
@@ -116,7 +119,7 @@ class CloudIndex(Closeable):
         cloud, number = self._read(cells)
         square = np.unique(self._of_square[cells])
         has_all = self._has(square, GROUND_CLASS) & self._has(square, BUILDING_CLASS)
-        if has_all.all() or not self._adds_classes:
+        if has_all.all() or not (adds_classes and self._adds_classes):
             return cloud
         classes = cloud.classification.copy()
         for k in square[~has_all].tolist():

@@ -27,6 +27,7 @@ from p2wss.reconstruct.result import Result
 from p2wss.reconstruct.skin import Skin
 from p2wss.reconstruct.skin.solids import MAX_LOWERING_M
 from p2wss.reconstruct.spool import Lazy
+from p2wss.reconstruct.vegetation import Plant
 from p2wss.storage import files
 from p2wss.storage.errors import InputError
 from p2wss.storage.schemas.wedges import WEDGES
@@ -43,6 +44,7 @@ def write(
     facts: dict[str, Any],
     config: Reconstruct,
     terrain: Terrain | None = None,
+    plants: Sequence[Plant] = (),
 ) -> list[str]:
     """Write every file of ``config.outputs`` to ``folder``, ``STEM.json`` last, and return the names.
 
@@ -54,12 +56,21 @@ def write(
     Raises :class:`InputError` if a file cannot be written or the terrain does not cover the buildings.
     """
     meshes, ground, skins = _meshes(results, terrain, config)
+    vegetation = [
+        replace(
+            Body.of_building(plant.name, plant.mesh, {"vegetation": config.materials.vegetation}),
+            attributes=plant.attributes,
+        )
+        for plant in plants
+    ]
     frame = frame_around(meshes, crs.to_string())
     before = input_footprints(results, crs)
     results = Lazy(lambda result: with_columns(result, config.keep_columns), results)
     outputs = dict.fromkeys(config.outputs)
     written = [f"{stem}{OUTPUT_SUFFIXES[output]}" for output in outputs]
-    delivered = write_meshes(folder, stem, meshes, frame, config, facts)
+    delivered = write_meshes(
+        folder, stem, [*meshes, *vegetation] if vegetation else meshes, frame, config, facts
+    )
     if config.per_building:
         single = config.model_copy(update={"outputs": [each for each in outputs if each in SINGLE_FILES]})
         for body, file in zip(meshes, file_names([body.name for body in meshes]), strict=True):
@@ -70,7 +81,7 @@ def write(
         if output == "report":
             files.write_text(path, page_of_run(results, stem, crs))
         elif output not in MESH_WRITERS:
-            _write_results(path, output, results, before, crs, facts, config)
+            _write_results(path, output, results, plants, before, crs, facts, config)
         if output not in MESH_WRITERS:
             delivered.append(path)
     if config.wedges:
@@ -88,6 +99,7 @@ def write(
             "sha256": {path.relative_to(folder).as_posix(): files.sha256(path) for path in delivered},
             "buildings": counts(results),
             "skin": block_skins.counts(skins) if config.skin else None,
+            "vegetation": dict(Counter(plant.city_type for plant in plants)) if config.vegetation else None,
             "terrain": None
             if ground is None
             else {"mesh": ground.name, "triangles": len(ground.mesh.triangle)},
@@ -127,6 +139,7 @@ def _write_results(
     path: Path,
     output: str,
     results: Sequence[Result],
+    plants: Sequence[Plant],
     before: gpd.GeoDataFrame | None,
     crs: pyproj.CRS,
     facts: dict[str, Any],
@@ -134,7 +147,9 @@ def _write_results(
 ) -> None:
     """Write a table or CityJSON. output: its format. before: the footprints that registration moved, as they were."""
     if output in ("cityjson", "cityjsonseq"):
-        files.write_text(path, city_json(results, crs, output, facts, config.lods, config.attribute_names))
+        files.write_text(
+            path, city_json(results, crs, output, facts, config.lods, config.attribute_names, plants)
+        )
         return
     rows = table(results, crs, facts, config.attribute_names)
     if output == "gpkg":
@@ -212,6 +227,8 @@ def notes(config: Reconstruct, frame: gpd.GeoDataFrame, has_terrain: bool) -> li
         materials += [row["roof"] for row in rows]
     if has_terrain:
         materials.append(config.materials.ground)
+    if config.vegetation:
+        materials.append(config.materials.vegetation)
     is_mixed = any(row["wall"] != row["roof"] for row in rows)
     return sionna.notes(materials, config.frequency_ghz, has_terrain, is_mixed, config.split_materials)
 

@@ -25,7 +25,7 @@ from p2wss.clouds.crops import crop_cloud
 from p2wss.config import CLASSES_ALONE, Config, load, section_json
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import class_set
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, grown
 from p2wss.footprints.cleaning import clean_footprints, read_footprints
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson import SURFACE_TYPE
@@ -33,7 +33,7 @@ from p2wss.formats.meshes import Body, frame_around
 from p2wss.formats.outputs import MESH_WRITERS
 from p2wss.mesh import Mesh, faces
 from p2wss.nets.threads import set_num_threads
-from p2wss.reconstruct import block_skins, exports, registration, unclassified
+from p2wss.reconstruct import block_skins, exports, registration, unclassified, vegetation
 from p2wss.reconstruct.area import MARGIN_M, Area, chosen, footprint_settings, in_tile, run_area, window
 from p2wss.reconstruct.attributes import attributes, table
 from p2wss.reconstruct.cloud_index import CloudIndex
@@ -213,7 +213,8 @@ class Scene(Mapping[str, SceneBuilding], Closeable):
         if self._run is not None:
             run = self._run
             terrain = run.inputs.terrain and run.inputs.terrain[0]
-            written = exports.write(folder, name, run.results, run.inputs.crs, run.facts, settings, terrain)
+            results, crs = run.results, run.inputs.crs
+            written = exports.write(folder, name, results, crs, run.facts, settings, terrain, run.plants)
             return [folder / each for each in written]
         others = [each for each in settings.outputs if each not in MESH_WRITERS]
         if others and formats is not None:
@@ -248,6 +249,7 @@ class Run:
 
     inputs: Inputs
     results: Sequence[Result]
+    plants: Sequence[vegetation.Plant]
     points: CloudIndex
     facts: dict[str, Any]
     resources: ExitStack
@@ -302,7 +304,12 @@ def reconstruct(
     area = Area(frame, is_chosen, settings)
     folder = machine.scratch or Path(tempfile.gettempdir())
     with ExitStack() as resources:
-        points = resources.enter_context(CloudIndex(area.boxes, folder, adds_classes=outline_cloud is None))
+        rows, boxes = frame[area.is_chosen], area.boxes
+        x_min, y_min, x_max, y_max = map(float, rows.total_bounds)
+        around = grown((x_min, y_min, x_max, y_max), settings.terrain_margin_m)
+        if settings.vegetation and len(rows):
+            boxes = np.concatenate([boxes, [grown(around, vegetation.RULES.margin_m)]])
+        points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
         store = resources.enter_context(Spool[Result](len(area.numbers), folder))
         if outline_cloud is None:
             if tile is None and not inputs.overlap(window(frame)):
@@ -317,7 +324,6 @@ def reconstruct(
         registers = area.may_move(points) & (inputs.footprints is not None)
         if settings.registration == "always":
             registers |= inputs.footprints is not None
-        rows = frame[area.is_chosen]
         if inputs.terrain is not None:
             exports.check_coverage(*inputs.terrain, rows)
         for note in exports.notes(settings, rows, terrain is not None):
@@ -342,7 +348,11 @@ def reconstruct(
             model=inputs.weights and inputs.weights.name,
         )
         facts["clouds"] = [header.path.name for header in inputs.headers]
-        run = Run(inputs, results, points, facts, resources.pop_all())
+        plants: list[vegetation.Plant] = []
+        if settings.vegetation and len(rows):
+            plants = vegetation.plants(points, around, frame.geometry.to_numpy())
+            log.info("%d plants", len(plants))
+        run = Run(inputs, results, plants, points, facts, resources.pop_all())
 
     def building(number: int) -> SceneBuilding:
         return _of_result(results[number], config)

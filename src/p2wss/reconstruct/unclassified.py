@@ -66,11 +66,11 @@ def with_classes(cloud: Cloud) -> tuple[Cloud, list[str]]:
         return cloud, []
     has_ground, has_buildings = (classes == GROUND_CLASS).any(), (classes == BUILDING_CLASS).any()
     if not has_ground:
-        classes = np.where(_is_open(classes) & _lowest(cloud), GROUND_CLASS, classes).astype(np.uint8)
+        classes = np.where(is_open(classes) & _lowest(cloud), GROUND_CLASS, classes).astype(np.uint8)
     if not has_buildings:
-        height_m = cloud.z_m - _ground_z_m(cloud, classes == GROUND_CLASS)
-        candidates = np.flatnonzero(_is_open(classes) & (height_m >= MIN_HEIGHT_M))
-        is_planar = _planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
+        height_m = cloud.z_m - ground_z_m(replace(cloud, classification=classes))
+        candidates = np.flatnonzero(is_open(classes) & (height_m >= MIN_HEIGHT_M))
+        is_planar = planar(np.column_stack([cloud.x_m, cloud.y_m, cloud.z_m])[candidates])
         classes = classes.copy()
         classes[candidates] = np.where(is_planar, BUILDING_CLASS, VEGETATION_CLASS)
     return replace(cloud, classification=classes), warnings(int(not has_ground), int(not has_buildings), 1)
@@ -91,7 +91,7 @@ def warnings(num_without_ground: int, num_without_buildings: int, num_footprints
     return result
 
 
-def _is_open(classes: np.ndarray) -> np.ndarray:
+def is_open(classes: np.ndarray) -> np.ndarray:
     """Whether a point of each class may be ground or building."""
     meanings = (GROUND_CLASS, BUILDING_CLASS, WATER_CLASS, *range(10, 19))
     return (classes <= UNCLASSIFIED_CLASS) | ~np.isin(classes, meanings)
@@ -135,9 +135,10 @@ def _lowest(cloud: Cloud) -> np.ndarray:
     return cloud.z_m - ground[row, column] <= RULES.ground_tolerance_m
 
 
-def _ground_z_m(cloud: Cloud, is_ground: np.ndarray) -> np.ndarray:
+def ground_z_m(cloud: Cloud) -> np.ndarray:
     """The height of the ground at each point, float64 (n,): the mean ground point of its cell or of the nearest."""
     row, column, shape = _cells(cloud)
+    is_ground = cloud.classification == GROUND_CLASS
     if not is_ground.any():
         return np.full(len(cloud), cloud.z_m.min())
     cell = row * shape[1] + column
@@ -148,7 +149,7 @@ def _ground_z_m(cloud: Cloud, is_ground: np.ndarray) -> np.ndarray:
     return _filled(mean.reshape(shape))[row, column]
 
 
-def _planar(xyz_m: np.ndarray) -> np.ndarray:
+def planar(xyz_m: np.ndarray) -> np.ndarray:
     """Whether each point is on a plane with most of its neighbours, bool (n,)."""
     if len(xyz_m) <= RULES.num_neighbours:
         return np.zeros(len(xyz_m), bool)

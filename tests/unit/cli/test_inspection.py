@@ -149,7 +149,7 @@ def test_glb(tmp_path: Path) -> None:
 
 def test_text_has_one_fact_per_line() -> None:
     shown = text({"a": 1.5, "b": {"c": [1, 2], "d": None}, "e": [{"f": "g"}]})
-    assert shown.splitlines() == ["a: 1.5", "b:", "  c: 1, 2", "  d: -", "e:", "  -:", "    f: g"]
+    assert shown.splitlines() == ["a: 1.5", "b:", "  c:", "  - 1", "  - 2", "  d: null", "e:", "- f: g"]
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from p2wss import skeleton
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import (
     SURFACE_NAMES,
+    TERRAIN,
+    VEGETATION,
     Body,
     BuildingRef,
     Frame,
@@ -133,7 +135,7 @@ def test_open_ground_is_a_surface_of_its_own(frame: Frame) -> None:
     assert b"4 outer_floor" in ply([mesh], frame)
     names = [material["name"] for material in json.loads(glb_json(glb([mesh], frame, {})))["materials"]]
     assert sorted(names) == ["brick", "tile", "wet_ground"]
-    assert set(SURFACE_NAMES) == {*FaceKind, max(FaceKind) + 1}
+    assert set(SURFACE_NAMES) == {*FaceKind, TERRAIN, VEGETATION}
 
 
 def glb_json(content: bytes) -> bytes:
