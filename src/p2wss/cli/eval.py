@@ -92,8 +92,6 @@ def eval_reconstruct(
         medians = cases.train_medians(listed) if stored is None else cases.read_medians(stored)
         inputs = inputs._replace(medians=medians)
         facts["note"] = f"{medians.eave_height_m:.3f} m, {medians.angle_deg:.1f} degrees"
-    if method == "roofer":
-        facts |= roofer_command.facts(config.eval)
     status: list[str] = []
     with files.table_writer(out, RECONSTRUCTIONS) as writer:
         for of_shard in cases.test_cases(listed):
@@ -101,6 +99,8 @@ def eval_reconstruct(
             rows = methods.reconstruct(method, of_shard, inputs._replace(crs=crs[dataset]))
             writer.append(reconstruction_columns(rows, dataset))
             status += [row.status for row in rows]
+        if method == "roofer":
+            facts |= roofer_command.facts(config.eval, bool(status))
         writer.metadata = _facts(config, **facts)
     log_status_counts(out, status)
 

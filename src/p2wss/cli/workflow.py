@@ -13,7 +13,7 @@ from p2wss.cli.common import log
 from p2wss.cli.parser import PATH, Command, Group
 from p2wss.storage.errors import InputError
 
-PARTS = ("Snakefile", "workflow", "config", "profiles", "envs")
+PARTS = ("Snakefile", "workflow", "config", "profiles", "envs", "tests/mini/roofer")
 
 
 @click.group(cls=Group)

@@ -46,8 +46,7 @@ class Eval(Section):
         "'' = never",
     )
     roofer_recorded: str = Field(
-        "",
-        description="recorded outputs of Roofer (a folder of CityJSON), used if it is not installed; '' = "
-        "none",
+        "tests/mini/roofer",
+        description="recorded outputs of Roofer (a folder of CityJSON), used if it is not installed; '' = none",
     )
     roofer_timeout_s: float = Field(3600, gt=0, description="time limit of Roofer for one tile")

@@ -40,6 +40,7 @@ ROOFER_FAILED = "roofer-failed"
 ROOFER_TIMEOUT = "roofer-timeout"
 NO_ROOFER_MESH = "no-roofer-mesh"
 NOT_RECORDED = "not-recorded"
+OTHER_CLOUDS = "recorded-of-other-clouds"
 
 # footprints that the cloud contradicts
 NO_BUILDING = "no-building"
@@ -97,6 +98,7 @@ MEANINGS: dict[str, str] = {
     ROOFER_TIMEOUT: "Roofer took longer than eval.roofer_timeout_s",
     NO_ROOFER_MESH: "Roofer produced no mesh",
     NOT_RECORDED: "the building is not among the recorded outputs of Roofer",
+    OTHER_CLOUDS: "the recorded outputs of Roofer were made from other points than those of the tile now",
     # of the kernel, in the order of its checks
     "too-small": "the footprint is smaller than scenes.min_area_m2",
     TOO_MANY_EDGES: "the footprint has more edges than scenes.max_edges, or a ring has more than the kernel supports",

@@ -9,12 +9,14 @@ from __future__ import annotations
 import logging
 import shlex
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import geopandas as gpd
 import laspy
 import numpy as np
+import pandas as pd
 import pyproj
 import shapely.affinity
 
@@ -25,28 +27,76 @@ from p2wss.eval import roofer_command
 from p2wss.eval.cases import Case
 from p2wss.formats import cityjson_read
 from p2wss.formats.cityjson_read import ReadSolid
+from p2wss.storage import files
 from p2wss.storage.schemas.crops import REAL
 from p2wss.storage.temporary import temporary_folder
 
 log = logging.getLogger("p2wss")
 METHOD = "roofer"
 _ID_FIELD = "building_id"
+# recorded outputs count where this share of the points that they were made from is there: footprints that move by
+# centimetres leave all but 0.3 % of the points of a real cloud, and another draw of the simulation leaves none
+_SAME_SHARE = 0.95
+_SKETCH = 128
 
 
 def reconstruct(cases: Sequence[Case], crs: str | None, config: Eval) -> list[Reconstruction]:
     """The solids of Roofer for the cases of one shard, in order.
 
-    It is run on their points or, if it cannot be run, replaced by recorded outputs for real LiDAR; empty if there are
-    none. Without a solid the status states the reason.
+    It is run on their points or, if it cannot be run, replaced by recorded outputs; empty if there are none for the
+    tile. Without a solid the status states the reason.
     """
     if roofer_command.version(config) is not None:
-        solids, missing = _run(cases, crs, config)
+        with outputs(cases, crs, config) as (paths, missing):
+            solids = _read(paths)
     else:
-        recorded = roofer_command.recorded_files(config)
-        if not recorded or cases[0].dataset != REAL:
+        recorded = _recorded(cases, roofer_command.recorded_files(config))
+        if recorded is None:
             return []
-        solids, missing = _read(recorded), reasons.NOT_RECORDED
+        solids, missing = recorded
     return [_reconstruction(case, solids.get(case.building.building_id), missing) for case in cases]
+
+
+def _recorded(cases: Sequence[Case], paths: Sequence[Path]) -> tuple[dict[str, ReadSolid], str] | None:
+    """Recorded solids by building id, and why others have none; None where nothing is recorded for the tile.
+
+    Where the outputs state the clouds that they were made from, they count for these only; otherwise for real LiDAR.
+    """
+    dataset, tile = cases[0].dataset, cases[0].building.tile
+    for path in paths:
+        if path.name == roofer_command.CLOUDS:
+            recorded = files.read_json(
+                path, dict[str, dict[str, list[int]]], "hashes of points by data set and tile"
+            )
+            known = recorded.get(dataset, {}).get(tile)
+            if known is None:
+                return None
+            if len(set(known) & set(cloud_sketch(cases))) < _SAME_SHARE * len(known):
+                return {}, reasons.OTHER_CLOUDS
+            folder = path.parent if dataset == REAL else path.parent / dataset
+            return _read(
+                each for each in paths if each.parent == folder and each != path
+            ), reasons.NOT_RECORDED
+    return (_read(paths), reasons.NOT_RECORDED) if paths and dataset == REAL else None
+
+
+def cloud_sketch(cases: Sequence[Case]) -> list[int]:
+    """What identifies the points of a tile, as Roofer is given them: the least of the hashes of point and class
+    (Broder 1997). The share of them that two clouds have in common is about that of their points."""
+    grid_cm, classification = _cloud(cases)
+    points = pd.DataFrame(grid_cm).assign(classification=classification)
+    least = np.sort(pd.util.hash_pandas_object(points, index=False).to_numpy())[:_SKETCH]
+    return (least >> np.uint64(32)).tolist()  # shorter, and still of different points
+
+
+def _cloud(cases: Sequence[Case]) -> tuple[np.ndarray, np.ndarray]:
+    """(the points of all crops in centimetres, int64 (n, 3), sorted and each once; their classes)."""
+    cloud = [case.building.point_m + case.building.position_m for case in cases]
+    # crops of neighbours overlap; on a grid of centimetres the same point has the same coordinates
+    grid_cm, first = np.unique(
+        np.round(np.concatenate(cloud) * 100).astype(np.int64), axis=0, return_index=True
+    )
+    return grid_cm, np.concatenate([case.building.classification for case in cases])[first]
 
 
 def _read(paths: Iterable[Path]) -> dict[str, ReadSolid]:
@@ -75,36 +125,32 @@ def _reconstruction(case: Case, solid: ReadSolid | None, missing: str) -> Recons
     )
 
 
-def _run(cases: Sequence[Case], crs: str | None, config: Eval) -> tuple[dict[str, ReadSolid], str]:
-    """Solids by building id, and why others have none."""
+@contextmanager
+def outputs(cases: Sequence[Case], crs: str | None, config: Eval) -> Iterator[tuple[list[Path], str]]:
+    """Run Roofer on a tile: its CityJSON, in a temporary folder, and why a building is not in it."""
     tile = cases[0].building.tile
     with temporary_folder("roofer") as folder:
         write_inputs(cases, crs, folder)
         words = [word.replace("{folder}", str(folder)) for word in shlex.split(config.roofer_command)]
         words += ["--id-attribute", _ID_FIELD, "--lod22"]
         words += [str(folder / name) for name in ("points.laz", "footprints.gpkg", "out")]
+        paths, missing = [], reasons.NO_ROOFER_MESH
         try:
-            completed = subprocess.run(
-                words, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=False
-            )
+            subprocess.run(words, capture_output=True, text=True, timeout=config.roofer_timeout_s, check=True)
+            paths = sorted((folder / "out").rglob("*.jsonl"))
         except subprocess.TimeoutExpired:
             log.warning("Roofer took more than %g s on tile %s", config.roofer_timeout_s, tile)
-            return {}, reasons.ROOFER_TIMEOUT
-        if completed.returncode != 0:
-            message = (completed.stderr or completed.stdout).strip()
-            log.warning(
-                "Roofer failed with exit status %d on tile %s: %s", completed.returncode, tile, message
-            )
-            return {}, reasons.ROOFER_FAILED
-        return _read(sorted((folder / "out").rglob("*.jsonl"))), reasons.NO_ROOFER_MESH
+            missing = reasons.ROOFER_TIMEOUT
+        except subprocess.CalledProcessError as error:
+            message = (error.stderr or error.stdout).strip()
+            log.warning("Roofer failed with exit status %d on tile %s: %s", error.returncode, tile, message)
+            missing = reasons.ROOFER_FAILED
+        yield paths, missing
 
 
 def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
     """Write ``points.laz``, each point once with its class, and ``footprints.gpkg`` with the ids of the buildings."""
-    cloud = [case.building.point_m + case.building.position_m for case in cases]
-    classes = np.concatenate([case.building.classification for case in cases])
-    # crops of neighbours overlap; on a grid of centimetres the same point has the same coordinates
-    grid, first = np.unique(np.round(np.concatenate(cloud) * 100).astype(np.int64), axis=0, return_index=True)
+    grid, classification = _cloud(cases)
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.array([0.01, 0.01, 0.01])
     header.offsets = np.floor(grid.min(axis=0) / 100.0) if len(grid) else np.zeros(3)
@@ -112,7 +158,7 @@ def write_inputs(cases: Sequence[Case], crs: str | None, folder: Path) -> None:
         header.add_crs(pyproj.CRS.from_user_input(crs))
     las = laspy.LasData(header)
     las.x, las.y, las.z = (grid / 100.0).T
-    las.classification = classes[first]
+    las.classification = classification
     las.return_number = np.ones(len(grid), np.uint8)
     las.number_of_returns = np.ones(len(grid), np.uint8)
     las.write(folder / "points.laz")

@@ -15,6 +15,8 @@ from pathlib import Path
 from p2wss.config import Eval
 from p2wss.storage.errors import InputError
 
+# beside recorded outputs: hashes of points that they were made from (p2wss.eval.roofer.cloud_sketch)
+CLOUDS = "clouds.json"
 _RECORDED_SUFFIXES = (".city.jsonl", ".jsonl", ".city.json", ".json")
 
 
@@ -40,15 +42,16 @@ def _version(program: str, modified_ns: int) -> str | None:
 def recorded_files(config: Eval) -> list[Path]:
     """The files of ``eval.roofer_recorded``; none if it is empty or if Roofer can be run.
 
-    Raises :class:`InputError` if it is set but there is no such file or folder.
+    Raises :class:`InputError` if it is set but there is no such file or folder; of its default there may be none.
     """
     if not config.roofer_recorded or version(config) is not None:
         return []
     path = Path(config.roofer_recorded)
     if path.is_file():
         return [path]
-    paths = sorted(file for file in path.glob("*") if file.name.endswith(_RECORDED_SUFFIXES))
-    if not paths:
+    found = [*path.glob("*"), *path.glob("simulated/*")]
+    paths = sorted(file for file in found if file.name.endswith(_RECORDED_SUFFIXES))
+    if not paths and config.roofer_recorded != Eval().roofer_recorded:
         raise InputError(f"eval.roofer_recorded: {path}: no such file, and no folder with CityJSON files")
     return paths
 
@@ -61,7 +64,10 @@ def state(config: Eval) -> str:
     )
 
 
-def facts(config: Eval) -> dict[str, str]:
-    """``status`` (``ok``, ``recorded``, ``not run: <reason>``) and ``note``, for the report."""
+def facts(config: Eval, has_rows: bool = True) -> dict[str, str]:
+    """``status`` (``ok``, ``recorded``, ``not run: <reason>``) and ``note``, for the report. has_rows: whether there
+    are outputs, recorded ones included, of any of the tiles."""
+    if not has_rows:
+        config = config.model_copy(update={"roofer_recorded": ""})
     status = "ok" if version(config) is not None else state(config)
     return {"status": "recorded" if status.startswith("recorded") else status, "note": state(config)}

@@ -148,16 +148,36 @@ def table_1(measures: pa.Table) -> pd.DataFrame:
     return pd.DataFrame(columns, list(errors)).rename_axis("Parameter").reset_index()
 
 
+def compared(frame: pd.DataFrame) -> pd.Series:
+    """Which rows are of buildings that every method has; a method without any mesh of a data set does not count."""
+    has_mesh = frame["num_triangles"].notna()
+    rows = frame[has_mesh]
+    num_methods = rows.groupby("dataset", observed=True)["method"].nunique()
+    num = rows.groupby(["dataset", "tile", "building_id"], observed=True).size()
+    keys = num[num == num_methods.reindex(num.index.get_level_values("dataset")).to_numpy()].index
+    return has_mesh & pd.MultiIndex.from_frame(frame[list(keys.names)]).isin(keys)
+
+
+def _title(run: Run, rows: pd.DataFrame) -> str:
+    """The method; with the reason if it has none of the meshes of a data set, all for the same one."""
+    reasons = rows["status"].unique()
+    is_empty = len(reasons) == 1 and rows["num_triangles"].isna().all()
+    return f"{METHOD_NAMES[run.method]} ({reasons[0]})" if is_empty else run.name
+
+
 def table_2(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str]) -> pd.DataFrame:
-    """The paper's seven rows; the title of a column names data set, source and method."""
+    """The paper's seven rows, of the buildings that all methods have; the title of a column names data set, source and
+    method."""
     columns: dict[str, Any] = {"Statistic": ROWS_2}
+    is_compared = compared(frame)
     for dataset in DATASETS:
         columns |= PAPER_TABLE_2[dataset]
         for run in ordered(runs):
-            rows = frame[(frame["dataset"] == dataset) & (frame["method"] == run.method)]
+            is_of = (frame["dataset"] == dataset) & (frame["method"] == run.method)
+            rows = frame[is_of & is_compared]
             cd, triangles = rows["chamfer_m"], rows["num_triangles"]
             quartiles = cd.quantile([0.25, 0.5, 0.75])
-            columns[f"{titles[dataset]} / {run.name}"] = (
+            columns[f"{titles[dataset]} / {_title(run, frame[is_of])}"] = (
                 cd.mean(), *quartiles, cd.std(ddof=0), triangles.mean(), triangles.std(ddof=0)
             )  # fmt: skip
     return pd.DataFrame(columns)
@@ -166,21 +186,24 @@ def table_2(frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str])
 def table_2_more(
     frame: pd.DataFrame, runs: Sequence[Run], titles: Mapping[str, str], config: Eval
 ) -> pd.DataFrame:
-    """A column per data set and method: means with the bounds of their 95 % intervals, shares of the meshes, counts."""
-    names = {run.method: run.name for run in runs}
-    columns = {}
+    """A column per data set and method: means with the bounds of their 95 % intervals and shares of the meshes, of the
+    buildings that all methods have; counts."""
+    by_method = {run.method: run for run in runs}
+    columns, is_compared = {}, compared(frame)
     for keys, part in frame.groupby(["dataset", "method"], observed=True):
         dataset, method = map(str, keys)
         column: dict[str, float] = {}
+        shared = part[is_compared[part.index]]
         for name, title in MEANS.items():
-            values = part[name].dropna().to_numpy()
+            values = shared[name].dropna().to_numpy()
             draw = generator(config.seed, "eval.bootstrap", dataset, method, name)
-            column[title] = part[name].mean()
+            column[title] = shared[name].mean()
             bounds = interval(values, draw, config.num_resamples)
             column[f"{title}, 95 % low"], column[f"{title}, 95 % high"] = bounds
-        column |= {title: 100 * part[name].mean() for name, title in SHARES.items()}
+        column |= {title: 100 * shared[name].mean() for name, title in SHARES.items()}
         column |= {"Buildings": len(part), "Without a mesh": int(part["num_triangles"].isna().sum())}
-        columns[f"{titles[dataset]} / {names[method]}"] = pd.Series(column, dtype=object)
+        column["Compared"] = len(shared)
+        columns[f"{titles[dataset]} / {_title(by_method[method], part)}"] = pd.Series(column, dtype=object)
     # as objects: a count stays a whole number beside means
     return pd.DataFrame(columns).rename_axis("Measure").reset_index()
 

@@ -5,8 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import re
+import runpy
 import stat
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +19,12 @@ import pyarrow.parquet as pq
 import pytest
 import trimesh
 from all_cases import all_test_cases, reconstructed
+from places import MINI
 from truth_network import TruthNetwork
 
 from p2wss import cli
 from p2wss.config import Config, Eval, load
-from p2wss.data.building import no_mesh
+from p2wss.data.building import Reconstruction, no_mesh
 from p2wss.data.manifest import Manifest, Shard, read_manifest
 from p2wss.eval import cases, figures, measure, methods, report, roofer_command, tables
 from p2wss.eval.reconstructions import (
@@ -177,26 +181,35 @@ def test_table_2_has_the_papers_rows_and_figures() -> None:
         for cd, t in ((1.0, 10), (2.0, 20), (4.0, 60))
     ]
     rows.append(base | {"status": "no height"})
-    rows.append(base | {"method": "fit", "status": "too-few-points", "chamfer_m": 1.0, "num_triangles": 10})
+    fit = base | {"method": "fit", "num_triangles": 10}
+    rows += [fit | {"building_id": str(i), "chamfer_m": 1.0 + i} for i in range(3)]
+    # of the building without a mesh of the network: counted, but in no mean
+    rows.append(fit | {"building_id": "3", "status": "too-few-points", "chamfer_m": 90.0})
+    rows += [base | {"method": "roofer", "building_id": str(i), "status": "gone"} for i in range(4)]
     runs = [tables.Run(name, "ok") for name in ("point2wss", "fit")]
-    runs.append(tables.Run("roofer", "not run: program roofer not found"))
+    runs += [tables.Run("roofer", "recorded"), tables.Run("lod1", "not run: switched off")]
     frame = tables.frame_of(measures_of(rows), runs)
     table = tables.table_2(frame, runs, TITLES)
     assert list(table["Statistic"]) == list(tables.ROWS_2)
     expected = [7 / 3, 1.5, 2.0, 3.0, np.std([1, 2, 4]), 30, np.std([10, 20, 60])]
     assert list(table["Simulated / Point2WSS"]) == pytest.approx(expected)
     assert list(table["HD LiDAR / paper: Ours"]) == [2.14, 0.98, 1.55, 2.45, 2.23, 17.3, 5.2]
-    assert table["Simulated / Roofer (not run: program roofer not found)"].isna().all()
+    assert list(table["Simulated / Fit alone"][:2]) == [2.0, 1.5]
+    assert table["Simulated / Roofer (gone)"].isna().all() and table["Real / Roofer (recorded)"].isna().all()
+    assert table["Simulated / LoD1 (flat) (not run: switched off)"].isna().all()
     more = tables.table_2_more(frame, runs, TITLES, CONFIG)
-    assert list(more) == ["Measure", "Simulated / Point2WSS", "Simulated / Fit alone"]
-    ours, fit = (dict(zip(more["Measure"], more[name], strict=True)) for name in list(more)[1:])
+    names = ["Simulated / Point2WSS", "Simulated / Fit alone", "Simulated / Roofer (gone)"]
+    assert list(more) == ["Measure", *names]
+    ours, fit, gone = (dict(zip(more["Measure"], more[name], strict=True)) for name in names)
     assert [str(ours[name]) for name in ("Buildings", "Without a mesh")] == ["4", "1"]
-    assert fit["Buildings"] == 1
+    assert [of["Buildings"] for of in (fit, gone)] == [4, 4] and gone["Without a mesh"] == 4
+    assert [of["Compared"] for of in (ours, fit, gone)] == [3, 3, 0] and fit["CD (m)"] == 2.0
     assert ours["CD (m), 95 % low"] < ours["CD (m)"] < ours["CD (m), 95 % high"]
     assert ours["Watertight (%)"] == 100
     assert tables.without_mesh(frame, runs, TITLES).to_numpy().tolist() == [
         ["Simulated", "Point2WSS", "no mesh", "no height", 1],
         ["Simulated", "Fit alone", "flat roof", "too-few-points", 1],
+        ["Simulated", "Roofer (recorded)", "no mesh", "gone", 4],
     ]
 
 
@@ -228,6 +241,42 @@ def test_roofer_is_run_and_read_back(hamlet_cases: list[cases.Case], tmp_path: P
         assert mesh.bounds[0, :2] == pytest.approx(case.building.rings[0].min(axis=0), abs=0.011)
 
 
+def test_recorded_outputs_count_for_the_points_that_they_were_made_from(
+    hamlet: Path, hamlet_cases: list[cases.Case], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = f"{sys.executable} {ROOFER}"
+    of_dataset = {name: [case for case in hamlet_cases if case.dataset == name] for name in TITLES}
+    monkeypatch.setattr(
+        sys, "argv", ["", "--command", command, "--manifest", str(hamlet), "--out", str(tmp_path)]
+    )
+    assert runpy.run_path(str(MINI / "roofer/record.py"))["main"]() == 0
+    config = load({"eval": {"roofer_command": "", "roofer_recorded": str(tmp_path)}})
+    ran = load({"eval": {"roofer_command": command}})
+    assert roofer_command.state(config.eval).count("city.jsonl") == 2
+
+    def of(chosen: list[cases.Case], config: Config = config) -> list[Reconstruction]:
+        return methods.reconstruct("roofer", chosen, methods.Inputs(config, crs="EPSG:2154"))
+
+    def changed(chosen: list[cases.Case], **change: Callable[[np.ndarray], np.ndarray]) -> set[str]:
+        values = [{name: f(getattr(case.building, name)) for name, f in change.items()} for case in chosen]
+        pairs = zip(chosen, values, strict=True)
+        other = [replace(case, building=replace(case.building, **each)) for case, each in pairs]
+        return {row.status for row in of(other)}
+
+    for chosen in of_dataset.values():
+        for one, other in zip(of(chosen), of(chosen, ran), strict=True):
+            assert one.status == "ok" and np.array_equal(one.mesh.corner_m, other.mesh.corner_m)
+        # another order of the buildings is the same cloud, and a few points less; moved by a centimetre, or of another
+        # class, it is another
+        assert {row.status for row in of(chosen[::-1])} == {"ok"}
+        assert changed(chosen, point_m=lambda p: p[1:], classification=lambda c: c[1:]) == {"ok"}
+        assert changed(chosen, point_m=lambda p: p + np.array([0, 0, 0.01])) == {"recorded-of-other-clouds"}
+        assert changed(chosen, classification=lambda c: c + np.uint8(1)) == {"recorded-of-other-clouds"}
+    # of a tile that is not listed nothing is recorded
+    (tmp_path / "clouds.json").write_text("{}")
+    assert of(of_dataset["real"]) == [] and of(of_dataset["simulated"]) == []
+
+
 def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
     hamlet_cases: list[cases.Case], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -238,16 +287,22 @@ def test_roofer_that_fails_or_is_absent_gives_no_reconstruction(
     rows = methods.reconstruct("roofer", hamlet_cases[:2], methods.Inputs(failing))
     assert [row.status for row in rows] == ["roofer-failed"] * 2 and not rows[0].has_mesh
     assert "failed with exit status 3 on tile" in caplog.text and "no memory" in caplog.text
-    absent = load({"eval": {"roofer_command": str(tmp_path / "nothing")}})
+    absent = load({"eval": {"roofer_command": str(tmp_path / "nothing"), "roofer_recorded": ""}})
     assert methods.reconstruct("roofer", hamlet_cases, methods.Inputs(absent)) == []
     assert roofer_command.facts(absent.eval)["status"].startswith("not run: cannot start")
+    # outputs are recorded, but of none of these tiles
+    elsewhere = absent.eval.model_copy(update={"roofer_recorded": str(MINI / "roofer")})
+    assert roofer_command.facts(elsewhere)["status"] == "recorded"
+    assert roofer_command.facts(elsewhere, False)["status"].startswith("not run: cannot start")
 
 
 WEIGHTS_FACTS = {"version": "1", "code": "4567", "config": {}, "dvae_config": {}}
 
 
 NAMES = ("point2wss", "point2wss+fit", "masked", "fit", "lod1", "constant", "roofer")
-SETTINGS = json.dumps({"eval": {"roofer_command": "", "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}})
+SETTINGS = json.dumps(
+    {"eval": {"roofer_command": "", "roofer_recorded": "", "num_worst": 3, "lidar_name": "stand-in <LiDAR>"}}
+)
 
 
 def run(*arguments: object) -> None:

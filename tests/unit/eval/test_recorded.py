@@ -113,6 +113,11 @@ def test_the_state_changes_when_roofer_is_installed_or_updated(
 ) -> None:
     """The rule has the state among its parameters: it runs again when the program, or its version, changes."""
     config = Eval(roofer_command="roofer-of-test")
+    assert (
+        roofer_command.state(config) == "recorded: 0653_6861.0.city.jsonl, clouds.json"
+    )  # the miniature's, by default
+    # in a folder without them they are none
+    monkeypatch.chdir(tmp_path)
     assert roofer_command.state(config) == "not run: cannot start 'roofer-of-test'"
     program = tmp_path / "roofer-of-test"
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
