@@ -30,6 +30,7 @@ def workflow_init(folder: Path) -> None:
     from p2wss.towns import MINIATURE_SEED, write_town
 
     try:
+        write_town(folder / "tests/mini", MINIATURE_SEED, with_lidar=True)
         for name in PARTS:
             source = _origin() / name
             copy = shutil.copytree if source.is_dir() else shutil.copy
@@ -37,7 +38,6 @@ def workflow_init(folder: Path) -> None:
             copy(source, folder / name)
     except OSError as error:
         raise InputError(f"{folder}: not written: {error.strerror or error}") from error
-    write_town(folder / "tests/mini", MINIATURE_SEED, with_lidar=True)
     log.info(
         "%s: rules, configs, profiles and the miniature; next: cd %s && snakemake -c2 eval_report",
         folder,
