@@ -83,7 +83,7 @@ def test_a_roof_that_goes_on_beyond_the_border_stays_and_so_does_a_wide_body() -
 
 def test_returns_from_the_wall_of_the_neighbour() -> None:
     point_m = surface({(-1, 8): 3.0, (8, 9): 15.0})
-    wall_m = np.column_stack([np.full(40, 7.8), np.linspace(1, 9, 40), np.linspace(4.5, 14, 40)])
+    wall_m = np.random.default_rng(0).uniform((7.7, 1, 4.5), (7.9, 9, 14), (40, 3))
     classes = np.full(len(point_m) + 40, BUILDING_CLASS, np.uint8)
     found = own_classes([RING], np.vstack([point_m, wall_m]), classes)
     assert (found[-40:] == NEIGHBOUR_CLASS).all() and (found[:-40] == BUILDING_CLASS).all()
