@@ -148,7 +148,8 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
         return None
     # open ground gets the lowest roof
     raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
-    planes = fit_planes(prepared.rings, raised_m, thresholds.planes.times(thresholds.detail[config.detail]))
+    settings = thresholds.planes.times(thresholds.detail[config.detail])
+    planes = fit_planes(prepared.rings, raised_m, settings, prepared.open_ground.num_ground)
     if planes is None:
         return None
     mesh = simplified(planes.mesh.vertex_m, planes.mesh.triangle) or planes.mesh

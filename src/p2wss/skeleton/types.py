@@ -20,8 +20,8 @@ def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray
 class FaceKind(IntEnum):
     """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from.
 
-    The kernel makes the first four only. FLOOR is a level face over open ground within a footprint, outside the
-    building, which a fit to points finds.
+    The kernel makes the first four only. FLOOR is a level face over open ground within a footprint, which a fit to
+    points finds, where the building would be in pieces without it.
     """
 
     GROUND = 0

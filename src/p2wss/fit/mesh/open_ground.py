@@ -1,4 +1,4 @@
-"""Open ground within a footprint, such as a yard or a patio: outside the building, so that its faces are no roofs."""
+"""Open ground within a footprint without which a building would be in pieces: its faces are no roofs."""
 
 from __future__ import annotations
 

@@ -11,13 +11,14 @@ import shapely
 from p2wss.fit.directions import directions
 from p2wss.fit.planes.arrangement import Arrangement, arrange
 from p2wss.fit.planes.detection import detect, height_over
-from p2wss.fit.planes.labelling import costs_of, least_cost
+from p2wss.fit.planes.labelling import Costs, costs_of, least_cost
 from p2wss.fit.planes.lines import lines_of
 from p2wss.fit.planes.regularity import regular
-from p2wss.fit.planes.solid import solid_below
+from p2wss.fit.planes.solid import OUTSIDE, solid_below
 from p2wss.fit.points import even_order
 from p2wss.fit.settings import Planes
 from p2wss.mesh import Mesh
+from p2wss.skeleton.groups import groups
 
 # multiples of the prices: where a solid is not closed, one with fewer faces may be
 _DEARER = (1.0, 2.0, 4.0)
@@ -72,10 +73,14 @@ class PlanesFit:
         return float(over_cell_m[self.body == largest].min()), angle_deg
 
 
-def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Planes) -> PlanesFit | None:
+def fit_planes(
+    rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Planes, num_open: int = 0
+) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
-    closed."""
-    point_m = point_m[even_order(point_m)]
+    closed. The last ``num_open`` points are of open ground: where they show it, there is no solid, if one without it is
+    closed and in one piece."""
+    order = even_order(point_m)
+    point_m, is_open = point_m[order], order >= len(point_m) - num_open
     density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
     along = directions(rings, settings.drawing.same_deg)
     found = detect(point_m, density, along[:_NUM_DIRECTIONS], settings.detection)
@@ -89,7 +94,10 @@ def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Plane
         prices = settings.times(dearer).prices.for_density(density)
         costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
         label = least_cost(costs)
-        mesh = solid_below(cells, label, plane, np.concatenate(rings))
+        built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
+        mesh = solid_below(cells, built, plane, np.concatenate(rings))
+        if mesh is None and built is not label:
+            mesh = solid_below(cells, label, plane, np.concatenate(rings))
         if mesh is not None:
             break
     else:
@@ -97,3 +105,26 @@ def fit_planes(rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Plane
     within_m, within = point_m[cell >= 0], cell[cell >= 0]
     off_m = within_m[:, 2] - height_over(plane, label[within], within_m[:, :2])
     return PlanesFit(plane, cells, label, costs.bodies(label), off_m, mesh)
+
+
+def _without_open_ground(
+    cells: Arrangement,
+    costs: Costs,
+    label: np.ndarray,
+    plane: np.ndarray,
+    open_cell: np.ndarray,
+    cell: np.ndarray,
+) -> np.ndarray:
+    """The labels (c,) with :data:`OUTSIDE` for faces of open ground without which the rest is one piece: level ones at
+    most 2 m high, half of whose points are of the ground. open_cell, cell: (m,), the cells of points of open ground,
+    and of all points; -1 for none."""
+    count, num_open = (np.bincount(each + 1, minlength=len(label) + 1)[1:] for each in (cell, open_cell))
+    face = costs.faces(label)
+    is_low = (height_over(plane, label, cells.middle_m) <= _LOW_M) & (np.hypot(*plane[label, :2].T) < _LEVEL)
+    is_open = is_low & (2 * np.bincount(face, num_open) > np.bincount(face, count))[face]
+    for number in np.unique(face[is_open]).tolist():
+        rest = np.where(face == number, OUTSIDE, label)
+        beside = costs.pair[(rest[costs.pair] != OUTSIDE).all(axis=1)]
+        if len(np.unique(groups(len(rest), beside)[rest != OUTSIDE])) == 1:
+            label = rest
+    return label

@@ -21,8 +21,8 @@ from p2wss.mesh.faces import simple_rings
 from p2wss.mesh.topology import is_closed
 from p2wss.mesh.triangulation import triangulated
 
-# the number of the face outside the footprint
-_OUTSIDE = -1
+# the number of the face outside the footprint, and of cells without a building
+OUTSIDE = -1
 # metres: a vertex this near to the straight line between its neighbours is dropped
 _STRAIGHT_M = 4 * GRID_M
 # metres: heights nearer to each other are one
@@ -40,7 +40,7 @@ def solid_below(
     """The solid from height 0 to the planes (k, 3) that cover the cells, ``label`` (c,); None if it is not closed or
     if a plane falls below height 0.
 
-    corner_m: (n, 2), corners of the footprint, which stay as they are.
+    label: numbers of planes, or :data:`OUTSIDE`. corner_m: (n, 2), corners of the footprint, which stay as they are.
     """
     borders = _Borders.of(cells, label, corner_m)
     for is_exact in (True, False):
@@ -62,21 +62,22 @@ class _Borders:
     @classmethod
     def of(cls, cells: Arrangement, label: np.ndarray, corner_m: np.ndarray) -> _Borders:
         """The borders of the connected cells of one plane, without vertices within straight edges."""
-        numbers = np.append(label, _OUTSIDE)[cells.pair]
+        numbers = np.append(label, OUTSIDE)[cells.pair]
         is_border = numbers[:, 0] != numbers[:, 1]
         face: dict[tuple[int, int], int] = {}
         for (start, end), (left, right) in zip(
             cells.side[is_border].tolist(), numbers[is_border].tolist(), strict=True
         ):
-            face[start, end] = left
-            if right != _OUTSIDE:
+            if left != OUTSIDE:
+                face[start, end] = left
+            if right != OUTSIDE:
                 face[end, start] = right
         used = np.array(sorted({vertex for edge in face for vertex in edge}))
         offset_m = np.abs(cells.xy_m[used, None] - corner_m[None]).max(axis=2)
-        nearest = offset_m.argmin(axis=0)
+        nearest, is_used = used[offset_m.argmin(axis=0)], offset_m.min(axis=0) < _STRAIGHT_M
         xy_m = cells.xy_m.copy()
-        xy_m[used[nearest]] = corner_m
-        result = cls(face, xy_m, set(used[nearest].tolist()))
+        xy_m[nearest[is_used]] = corner_m[is_used]
+        result = cls(face, xy_m, set(nearest[is_used].tolist()))
         result._drop_straight_vertices()
         return result
 
@@ -136,12 +137,14 @@ class _Network:
         is_meet = ~is_outer & (fold > _PARALLEL) & (off_m < _MEET_M * fold)
         normals, offsets_m = as_arrays(cells.lines)
         beside_m = furthest_m(xy_m[edge], normals, offsets_m)
-        beside_m[is_outer, cells.num_edges :] = np.inf
+        # where open ground is left out, a line divides the footprint from it
+        is_edge = is_outer & (beside_m[:, : cells.num_edges].min(axis=1) < _STRAIGHT_M)
+        beside_m[is_edge, cells.num_edges :] = np.inf
         line = beside_m.argmin(axis=1)
         normal, offset_m = normals[line], offsets_m[line]
         normal[is_meet] = slope[is_meet, :2] / fold[is_meet, None]
         offset_m[is_meet] = -slope[is_meet, 2] / fold[is_meet]
-        weight = np.where(is_outer, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
+        weight = np.where(is_edge, _FOOTPRINT_WEIGHT, np.where(is_meet, _MEET_WEIGHT, 1.0)) ** 2
         # vertices that nothing determines stay
         matrix, right_side = np.tile(_KEEP_WEIGHT * np.eye(2), (len(xy_m), 1, 1)), _KEEP_WEIGHT * xy_m
         for vertex in edge.T:
@@ -174,7 +177,7 @@ class _Network:
             faces_at[end].add(number)
         for place, numbers in faces_at.items():
             xy_m = self._xy_m[place]
-            levels = [[(0.0, _OUTSIDE)]]
+            levels = [[(0.0, OUTSIDE)]]
             for height, number in sorted((self._height(number, xy_m), number) for number in numbers):
                 if len(levels) > 1 and height - levels[-1][0][0] < _SAME_HEIGHT_M:
                     levels[-1].append((height, number))
@@ -187,7 +190,7 @@ class _Network:
 
     def mesh(self) -> Mesh | None:
         """The closed mesh, None if there is none."""
-        border = {edge: _OUTSIDE for edge in self._face if edge[::-1] not in self._face}
+        border = {edge: OUTSIDE for edge in self._face if edge[::-1] not in self._face}
         roofs, floor = self._triangles(self._face), self._triangles(border)[:, ::-1]
         vertex_m, triangle = np.array(self._vertices), np.concatenate([roofs, floor, self._walls()])
         used, index = np.unique(triangle, return_inverse=True)
@@ -244,7 +247,7 @@ class _Network:
         """Vertices (t, 3) of the triangles of all walls."""
         result = []
         for (start, end), number in self._face.items():
-            other = self._face.get((end, start), _OUTSIDE)
+            other = self._face.get((end, start), OUTSIDE)
             sides = []
             for place in (start, end):
                 low, high = self._number[place, other], self._number[place, number]

@@ -1,4 +1,4 @@
-"""Open ground within a footprint has a floor, not a roof."""
+"""There is no building over open ground within a footprint, or a floor where the building would fall apart."""
 
 from __future__ import annotations
 
@@ -42,26 +42,38 @@ def area_and_height_m(reconstruction: Reconstruction, kind: FaceKind) -> tuple[f
     return float(area_m2.sum()), float(corner[:, :, 2].mean())
 
 
-@pytest.mark.parametrize(("yard_m", "floor_m"), [(1.4, 1.4), (0.2, 1.0), (-0.4, 1.0)])
-def test_a_yard_has_a_floor(yard_m: float, floor_m: float) -> None:
+@pytest.mark.parametrize("yard_m", [1.4, 0.2, -0.4])
+def test_a_yard_is_outside_the_building(yard_m: float) -> None:
     """The yard is larger than the house, and does not determine the height of its eaves."""
     house, yard = level((0, 0), (8, 8), 5.0, 0), level((8, 0), (20, 8), yard_m, 1)
     reconstruction = fitted((house, BUILDING), (yard, GROUND))
-    area_m2, height_m = area_and_height_m(reconstruction, FaceKind.FLOOR)
-    assert area_m2 == pytest.approx(96, abs=4) and height_m == pytest.approx(floor_m, abs=0.03)
-    area_m2, height_m = area_and_height_m(reconstruction, FaceKind.FLAT)
-    assert area_m2 == pytest.approx(64, abs=4) and height_m == pytest.approx(5.0, abs=0.03)
+    mesh = reconstruction.mesh
+    assert not (mesh.kind == FaceKind.FLOOR).any() and len(mesh.triangle) == 12
+    for kind, z_m in ((FaceKind.FLAT, 5.0), (FaceKind.GROUND, 0.0)):
+        area_m2, height_m = area_and_height_m(reconstruction, kind)
+        assert area_m2 == pytest.approx(64, abs=4) and height_m == pytest.approx(z_m, abs=0.03)
+    assert mesh.vertex_m[:, 0].max() == pytest.approx(8, abs=0.3)
     assert reconstruction.eave_height_m == pytest.approx(5.0, abs=0.03)
     assert reconstruction.status == "ok"
 
 
-def test_a_patio_in_the_middle_has_a_floor() -> None:
+def test_a_patio_in_the_middle_is_a_hole() -> None:
     around = level((0, 0), (20, 8), 4.0, 0)
     is_patio = (np.abs(around[:, :2] - [10, 4]) < [3, 2]).all(axis=1)
     patio = level((7, 2), (13, 6), 0.2, 1)
     reconstruction = fitted((around[~is_patio], BUILDING), (patio, GROUND))
+    for kind in (FaceKind.FLAT, FaceKind.GROUND):
+        assert area_and_height_m(reconstruction, kind)[0] == pytest.approx(160 - 24, abs=5)
+
+
+@pytest.mark.parametrize("yard_m", [1.4, 0.2])
+def test_a_yard_between_two_houses_has_a_floor(yard_m: float) -> None:
+    """A solid is in one piece."""
+    houses = level((0, 0), (6, 8), 5.0, 0), level((14, 0), (20, 8), 5.0, 2)
+    reconstruction = fitted((np.vstack(houses), BUILDING), (level((6, 0), (14, 8), yard_m, 1), GROUND))
     area_m2, height_m = area_and_height_m(reconstruction, FaceKind.FLOOR)
-    assert area_m2 == pytest.approx(24, abs=5) and height_m == pytest.approx(1.0)
+    assert area_m2 == pytest.approx(64, abs=4) and height_m == pytest.approx(max(yard_m, 1.0), abs=0.03)
+    assert area_and_height_m(reconstruction, FaceKind.FLAT)[0] == pytest.approx(96, abs=4)
 
 
 @pytest.mark.parametrize("low_m", [0.4, 1.5])
