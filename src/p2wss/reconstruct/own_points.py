@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.points import MIN_HEIGHT_M, points_on_building
-from p2wss.fit.planes.detection import detect, height_over
+from p2wss.fit.planes.detection import detect, distances, height_over
 from p2wss.fit.settings import Detection
 
 
@@ -113,21 +113,23 @@ def _theirs(
     ring_m2 = polygon.buffer(RULES.strip_m).area - polygon.buffer(-RULES.band_m).area
     density = max(len(band) / ring_m2, _DETECTION.sparse_per_m2)
     found = detect(band_m, density, (), _DETECTION)
-    label, is_deep = found.label, ~beyond & ~near
-    is_theirs = np.zeros(len(band), bool)
+    label, is_theirs, is_loose = found.label, np.zeros(len(band), bool), found.label < 0
+    # where planes cross, points are on both
+    is_deep = ~beyond & ~near & ((distances(found.plane, band_m) < RULES.on_m).sum(axis=1) < 2)
     for number in range(len(found.plane)):
         on = label == number
-        if (on & beyond).sum() < RULES.num_points:
-            continue
         if (on & is_deep).sum() > RULES.deep_share * (on & near).sum():
+            continue
+        if (on & beyond).sum() < RULES.num_points:
+            is_loose |= on & (np.hypot(*found.plane[number, :2]) > 0.9)
             continue
         other_m = beside_m[on].reshape(-1, 3)
         off_m = height_over(found.plane, np.full(len(other_m), number), other_m[:, :2]) - other_m[:, 2]
-        if np.median(np.abs(off_m)) > RULES.step_m:
+        if np.quantile(np.abs(off_m), 0.7) > RULES.step_m:
             is_theirs |= on
     if not is_theirs.any():
         return result
-    on_wall = near & (label < 0) & shapely.dwithin(border, place[band], RULES.wall_m)
+    on_wall = near & is_loose & shapely.dwithin(border, place[band], RULES.strip_m)
     far_m, nearest = cKDTree(band_m[is_theirs, :2]).query(band_m[:, :2])
     top_m = height_over(found.plane, label[is_theirs][nearest], band_m[:, :2]) + RULES.on_m
     is_below = (far_m < RULES.strip_m) & (band_m[:, 2] < top_m)
