@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from p2wss.clouds.cropping import crop_points, ring_medians
 from p2wss.clouds.reading import Cloud
@@ -16,6 +17,8 @@ from p2wss.skeleton.types import Polygons
 GROUND_RINGS_M = (1.0, 4.0, 16.0, 64.0)
 _MIN_GROUND_POINTS = 5
 _LOW_PERCENTILE = 5.0
+# points of the ground further away show its slope, for which so many suffice
+_NEAR_M, _NUM_BETWEEN = 4.0, 1000
 # quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
 _FOOT_QUANTILE = 0.02
 
@@ -54,8 +57,9 @@ def ground_height(
 ) -> np.ndarray:
     """z of the ground around each polygon, float64 (num_polygons,); NaN if the cloud has no ground there.
 
-    It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it; if these are
-    fewer than five, at most 4, 16 or 64 m away (where one is enough). Without class 2 that near, it is the 5 %
+    It is the median of the ground points (class 2) outside the footprint and at most 1 m away from it, or at most 4 m
+    away if these are fewer than five. If there are few again, it lies :func:`between` those at most 16 m away, or 64 m
+    (where one is enough): on a slope, they may all be above or below. Without class 2 that near, it is the 5 %
     percentile of all the points in the first of these rings that has as many. first_ring: the result of
     :func:`crop_points` for 1 m, if it is at hand.
     """
@@ -67,6 +71,22 @@ def ground_height(
     # decided for each building, because the points that are read depend on the other buildings of a run
     _fill_from_rings(result, pending, cloud, polygons, None, first_ring)
     return result
+
+
+def between(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:
+    """Mean z at places (k, 2) on the triangles between points of a cloud, indices (m,); that of the point nearest to
+    the first place if all are outside the triangles."""
+    point = point[:: len(point) // _NUM_BETWEEN + 1]
+    off_m = np.column_stack([cloud.x_m[point], cloud.y_m[point]]) - xy_m[0]
+    if len(point) > 3:
+        # slow to import, and seldom used
+        from scipy.interpolate import LinearNDInterpolator
+
+        # points on a line have triangles, too
+        z_m = LinearNDInterpolator(Delaunay(off_m, qhull_options="QJ"), cloud.z_m[point])(xy_m - xy_m[0])
+        if np.isfinite(z_m).any():
+            return float(np.nanmean(z_m))
+    return float(cloud.z_m[point[np.hypot(*off_m.T).argmin()]])
 
 
 def _fill_from_rings(
@@ -93,10 +113,13 @@ def _fill_from_rings(
         among = np.ones(len(cloud), bool) if is_ground is None else is_ground
         counts, height_m = ring_medians(cloud.z_m, among, point, inside, offset)
         is_enough = counts >= (1 if distance_m == GROUND_RINGS_M[-1] else _MIN_GROUND_POINTS)
-        if is_ground is None:
-            for p in np.flatnonzero(is_enough):
-                pairs = slice(offset[p], offset[p + 1])
-                height_m[p] = np.percentile(cloud.z_m[point[pairs][~inside[pairs]]], _LOW_PERCENTILE)
+        for p in np.flatnonzero(is_enough) if is_ground is None or distance_m > _NEAR_M else ():
+            pairs = slice(offset[p], offset[p + 1])
+            around = point[pairs][~inside[pairs]]
+            if is_ground is None:
+                height_m[p] = np.percentile(cloud.z_m[around], _LOW_PERCENTILE)
+            else:
+                height_m[p] = between(cloud, around, polygons.rings(pending[p])[0])
         result[pending[is_enough]] = height_m[is_enough]
         pending = pending[~is_enough]
     return pending

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from p2wss.clouds.cropping import crop_points
-from p2wss.clouds.crops import GROUND_RINGS_M, CloudCrops
+from p2wss.clouds.crops import CloudCrops, between
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, PLANT_CLASSES
@@ -24,6 +24,8 @@ class Rules:
 
     lowest_roof_m, storey_m: the lowest roof is at least this high, and a storey if nothing else is known.
     low_quantile: of the heights of a building's points; lower ones may be of a shaft, or of a neighbour's roof.
+    roof_share: of a building's points that show its roof if they have class building, or else all of them do. step_m:
+    they are no ground where the points beside are so far below. around_m: where other ground is searched.
     min_own_points, min_points: that show a roof, and the ground. lowest_share: of the points around that may be ground.
     terrain_sd_m, storey_sd_m: expected standard deviations without points of the ground.
     """
@@ -31,7 +33,10 @@ class Rules:
     lowest_roof_m: float = 1.0
     storey_m: float = 3.0
     low_quantile: float = 0.05
-    min_own_points: int = 10
+    roof_share: float = 0.2
+    step_m: float = 2.0
+    around_m: float = 16.0
+    min_own_points: int = 5
     min_points: int = 5
     lowest_share: float = 0.02
     terrain_sd_m: float = 0.5
@@ -65,14 +70,20 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
     highest_z = np.full(count, np.inf)
     for p in range(count):
         some = slice(cropped.offset[p], cropped.offset[p + 1])
-        own = cropped.point[some][cropped.inside[some]]
-        classes = cloud.classification[own]
-        roof = own[classes == BUILDING_CLASS]
+        near, inside = cropped.point[some], cropped.inside[some]
+        is_solid = ~np.isin(cloud.classification[near], PLANT_CLASSES)
+        own, beside = near[inside & is_solid], near[~inside & is_solid]
+        roof = own[cloud.classification[own] == BUILDING_CLASS]
+        if len(roof) < RULES.roof_share * len(own):
+            roof = own
         if len(roof) >= RULES.min_own_points:
-            highest_z[p] = np.quantile(cloud.z_m[roof], RULES.low_quantile) - RULES.lowest_roof_m
-        elif len(own := own[~np.isin(classes, PLANT_CLASSES)]) >= RULES.min_own_points:
-            # these may be of the ground, too
-            highest_z[p] = np.quantile(cloud.z_m[own], RULES.low_quantile) + RULES.lowest_roof_m
+            low_z, low_beside_z = (
+                np.quantile(cloud.z_m[each], RULES.low_quantile) if len(each) else np.inf
+                for each in (roof, beside)
+            )
+            # without class building, points on the footprint may be of the ground, if it is not lower beside them
+            may_be_ground = roof is own and low_z < low_beside_z + RULES.step_m
+            highest_z[p] = low_z + (RULES.lowest_roof_m if may_be_ground else -RULES.lowest_roof_m)
         if terrain is not None and (len(own) == 0 or z_m[p] > highest_z[p]):
             corner = slice(polygons.vertex_offset[p], polygons.vertex_offset[p + 1])
             height_m = terrain.interpolated(*polygons.xy_m[corner].T)
@@ -81,24 +92,22 @@ def ground_of(cloud: Cloud, cropped: CloudCrops, polygons: Polygons, terrain: Te
     z_m[is_empty], source[is_empty], sd_m[is_empty] = terrain_z[is_empty], TERRAIN, RULES.terrain_sd_m
     too_high = np.flatnonzero(z_m > highest_z)
     is_ground = cloud.classification == GROUND_CLASS
-    for distance_m in GROUND_RINGS_M[1:3]:
-        chosen = polygon_arrays.take(polygons, too_high)
-        point, _, offset = crop_points(cloud.x_m, cloud.y_m, chosen, distance_m)
-        for k, p in enumerate(too_high.tolist()):
-            around = point[offset[k] : offset[k + 1]]
-            low_z = cloud.z_m[around[cloud.z_m[around] < highest_z[p]]]
-            ground_z = cloud.z_m[around[is_ground[around] & (cloud.z_m[around] < highest_z[p])]]
-            if source[p] not in (BELOW, TERRAIN) and len(ground_z) >= RULES.min_points:
-                z_m[p], source[p], sd_m[p] = np.median(ground_z), BELOW, np.std(ground_z)
-            elif source[p] == AROUND and terrain_z[p] < highest_z[p]:
-                z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, RULES.terrain_sd_m
-            elif distance_m == GROUND_RINGS_M[2] and source[p] == AROUND and len(low_z) >= RULES.min_points:
-                z_m[p], source[p] = np.quantile(low_z, RULES.lowest_share), LOWEST
-                sd_m[p] = z_m[p] - low_z.min() + RULES.terrain_sd_m
-    for p in too_high[source[too_high] == AROUND]:
-        z_m[p], source[p], sd_m[p] = (
-            highest_z[p] - RULES.storey_m + RULES.lowest_roof_m,
-            STOREY,
-            RULES.storey_sd_m,
-        )
+    point, _, offset = crop_points(
+        cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, too_high), RULES.around_m
+    )
+    for k, p in enumerate(too_high.tolist()):
+        around = point[offset[k] : offset[k + 1]]
+        low = around[cloud.z_m[around] < highest_z[p]]
+        ground = low[is_ground[low]]
+        if len(ground) >= RULES.min_points:
+            z_m[p] = min(between(cloud, ground, polygons.rings(p)[0]), highest_z[p])
+            source[p], sd_m[p] = BELOW, np.std(cloud.z_m[ground])
+        elif terrain_z[p] < highest_z[p]:
+            z_m[p], source[p], sd_m[p] = terrain_z[p], TERRAIN, RULES.terrain_sd_m
+        elif len(low) >= RULES.min_points:
+            z_m[p], source[p] = np.quantile(cloud.z_m[low], RULES.lowest_share), LOWEST
+            sd_m[p] = z_m[p] - cloud.z_m[low].min() + RULES.terrain_sd_m
+        else:
+            z_m[p] = highest_z[p] - RULES.storey_m + RULES.lowest_roof_m
+            source[p], sd_m[p] = STOREY, RULES.storey_sd_m
     return Grounds(z_m, source, sd_m)
