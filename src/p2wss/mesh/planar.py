@@ -13,6 +13,8 @@ from p2wss.skeleton.types import FaceKind
 # corners nearer to all planes of their roofs are there; roofs that cannot be planes to the second figure stay as they
 # are, as do those of which a corner would move further than the third
 _EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 1e-4, 0.06
+# nothing within a wall is further than this from its line; lines whose angle has no greater sine squared are parallel
+_MAX_BENT_M, _PARALLEL = 5e-3, 1e-3
 # ends of an edge that are nearer than this become one
 SHORT_EDGE_M = 0.05
 # a triangle of less height than this has no normal that survives the rounding of a file; one is turned over if twice
@@ -26,13 +28,14 @@ _RANKS = (1e-2, 1e-6)
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
-    """The mesh with planar roofs, as far as that is possible (:func:`with_planar_roofs`), and without those edges
-    shorter than ``short_m`` that can go, the shortest first.
+    """The mesh with straight walls (:func:`_with_straight_walls`) and planar roofs, as far as that is possible
+    (:func:`with_planar_roofs`), and without those edges shorter than ``short_m`` that can go, the shortest first.
 
     An edge goes if one of its ends can move to the other one along the walls that meet in it, the mesh stays a
     manifold, and its roofs can be planes again.
     """
-    result: Mesh | None = with_planar_roofs(mesh, mesh) or mesh
+    straight = _with_straight_walls(mesh)
+    result: Mesh | None = with_planar_roofs(straight, mesh) or with_planar_roofs(mesh, mesh) or mesh
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
@@ -48,6 +51,39 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
             if result is not None:
                 break
     return mesh
+
+
+def _with_straight_walls(mesh: Mesh) -> Mesh:
+    """The mesh whose vertices within a wall are on the line between its ends, or where the lines of their walls meet.
+
+    Those of the outer walls are there already; others are off by fractions of a millimetre, as least squares and shifts
+    of planes left them.
+    """
+    planes = mesh.planes
+    column = np.unique(np.round(mesh.vertex_m[:, :2] / _EXACT_M), axis=0, return_inverse=True)[1].reshape(-1)
+    num_columns = int(column.max()) + 1
+    place_m = np.zeros((num_columns, 2))
+    place_m[column] = mesh.vertex_m[:, :2]
+    square, to_line_m, is_off = (
+        np.zeros((num_columns, 2, 2)),
+        np.zeros((num_columns, 2)),
+        np.zeros(num_columns, bool),
+    )
+    for wall in np.flatnonzero(planes.is_wall).tolist():
+        own = np.unique(column[mesh.triangle[planes.number == wall]])
+        along = np.array([-planes.normal[wall, 1], planes.normal[wall, 0]])
+        order = np.argsort(place_m[own] @ along)
+        start, end = place_m[own[order[[0, -1]]]]
+        normal = np.array([start[1] - end[1], end[0] - start[0]]) / max(np.hypot(*(end - start)), _EXACT_M)
+        off_m = (start - place_m[own]) @ normal
+        square[own] += normal[:, None] * normal
+        to_line_m[own] += off_m[:, None] * normal
+        is_off[own] |= np.abs(off_m) > _EXACT_M
+    move_m = (np.linalg.pinv(square[is_off], _PARALLEL, hermitian=True) @ to_line_m[is_off, :, None])[..., 0]
+    if not len(move_m) or np.hypot(*move_m.T).max() > _MAX_BENT_M:
+        return mesh
+    place_m[is_off] += move_m
+    return mesh.moved(np.column_stack([place_m[column], mesh.vertex_m[:, 2]]))
 
 
 def _can_move(mesh: Mesh, end: int, moved: int) -> bool:

@@ -52,6 +52,19 @@ def test_planes_stay_as_they_are_to_the_bit() -> None:
     assert with_exact_faces(mesh) is mesh
 
 
+def test_walls_bent_within_become_straight() -> None:
+    """The step between two roofs ends within two long walls."""
+    mesh = boxes(1.0)
+    mesh = Mesh.of_triangles(mesh.vertex_m, mesh.triangle)
+    bent = mesh.vertex_m.copy()
+    bent[np.isclose(bent[:, 0], 6)] += [2e-4, 5e-4, 0]
+    exact = with_exact_faces(mesh.moved(bent))
+    assert furthest_m(mesh.moved(bent)) > 1e-4 and furthest_m(exact) < 1e-6
+    assert np.abs(exact.vertex_m - mesh.vertex_m).max() == pytest.approx(2e-4, abs=1e-6)
+    far = mesh.vertex_m + np.where(np.isclose(mesh.vertex_m[:, :1], 6), [0, 0.02, 0], 0)
+    assert with_exact_faces(mesh.moved(far)).vertex_m.tolist() == far.tolist()
+
+
 def test_roofs_bent_by_more_than_centimetres_stay() -> None:
     mesh = hip()
     bent = mesh.vertex_m.copy()
