@@ -26,6 +26,8 @@ _WITHIN_EDGE_M = 1e-6
 _STRAIGHT_M, _MAX_INNER, _NUM_ROUNDS = 5e-3, 8, 6
 # of walls at a vertex, and of a vertex from the line between its neighbours: with less it goes
 _MIN_TURN_DEG, _MIN_OFFSET_M = 3.0, 0.02
+# of the angle between walls of which it is known where they meet
+_MIN_SINE = 0.2
 
 
 def block_numbers(shapes: np.ndarray, snap_m: float) -> np.ndarray:
@@ -55,7 +57,7 @@ def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
     pending = [np.lexsort((shapely.area(shapes), *bounds.T[::-1]))]
     while pending:
         rows = pending.pop()
-        polygons, is_whole = _clean(shapes[rows], origin[block[rows]], settings)
+        polygons, is_whole = _clean(shapes[rows], origin[block[rows]], block[rows], settings)
         if is_whole.all():
             result[rows] = polygons
             continue
@@ -65,9 +67,11 @@ def clean_coverage(shapes: np.ndarray, settings: Scenes) -> np.ndarray:
     return result
 
 
-def _clean(shapes: np.ndarray, origin: np.ndarray, settings: Scenes) -> tuple[np.ndarray, np.ndarray]:
-    """(polygons, whether each can be part of its coverage); they are coverages if all can be. origin: (n, 2), the
-    corner of each block."""
+def _clean(
+    shapes: np.ndarray, origin: np.ndarray, block: np.ndarray, settings: Scenes
+) -> tuple[np.ndarray, np.ndarray]:
+    """(polygons, whether each can be part of its coverage); they are coverages if all can be. block: (n,), the number
+    of that of each; origin: (n, 2), its corner."""
     polygons = polygon_arrays.to_polygons(shapes)
     nodes = join_rings(polygons, settings.snap_m)
     of_node = np.zeros(len(nodes.xy_m), np.int64)
@@ -84,14 +88,19 @@ def _clean(shapes: np.ndarray, origin: np.ndarray, settings: Scenes) -> tuple[np
     tolerances = np.array([settings.simplify_m, 0.0, -1.0])
     level = np.zeros(len(arcs.nodes), np.int64)
     for _ in tolerances:
-        rings = arcs.simplified(xy_m, tolerances[level], settings).rings(polygons.polygon_offset)
+        simple = arcs.simplified(xy_m, tolerances[level], settings)
+        rings = simple.rings(polygons.polygon_offset)
         is_whole = rings.are_whole(xy_m)
         if is_whole.all():
             break
         level[arcs.of_polygons(~is_whole, polygons.polygon_offset)] += 1
     else:
         return np.zeros(0, object), is_whole
-    xy_m = rings.straightened(xy_m)
+    refitted_m = arcs.refitted(simple, xy_m, settings.simplify_m)
+    # nothing that happens to one block depends on the others
+    crossing = np.isin(block, block[~rings.are_whole(refitted_m)])[rings.polygon_of_vertex]
+    refitted_m[rings.node[crossing]] = xy_m[rings.node[crossing]]
+    xy_m = rings.straightened(refitted_m)
     result = rings.without_inner(xy_m).polygons(xy_m + origin[of_node])
     return polygon_arrays.to_geometries(result), is_accepted(result)
 
@@ -144,7 +153,7 @@ class _Rings:
         here = xy_m[self.node]
         before, after = here[previous_in_ring(self.ring_offset)], here[next_in_ring(self.ring_offset)]
         u, v = here - before, after - here
-        offset_m = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / np.hypot(*(after - before).T)
+        offset_m = np.abs(_cross(u, v)) / np.hypot(*(after - before).T)
         return np.asarray((offset_m < most_m) & ((u * v).sum(axis=1) > 0))
 
     def straightened(self, xy_m: np.ndarray) -> np.ndarray:
@@ -251,6 +260,34 @@ class _Arcs:
             nodes[k] = node[first:last]
         return _Arcs(nodes, self.of_ring)
 
+    def refitted(self, simple: _Arcs, xy_m: np.ndarray, most_m: float) -> np.ndarray:
+        """The places of the nodes after those between two edges of ``simple`` arcs have moved, by at most ``most_m``,
+        to where the longest edges that these replace would meet. So walls keep their directions."""
+        result = xy_m.copy()
+        for arc, kept in zip(self.nodes, simple.nodes, strict=True):
+            if len(kept) == len(arc):
+                continue
+            start, step = xy_m[arc[:-1]], np.diff(xy_m[arc], axis=0)
+            length_m = np.hypot(*step.T)
+            first = np.flatnonzero(np.isin(arc[:-1], kept))
+            after = np.array(
+                [a + length_m[a:b].argmax() for a, b in pairwise([*first.tolist(), len(length_m)])]
+            )
+            before = np.roll(after, 1)
+            turn, off = (_cross(each, step[after]) for each in (step[before], start[after] - start[before]))
+            is_clear = np.abs(turn) > _MIN_SINE * length_m[before] * length_m[after]
+            # a ring begins between two of its edges, an arc does not
+            is_clear[0] &= arc[0] == arc[-1]
+            place_m = start[before] + (off / np.where(is_clear, turn, np.inf))[:, None] * step[before]
+            is_clear &= np.hypot(*(place_m - xy_m[arc[first]]).T) <= most_m
+            result[arc[first[is_clear]]] = place_m[is_clear]
+        return result
+
+
+def _cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(n,) of vectors (n, 2)."""
+    return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+
 
 def _thinned(
     xy_m: np.ndarray, node: np.ndarray, arc: np.ndarray, min_edge_m: float
@@ -270,7 +307,7 @@ def _thinned(
         u, v = xy_m[node[inner]] - xy_m[node[inner - 1]], xy_m[node[inner + 1]] - xy_m[node[inner]]
         u_m, v_m = np.hypot(*u.T), np.hypot(*v.T)
         chord_m = np.hypot(*(u + v).T)
-        cross, along = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]), (u * v).sum(axis=1)
+        cross, along = np.abs(_cross(u, v)), (u * v).sum(axis=1)
         is_spike = along <= -max_cosine * u_m * v_m
         offset_m = cross / np.maximum(np.where(is_spike, np.maximum(u_m, v_m), chord_m), 1e-12)
         removable = is_spike | (np.minimum(u_m, v_m) < min_edge_m)
