@@ -21,10 +21,8 @@ class Rules:
     points further below it are on a wall or on the ground. min_points: in each band. min_bins_share: of the length of
     an edge that shows the end of the roof.
 
-    min_shift_m: a wall is moved by at least this much; a quarter of its length may show less. min_turned_m,
-    turned_share: an edge of this length is turned if that reduces the mean distance to where the roof begins to this
-    share. min_remaining_m: what remains of an edge. min_turn: sine of the turn at a corner that can be found from the
-    lines of its edges.
+    min_shift_m: a wall is moved by at least this much; a quarter of its length may show less. min_remaining_m: what
+    remains of an edge. min_turn: sine of the turn at a corner that can be found from the lines of its edges.
 
     ground_share, beyond_m, most_building: beyond a wall that moves is open ground, which has at least this share of the
     points between the wall and the edge; within this distance beyond the edge, further than which no points are at
@@ -42,8 +40,6 @@ class Rules:
     min_points: int = 3
     min_bins_share: float = 0.6
     min_shift_m: float = 0.3
-    min_turned_m: float = 5.0
-    turned_share: float = 0.7
     min_remaining_m: float = 0.5
     min_turn: float = 0.2
     ground_share: float = 0.2
@@ -74,21 +70,18 @@ def move_walls(
         return list(rings)
     ground_m, building_m = (point_m[classification == each, :2] for each in (GROUND_CLASS, BUILDING_CLASS))
     after = np.roll(ring, -1, axis=0)
-    # of the start and the end of each edge
-    shift_m = np.zeros((len(ring), 2))
+    shift_m = np.zeros(len(ring))
     for i, ends in enumerate(zip(ring, after, strict=True)):
-        if not _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
-            continue
-        shifts = _shifts_m(*ends, roof_point_m, max_shift_m)
-        if shifts.any() and _is_open(*ends, float(shifts.mean()), ground_m, building_m, RULES.ground_share):
-            shift_m[i] = shifts
-    if not shift_m.any():
-        return list(rings)
+        if _is_open(*ends, max_shift_m, ground_m, building_m, 0.0):
+            within_m = min(_shift_m(*ends, roof_point_m), max_shift_m)
+            if within_m and _is_open(*ends, within_m, ground_m, building_m, RULES.ground_share):
+                shift_m[i] = within_m
     # a short edge between two that move, the chamfer of a corner, moves with them
     for i in np.flatnonzero(np.linalg.norm(after - ring, axis=1) < RULES.min_edge_m).tolist():
-        beside = shift_m[i - 1, 1], shift_m[(i + 1) % len(ring), 0]
-        shift_m[i] = min(beside, key=abs) if beside[0] * beside[1] > 0 else 0.0
+        shift_m[i] = min(shift_m[i - 1], shift_m[(i + 1) % len(ring)])
     moved = _moved_ring(ring, shift_m, 2 * max_shift_m)
+    if moved is ring:
+        return list(rings)
     polygon, original = shapely.Polygon(moved, rings[1:]), shapely.Polygon(ring, rings[1:])
     if not polygon.is_valid or polygon.area < 0.5 * original.area:
         return list(rings)
@@ -96,28 +89,22 @@ def move_walls(
 
 
 def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndarray:
-    """The ring (n, 2) after the start and the end of each edge have moved inwards by ``shift_m`` (n, 2). An edge
-    stays where it would move a corner by more than ``most_m``, or turn an edge round or leave hardly anything of
-    it."""
+    """The ring (n, 2) after its edges have moved inwards by ``shift_m`` (n,), none of which turns. An edge stays where
+    it would move a corner by more than ``most_m``, or leave hardly anything of an edge."""
     after = np.roll(ring, -1, axis=0)
-    length = np.linalg.norm(after - ring, axis=1, keepdims=True)
-    along = (after - ring) / length
+    length = np.linalg.norm(after - ring, axis=1)
+    along = (after - ring) / length[:, None]
     inward = np.column_stack([-along[:, 1], along[:, 0]])
     shift_m = shift_m.copy()
     while shift_m.any():
-        start, end = ring + shift_m[:, :1] * inward, after + shift_m[:, 1:] * inward
-        direction = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
-        normal = np.column_stack([-direction[:, 1], direction[:, 0]])
         moved = ring.copy()
         for i in range(len(ring)):
-            if shift_m[i - 1].any() or shift_m[i].any():
-                matrix = normal[[i - 1, i]]
-                shifts = np.array([(end[i - 1] - ring[i]) @ matrix[0], (start[i] - ring[i]) @ matrix[1]])
-                if abs(np.linalg.det(matrix)) < RULES.min_turn:
-                    shifts[:] = shifts[np.abs(shifts).argmin()]
-                moved[i] += np.linalg.lstsq(matrix, shifts)[0]
+            shifts, matrix = shift_m[[i - 1, i]], inward[[i - 1, i]]
+            if abs(np.linalg.det(matrix)) < RULES.min_turn:
+                shifts = shifts[[shifts.argmin()] * 2]
+            moved[i] += np.linalg.lstsq(matrix, shifts)[0]
         remaining = ((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1)
-        too_short = np.flatnonzero(remaining <= np.minimum(RULES.min_remaining_m, 0.5 * length[:, 0]))
+        too_short = np.flatnonzero(remaining <= np.minimum(RULES.min_remaining_m, 0.5 * length))
         too_far = np.flatnonzero(np.linalg.norm(moved - ring, axis=1) > most_m)
         stays = np.concatenate([too_short - 1, too_short, too_short + 1, too_far - 1, too_far]) % len(ring)
         if not len(stays):
@@ -143,7 +130,7 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
         # without ground, as along party walls, there is nothing to find
         if ((ground_depth_m >= -RULES.beyond_m) & (ground_depth_m < _FAR_M)).sum() < RULES.min_points:
             continue
-        _, begins_m = _begins_m(start, end, building_m, -RULES.beyond_m)
+        begins_m = _begins_m(start, end, building_m, -RULES.beyond_m)
         if not len(begins_m):
             continue
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
@@ -170,26 +157,12 @@ def mean_overhang_m(ring: np.ndarray, point_m: np.ndarray, classification: np.nd
     return float(np.average(overhang_m[is_known], weights=length_m[is_known]))
 
 
-def _shifts_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, max_shift_m: float) -> np.ndarray:
-    """How far behind the start and the end of an edge the roof begins, zeros where it does so at the edge or where that
-    is not clear."""
-    at, begins_m = _begins_m(start, end, point_m, 0.0)
-    if not len(begins_m):
-        return np.zeros(2)
-    level_m = float(np.median(begins_m))
-    first, second = np.triu_indices(len(at), 1)
-    is_far = at[second] - at[first] > 0.3
-    if np.hypot(*(end - start)) >= RULES.min_turned_m and is_far.any():
-        # the drawn edge may be turned against the wall: the median of the slopes of all pairs is robust
-        slopes_m = (begins_m[second] - begins_m[first])[is_far] / (at[second] - at[first])[is_far]
-        rise_m = float(np.median(slopes_m))
-        ends_m = float(np.median(begins_m - rise_m * at)) + rise_m * np.array([0.0, 1.0])
-        turned, straight = (np.abs(begins_m - line).mean() for line in (ends_m[0] + rise_m * at, level_m))
-        if turned < RULES.turned_share * straight and ends_m.max() >= RULES.min_shift_m:
-            return np.clip(ends_m, 0.0, max_shift_m)
-    if np.quantile(begins_m, 0.25) < RULES.min_shift_m:
-        return np.zeros(2)
-    return np.full(2, min(level_m, max_shift_m))
+def _shift_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray) -> float:
+    """How far behind an edge the roof begins, 0 where it does so at the edge or where that is not clear."""
+    begins_m = _begins_m(start, end, point_m, 0.0)
+    if not len(begins_m) or np.quantile(begins_m, 0.25) < RULES.min_shift_m:
+        return 0.0
+    return float(np.median(begins_m))
 
 
 def _beside(
@@ -205,20 +178,18 @@ def _beside(
     return (place[row] - RULES.at_corner_m) / (length - 2 * RULES.at_corner_m), depth[row], row
 
 
-def _begins_m(
-    start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """(place along the edge from 0 to 1, how far behind it the roof begins there, ``least_m`` or more) for each metre
-    of its length; empty where too few show it."""
+def _begins_m(start: np.ndarray, end: np.ndarray, point_m: np.ndarray, least_m: float) -> np.ndarray:
+    """How far behind an edge the roof begins, ``least_m`` or more, for each metre of its length; empty where too few
+    show it."""
     length = float(np.hypot(*(end - start)))
     if length < RULES.min_edge_m:
-        return np.zeros(0), np.zeros(0)
+        return np.zeros(0)
     share, depth, row = _beside(start, end, point_m)
     near = (depth > least_m) & (depth < _FAR_M)
     share, depth, z = share[near], depth[near], point_m[row[near], 2]
     num_bins = max(1, int((length - 2 * RULES.at_corner_m) / RULES.bin_m))
     number = np.minimum((share * num_bins).astype(int), num_bins - 1)
-    at, begins_m = [], []
+    begins_m = []
     for k in range(num_bins):
         here = number == k
         bands = [here & (depth > low) & (depth <= low + 1.0) for low in (_NEAR_M, _MIDDLE_M)]
@@ -226,11 +197,8 @@ def _begins_m(
             height_m, next_m = (_median(z[band]) for band in bands)
             slope = min(max(next_m - height_m, 0.0), RULES.steepest)
             roof_m = height_m + slope * (depth - (_NEAR_M + 0.5))
-            at.append((k + 0.5) / num_bins)
             begins_m.append(depth[here & (z > roof_m - RULES.below_roof_m)].min())
-    if len(begins_m) < RULES.min_bins_share * num_bins:
-        return np.zeros(0), np.zeros(0)
-    return np.array(at), np.array(begins_m)
+    return np.array(begins_m if len(begins_m) >= RULES.min_bins_share * num_bins else [])
 
 
 def _median(value: np.ndarray) -> float:
