@@ -35,7 +35,7 @@ def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:
     manifold, and its roofs can be planes again.
     """
     straight = _with_straight_walls(mesh)
-    result: Mesh | None = with_planar_roofs(straight, mesh) or with_planar_roofs(mesh, mesh) or mesh
+    result: Mesh | None = with_planar_roofs(straight, mesh) or with_planar_roofs(mesh, mesh) or straight
     while result is not None:
         mesh, result = result, None
         edge_m = mesh.edge_m.ravel()
@@ -79,10 +79,11 @@ def _with_straight_walls(mesh: Mesh) -> Mesh:
         square[own] += normal[:, None] * normal
         to_line_m[own] += off_m[:, None] * normal
         is_off[own] |= np.abs(off_m) > _EXACT_M
-    move_m = (np.linalg.pinv(square[is_off], _PARALLEL, hermitian=True) @ to_line_m[is_off, :, None])[..., 0]
-    if not len(move_m) or np.hypot(*move_m.T).max() > _MAX_BENT_M:
+    move_m = (np.linalg.pinv(square, _PARALLEL, hermitian=True) @ to_line_m[..., None])[..., 0]
+    is_off &= np.hypot(*move_m.T) <= _MAX_BENT_M
+    if not is_off.any():
         return mesh
-    place_m[is_off] += move_m
+    place_m[is_off] += move_m[is_off]
     return mesh.moved(np.column_stack([place_m[column], mesh.vertex_m[:, 2]]))
 
 
