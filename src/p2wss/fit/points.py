@@ -92,6 +92,8 @@ def shaft_points(
         return np.zeros((0, 3))
     nearest = cKDTree(roof_m[:, :2]).query(low_m[:, :2], _NUM_BESIDE)[1]
     low_m = low_m[low_m[:, 2] < roof_m[nearest, 2].min(axis=1) - _BELOW_ROOF_M]
+    if len(low_m) < _MIN_LOW_POINTS:
+        return np.zeros((0, 3))
     gap_m = max(float((polygon.area / len(roof_m)) ** 0.5), _CELL_M / 4)
     start_m, end_m = point_m[:, :2].min(axis=0), point_m[:, :2].max(axis=0)
     step_m = _FLOOR_STEP * gap_m

@@ -20,6 +20,7 @@ from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.points import MIN_HEIGHT_M, points_on_building
 from p2wss.fit.planes.detection import detect, distances, height_over
+from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 
 
@@ -27,22 +28,25 @@ from p2wss.fit.settings import Detection
 class Rules:
     """Whose the points at a border are; set by hand from drawn old towns.
 
-    strip_m, wall_m: points this near to the border may be another building's; those of walls are nearer. band_m: what
-    the building has at the strip is seen within this distance of the border. core_m: half the width of a wing, less the
-    strip; narrower ones have no strip, because their own roof looks like one. step_m: the median height between a
-    plane of the neighbour and the points of the building nearest to it, of which so many (``num_near``) are looked at.
-    on_m: returns from walls are at most this far above the plane. num_points: that show a plane beyond the border.
-    deep_share: a plane with a larger share of its points within the border beyond the strip is the building's.
+    strip_m: points this near to the border may be another building's. band_m: what the building has at the strip is
+    seen within this distance of the border. core_m: half the width of a wing, less the strip; narrower ones have no
+    strip, because their own roof looks like one. step_m, step_quantile: the height between a plane of the neighbour
+    and the points of the building nearest to it, of which so many (``num_near``) are looked at. on_m: points are on a
+    plane, and returns from walls below it, if they are at most this far above. num_points: that show a plane beyond
+    the border. most_per_m2: points of which planes are grown. steep: tangent of the slope of what is no roof but a
+    wall. deep_share: a plane with a larger share of its points within the border beyond the strip is the building's.
     """
 
     strip_m: float = 1.0
-    wall_m: float = 0.6
     band_m: float = 2.5
     core_m: float = 0.5
     step_m: float = 0.7
+    step_quantile: float = 0.7
     num_near: int = 4
     on_m: float = 0.25
     num_points: int = 3
+    most_per_m2: float = 6.0
+    steep: float = 1.2
     deep_share: float = 0.1
 
 
@@ -88,18 +92,22 @@ def _theirs(
     result = np.zeros(len(point_m), bool)
     is_built = classification == BUILDING_CLASS
     is_built |= ~inside & (classification == UNCLASSIFIED_CLASS) & (point_m[:, 2] >= MIN_HEIGHT_M)
-    margin_m = RULES.strip_m + RULES.core_m
-    core, border = polygon.buffer(-margin_m).buffer(RULES.core_m), polygon.boundary
+    core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
     if core.is_empty or (is_built & ~inside).sum() < RULES.num_points:
         return result
-    shapely.prepare([core, border])
-    place = np.asarray(shapely.points(point_m[:, :2]))
-    is_strip = inside & shapely.dwithin(border, place, RULES.strip_m)
-    is_strip[is_strip] = shapely.dwithin(core, place[is_strip], 2 * RULES.strip_m)
+    within, deep_within, beside_core = (
+        shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
+        for each in (
+            polygon.buffer(-RULES.strip_m),
+            polygon.buffer(-RULES.band_m),
+            core.buffer(2 * RULES.strip_m),
+        )
+    )
+    is_strip = inside & ~within & beside_core
     # where all that has class building is in the strip, the classifier may have missed the building itself
     unknown = np.where(is_built & is_strip, np.uint8(UNCLASSIFIED_CLASS), classification)
     is_own = inside & (is_built & is_strip | points_on_building(polygon, point_m, unknown))
-    band = np.flatnonzero(is_built & ~inside | is_own & shapely.dwithin(border, place, RULES.band_m))
+    band = np.flatnonzero(is_built & ~inside | is_own & ~deep_within)
     beyond, near = ~inside[band], is_strip[band]
     deep, band_m = np.flatnonzero(~beyond & ~near), point_m[band]
     if not len(deep) or not near.any():
@@ -111,8 +119,10 @@ def _theirs(
     if (step_m[near] > RULES.step_m).sum() < RULES.num_points:
         return result
     ring_m2 = polygon.buffer(RULES.strip_m).area - polygon.buffer(-RULES.band_m).area
-    density = max(len(band) / ring_m2, _DETECTION.sparse_per_m2)
-    found = detect(band_m, density, (), _DETECTION)
+    chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
+    density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
+    found = detect(band_m[chosen], density, (), _DETECTION)
+    found = replace(found, label=found.label[cKDTree(band_m[chosen]).query(band_m)[1]])
     label, is_theirs, is_loose = found.label, np.zeros(len(band), bool), found.label < 0
     # where planes cross, points are on both
     is_deep = ~beyond & ~near & ((distances(found.plane, band_m) < RULES.on_m).sum(axis=1) < 2)
@@ -121,17 +131,16 @@ def _theirs(
         if (on & is_deep).sum() > RULES.deep_share * (on & near).sum():
             continue
         if (on & beyond).sum() < RULES.num_points:
-            is_loose |= on & (np.hypot(*found.plane[number, :2]) > 0.9)
+            is_loose |= on & (np.hypot(*found.plane[number, :2]) > RULES.steep)
             continue
         other_m = beside_m[on].reshape(-1, 3)
         off_m = height_over(found.plane, np.full(len(other_m), number), other_m[:, :2]) - other_m[:, 2]
-        if np.quantile(np.abs(off_m), 0.7) > RULES.step_m:
+        if np.quantile(np.abs(off_m), RULES.step_quantile) > RULES.step_m:
             is_theirs |= on
     if not is_theirs.any():
         return result
-    on_wall = near & is_loose & shapely.dwithin(border, place[band], RULES.strip_m)
     far_m, nearest = cKDTree(band_m[is_theirs, :2]).query(band_m[:, :2])
     top_m = height_over(found.plane, label[is_theirs][nearest], band_m[:, :2]) + RULES.on_m
     is_below = (far_m < RULES.strip_m) & (band_m[:, 2] < top_m)
-    result[band] = near & is_theirs | on_wall & is_below
+    result[band] = near & (is_theirs | is_loose & is_below)
     return result
