@@ -172,8 +172,6 @@ class Detection(NamedTuple):
     max_slope: float = 2.2
     # metres: noise of a point; smaller residuals have full weight
     noise_m: float = NOISE_M
-    # times that points go to the best plane around them, and planes become one
-    num_rounds: int = 3
     # metres: a plane that is simpler than its points show (one for two, level, along a wall) may be this much further
     # from them on average
     simpler_m: float = 0.012

@@ -51,7 +51,7 @@ class Rules:
 
 
 RULES = Rules()
-_DETECTION = Detection(num_rounds=1)
+_DETECTION = Detection()
 
 
 def with_own_classes(building: Building) -> Building:

@@ -72,9 +72,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         rough_m = np.sqrt(np.maximum(spread[:, 0], 0))
         order = np.argsort(rough_m, kind="stable")
         plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
-    for _ in range(settings.num_rounds):
-        if not len(plane):
-            break
+    if len(plane):
         label = _reassigned(point_m, plane, label, neighbour, settings.distance_m)
         plane, label = _merged(point_m, plane, label, neighbour, min_points, settings)
     return RoofPlanes(plane, label)
