@@ -5,7 +5,7 @@ imports no slow modules, because the Snakefile imports it at every start.
 """
 
 from p2wss.config.ablation import Ablation
-from p2wss.config.base import Section
+from p2wss.config.base import IDENTITY, Section
 from p2wss.config.buildings import Buildings
 from p2wss.config.crops import Crops
 from p2wss.config.dataset import Dataset, Member
@@ -40,6 +40,7 @@ from p2wss.config.training import Compute, Optimiser
 __all__ = [
     "ALL",
     "CLASSES_ALONE",
+    "IDENTITY",
     "IGN",
     "OUTPUT_SUFFIXES",
     "PLACE_PATTERN",

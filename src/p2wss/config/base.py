@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializationInfo,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
+
+# context in which a section is dumped to tell whether two of them have the same result
+IDENTITY = "identity"
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -14,6 +26,14 @@ class Section(BaseModel):
     """Base class of all sections: unknown keys are errors, and instances are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    # values of keys with which a result is what it was before there was such a key: these rerun nothing
+    neutral: ClassVar[Mapping[str, Any]] = {}
+
+    @model_serializer(mode="wrap")
+    def _dumped(self, dump: SerializerFunctionWrapHandler, info: SerializationInfo) -> dict[str, Any]:
+        values: dict[str, Any] = dump(self)
+        neutral = self.neutral if info.context == IDENTITY else {}
+        return {name: value for name, value in values.items() if neutral.get(name) != value or value is None}
 
 
 def _in_order(bounds: tuple[float, float]) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -86,6 +86,7 @@ class ModelOptimiser(Optimiser):
 class Model(Section):
     """Stage model: Point2WSS, the multimodal transformer. Points and patches are those of section dvae."""
 
+    neutral: ClassVar = {"similar_lengths": True, "dvae_start": True}
     weights: str = Field("", description="file with trained weights to use instead of training; '' = train")
     seed: int = Field(0, ge=0, description="seed of initial weights, batches and augmentation")
     max_vertices: int = Field(
@@ -113,6 +114,16 @@ class Model(Section):
         le=1,
         description="share of each batch for which the losses cloud, modal and match are computed; the "
         "paper: 1",
+    )
+    similar_lengths: bool = Field(
+        True,
+        description="batches hold buildings with similar numbers of vertices, which takes less time and "
+        "memory; false = any buildings",
+    )
+    dvae_start: bool = Field(
+        True,
+        description="the encoder of patches starts from that of the dVAE, as in Point-BERT; false = from "
+        "random weights",
     )
     match_balanced: bool = Field(
         True,

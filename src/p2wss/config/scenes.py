@@ -70,10 +70,10 @@ class Scenes(Section):
         0.5,
         description="footprints are excluded if terrain data cover less than this share of their perimeter",
     )
-    sampler: Literal["realistic", "uniform"] = Field(
+    sampler: Literal["realistic", "uniform", "uniform-kinds"] = Field(
         "realistic",
         description="realistic = draw a roof type and angles that produce it; uniform = draw each angle from "
-        "0, 90 and 20 to 45, as in the paper",
+        "0, 90 and 20 to 45, as in the paper; uniform-kinds = as often 0 or 90 as any from 20 to 45",
     )
     roof_shares: RoofShares = RoofShares()
     max_rise_m: float = Field(

@@ -1,8 +1,8 @@
 """Draw roof angles: per footprint edge 0 (flat), 90 (vertical: a gable) or an integer from 20 to 45 degrees.
 
 The paper (section 5.1) only states that each edge gets one of these values. The sampler ``uniform`` draws them
-independently, as the paper describes. The sampler ``realistic`` draws a roof type first, and then the angles of
-such a roof.
+independently, as the paper describes, and ``uniform-kinds`` as often flat or vertical as any slope. The sampler
+``realistic`` draws a roof type first, and then the angles of such a roof.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from p2wss.skeleton.types import Polygons
 
 SLOPES_DEG = np.arange(MIN_SLOPE_DEG, MAX_SLOPE_DEG + 1)
 ANGLES_DEG = np.array([FLAT_DEG, VERTICAL_DEG, *SLOPES_DEG])
+# a third each
+_KIND_SHARES = np.repeat([1, 1, 1 / len(SLOPES_DEG)], [1, 1, len(SLOPES_DEG)]) / 3
 # edges whose directions differ by less belong to the same wing and share an angle
 _PARALLEL_DEG = 12.0
 # a gable stands on an edge between two corners of roughly a right angle
@@ -65,8 +67,9 @@ class FootprintEdges:
 def draw_angles(edges: FootprintEdges, building_id: str, config: Scenes) -> tuple[str, np.ndarray]:
     """Roof type and angle per edge (float64 (n,), degrees), with a seed from (seed, "scenes", building_id)."""
     rng = generator(config.seed, "scenes", building_id, "angles")
-    if config.sampler == "uniform":
-        return "uniform", rng.choice(ANGLES_DEG, size=len(edges.xy_m)).astype(float)
+    if config.sampler != "realistic":
+        share = None if config.sampler == "uniform" else _KIND_SHARES
+        return "uniform", rng.choice(ANGLES_DEG, size=len(edges.xy_m), p=share).astype(float)
     return _draw_realistic(edges, config, rng)
 
 

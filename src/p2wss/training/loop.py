@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor, nn
 
-from p2wss.config import Optimiser, Section
+from p2wss.config import IDENTITY, Optimiser, Section
 from p2wss.data.seeds import derive_seed
 from p2wss.nets import distributed
 from p2wss.storage.errors import InputError
@@ -95,7 +95,7 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
 
 def training_config(config: Section) -> dict[str, Any]:
     """The config without the settings that may differ between a run and the one that resumes it."""
-    return config.model_dump(mode="json", exclude={"compute": {"device", "num_gpus"}})
+    return config.model_dump(mode="json", exclude={"compute": {"device", "num_gpus"}}, context=IDENTITY)
 
 
 def _take_step(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[str, Tensor]:

@@ -47,7 +47,8 @@ def train(manifest: Path, dvae: Path, config: ModelConfig, checkpoints: Path, co
         log.info("model: val: %s", describe(validation_set))
         torch.manual_seed(derive_seed(config.seed, "model", "weights"))
         module = Point2Wss(config, vae.config)
-        module.cloud.embed.load_state_dict(vae.encoder.state_dict())  # as in Point-BERT
+        if config.dvae_start:
+            module.cloud.embed.load_state_dict(vae.encoder.state_dict())
         log.info("model: %d weights", sum(p.numel() for p in module.parameters()))
         task = ModelTask(module.to(device), vae.to(device), training_set, validation_set)
         plan = loop.Plan(config.seed, config.optimiser, config.ema_decay, config.checkpoint_every_steps)
@@ -79,7 +80,9 @@ class ModelTask:
         self.device = next(module.parameters()).device
         self.training_set = training_set
         self.validation_set = validation_set
-        self.sampler = BatchSampler(training_set.num_vertices, config.optimiser.batch_size, config.seed)
+        # of equal lengths, all are similar
+        lengths = training_set.num_vertices * config.similar_lengths
+        self.sampler = BatchSampler(lengths, config.optimiser.batch_size, config.seed)
         self.median_height = float(np.median(training_set.height_m))
         self.median_angle = float(np.median(training_set.angle_deg))
 

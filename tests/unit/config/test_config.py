@@ -12,6 +12,7 @@ from p2wss import config
 from p2wss.config import Config, Section
 from p2wss.config.generate import default_yaml
 from p2wss.storage.errors import InputError
+from p2wss.training.loop import training_config
 
 
 def test_generated_files_are_up_to_date():
@@ -45,6 +46,15 @@ def test_sections_survive_a_round_trip_as_json():
     settings = config.load({"region": {"name": "elsewhere"}})
     text = config.section_json(settings, "region", "scans")
     assert "\n" not in text and config.load(text).region == settings.region
+
+
+def test_a_new_key_at_its_neutral_value_reruns_nothing() -> None:
+    """Parameters of rules and the identity of a training are without it, until it has another value."""
+    for value, is_stated in ((True, False), (False, True)):
+        settings = config.load({"model": {"similar_lengths": value}})
+        assert ("similar_lengths" in config.section_json(settings, "model")) is is_stated
+        assert ("similar_lengths" in training_config(settings.model)) is is_stated
+        assert settings.model_dump()["model"]["similar_lengths"] is value
 
 
 @pytest.mark.parametrize(

@@ -50,6 +50,12 @@ def test_uniform_is_uniform() -> None:
     assert abs(np.corrcoef(angles[:, 0], angles[:, 1])[0, 1]) < 0.1
 
 
+def test_uniform_kinds_are_a_third_each() -> None:
+    _, angles = draws(L_SHAPE, Scenes(sampler="uniform-kinds"), 1000)
+    shares = [(angles == 0).mean(), (angles == 90).mean(), ((angles >= 20) & (angles <= 45)).mean()]
+    assert shares == pytest.approx([1 / 3] * 3, abs=0.02)
+
+
 def test_angles_depend_only_on_seed_and_building() -> None:
     first = draw_angles(edges_of(L_SHAPE), "B7", Scenes())
     again = draw_angles(edges_of(L_SHAPE), "B7", Scenes())
@@ -146,7 +152,7 @@ def test_wide_buildings_get_flat_or_low_pitched_roofs() -> None:
     assert set(names) == {"flat"}
 
 
-@pytest.mark.parametrize("sampler", ["realistic", "uniform"])
+@pytest.mark.parametrize("sampler", ["realistic", "uniform", "uniform-kinds"])
 def test_all_drawn_angles_give_a_closed_mesh(sampler: str) -> None:
     shapes, angles = [], []
     for turn in (0.0, 23.0):

@@ -102,6 +102,29 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
     assert all(torch.equal(expected[name], resumed[name]) for name in expected)
 
 
+@pytest.mark.parametrize("key", ["dvae_start", "similar_lengths"])
+def test_the_papers_start_and_batches_are_others(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str
+) -> None:
+    """What the first step begins with and takes differs by the setting."""
+    seen: dict[bool, tuple[torch.Tensor, list[int]]] = {}
+
+    def stops(self: model.ModelTask, step: int) -> dict[str, torch.Tensor]:
+        weights = torch.cat([each.detach().ravel() for each in self.module.cloud.embed.parameters()])
+        seen[value] = weights, self.sampler.batch(step).tolist()
+        raise StopIteration
+
+    monkeypatch.setattr(model.ModelTask, "step", stops)
+    for value in (True, False):
+        config = load({"model": {**SMALL_MODEL, key: value}}).model
+        with pytest.raises(StopIteration):
+            model.train(
+                folder / "manifest.json", folder / "d.safetensors", config, tmp_path / str(value), "x"
+            )
+    assert torch.equal(seen[True][0], seen[False][0]) is (key != "dvae_start")
+    assert (seen[True][1] == seen[False][1]) is (key != "similar_lengths")
+
+
 def test_predictions_do_not_depend_on_the_order_or_on_other_buildings(
     predictor: Point2WssPredictor, labelled: BuildingDataset
 ) -> None:
