@@ -106,12 +106,12 @@ def test_interrupted_and_resumed_is_uninterrupted_to_the_bit(
 def test_the_papers_start_and_batches_are_others(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, key: str
 ) -> None:
-    """What the first step begins with and takes differs by the setting."""
+    """The weights before the first step, or the lengths by which batches are made, differ by the setting."""
     seen: dict[bool, tuple[torch.Tensor, list[int]]] = {}
 
     def stops(self: model.ModelTask, step: int) -> dict[str, torch.Tensor]:
         weights = torch.cat([each.detach().ravel() for each in self.module.cloud.embed.parameters()])
-        seen[value] = weights, self.sampler.batch(step).tolist()
+        seen[value] = weights, self.sampler.num_vertices.tolist()
         raise StopIteration
 
     monkeypatch.setattr(model.ModelTask, "step", stops)
