@@ -101,9 +101,19 @@ def shaft_points(
     place_m = np.column_stack([x.ravel(), y.ravel()])
     # a disc without points on the roof, of which each place is part
     radius_m = max(_SHAFT_RADIUS_M, _NUM_GAPS * gap_m)
-    far_m, _ = cKDTree(roof_m[:, :2]).query(place_m)
     inside = shapely.contains_xy(polygon, *place_m.T)
-    is_middle = inside & (far_m > radius_m)
+    # about the distance from the next point, which is exactly that for few places only
+    is_bare = np.ones(x.shape, bool)
+    is_bare[
+        tuple(
+            np.rint((roof_m[:, :2] - start_m) / step_m).astype(int).T.clip(0, np.array(x.shape)[:, None] - 1)
+        )
+    ] = False
+    may_be = np.flatnonzero(
+        inside & (ndimage.distance_transform_edt(is_bare).ravel() > radius_m / step_m - 1)
+    )
+    is_middle = np.zeros(len(place_m), bool)
+    is_middle[may_be] = cKDTree(roof_m[:, :2]).query(place_m[may_be])[0] > radius_m
     if not is_middle.any():
         return np.zeros((0, 3))
     far_m, _ = cKDTree(place_m[is_middle]).query(place_m)

@@ -61,28 +61,29 @@ def _with_straight_walls(mesh: Mesh) -> Mesh:
     """
     planes = mesh.planes
     column = np.unique(np.round(mesh.vertex_m[:, :2] / _EXACT_M), axis=0, return_inverse=True)[1].reshape(-1)
-    num_columns = int(column.max()) + 1
+    num_columns = int(column.max(initial=-1)) + 1
     place_m = np.zeros((num_columns, 2))
     place_m[column] = mesh.vertex_m[:, :2]
-    square, to_line_m, is_off = (
-        np.zeros((num_columns, 2, 2)),
-        np.zeros((num_columns, 2)),
-        np.zeros(num_columns, bool),
-    )
-    for wall in np.flatnonzero(planes.is_wall).tolist():
-        own = np.unique(column[mesh.triangle[planes.number == wall]])
-        along = np.array([-planes.normal[wall, 1], planes.normal[wall, 0]])
-        order = np.argsort(place_m[own] @ along)
-        start, end = place_m[own[order[[0, -1]]]]
-        normal = np.array([start[1] - end[1], end[0] - start[0]]) / max(np.hypot(*(end - start)), _EXACT_M)
-        off_m = (start - place_m[own]) @ normal
-        square[own] += normal[:, None] * normal
-        to_line_m[own] += off_m[:, None] * normal
-        is_off[own] |= np.abs(off_m) > _EXACT_M
-    move_m = (np.linalg.pinv(square, _PARALLEL, hermitian=True) @ to_line_m[..., None])[..., 0]
-    is_off &= np.hypot(*move_m.T) <= _MAX_BENT_M
+    # the columns of each wall, in their order along it
+    number, corner = planes.number[:, None] * num_columns, column[mesh.triangle]
+    wall, own = np.divmod(np.unique((number + corner)[planes.is_wall[planes.number]]), num_columns)
+    along = np.column_stack([-planes.normal[wall, 1], planes.normal[wall, 0]])
+    order = np.lexsort(((place_m[own] * along).sum(axis=1), wall))
+    wall, own = wall[order], own[order]
+    start_m = place_m[own[np.searchsorted(wall, wall)]]
+    end_m = place_m[own[np.searchsorted(wall, wall, "right") - 1]]
+    across = (end_m - start_m)[:, ::-1] * [-1, 1]
+    across /= np.maximum(np.hypot(*across.T), _EXACT_M)[:, None]
+    off_m = ((start_m - place_m[own]) * across).sum(axis=1)
+    is_off = np.zeros(num_columns, bool)
+    is_off[own[np.abs(off_m) > _EXACT_M]] = True
     if not is_off.any():
         return mesh
+    square, to_line_m = np.zeros((num_columns, 2, 2)), np.zeros((num_columns, 2))
+    np.add.at(square, own, across[:, :, None] * across[:, None])
+    np.add.at(to_line_m, own, off_m[:, None] * across)
+    move_m = (np.linalg.pinv(square, _PARALLEL, hermitian=True) @ to_line_m[..., None])[..., 0]
+    is_off &= np.hypot(*move_m.T) <= _MAX_BENT_M
     place_m[is_off] += move_m[is_off]
     return mesh.moved(np.column_stack([place_m[column], mesh.vertex_m[:, 2]]))
 
