@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from p2wss.skeleton.types import Polygons
+from p2wss.skeleton.types import Polygons, next_in_ring
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,6 @@ def without_repeats(node: np.ndarray, ring_offset: np.ndarray) -> tuple[np.ndarr
     keep[ring_offset[:-1][counts == 0]] = True
     offset = np.concatenate([[0], np.cumsum(np.maximum(counts, 1))])
     return node[keep], offset
-
-
-def next_in_ring(ring_offset: np.ndarray) -> np.ndarray:
-    """For each vertex the index of the next vertex of its ring; no ring is empty."""
-    following = np.arange(1, ring_offset[-1] + 1)
-    following[ring_offset[1:] - 1] = ring_offset[:-1]
-    return following
 
 
 def previous_in_ring(ring_offset: np.ndarray) -> np.ndarray:

@@ -16,9 +16,9 @@ import shapely
 from p2wss import skeleton
 from p2wss.config import Scenes
 from p2wss.data import polygon_arrays
-from p2wss.footprints.common_nodes import join_rings, next_in_ring, previous_in_ring, without_repeats
+from p2wss.footprints.common_nodes import join_rings, previous_in_ring, without_repeats
 from p2wss.skeleton.groups import groups
-from p2wss.skeleton.types import Polygons
+from p2wss.skeleton.types import Polygons, next_in_ring
 
 # a vertex that is nearer to the line between its neighbours is within an edge
 _WITHIN_EDGE_M = 1e-6

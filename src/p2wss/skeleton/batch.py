@@ -10,10 +10,8 @@ from p2wss.skeleton.compiled import entry
 from p2wss.skeleton.kinetic import skeleton_work
 from p2wss.skeleton.mesh import label_kind_and_edge, mesh_work, solid_mesh
 from p2wss.skeleton.records import MAX_EDGES, NUM_AMBIGUOUS, NUM_CAPS, Batch, MeshWork, SkeletonWork
-from p2wss.skeleton.status import Status
+from p2wss.skeleton.status import OK
 from p2wss.skeleton.types import FloatArray, Meshes, Polygons, writable
-
-_OK = int(Status.OK)
 
 
 class _Output(NamedTuple):
@@ -38,18 +36,18 @@ def _solids(batch: Batch, skeleton: SkeletonWork, mesh: MeshWork, start: int, ou
     for p in range(start, len(output.status)):
         code, num_edges, more_vertices, more_triangles = solid_mesh(batch, p, skeleton, mesh)
         num_vertices, num_triangles = output.vertex_offset[p], output.triangle_offset[p]
-        if code != _OK:
+        if code != OK:
             more_vertices, more_triangles = 0, 0
-        if num_vertices + more_vertices > len(output.vertex):
-            return p
-        if num_triangles + more_triangles > len(output.triangle):
+        if num_vertices + more_vertices > len(output.vertex) or num_triangles + more_triangles > len(
+            output.triangle
+        ):
             return p
         output.status[p] = code
-        output.num_caps[p] = counts[NUM_CAPS] if code == _OK else 0
-        output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == _OK else 0
+        output.num_caps[p] = counts[NUM_CAPS] if code == OK else 0
+        output.num_ambiguous[p] = counts[NUM_AMBIGUOUS] if code == OK else 0
         output.vertex_offset[p + 1] = num_vertices + more_vertices
         output.triangle_offset[p + 1] = num_triangles + more_triangles
-        if code != _OK:
+        if code != OK:
             continue
         origin = batch.ring_offset[batch.polygon_offset[p]]
         for k in range(more_vertices):
@@ -84,29 +82,13 @@ def _output(num_polygons: int, num_rows: int) -> _Output:
 
 def _grow(output: _Output) -> _Output:
     """A copy with twice the room; arrays with one entry per polygon stay as they are."""
-    larger = {}
-    for name, array in output._asdict().items():
-        larger[name] = array if name in _PER_POLYGON else np.concatenate((array, np.zeros_like(array)))
-    return _Output(**larger)
-
-
-def _run(
-    polygons: Polygons,
-    angle_deg: FloatArray,
-    eave_height_m: float | FloatArray,
-    base_height_m: float | FloatArray,
-    max_roof_height_m: float | FloatArray,
-) -> _Output:
-    batch = make_batch(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
-    size = work_size(polygons)
-    work = skeleton_work(size), mesh_work(size)
-    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64)
-    done = 0
-    while True:
-        done = _solids(batch, *work, done, output)
-        if done == len(polygons):
-            return output
-        output = _grow(output)
+    return output._replace(
+        **{
+            name: np.concatenate((array, np.zeros_like(array)))
+            for name, array in output._asdict().items()
+            if name not in _PER_POLYGON
+        }
+    )
 
 
 def _per_polygon(value: float | FloatArray, num_polygons: int) -> FloatArray:
@@ -172,7 +154,14 @@ def build(
     Model: the parametric building of the Point2WSS paper, section 3; weighted straight skeletons: Held and
     Palfrader 2017.
     """
-    output = _run(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    batch = make_batch(polygons, angle_deg, eave_height_m, base_height_m, max_roof_height_m)
+    size = work_size(polygons)
+    work = skeleton_work(size), mesh_work(size)
+    output = _output(len(polygons), 4 * len(polygons.xy_m) + 64)
+    done = _solids(batch, *work, 0, output)
+    while done < len(polygons):
+        output = _grow(output)
+        done = _solids(batch, *work, done, output)
     num_triangles = output.triangle_offset[-1]
     return Meshes(
         output.vertex[: output.vertex_offset[-1]].copy(),

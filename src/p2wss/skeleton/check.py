@@ -9,18 +9,17 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import inner
-from p2wss.skeleton.labels import flat_label, ground_label
-from p2wss.skeleton.records import NUM_CAPS, MeshWork, SkeletonWork, Walls
-from p2wss.skeleton.status import Status
-
-_OK = int(Status.OK)
-_NON_FINITE = int(Status.NON_FINITE)
-_NOT_CLOSED = int(Status.NOT_CLOSED)
-_WRONG_GENUS = int(Status.WRONG_GENUS)
-_NOT_PLANAR = int(Status.NOT_PLANAR)
-_WRONG_AREA = int(Status.WRONG_AREA)
-_ZERO_AREA_TRIANGLE = int(Status.ZERO_AREA_TRIANGLE)
-_INSIDE_OUT = int(Status.INSIDE_OUT)
+from p2wss.skeleton.records import NUM_CAPS, MeshWork, SkeletonWork, Walls, flat_label, ground_label
+from p2wss.skeleton.status import (
+    INSIDE_OUT,
+    NON_FINITE,
+    NOT_CLOSED,
+    NOT_PLANAR,
+    OK,
+    WRONG_AREA,
+    WRONG_GENUS,
+    ZERO_AREA_TRIANGLE,
+)
 
 _PLANE_M = 1e-3
 _AREA_SHARE = 1e-4
@@ -125,13 +124,13 @@ def check_solid(
     point, triangle, triangle_label = mesh_work.vertex, mesh_work.triangle, mesh_work.triangle_label
     for k in range(num_points):
         if not (np.isfinite(point[k, 0]) and np.isfinite(point[k, 1]) and np.isfinite(point[k, 2])):
-            return _NON_FINITE
+            return NON_FINITE
     hash_key, hash_half, twin = mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
     if not pair_half_edges(triangle, num_triangles, num_points, hash_key, hash_half, twin):
-        return _NOT_CLOSED
+        return NOT_CLOSED
     # V - E + F = 2 - 2 g with E = 3 F / 2, and one handle per courtyard
     if 2 * num_points - num_triangles != 4 - 4 * (num_rings - 1):
-        return _WRONG_GENUS
+        return WRONG_GENUS
     first_wall = num_edges + counts[NUM_CAPS]
     flat = flat_label(num_edges, counts)
     ground = ground_label(num_edges, counts)
@@ -142,16 +141,16 @@ def check_solid(
         acx, acy, acz = point[c, 0] - point[a, 0], point[c, 1] - point[a, 1], point[c, 2] - point[a, 2]
         nx, ny, nz = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
         if nx * nx + ny * ny + nz * nz < _MIN_AREA_M2 * _MIN_AREA_M2:
-            return _ZERO_AREA_TRIANGLE
+            return ZERO_AREA_TRIANGLE
         volume += nx * point[a, 0] + ny * point[a, 1] + nz * (point[a, 2] - base)
         label = triangle_label[t]
         if label == ground:
             if nz >= 0.0:
-                return _INSIDE_OUT
+                return INSIDE_OUT
             ground_area -= 0.5 * nz
         elif label < first_wall or label == flat:
             if nz <= 0.0:
-                return _INSIDE_OUT
+                return INSIDE_OUT
             top_area += 0.5 * nz
         for m in range(3):
             k = triangle[t, m]
@@ -170,9 +169,9 @@ def check_solid(
                 e = label - first_wall
                 off = (point[k, 1] - edge[e].y) * edge[e].dir_x - (point[k, 0] - edge[e].x) * edge[e].dir_y
             if not abs(off) < _PLANE_M:
-                return _NOT_PLANAR
+                return NOT_PLANAR
     if abs(top_area - plan_area) > _AREA_SHARE * plan_area or abs(ground_area - plan_area) > 1e-9 * plan_area:
-        return _WRONG_AREA
+        return WRONG_AREA
     if not volume > 0.0:
-        return _INSIDE_OUT
-    return _OK
+        return INSIDE_OUT
+    return OK

@@ -7,14 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from p2wss.skeleton.compiled import inner
-from p2wss.skeleton.labels import ground_label, num_labels
-from p2wss.skeleton.records import NUM_CAPS, NUM_NODES, MeshWork
+from p2wss.skeleton.records import NUM_CAPS, NUM_NODES, MeshWork, ground_label, num_labels
 from p2wss.skeleton.rings import is_inside, signed_area
-from p2wss.skeleton.status import Status
-
-_OK = int(Status.OK)
-_OVERFLOW = int(Status.OVERFLOW)
-_OPEN_FACE = int(Status.OPEN_FACE)
+from p2wss.skeleton.status import OK, OPEN_FACE, OVERFLOW
 
 
 class _Faces(NamedTuple):
@@ -111,7 +106,7 @@ def trace_faces(
             while True:
                 half[h].alive = 2  # part of a ring
                 if num_ring_points + 1 > len(ring_point):
-                    return _OVERFLOW, 0
+                    return OVERFLOW, 0
                 ring_point[num_ring_points] = half[h].start
                 uv[num_ring_points, 0], uv[num_ring_points, 1] = _place(faces, label, half[h].start)
                 num_ring_points += 1
@@ -127,14 +122,14 @@ def trace_faces(
                     if again == first:
                         break
                 if following < 0:
-                    return _OPEN_FACE, 0
+                    return OPEN_FACE, 0
                 h = following
             num_rings += 1
             if num_rings + 1 > len(ring_start):
-                return _OVERFLOW, 0
+                return OVERFLOW, 0
             ring_start[num_rings] = num_ring_points
             if ring_start[num_rings] - ring_start[num_rings - 1] < 3:
-                return _OPEN_FACE, 0
+                return OPEN_FACE, 0
             ring_area[num_rings - 1] = signed_area(uv, ring_start[num_rings - 1], num_ring_points)
         h = label_head[label]
         while h >= 0:
@@ -163,5 +158,5 @@ def trace_faces(
             face[num_faces].last_ring = num_ordered
             num_faces += 1
     if num_ordered != num_rings:
-        return _OPEN_FACE, 0  # a hole lies in no face
-    return _OK, num_faces
+        return OPEN_FACE, 0  # a hole lies in no face
+    return OK, num_faces

@@ -7,16 +7,16 @@ import numpy as np
 from p2wss.skeleton.compiled import inner
 from p2wss.skeleton.records import MAX_EDGES
 from p2wss.skeleton.rings import crosses
-from p2wss.skeleton.status import Status
-
-_OK = int(Status.OK)
-_EMPTY = int(Status.EMPTY)
-_NON_FINITE = int(Status.NON_FINITE)
-_TOO_MANY_EDGES = int(Status.TOO_MANY_EDGES)
-_NOT_SIMPLE = int(Status.NOT_SIMPLE)
-_COURTYARD_OUTSIDE = int(Status.COURTYARD_OUTSIDE)
-_NOT_CLEAN = int(Status.NOT_CLEAN)
-_BAD_ANGLE = int(Status.BAD_ANGLE)
+from p2wss.skeleton.status import (
+    BAD_ANGLE,
+    COURTYARD_OUTSIDE,
+    EMPTY,
+    NON_FINITE,
+    NOT_CLEAN,
+    NOT_SIMPLE,
+    OK,
+    TOO_MANY_EDGES,
+)
 
 _SHORTEST_EDGE_M = 1e-3
 _CLEARANCE_M = 1e-4  # edges that are not neighbours stay at least this far apart
@@ -32,21 +32,21 @@ def load_footprint(
     Returns (status, number of edges). Everything but the angle and the speeds is set.
     """
     if last_ring <= first_ring:
-        return _EMPTY, 0
+        return EMPTY, 0
     first, last = ring_offset[first_ring], ring_offset[last_ring]
     n = last - first
     if n < 3:
-        return _EMPTY, 0
+        return EMPTY, 0
     if n > MAX_EDGES or n > len(edge):
-        return _TOO_MANY_EDGES, 0
+        return TOO_MANY_EDGES, 0
     for i in range(first, last):
         if not (np.isfinite(xy_m[i, 0]) and np.isfinite(xy_m[i, 1])):
-            return _NON_FINITE, 0
+            return NON_FINITE, 0
     origin_x, origin_y = xy_m[first, 0], xy_m[first, 1]
     for ring in range(first_ring, last_ring):
         start, end = ring_offset[ring] - first, ring_offset[ring + 1] - first
         if end - start < 3:
-            return _EMPTY, 0
+            return EMPTY, 0
         for i in range(start, end):
             edge[i].x = xy_m[first + i, 0] - origin_x
             edge[i].y = xy_m[first + i, 1] - origin_y
@@ -57,11 +57,11 @@ def load_footprint(
         dx, dy = edge[j].x - edge[i].x, edge[j].y - edge[i].y
         length = np.hypot(dx, dy)
         if not length >= _SHORTEST_EDGE_M or not np.isfinite(length):
-            return _NOT_CLEAN, 0
+            return NOT_CLEAN, 0
         edge[i].length = length
         edge[i].dir_x = dx / length
         edge[i].dir_y = dy / length
-    return _OK, n
+    return OK, n
 
 
 @inner
@@ -80,9 +80,9 @@ def set_angles(edge: np.ndarray, num_edges: int, angle_deg: np.ndarray) -> int:
                 slope_deg, speed = angle, 1.0 / np.tan(angle * np.pi / 180.0)
             edge[i].final_speed = speed
         else:
-            return _BAD_ANGLE
+            return BAD_ANGLE
         edge[i].angle_deg = angle
-    return _OK
+    return OK
 
 
 @inner
@@ -151,23 +151,23 @@ def check_rings(edge: np.ndarray, ring_offset: np.ndarray, first_ring: int, last
     for ring in range(first_ring, last_ring):
         area = ring_area(edge, ring_offset[ring] - base, ring_offset[ring + 1] - base)
         if (area > 0.0) != (ring == first_ring) or area == 0.0:
-            return _NOT_CLEAN
+            return NOT_CLEAN
     for i in range(n):
         j = edge[i].next
         along = edge[i].dir_x * edge[j].dir_x + edge[i].dir_y * edge[j].dir_y
         across = edge[i].dir_x * edge[j].dir_y - edge[i].dir_y * edge[j].dir_x
         if along < 0.0 and abs(across) < 1e-6:
-            return _NOT_SIMPLE  # the ring reverses its direction
+            return NOT_SIMPLE  # the ring reverses its direction
         for j in range(i + 1, n):
             if edge[i].next != j and edge[j].next != i and _edges_touch(edge, i, j, _CLEARANCE_M):
-                return _NOT_SIMPLE
+                return NOT_SIMPLE
     for ring in range(first_ring + 1, last_ring):
         k = ring_offset[ring] - base
         if not _inside_ring(edge, base - base, ring_offset[first_ring + 1] - base, edge[k].x, edge[k].y):
-            return _COURTYARD_OUTSIDE
+            return COURTYARD_OUTSIDE
         for other in range(first_ring + 1, last_ring):
             if other != ring and _inside_ring(
                 edge, ring_offset[other] - base, ring_offset[other + 1] - base, edge[k].x, edge[k].y
             ):
-                return _COURTYARD_OUTSIDE
-    return _OK
+                return COURTYARD_OUTSIDE
+    return OK

@@ -10,12 +10,17 @@ from __future__ import annotations
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, inner
-from p2wss.skeleton.labels import flat_label, ground_label, num_labels, wall_label
-from p2wss.skeleton.records import NUM_ARCS, NUM_NODES, MeshWork, SkeletonWork
-from p2wss.skeleton.status import Status
-
-_OK = int(Status.OK)
-_OVERFLOW = int(Status.OVERFLOW)
+from p2wss.skeleton.records import (
+    NUM_ARCS,
+    NUM_NODES,
+    MeshWork,
+    SkeletonWork,
+    flat_label,
+    ground_label,
+    num_labels,
+    wall_label,
+)
+from p2wss.skeleton.status import OK, OVERFLOW
 
 _WELD_M = 1e-5  # nodes nearer to each other than this are merged
 _STRAIGHT_M = 1e-6  # a point nearer to a line than this lies on it
@@ -207,7 +212,7 @@ def collect_half_edges(
     num_nodes = counts[NUM_NODES]
     labels = num_labels(num_edges, counts)
     if labels > len(label_head) or num_nodes + num_edges > len(mesh_work.out_head):
-        return _OVERFLOW, 0
+        return OVERFLOW, 0
     num_flat = 0
     for i in range(num_edges):
         if edge[i].angle_deg == 0.0:
@@ -239,7 +244,7 @@ def collect_half_edges(
             left = find(label_parent, _face_label(edge, num_edges, cap_height, counts, a))
             right = find(label_parent, wall_label(num_edges, counts, a))
             if num_half + 4 > len(half):
-                return _OVERFLOW, 0
+                return OVERFLOW, 0
             num_half = _add(half, label_head, num_half, num_nodes + b, num_nodes + a, ground)
             num_half = _add(half, label_head, num_half, num_nodes + a, num_nodes + b, right)
             num_half = _add(half, label_head, num_half, num_nodes + b, b, right)
@@ -256,11 +261,11 @@ def collect_half_edges(
             else:
                 num_half = -1
             if num_half < 0:
-                return _OVERFLOW, 0
+                return OVERFLOW, 0
     for label in range(labels):
         if label != ground and label_head[label] >= 0:
             _cancel_label(half, label_head, label)
-    return _OK, num_half
+    return OK, num_half
 
 
 @inner

@@ -46,13 +46,7 @@ from p2wss.skeleton.records import (
     SkeletonWork,
 )
 from p2wss.skeleton.rings import crosses
-from p2wss.skeleton.status import Status
-
-_OK = int(Status.OK)
-_TOO_MANY_EVENTS = int(Status.TOO_MANY_EVENTS)
-_BROKEN_WAVEFRONT = int(Status.BROKEN_WAVEFRONT)
-_NO_EVENT = int(Status.NO_EVENT)
-_OVERFLOW = int(Status.OVERFLOW)
+from p2wss.skeleton.status import BROKEN_WAVEFRONT, NO_EVENT, OK, OVERFLOW, TOO_MANY_EVENTS
 
 _PARALLEL = 1e-7  # sine below which two edges are parallel
 _REFLEX = -1e-9
@@ -590,7 +584,7 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
     for v in range(num_start):
         if vertex[v].alive == 1 and _is_first_of_loop(vertex, v, num_start):
             if not _settle(work, num_edges, v, phase, t):
-                return _BROKEN_WAVEFRONT
+                return BROKEN_WAVEFRONT
             if counts[NUM_LOOPS] == 1:
                 break
     num_degenerate = 0
@@ -606,13 +600,13 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
     max_events = 20 * num_edges + 100
     for _ in range(max_events):
         if counts[NUM_ALIVE] == 0:
-            return _OK
+            return OK
         # one event adds at most two vertices, four arcs and a node; a cap adds a node and two arcs per vertex
         room = counts[NUM_ALIVE] + 4
         if counts[NUM_VERTICES] + 4 > len(vertex) or counts[NUM_NODES] + room > len(node):
-            return _OVERFLOW
+            return OVERFLOW
         if counts[NUM_ARCS] + 2 * room > len(work.arc) or counts[NUM_CAPS] + 2 > len(work.cap_height):
-            return _OVERFLOW
+            return OVERFLOW
         degenerate = ZERO - 1
         if num_degenerate > 0:
             num_degenerate = 0
@@ -629,11 +623,11 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
             height, v, is_split = _next_event(vertex, counts)
             if v < 0:
                 if phase == 1:
-                    return _NO_EVENT
+                    return NO_EVENT
                 break
             if phase == 1 and height > max_roof_height:
                 _cap_everything(work, num_edges, max_roof_height)
-                return _OK
+                return OK
             t = max(t, height)
             if is_split:
                 first, second = _split(work, v, t)
@@ -646,17 +640,17 @@ def _run_phase(work: SkeletonWork, num_edges: int, phase: int, max_roof_height: 
         if second >= 0 and vertex[second].kind != _ORDINARY:
             num_degenerate += 1
         if not _settle(work, num_edges, first, phase, t):
-            return _BROKEN_WAVEFRONT
+            return BROKEN_WAVEFRONT
         if second >= 0:  # noqa: SIM102
             if not _settle(work, num_edges, second, phase, t):
-                return _BROKEN_WAVEFRONT
+                return BROKEN_WAVEFRONT
         _refresh_pieces(edge, node, vertex, counts, first, second, t)
     if phase == 0 and counts[NUM_ALIVE] > 0:
         for v in range(counts[NUM_VERTICES]):
             if vertex[v].alive == 1 and edge[vertex[v].right].speed > 0.0:
-                return _NO_EVENT
-        return _OK
-    return _TOO_MANY_EVENTS
+                return NO_EVENT
+        return OK
+    return TOO_MANY_EVENTS
 
 
 @inner
@@ -689,9 +683,9 @@ def simulate(work: SkeletonWork, num_edges: int, num_rings: int, max_roof_height
         vertex[i].alive = 1
         if edge[i].angle_deg == 0.0:
             first_phase = 0
-    status = _OK
+    status = OK
     for phase in range(first_phase, 2):
-        if status == _OK and counts[NUM_ALIVE] > 0:
+        if status == OK and counts[NUM_ALIVE] > 0:
             status = _run_phase(work, num_edges, phase, max_roof_height)
     return status
 

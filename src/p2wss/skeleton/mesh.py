@@ -12,7 +12,6 @@ from p2wss.skeleton.face_rings import trace_faces
 from p2wss.skeleton.footprint import check_rings, load_footprint, ring_area, set_angles
 from p2wss.skeleton.half_edges import collect_half_edges, drop_straight_points
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
-from p2wss.skeleton.labels import flat_label, ground_label
 from p2wss.skeleton.records import (
     FACE,
     HALF,
@@ -25,16 +24,13 @@ from p2wss.skeleton.records import (
     MeshWork,
     SkeletonWork,
     Walls,
+    flat_label,
+    ground_label,
 )
-from p2wss.skeleton.status import Status
+from p2wss.skeleton.status import BAD_HEIGHT, NOT_CLOSED, NOT_TRIANGULATED, OK, OVERFLOW
 from p2wss.skeleton.triangulate import clip_ears, copy_corners, join_holes
 from p2wss.skeleton.types import FaceKind
 
-_OK = int(Status.OK)
-_OVERFLOW = int(Status.OVERFLOW)
-_BAD_HEIGHT = int(Status.BAD_HEIGHT)
-_NOT_TRIANGULATED = int(Status.NOT_TRIANGULATED)
-_NOT_CLOSED = int(Status.NOT_CLOSED)
 _GROUND, _WALL, _ROOF, _FLAT = (
     int(k) for k in (FaceKind.GROUND, FaceKind.WALL, FaceKind.ROOF, FaceKind.FLAT)
 )
@@ -61,19 +57,19 @@ def solid_skeleton(batch: Batch, p: int, work: SkeletonWork) -> tuple[int, int]:
     edge, ring_offset = work.edge, batch.ring_offset
     first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
     status, num_edges = load_footprint(batch.xy_m, ring_offset, first_ring, last_ring, edge)
-    if status != _OK:
+    if status != OK:
         return status, 0
     eave, base = batch.eave_height_m[p], batch.base_height_m[p]
     if not (np.isfinite(eave) and np.isfinite(base) and eave - base >= _LOWEST_WALL_M):
-        return _BAD_HEIGHT, 0
+        return BAD_HEIGHT, 0
     max_roof_height = batch.max_roof_height_m[p]
     if not max_roof_height >= 0.0:
-        return _BAD_HEIGHT, 0
+        return BAD_HEIGHT, 0
     first = ring_offset[first_ring]
     status = set_angles(edge, num_edges, batch.angle_deg[first : first + num_edges])
-    if status == _OK:
+    if status == OK:
         status = check_rings(edge, ring_offset, first_ring, last_ring)
-    if status == _OK:
+    if status == OK:
         status = simulate_at(work.code, work, num_edges, last_ring - first_ring, max_roof_height)
     return status, num_edges
 
@@ -116,7 +112,7 @@ def finish_solid(
     num_edges = walls.num_edges
     edge, node, counts = skeleton_work.edge, skeleton_work.node, skeleton_work.counts
     status, num_half = collect_half_edges(num_edges, skeleton_work, mesh_work, thorough)
-    if status != _OK:
+    if status != OK:
         return status, 0, 0
     point = mesh_work.point
     num_nodes = counts[NUM_NODES]
@@ -127,11 +123,11 @@ def finish_solid(
         point[k, 0], point[k, 1], point[k, 2] = edge[i].x, edge[i].y, walls.base_m
     drop_straight_points(mesh_work.half, num_half, mesh_work.out_head, point, num_nodes)
     status, num_faces = trace_faces(edge, num_edges, counts, num_half, mesh_work)
-    if status != _OK:
+    if status != OK:
         return status, 0, 0
     num_triangles = _triangulate_faces(num_faces, mesh_work)
     if num_triangles < 0:
-        return _NOT_TRIANGULATED, 0, 0
+        return NOT_TRIANGULATED, 0, 0
     vertex = mesh_work.vertex
     triangle, new_index = mesh_work.triangle, mesh_work.new_index
     # keep the points in use, in their order
@@ -154,12 +150,12 @@ def finish_solid(
     if not pair_half_edges(
         triangle, num_triangles, num_vertices, mesh_work.hash_key, mesh_work.hash_half, mesh_work.twin
     ):
-        return _NOT_CLOSED, 0, 0
+        return NOT_CLOSED, 0, 0
     num_vertices = separate_pinches(
         triangle, num_triangles, vertex, num_vertices, mesh_work.twin, mesh_work.corner, mesh_work.out_head
     )
     if num_vertices < 0:
-        return _OVERFLOW, 0, 0
+        return OVERFLOW, 0, 0
     status = check_solid(walls, skeleton_work, mesh_work, num_vertices, num_triangles)
     return status, num_vertices, num_triangles
 
@@ -174,7 +170,7 @@ def solid_mesh(
     """Build the mesh of polygon ``p`` of a batch in ``mesh_work`` and check it. Returns (status, number of edges,
     vertices, triangles)."""
     status, num_edges = solid_skeleton(batch, p, skeleton_work)
-    if status != _OK:
+    if status != OK:
         return status, 0, 0, 0
     first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
     first_vertex = batch.ring_offset[first_ring]
@@ -190,7 +186,7 @@ def solid_mesh(
         status, num_vertices, num_triangles = finish_solid_at(
             mesh_work.code, walls, skeleton_work, mesh_work, thorough
         )
-        if status == _OK:
+        if status == OK:
             break
     return status, num_edges, num_vertices, num_triangles
 

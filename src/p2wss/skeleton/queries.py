@@ -16,10 +16,8 @@ from p2wss.skeleton.compiled import ZERO, embedded, entry, inner
 from p2wss.skeleton.kinetic import simulate_at, skeleton_work
 from p2wss.skeleton.mesh import solid_skeleton
 from p2wss.skeleton.records import NUM_ARCS, NUM_CAPS, Batch, SkeletonWork
-from p2wss.skeleton.status import Status
+from p2wss.skeleton.status import OK
 from p2wss.skeleton.types import FloatArray, IntArray, Polygons
-
-_OK = int(Status.OK)
 
 # Values of `face` below 0
 OUTSIDE = -1  # no roof over the point
@@ -244,7 +242,7 @@ def assign(
     edge, counts = skeleton.edge, skeleton.counts
     x, y, face, distance = points
     status = simulate_at(skeleton.code, skeleton, num_edges, num_rings, max_roof_height_m)
-    if status != _OK:
+    if status != OK:
         return status
     num_segments = _fill_segments(edge, num_edges, skeleton.node, skeleton.arc, counts, query.segment)
     num_faces = num_edges + counts[NUM_CAPS]
@@ -266,7 +264,7 @@ def assign(
                 )
                 if f >= 0:
                     distance[k] = (y[k] - edge[f].y) * edge[f].dir_x - (x[k] - edge[f].x) * edge[f].dir_y
-    return _OK
+    return OK
 
 
 @entry
@@ -283,7 +281,7 @@ def _assign_all(
     for p in range(len(batch.polygon_offset) - 1):
         first, last = point_offset[p], point_offset[p + 1]
         code, num_edges = solid_skeleton(batch, p, skeleton)
-        if code == _OK and last > first:
+        if code == OK and last > first:
             first_ring, last_ring = batch.polygon_offset[p], batch.polygon_offset[p + 1]
             origin = batch.ring_offset[first_ring]
             for k in range(first, last):
@@ -293,7 +291,7 @@ def _assign_all(
                 num_edges, last_ring - first_ring, batch.max_roof_height_m[p], skeleton, query,
                 QueryPoints(x[first:last], y[first:last], face[first:last], distance[first:last]),
             )  # fmt: skip
-        if code != _OK:
+        if code != OK:
             for k in range(first, last):
                 face[k] = OUTSIDE
                 distance[k] = 0.0

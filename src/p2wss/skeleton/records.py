@@ -1,10 +1,12 @@
-"""Records of the work arrays: one set of arrays serves a whole batch, sized for its largest polygon."""
+"""Records of the work arrays, of which one set serves a whole batch, sized for its largest polygon; labels of faces."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+
+from p2wss.skeleton.compiled import inner
 
 MAX_EDGES = 4096
 
@@ -176,3 +178,27 @@ class MeshWork(NamedTuple):
     hash_half: np.ndarray
     corner: np.ndarray
     code: MeshCode
+
+
+# Labels of the faces of a solid, one for every plane of roof, cap, wall, flat piece and ground: 0..num_edges-1 are roof
+# faces, by edge; then come the caps, the walls, by edge, all flat pieces at the eave under one label, and the ground.
+
+
+@inner
+def num_labels(num_edges: int, counts: np.ndarray) -> int:
+    return 2 * num_edges + counts[NUM_CAPS] + 2
+
+
+@inner
+def wall_label(num_edges: int, counts: np.ndarray, e: int) -> int:
+    return num_edges + counts[NUM_CAPS] + e
+
+
+@inner
+def flat_label(num_edges: int, counts: np.ndarray) -> int:
+    return 2 * num_edges + counts[NUM_CAPS]
+
+
+@inner
+def ground_label(num_edges: int, counts: np.ndarray) -> int:
+    return 2 * num_edges + counts[NUM_CAPS] + 1

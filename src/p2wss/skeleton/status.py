@@ -39,3 +39,30 @@ class Status(IntEnum):
     def reason(self) -> str:
         """The name in kebab-case, for example ``not-simple``."""
         return self.name.lower().replace("_", "-")
+
+
+# the same as plain integers, which is what compiled code takes
+(
+    OK,
+    EMPTY,
+    NON_FINITE,
+    TOO_SMALL,
+    TOO_MANY_EDGES,
+    NOT_SIMPLE,
+    COURTYARD_OUTSIDE,
+    NOT_CLEAN,
+    BAD_ANGLE,
+    BAD_HEIGHT,
+    TOO_MANY_EVENTS,
+    BROKEN_WAVEFRONT,
+    NO_EVENT,
+    OVERFLOW,
+    OPEN_FACE,
+    NOT_TRIANGULATED,
+    NOT_CLOSED,
+    WRONG_GENUS,
+    NOT_PLANAR,
+    WRONG_AREA,
+    ZERO_AREA_TRIANGLE,
+    INSIDE_OUT,
+) = map(int, Status)

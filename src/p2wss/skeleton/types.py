@@ -17,6 +17,13 @@ def writable(array: FloatArray | IntArray, dtype: type) -> FloatArray | IntArray
     return np.require(array, dtype, ["C", "W"])
 
 
+def next_in_ring(ring_offset: IntArray) -> IntArray:
+    """For each vertex the index of the next vertex of its ring; no ring is empty."""
+    following = np.arange(1, ring_offset[-1] + 1)
+    following[ring_offset[1:] - 1] = ring_offset[:-1]
+    return following
+
+
 class FaceKind(IntEnum):
     """What a triangle belongs to. WALL and ROOF carry the edge of the footprint that they grow from.
 
@@ -59,9 +66,7 @@ class Polygons:
     @property
     def next_vertex(self) -> IntArray:
         """int64 (num_vertices,): the vertex at which the edge from each vertex ends."""
-        result = np.arange(1, len(self.xy_m) + 1)
-        result[self.ring_offset[1:] - 1] = self.ring_offset[:-1]
-        return result
+        return next_in_ring(self.ring_offset)
 
     def rings(self, polygon: int) -> list[FloatArray]:
         """The rings of one polygon, each float64 (n, 2), exterior first."""

@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 
 from p2wss.skeleton import FaceKind, Polygons, Status, build
+from p2wss.skeleton import status as plain
 
 SQUARE = np.array([[0, 0], [10, 0], [10, 10], [0, 10]], float)
 RECTANGLE = np.array([[0, 0], [10, 0], [10, 6], [0, 6]], float)
 L_SHAPE = np.array([[0, 0], [10, 0], [10, 4], [4, 4], [4, 10], [0, 10]], float)
 COURTYARD = np.array([[3, 3], [3, 7], [7, 7], [7, 3]], float)
+
+
+def test_the_plain_integers_of_compiled_code_are_those_of_the_status() -> None:
+    assert {member.name: getattr(plain, member.name) for member in Status} == dict(Status.__members__)
 
 
 def volume(vertex, triangle):
