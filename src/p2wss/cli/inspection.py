@@ -15,7 +15,7 @@ import yaml
 from p2wss.data.manifest import read_manifest
 from p2wss.storage import files, integrity
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_files import crs_of
+from p2wss.storage.las_files import bounds_of, crs_of
 
 Facts = dict[str, Any]
 
@@ -196,7 +196,7 @@ def _cloud(path: Path) -> Facts:
         "kind": "point cloud, COPC" if is_copc else f"point cloud, {path.suffix[1:].upper()}",
         "version": f"LAS {header.version}, point format {header.point_format.id}",
         "crs": _crs(crs_of(header)),
-        "bounds": [*header.mins[:2].tolist(), *header.maxs[:2].tolist()],
+        "bounds": list(bounds_of(header)),
         "heights": {"lowest": float(header.mins[2]), "highest": float(header.maxs[2])},
         "num_points": header.point_count,
         "points per m2 of the bounds": round(header.point_count / area_m2, 2) if area_m2 > 0 else None,

@@ -15,7 +15,7 @@ from p2wss.data.crs import MetricCrs, check_crs
 from p2wss.data.las_classes import LAS, ClassSet
 from p2wss.data.tiling import Bounds, are_near
 from p2wss.storage.errors import InputError, reading
-from p2wss.storage.las_files import KIND, crs_of, open_cloud
+from p2wss.storage.las_files import KIND, bounds_of, crs_of, open_cloud
 
 # days of points count from here
 GPS_EPOCH = date(1980, 1, 6)
@@ -104,8 +104,7 @@ def read_headers(paths: Sequence[Path]) -> list[CloudHeader]:
         with open_cloud(path) as reader:
             header = reader.header
             crs = crs_of(header)
-        (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
-        bounds = (float(x_min), float(y_min), float(x_max), float(y_max))
+        x_min, y_min, x_max, y_max = bounds = bounds_of(header)
         has_bounds = all(map(np.isfinite, bounds)) and x_max > x_min and y_max > y_min
         headers.append(CloudHeader(path, int(header.point_count), crs, bounds if has_bounds else None))
     common_header(headers)

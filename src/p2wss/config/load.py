@@ -68,14 +68,9 @@ def _parse(document: str | Path | dict[str, Any]) -> dict[str, Any]:
     if isinstance(document, dict):
         return document
     text = str(document)
-    if not text.lstrip().startswith("{"):
-        try:
-            text = Path(document).read_text(encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"config: {document}: {error.strerror}") from error
-        except ValueError as error:  # not UTF-8, or a name that no file can have
-            raise InputError(f"config: {document}: not UTF-8 text: {error}") from error
     with reading(f"config: {document}", "YAML"):
+        if not text.lstrip().startswith("{"):
+            text = Path(document).read_text(encoding="utf-8")
         parsed = yaml.safe_load(text) or {}
     if not isinstance(parsed, dict):
         raise InputError(f"config: {document}: expected a mapping of sections, got {type(parsed).__name__}")

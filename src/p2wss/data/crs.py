@@ -98,10 +98,7 @@ def common_crs(
     """
     note = None
     if stated is not None:
-        try:
-            stated_crs = pyproj.CRS.from_user_input(stated)
-        except pyproj.exceptions.CRSError as error:
-            raise InputError(f"--crs {stated}: no such CRS; state one such as EPSG:28992") from error
+        stated_crs = parsed_crs(stated, "--crs")
         if cloud is not None and not same_crs(cloud, stated_crs):
             raise InputError(f"{names[0]} is in {cloud.name}, but --crs states {stated_crs.name}; omit --crs")
         # heights that the user states are part of the CRS
@@ -158,6 +155,14 @@ def metric_crs(source: pyproj.CRS, bounds: Bounds | None, name: str) -> tuple[Me
         f"{assumed}; processing and outputs are in metres, in {crs.name}"
     )
     return MetricCrs(source, crs, horizontal_m, vertical_m), note
+
+
+def parsed_crs(stated: str, where: str) -> pyproj.CRS:
+    """The CRS that a user states. where: for the :class:`InputError` that there is no such CRS."""
+    try:
+        return pyproj.CRS.from_user_input(stated)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(f"{where} {stated}: no such CRS; state one such as EPSG:28992") from error
 
 
 def horizontal(crs: pyproj.CRS) -> pyproj.CRS:

@@ -61,6 +61,15 @@ def grown(bounds: Bounds, margin_m: float) -> Bounds:
     return x_min - margin_m, y_min - margin_m, x_max + margin_m, y_max + margin_m
 
 
+def bounds_text(bounds: Bounds) -> str:
+    """``bounds`` in a message, in whole metres.
+
+    >>> bounds_text((10, 20, 30, 40))
+    '10..30, 20..40'
+    """
+    return f"{bounds[0]:.0f}..{bounds[2]:.0f}, {bounds[1]:.0f}..{bounds[3]:.0f}"
+
+
 def are_near(first: Bounds, second: Bounds, distance_m: float) -> bool:
     """Whether two windows are at most ``distance_m`` apart along x and along y; if that is negative, whether they
     overlap by as much.

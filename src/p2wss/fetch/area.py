@@ -9,6 +9,7 @@ from typing import NamedTuple
 import pyproj
 
 from p2wss.config import Config
+from p2wss.data.crs import parsed_crs
 from p2wss.data.terrain import write_terrain
 from p2wss.data.tiling import Bounds, are_near, grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch.bdtopo import write_footprints
@@ -55,10 +56,7 @@ def fetch_area(bbox: Bounds, crs: str, folder: Path, config: Config) -> Fetched:
 
 def bounds_in_region(bbox: Bounds, crs: str, region_crs: str) -> Bounds:
     """A box in the CRS of the region. Raises :class:`InputError` for one that cannot be in ``crs``."""
-    try:
-        stated = pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
-        raise InputError(f"crs {crs}: no such CRS; state one such as EPSG:4326") from error
+    stated = parsed_crs(crs, "crs")
     x_min, y_min, x_max, y_max = bbox
     if x_min >= x_max or y_min >= y_max:
         raise InputError(f"bbox {_text(bbox)}: is empty; state x_min, y_min, x_max, y_max")

@@ -13,9 +13,9 @@ import numpy as np
 import pyproj
 
 from p2wss.data.crs import check_crs
-from p2wss.data.tiling import Bounds, are_near
+from p2wss.data.tiling import Bounds, are_near, grown
 from p2wss.storage import files, integrity
-from p2wss.storage.las_files import crs_of, open_cloud
+from p2wss.storage.las_files import bounds_of, crs_of, open_cloud
 
 _CHUNK_POINTS = 2_000_000
 _EDGE_M = 0.5  # delivered tiles may have points on their edges or slightly beyond them
@@ -106,11 +106,10 @@ def _in(x: np.ndarray, y: np.ndarray, bounds: Bounds) -> np.ndarray:
 
 def _is_inside(path: Path, bounds: Bounds, holes: Sequence[Bounds]) -> bool:
     """Whether a cloud is inside ``bounds`` and outside all holes, to within half a metre."""
-    header = read_header(path)
-    (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
-    meets_hole = any(are_near((x_min, y_min, x_max, y_max), hole, -_EDGE_M) for hole in holes)
-    inside = x_min >= bounds[0] - _EDGE_M and y_min >= bounds[1] - _EDGE_M
-    return not meets_hole and inside and x_max <= bounds[2] + _EDGE_M and y_max <= bounds[3] + _EDGE_M
+    stated = bounds_of(read_header(path))
+    low_x, low_y, high_x, high_y = grown(bounds, _EDGE_M)
+    inside = stated[0] >= low_x and stated[1] >= low_y and stated[2] <= high_x and stated[3] <= high_y
+    return inside and not any(are_near(stated, hole, -_EDGE_M) for hole in holes)
 
 
 def link_or_copy(source: Path, target: Path) -> None:

@@ -24,9 +24,10 @@ from p2wss.config import Folder
 from p2wss.data.crs import check_crs, horizontal, reprojected, same_crs
 from p2wss.data.listing import CLOUD, RASTER, VECTOR, list_files
 from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import Bounds, are_near, tile_bounds, tiles_of_bounds
+from p2wss.data.tiling import Bounds, are_near, bounds_text, tile_bounds, tiles_of_bounds
 from p2wss.fetch.cloud import read_header
 from p2wss.storage.errors import InputError, reading
+from p2wss.storage.las_files import bounds_of
 
 log = logging.getLogger(__name__)
 
@@ -69,10 +70,8 @@ class FolderSource:
         window = reproject_bounds(bounds, self.crs, self.config.lidar_crs or self.crs)
         paths = [path for path in files if _overlaps(path, window)]
         if not paths:
-            x_min, y_min, x_max, y_max = bounds
             raise InputError(
-                f"{self.config.lidar}: none of its {len(files)} files has points in "
-                f"{x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
+                f"{self.config.lidar}: none of its {len(files)} files has points in {bounds_text(bounds)}"
             )
         return paths
 
@@ -177,11 +176,7 @@ def mosaic(files: list[Path], bounds: Bounds, crs: str, name: str) -> Terrain:
             # .asc files do not state a CRS
             check_crs(pyproj.CRS.from_user_input(raster.crs) if raster.crs else None, crs, path)
         if not rasters:
-            x_min, y_min, x_max, y_max = bounds
-            raise InputError(
-                f"{name}: none of its {len(files)} files covers "
-                f"{x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}"
-            )
+            raise InputError(f"{name}: none of its {len(files)} files covers {bounds_text(bounds)}")
         _warn_of_gaps([raster.bounds for raster in rasters], bounds, name)
         return _merged(rasters, bounds)
 
@@ -221,5 +216,4 @@ def _warn_of_gaps(raster_bounds: list[Bounds], bounds: Bounds, name: str) -> Non
 def _overlaps(path: Path, bounds: Bounds) -> bool:
     """Whether the extent of a cloud and ``bounds`` overlap by more than half a metre."""
     header = read_header(path)
-    (x_min, y_min, _), (x_max, y_max, _) = header.mins, header.maxs
-    return header.point_count > 0 and bool(are_near((x_min, y_min, x_max, y_max), bounds, -0.5))
+    return header.point_count > 0 and are_near(bounds_of(header), bounds, -0.5)

@@ -24,7 +24,7 @@ from rasterio.io import MemoryFile
 
 from p2wss.config import Geoplateforme
 from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, bounds_text
 from p2wss.fetch.cloud import append_checksum, check_cloud
 from p2wss.fetch.http import Client, NotFoundError, quote
 from p2wss.storage import files, integrity
@@ -75,7 +75,7 @@ class GeoplateformeSource:
             if len(windows) > 1:
                 log.info(f"footprints: window {number + 1} of {len(windows)}, {len(features)} features")
         if not features:
-            raise InputError(f"{self.name}: no building in {_format_bounds(bounds)}")
+            raise InputError(f"{self.name}: no building in {bounds_text(bounds)}")
         return gpd.GeoDataFrame.from_features(features, crs=self.crs)
 
     def footprint_windows(self, bounds: Bounds) -> list[Bounds]:
@@ -118,7 +118,7 @@ class GeoplateformeSource:
                 # a stored index may be out of date: the next attempt asks for it again
                 self._features_path(type_name, bounds, None).unlink(missing_ok=True)
                 reasons.append(f"{type_name}: {error}")
-        raise InputError(f"no LiDAR HD in {_format_bounds(bounds)}: {'; '.join(reasons)}")
+        raise InputError(f"no LiDAR HD in {bounds_text(bounds)}: {'; '.join(reasons)}")
 
     def _tile(self, url: str) -> Path:
         """The file of a tile, downloaded unless it is stored."""
@@ -309,7 +309,3 @@ def _grid(bounds: Bounds, cell: float) -> tuple[float, float, int, int]:
     left, top = float(np.floor(bounds[0] / cell)) - 0.5, float(np.ceil(bounds[3] / cell)) + 0.5
     columns = int(np.ceil(bounds[2] / cell) + 0.5 - left)
     return left, top, int(top - np.floor(bounds[1] / cell) + 0.5), columns
-
-
-def _format_bounds(bounds: Bounds) -> str:
-    return f"{bounds[0]:.0f}..{bounds[2]:.0f}, {bounds[1]:.0f}..{bounds[3]:.0f}"

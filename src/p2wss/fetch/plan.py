@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from p2wss.config import ALL, Config, load
-from p2wss.data.tiling import Bounds, grown, tile_bounds, tiles_of_bounds
+from p2wss.data.tiling import Bounds, bounds_text, grown, tile_bounds, tiles_of_bounds
 from p2wss.fetch.geoplateforme import GeoplateformeSource
 from p2wss.fetch.source import open_source
 
@@ -84,10 +84,9 @@ def lidar_tiles(config: Config) -> list[str]:
 def format_estimates(config: Config, estimates: Sequence[Estimate]) -> str:
     """The region and its estimates as a table for the terminal."""
     region, rate = config.region, config.fetch.geoplateforme.requests_per_s
-    x_min, y_min, x_max, y_max = region.bounds_m
     lines = [
-        f"region {region.name}: {len(tiles(config))} tiles of {region.tile_size_m:g} m in {x_min:.0f}..{x_max:.0f}, "
-        f"{y_min:.0f}..{y_max:.0f} ({region.crs}), LiDAR for {len(lidar_tiles(config))}; vintage {region.vintage}"
+        f"region {region.name}: {len(tiles(config))} tiles of {region.tile_size_m:g} m in "
+        f"{bounds_text(region.bounds_m)} ({region.crs}), LiDAR for {len(lidar_tiles(config))}; vintage {region.vintage}"
     ]
     if not estimates:
         return "\n".join([*lines, "nothing to download: fetch.source is folder"])

@@ -7,11 +7,11 @@ from typing import Protocol
 
 import geopandas as gpd
 import numpy as np
-import pyproj
 
 from p2wss.config import Fetch, Region
+from p2wss.data.crs import parsed_crs
 from p2wss.data.terrain import Terrain
-from p2wss.data.tiling import Bounds
+from p2wss.data.tiling import Bounds, bounds_text
 from p2wss.fetch.bdtopo import normalise
 from p2wss.storage.errors import InputError
 
@@ -37,14 +37,8 @@ def open_source(region: Region, config: Fetch, downloads: Path) -> Source:
     downloads: folder for downloaded files, which later runs reuse. Raises :class:`InputError` if a CRS of
     the config does not exist.
     """
-    for key, crs in (
-        ("region.crs", region.crs),
-        ("fetch.folder.lidar_crs", config.folder.lidar_crs or region.crs),
-    ):
-        try:
-            pyproj.CRS.from_user_input(crs)
-        except pyproj.exceptions.CRSError as error:
-            raise InputError(f"config: {key}: {crs}: no such CRS; state one such as EPSG:2154") from error
+    parsed_crs(region.crs, "config: region.crs:")
+    parsed_crs(config.folder.lidar_crs or region.crs, "config: fetch.folder.lidar_crs:")
     if config.source == "folder":
         from p2wss.fetch.folder import FolderSource
 
@@ -81,10 +75,7 @@ def known_height_share(terrain: Terrain, bounds: Bounds, name: str) -> float:
 
     Raises :class:`InputError` if all cells are no data.
     """
-    x_min, y_min, x_max, y_max = bounds
     share = float(np.isfinite(terrain.cut(bounds).height_m).mean())
     if share == 0:
-        raise InputError(
-            f"{name}: no heights in {x_min:.0f}..{x_max:.0f}, {y_min:.0f}..{y_max:.0f}: no cell has data"
-        )
+        raise InputError(f"{name}: no heights in {bounds_text(bounds)}: no cell has data")
     return share

@@ -12,7 +12,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pyogrio
 import pyproj
@@ -24,6 +23,8 @@ from p2wss.storage.errors import InputError, reading
 
 # WKB types that shapely cannot read, and those with the same bytes that it can
 _SURFACES = {15: 6, 16: 6, 17: 3}  # polyhedral surface, TIN, triangle
+# the phrase of messages
+_KIND = "a readable vector file"
 _POINT, _LINE, _POLYGON = 1, 2, 3
 
 
@@ -38,7 +39,7 @@ def read_vector(path: str | Path, bounds: Bounds | None = None) -> gpd.GeoDataFr
     if not Path(path).exists():
         raise InputError(f"{path}: no such file")
     integrity.verify(path)
-    with reading(path, "a readable vector file"):
+    with reading(path, _KIND):
         if str(path).endswith(".parquet"):
             pq.read_table(path).validate(full=True)  # text that is not UTF-8, for instance
             frame = gpd.read_parquet(path).reset_index(drop=True)
@@ -59,22 +60,17 @@ def layer_info(path: Path) -> dict[str, Any]:
     ``geometry_type`` (None without geometry), ``fields`` and ``crs``. Raises :class:`InputError` if it is broken."""
     if path.suffix.lower() == ".parquet":  # GDAL may come without its driver for Parquet
         return _geoparquet_info(path)
-    try:
-        with warnings.catch_warnings():
-            # several layers are reported when the file is read
-            warnings.simplefilter("ignore")
-            return dict(pyogrio.read_info(path))
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
+    with reading(path, _KIND), warnings.catch_warnings():
+        # several layers are reported when the file is read
+        warnings.simplefilter("ignore")
+        return dict(pyogrio.read_info(path))
 
 
 def _geoparquet_info(path: Path) -> dict[str, Any]:
     """The same of a GeoParquet file (specification 1.1)."""
-    try:
+    with reading(path, _KIND):
         stored = pq.read_metadata(path)
         geo = json.loads((stored.metadata or {}).get(b"geo", b"{}"))
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable vector file: {' '.join(str(error).split())}") from error
     primary = geo.get("primary_column")
     column = geo.get("columns", {}).get(primary)
     names = [name for name in stored.schema.to_arrow_schema().names if name != primary]

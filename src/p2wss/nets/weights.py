@@ -18,9 +18,9 @@ from p2wss.config import Dvae as DvaeConfig
 from p2wss.config import Model as ModelConfig
 from p2wss.nets.discrete_vae import DiscreteVae
 from p2wss.nets.point2wss import Point2Wss, inference_weights
-from p2wss.nets.weights_file import read_metadata
+from p2wss.nets.weights_file import KIND, read_metadata
 from p2wss.storage import files, integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import InputError, reading
 
 _Network = TypeVar("_Network", bound=Module)
 
@@ -96,15 +96,11 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
 
     Raises :class:`InputError` for a file that is missing, unreadable or not of this ``kind``.
     """
-    from safetensors import SafetensorError, safe_open
+    from safetensors import safe_open
 
     metadata = read_metadata(path, kind)
-    try:
-        with safe_open(path, "pt") as file:
-            state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable safetensors file: {error}") from error
-    return state, metadata
+    with reading(path, KIND), safe_open(path, "pt") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, metadata  # noqa: SIM118
 
 
 def _settings(config: dict[str, Any]) -> dict[str, Any]:

@@ -9,10 +9,12 @@ from typing import Any
 
 from p2wss.config import Reconstruct
 from p2wss.storage import integrity
-from p2wss.storage.errors import InputError
+from p2wss.storage.errors import InputError, reading
 
 # in place of a file of weights: no network
 NO_NETWORK = "none"
+# the phrase of messages
+KIND = "a readable safetensors file"
 
 
 def weights_to_use(model: Path | None, config: Reconstruct) -> Path | None:
@@ -43,16 +45,13 @@ def shipped_model() -> Path | None:
 def read_metadata(path: Path, kind: str) -> dict[str, Any]:
     """The metadata of a file of weights. Raises :class:`InputError` for a file that is missing, unreadable or not of
     this ``kind``."""
-    from safetensors import SafetensorError, safe_open
+    from safetensors import safe_open
 
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file; train it first (p2wss {kind})")
     integrity.verify(path)
-    try:
-        with safe_open(path, "np") as file:
-            metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
-    except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable safetensors file: {error}") from error
+    with reading(path, KIND), safe_open(path, "np") as file:
+        metadata = json.loads((file.metadata() or {}).get("p2wss", "{}"))
     if not isinstance(metadata, dict) or metadata.get("kind") != kind:
         raise InputError(f"{path}: not a {kind} of p2wss")
     return {name: value for name, value in metadata.items() if name != "checksum"}

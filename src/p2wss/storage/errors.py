@@ -33,11 +33,9 @@ def reading(path: str | Path, kind: str) -> Iterator[None]:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except MemoryError as error:
         raise InputError(f"{path}: not {kind}: it would take more memory than there is") from error
-    except Exception as error:
-        raise InputError(f"{path}: not {kind}: {_reason(error)}") from error
     except BaseException as error:
         # libraries in Rust raise a failed assertion of theirs as this, which is no Exception
-        if type(error).__name__ != "PanicException":
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":
             raise
         raise InputError(f"{path}: not {kind}: {_reason(error)}") from error
 

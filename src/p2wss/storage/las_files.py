@@ -54,6 +54,11 @@ def crs_of(header: laspy.LasHeader) -> pyproj.CRS | None:
         return None
 
 
+def bounds_of(header: laspy.LasHeader) -> tuple[float, float, float, float]:
+    """x_min, y_min, x_max and y_max as a header states them."""
+    return *header.mins[:2].tolist(), *header.maxs[:2].tolist()
+
+
 def check_header(path: str | Path) -> None:
     """Raise ValueError for a header whose counts and offsets do not fit into the file (LAS specification 1.4-R15)."""
     size = Path(path).stat().st_size
