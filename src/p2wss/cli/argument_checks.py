@@ -7,15 +7,11 @@ import os
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from p2wss.cli.common import bounds_of_tile, log
-from p2wss.config import TABLES_AND_MODELS, Config
+from p2wss.config import TABLES_AND_MODELS, Config, DeviceName
 from p2wss.nets import weights_file
 from p2wss.storage.errors import InputError
-
-if TYPE_CHECKING:
-    from p2wss.nets.compute import DeviceName
 
 
 def check(
@@ -68,7 +64,7 @@ def existing_folder(out: Path) -> Path:
     return out
 
 
-def _check_device(device: str) -> None:
+def _check_device(device: DeviceName) -> None:
     """Raise :class:`InputError` for a GPU without a torch that can use one; whether there is one, torch will say."""
     torch_version = version("torch")
     if device == "cuda" and torch_version.endswith("+cpu"):

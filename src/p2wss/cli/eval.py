@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -17,13 +17,10 @@ from p2wss.cli.common import (
     threads_option,
 )
 from p2wss.cli.parser import Group, file_option, option
-from p2wss.config import Config, section_json
+from p2wss.config import Config, DeviceName, section_json
 from p2wss.nets.threads import set_num_threads
 from p2wss.storage import files
 from p2wss.storage.provenance import fingerprint
-
-if TYPE_CHECKING:
-    from p2wss.nets.compute import DeviceName
 
 _shards_option = file_option(
     "--shards", "evaluate only these shards of the manifest (default: all)", required=False, takes_list=True

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -23,11 +23,8 @@ from p2wss.cli.common import (
     write_run,
 )
 from p2wss.cli.parser import PATH, Command, Names, option, setting
-from p2wss.config import Config
+from p2wss.config import Config, DeviceName
 from p2wss.storage import files
-
-if TYPE_CHECKING:
-    from p2wss.nets.compute import DeviceName
 
 # settings of FOOTPRINTS, and --tile, which selects some of them
 OF_FOOTPRINTS = ("registration", "footprint_schema", "id_field", "height_field", "keep_columns", "tile")

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from p2wss.cli.common import log
 from p2wss.cli.parser import Command, file_option, option
-
-if TYPE_CHECKING:
-    from p2wss.towns.buildings import DrawnBuilding
+from p2wss.storage import files
 
 ROOFS = "roofs/roofs.city.jsonl"
 
@@ -31,25 +27,18 @@ ROOFS = "roofs/roofs.city.jsonl"
 )
 def towns(seed: int, out: Path, lidar: bool, kind: str) -> None:
     """Generate a synthetic town: footprints, terrain and stand-in LiDAR in IGN's file formats."""
-    from p2wss.towns import write_town
-
-    town = write_town(out, seed, lidar, kind)
-    if kind != "streets":
-        _write_roofs(town, out / ROOFS)
-    log.info(f"{out}: town {seed} with {len(town)} buildings")
-
-
-def _write_roofs(town: Sequence[DrawnBuilding], path: Path) -> None:
-    """The true solids of a town as CityJSON, by the ids of the footprints."""
     from p2wss.formats.cityjson import Metadata, Solid, lines
-    from p2wss.storage import files
+    from p2wss.towns import write_town
     from p2wss.towns.ign import building_id
     from p2wss.towns.site import CRS
     from p2wss.towns.wings import true_solids
 
-    solids = [
-        Solid.of_triangles(building_id(index), *corners, {"shape": building.kind})
-        for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True))
-    ]
-    metadata = Metadata(int(CRS.removeprefix("EPSG:")))
-    files.write_text(path, "\n".join(lines(solids, metadata)) + "\n")
+    town = write_town(out, seed, lidar, kind)
+    if kind != "streets":
+        solids = [
+            Solid.of_triangles(building_id(index), *corners, {"shape": building.kind})
+            for index, (building, corners) in enumerate(zip(town, true_solids(town), strict=True))
+        ]
+        metadata = Metadata(int(CRS.removeprefix("EPSG:")))
+        files.write_text(out / ROOFS, "\n".join(lines(solids, metadata)) + "\n")
+    log.info(f"{out}: town {seed} with {len(town)} buildings")

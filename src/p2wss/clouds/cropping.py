@@ -75,8 +75,7 @@ def crop_points(
     boxes = _cell_boxes(polygons.xy_m, polygons.vertex_offset, grid, float(buffer_m))
     cells = _sort_points(x_m, y_m, grid, boxes, np.zeros(0, bool) if among is None else among)
     rings = _Rings(polygons.xy_m, polygons.ring_offset, polygons.polygon_offset)
-    cropped: tuple[np.ndarray, np.ndarray, np.ndarray] = _crop(cells, grid, boxes, rings, float(buffer_m))
-    return cropped
+    return _crop(cells, grid, boxes, rings, float(buffer_m))
 
 
 @entry

@@ -35,7 +35,7 @@ from p2wss.config.region import ALL, CLASSES_ALONE, TILE_LISTS, Classes, ClassPr
 from p2wss.config.scans import Clutter, PatternShares, Scans
 from p2wss.config.scenes import RoofShares, Scenes
 from p2wss.config.sections import Config, ablated
-from p2wss.config.training import Compute, Optimiser
+from p2wss.config.training import Compute, DeviceName, Optimiser
 
 __all__ = [
     "ALL",
@@ -58,6 +58,7 @@ __all__ = [
     "Crops",
     "Dataset",
     "Decoding",
+    "DeviceName",
     "Dvae",
     "Eval",
     "Fetch",

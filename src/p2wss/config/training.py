@@ -26,12 +26,13 @@ class Optimiser(Section):
     gradient_clip: float = Field(1.0, gt=0, description="gradients with a larger norm are scaled down to it")
 
 
+DeviceName = Literal["auto", "cpu", "cuda"]
+
+
 class Compute(Section):
     """Where and how training runs; it affects results only by rounding."""
 
-    device: Literal["auto", "cpu", "cuda"] = Field(
-        "auto", description="where to train; auto = a GPU if there is one"
-    )
+    device: DeviceName = Field("auto", description="where to train; auto = a GPU if there is one")
     num_gpus: int = Field(
         1,
         ge=1,

@@ -50,18 +50,7 @@ def to_geometries(polygons: Polygons) -> np.ndarray:
 
 def take(polygons: Polygons, indices: np.ndarray) -> Polygons:
     """The polygons at ``indices`` (int array or boolean mask), in that order."""
-    selection = np.arange(len(polygons))[indices]
-    ring_index = [np.arange(polygons.polygon_offset[p], polygons.polygon_offset[p + 1]) for p in selection]
-    rings = np.concatenate(ring_index) if ring_index else np.zeros(0, np.int64)
-    lengths = np.diff(polygons.ring_offset)[rings]
-    starts = polygons.ring_offset[rings]
-    ring_offset = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
-    source = np.arange(ring_offset[-1]) + np.repeat(starts - ring_offset[:-1], lengths)
-    return Polygons(
-        xy_m=polygons.xy_m[source],
-        ring_offset=ring_offset,
-        polygon_offset=np.cumsum([0, *map(len, ring_index)]).astype(np.int64),
-    )
+    return Polygons.from_rings([polygons.rings(p) for p in np.arange(len(polygons))[indices].tolist()])
 
 
 def moved(polygons: Polygons, by_xy_m: np.ndarray) -> Polygons:
@@ -75,15 +64,8 @@ def origins(polygons: Polygons) -> np.ndarray:
 
     (0, 0) for a polygon without rings.
     """
-    result = np.zeros((len(polygons), 2))
-    offset = polygons.vertex_offset
-    non_empty = np.flatnonzero(np.diff(offset) > 0)
-    if len(non_empty):
-        # reduceat needs non-empty slices; slices between them are empty, so the starts alone suffice
-        low = np.minimum.reduceat(polygons.xy_m, offset[non_empty])
-        high = np.maximum.reduceat(polygons.xy_m, offset[non_empty])
-        result[non_empty] = np.round((low + high) / 2)
-    return result
+    bounds = shapely.bounds(to_geometries(polygons))
+    return np.nan_to_num(np.round((bounds[:, :2] + bounds[:, 2:]) / 2))
 
 
 def to_columns(polygons: Polygons, origin_xy_m: np.ndarray) -> dict[str, pa.Array]:

@@ -62,11 +62,7 @@ def curves(series: Mapping[str, pd.Series], x_label: str, title: str) -> Figure:
         axes.yaxis.set_minor_formatter(
             lambda value, place: f"{value:g}" if every.max() < 30 * every.min() else ""
         )
-    axes.set_xlabel(x_label)
-    axes.set_title(title, fontsize=10)
-    axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    return figure
+    return _finished(figure, x_label, title)
 
 
 def cumulative(
@@ -79,7 +75,13 @@ def cumulative(
         share = np.linspace(0, 1, min(len(sample), _MAX_STEPS))
         axes.plot(np.quantile(sample, share), share, label=names[method], color=COLORS.get(method))
     axes.set_xlim(0, max(np.quantile(sample, 0.98) for sample in values.values()) or 1.0)
-    axes.set(ylim=(0, 1), xlabel=x_label, ylabel="share of buildings")
+    axes.set(ylim=(0, 1), ylabel="share of buildings")
+    return _finished(figure, x_label, title)
+
+
+def _finished(figure: Figure, x_label: str, title: str) -> Figure:
+    (axes,) = figure.axes
+    axes.set_xlabel(x_label)
     axes.set_title(title, fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)

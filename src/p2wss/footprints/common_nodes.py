@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,6 +60,14 @@ def previous_in_ring(ring_offset: np.ndarray) -> np.ndarray:
     return previous
 
 
+def _polygons_of(number: np.ndarray, polygon: np.ndarray) -> dict[int, set[int]]:
+    """The polygons of each node, or edge, by its number."""
+    result: defaultdict[int, set[int]] = defaultdict(set)
+    for k, p in zip(number.tolist(), polygon.tolist(), strict=True):
+        result[k].add(p)
+    return result
+
+
 def _merge_vertices(
     xy_m: np.ndarray, node: np.ndarray, polygon: np.ndarray, snap_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -72,9 +81,7 @@ def _merge_vertices(
     first, second, distance = first[near], second[near], distance[near]
     order = np.lexsort((second, first, distance))
     involved = np.isin(node, pairs)
-    polygons_of: dict[int, set[int]] = {}
-    for k, p in zip(node[involved].tolist(), polygon[involved].tolist(), strict=True):
-        polygons_of.setdefault(k, set()).add(p)
+    polygons_of = _polygons_of(node[involved], polygon[involved])
     cluster = {k: k for k in polygons_of}
     members = {k: [k] for k in polygons_of}
     for a, b in zip(first[order].tolist(), second[order].tolist(), strict=True):
@@ -121,14 +128,9 @@ def _divide_edges(
     distance = np.hypot(*(xy_m[at] - foot_m).T)
     inner = np.flatnonzero((share > 0) & (share < 1))
     inner = inner[np.lexsort((of_edge[inner], at[inner], distance[inner]))]
-    polygons_of: dict[int, set[int]] = {}
-    nodes_involved = np.isin(node, at[inner])
-    for k, p in zip(node[nodes_involved].tolist(), polygon[nodes_involved].tolist(), strict=True):
-        polygons_of.setdefault(k, set()).add(p)
-    polygons_at: dict[int, set[int]] = {}
-    edges_involved = np.isin(edge, of_edge[inner])
-    for k, p in zip(edge[edges_involved].tolist(), polygon[edges_involved].tolist(), strict=True):
-        polygons_at.setdefault(k, set()).add(p)
+    nodes_involved, edges_involved = np.isin(node, at[inner]), np.isin(edge, of_edge[inner])
+    polygons_of = _polygons_of(node[nodes_involved], polygon[nodes_involved])
+    polygons_at = _polygons_of(edge[edges_involved], polygon[edges_involved])
     inserted: list[int] = []
     moved: dict[int, np.ndarray] = {}
     for i in inner.tolist():

@@ -19,7 +19,7 @@ class _Fit:
 
 
 # ITU-R P.2040, table 3 (the rows of materials that p2wss names)
-_TABLE = {
+TABLE = {
     "concrete": (_Fit(1, 100, 5.24, 0, 0.0462, 0.7822), _Fit(110, 330, 5.17, 0, 0.0145, 1.09)),
     "brick": (_Fit(1, 40, 3.91, 0, 0.0238, 0.16), _Fit(110, 330, 4.15, 0, 0.0006, 1.5712)),
     "plasterboard": (_Fit(1, 100, 2.73, 0, 0.0085, 0.9395), _Fit(110, 330, 2.56, 0, 0.0001, 1.7799)),
@@ -33,7 +33,6 @@ _TABLE = {
     "medium_dry_ground": (_Fit(1, 10, 15, -0.1, 0.035, 1.63),),
     "wet_ground": (_Fit(1, 10, 30, -0.4, 0.15, 1.3),),
 }
-ITU_TYPES = tuple(_TABLE)
 
 
 @dataclass(frozen=True)
@@ -48,12 +47,12 @@ class Properties:
 
 
 def properties(itu_type: str, frequency_ghz: float) -> Properties:
-    """The properties of a type of :data:`ITU_TYPES`.
+    """The properties of a type in :data:`TABLE`.
 
     Where the recommendation does not define them, the complex permittivity of the nearest frequency at which it does
     is used. The conductivity then grows in proportion to the frequency.
     """
-    fits = _TABLE[itu_type]
+    fits = TABLE[itu_type]
     for fit in fits:
         if fit.low <= frequency_ghz <= fit.high:
             return _at(fit, frequency_ghz, None)

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import os
 from contextlib import AbstractContextManager
-from typing import Literal
 
 import torch
 
-from p2wss.config import Compute
+from p2wss.config import Compute, DeviceName
 from p2wss.storage.errors import InputError
-
-DeviceName = Literal["auto", "cpu", "cuda"]
 
 
 def device_of(name: DeviceName) -> torch.device:

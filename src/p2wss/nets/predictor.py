@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from p2wss.config import DeviceName
 from p2wss.nets import compute, decoding
 from p2wss.nets.batch import NETWORK_SCALE, Batch, batch_patches, centre, thin
-from p2wss.nets.compute import DeviceName
 from p2wss.nets.patches import Patches
 from p2wss.nets.point2wss import Point2Wss
 from p2wss.nets.prediction import Prediction

@@ -22,7 +22,7 @@ import pyproj
 import shapely
 
 from p2wss.clouds.crops import crop_cloud
-from p2wss.config import CLASSES_ALONE, Config, load, section_json
+from p2wss.config import CLASSES_ALONE, Config, DeviceName, load, section_json
 from p2wss.data import polygon_arrays
 from p2wss.data.las_classes import class_set
 from p2wss.data.tiling import Bounds, grown
@@ -51,7 +51,6 @@ from p2wss.storage.temporary import Closeable
 if TYPE_CHECKING:
     import trimesh
 
-    from p2wss.nets.compute import DeviceName
     from p2wss.reconstruct.network import Predictor
 
 log = logging.getLogger("p2wss")

@@ -114,7 +114,4 @@ def _cast_chunk(
     rays = Rays(*(column[:n] for column in workspace.rays))
     hits = Hits(*(column[:n] for column in workspace.hits))
     caster.first_hits(rays.origin, rays.direction, hits)
-    counts: tuple[int, np.ndarray] = record(
-        rays, hits, caster.surface, strip.path, strip.errors, box, workspace.points
-    )
-    return counts
+    return record(rays, hits, caster.surface, strip.path, strip.errors, box, workspace.points)

@@ -70,8 +70,7 @@ def densest_place(points: Points, cell_m: float = 50.0) -> np.ndarray:
     if not len(pairs):
         return np.zeros(2)
     cells, counts = np.unique(pairs, axis=0, return_counts=True)
-    middle: np.ndarray = (cells[counts.argmax()] + 0.5) * cell_m
-    return middle
+    return np.asarray((cells[counts.argmax()] + 0.5) * cell_m)
 
 
 def _by_building(points: Points, rows: np.ndarray) -> np.ndarray:
@@ -86,5 +85,4 @@ def _by_building(points: Points, rows: np.ndarray) -> np.ndarray:
 
 def _by_number(number: np.ndarray | int) -> np.ndarray:
     palette = colormaps["Dark2"](np.arange(8))[:, :3]
-    color: np.ndarray = palette[np.asarray(number).astype(int) % len(palette)]
-    return color
+    return np.asarray(palette[np.asarray(number).astype(int) % len(palette)])

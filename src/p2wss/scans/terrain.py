@@ -98,15 +98,6 @@ def _ranges(height: np.ndarray, size: int) -> np.ndarray:
     return result
 
 
-@entry
-def first_crossing(grid: TerrainGrid, ray: Ray, limit: float) -> tuple[float, float, float]:
-    """Where a falling ray (dz < 0) first meets the terrain, if nearer than ``limit``.
-
-    Returns (distance in lengths of the direction, or -1; slope of the triangle towards east; towards north).
-    """
-    return crossing(frame_of(grid), grid.height_m, grid.block_range_m, grid.region_range_m, ray, limit)
-
-
 @inlined
 def frame_of(grid: TerrainGrid) -> GridFrame:
     """What :func:`crossing` needs of a grid besides its arrays."""
@@ -130,8 +121,11 @@ def crossing(
     ray: Ray,
     limit: float,
 ) -> tuple[float, float, float]:
-    """:func:`first_crossing` for loops over many rays, which take the arrays out of the grid once: numba
-    counts the references to an array each time that it is taken out of a tuple.
+    """Where a falling ray (dz < 0) first meets the terrain, if nearer than ``limit``.
+
+    Returns (distance in lengths of the direction, or -1; slope of the triangle towards east; towards north). The arrays
+    are those of the grid, taken out of it once for many rays: numba counts the references to an array each time that it
+    is taken out of a tuple.
 
     In float64, and without a tree. The height range of the region and then that of the block through which
     the ray passes narrow the search to some decimetres of the ray, mostly within one square.

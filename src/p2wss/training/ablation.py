@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from p2wss.nets.compute import DeviceName
+from p2wss.config import DeviceName
 from p2wss.nets.predictor import load_predictor
 from p2wss.training.dataset import training_limits
 from p2wss.training.model import prediction_errors

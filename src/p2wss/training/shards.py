@@ -146,15 +146,13 @@ def _read_shard(
             reach[i] = np.hypot(*(ring - centroid).T).max()
         require(reach < limits.max_length_m, reasons.FOOTPRINT_TOO_LARGE)
     rows = np.flatnonzero(usable)
-    points = _value_index(offset, rows)
-    vertices = _value_index(angle_offset, rows)
     return BuildingDataset(
-        points_cm=np.stack([axis[points] for axis in axes], -1),
+        points_cm=np.stack([axis[np.repeat(usable, count)] for axis in axes], -1),
         point_offset=_offsets(count[rows]),
         ground_z_m=ground[rows].astype(np.float32),
-        xy_m=xy.reshape(-1, 2)[vertices].astype(np.float32),
+        xy_m=xy.reshape(-1, 2)[np.repeat(usable, np.diff(xy_offset) // 2)].astype(np.float32),
         vertex_offset=_offsets(num_vertices[rows]),
-        angle_deg=angle[vertices].astype(np.float32),
+        angle_deg=angle[np.repeat(usable, num_vertices)].astype(np.float32),
         height_m=height[rows].astype(np.float32),
         num_excluded={},
     )
@@ -162,13 +160,6 @@ def _read_shard(
 
 def _floats(table: Any, name: str) -> np.ndarray:
     return table[name].to_numpy(zero_copy_only=False).astype(float)
-
-
-def _value_index(offset: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Indices of the values of ``rows`` in a ragged array, in order."""
-    if not len(rows):
-        return np.zeros(0, np.int64)
-    return np.concatenate([np.arange(offset[i], offset[i + 1]) for i in rows])
 
 
 def _offsets(lengths: np.ndarray) -> np.ndarray:

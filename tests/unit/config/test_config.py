@@ -70,7 +70,7 @@ def test_a_new_key_at_its_neutral_value_reruns_nothing() -> None:
         ({"dvae": {"num_tokens": 10**11}}, "dvae.num_tokens: Input should be less than or equal to 65536"),
         ({"model": {"dim": 10**7}}, "model.dim: Input should be less than or equal to 4096"),
         ({"region": {"bounds_m": [1, 0, 0, 1]}}, "bounds_m must be x_min, y_min, x_max, y_max"),
-        ("no/such.yaml", "no/such.yaml: No such file"),
+        ("no/such.yaml", "no/such.yaml: no such file"),
         ("{region: [", "not YAML"),
     ],
 )

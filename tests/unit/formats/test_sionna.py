@@ -16,7 +16,7 @@ from p2wss import skeleton
 from p2wss.data.terrain import Terrain
 from p2wss.formats.materials import MATERIALS
 from p2wss.formats.meshes import Body, BuildingRef, Frame, frame_around
-from p2wss.formats.radio_materials import ITU_TYPES, properties
+from p2wss.formats.radio_materials import TABLE, properties
 from p2wss.formats.sionna import scene_files
 from p2wss.mesh import Mesh
 from p2wss.reconstruct import terrain_mesh
@@ -229,8 +229,8 @@ def test_materials_at_a_frequency(
 
 def test_properties_follow_the_recommendation() -> None:
     """Values of ITU-R P.2040, table 3: a f^b and c f^d."""
-    assert {material.itu_type for material in MATERIALS.values()} <= set(ITU_TYPES)
-    assert set(ITU_TYPES) <= sionna_scene.ITU_TYPES
+    assert {material.itu_type for material in MATERIALS.values()} <= set(TABLE)
+    assert set(TABLE) <= sionna_scene.ITU_TYPES
     ground = properties("medium_dry_ground", 10.0)
     assert ground.relative_permittivity == pytest.approx(15 * 10**-0.1)
     assert ground.conductivity_s_per_m == pytest.approx(0.035 * 10**1.63) and ground.held_from_ghz is None

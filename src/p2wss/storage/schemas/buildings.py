@@ -3,8 +3,6 @@
 Written by the stage buildings; read by scans and crops.
 """
 
-from __future__ import annotations
-
 import pyarrow as pa
 
 from p2wss.storage.schemas.columns import FOOTPRINT, FRAME, IDENTITY, MESH, STATUS, field

@@ -3,8 +3,6 @@
 Written by the stage crops; read by dvae, model and eval.
 """
 
-from __future__ import annotations
-
 import pyarrow as pa
 
 from p2wss.storage.schemas.columns import FOOTPRINT, FRAME, IDENTITY, field

@@ -3,8 +3,6 @@
 Written and read by the stage eval.
 """
 
-from __future__ import annotations
-
 import pyarrow as pa
 
 from p2wss.storage.schemas.columns import IDENTITY, field

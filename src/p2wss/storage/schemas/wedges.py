@@ -1,7 +1,5 @@
 """Wedges: Parquet of the convex edges of the skins of buildings. Written by the stage reconstruct."""
 
-from __future__ import annotations
-
 import pyarrow as pa
 
 from p2wss.storage.schemas.columns import field
