@@ -31,8 +31,7 @@ def dvae(
     from p2wss.training import dvae
     from p2wss.training.lock import training_lock
 
-    settings, code = config.dvae, fingerprint("training.dvae")
+    code = fingerprint("training.dvae")
     with training_lock(checkpoints):
-        module = dvae.train(manifest, settings, checkpoints, code)
-        save = partial(save_dvae, module, out, code)
-        common.write_trained(checkpoints, out_metrics, save)
+        module = dvae.train(manifest, config.dvae, checkpoints, code)
+        common.write_trained(checkpoints, out_metrics, partial(save_dvae, module, out, code))

@@ -32,8 +32,7 @@ def model(
     from p2wss.training import model
     from p2wss.training.lock import training_lock
 
-    settings, code = config.model, fingerprint("training.model")
+    code = fingerprint("training.model")
     with training_lock(checkpoints):
-        module = model.train(manifest, dvae, settings, checkpoints, code)
-        save = partial(save_model, module, out, code)
-        common.write_trained(checkpoints, out_metrics, save)
+        module = model.train(manifest, dvae, config.model, checkpoints, code)
+        common.write_trained(checkpoints, out_metrics, partial(save_model, module, out, code))

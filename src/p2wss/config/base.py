@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import (
     AfterValidator,
@@ -14,6 +14,7 @@ from pydantic import (
     SerializationInfo,
     SerializerFunctionWrapHandler,
     model_serializer,
+    model_validator,
 )
 
 # context in which a section is dumped to tell whether two of them have the same result
@@ -34,6 +35,16 @@ class Section(BaseModel):
         values: dict[str, Any] = dump(self)
         neutral = self.neutral if info.context == IDENTITY else {}
         return {name: value for name, value in values.items() if neutral.get(name) != value or value is None}
+
+
+class Shares(Section):
+    """Relative frequencies, of which not all are zero."""
+
+    @model_validator(mode="after")
+    def _not_all_zero(self) -> Self:
+        if not sum(self.model_dump().values()) > 0:
+            raise ValueError("at least one share must be above 0")
+        return self
 
 
 def _in_order(bounds: tuple[float, float]) -> tuple[float, float]:

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
-from p2wss.config.base import HalfAngleRange, NonNegativeRange, PositiveRange, Section, Share, _in_order
+from p2wss.config.base import (
+    HalfAngleRange,
+    NonNegativeRange,
+    PositiveRange,
+    Section,
+    Share,
+    Shares,
+    _in_order,
+)
 
 
-class PatternShares(Section):
+class PatternShares(Shares):
     """Relative frequency of each scan pattern among the scenes."""
 
     conical: float = Field(
@@ -19,12 +27,6 @@ class PatternShares(Section):
     cross_fire: float = Field(
         0.2, ge=0, description="two crossed channels of parallel lines, as in the RIEGL VQ-1560"
     )
-
-    @model_validator(mode="after")
-    def _not_all_zero(self) -> Self:
-        if self.conical + self.parallel + self.cross_fire <= 0:
-            raise ValueError("at least one share must be above 0")
-        return self
 
 
 class Clutter(Section):

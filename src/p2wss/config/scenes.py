@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from p2wss.config.base import Section, Share
+from p2wss.config.base import Section, Share, Shares
 
 
-class RoofShares(Section):
+class RoofShares(Shares):
     """Relative frequency of each roof type; a type that is impossible on a footprint is replaced by the nearest one."""
 
     gable: float = Field(
@@ -20,12 +20,6 @@ class RoofShares(Section):
     shed: float = Field(0.06, ge=0, description="one slope")
     flat: float = Field(0.14, ge=0, description="no slope")
     mixed: float = Field(0.08, ge=0, description="an independent angle for each edge")
-
-    @model_validator(mode="after")
-    def _not_all_zero(self) -> Self:
-        if not sum(self.model_dump().values()) > 0:
-            raise ValueError("at least one share must be above 0")
-        return self
 
 
 class Scenes(Section):

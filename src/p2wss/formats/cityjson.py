@@ -5,6 +5,7 @@ Specifications: https://www.cityjson.org/specs/2.0.1/ and https://www.cityjson.o
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
@@ -87,17 +88,14 @@ def lines(solids: Iterable[Solid], metadata: Metadata) -> Iterator[str]:
 
 def _objects(solids: Iterable[Solid], metadata: Metadata) -> Iterator[dict[str, Any]]:
     """The objects of :func:`lines`."""
+    others = iter(solids)
+    first = list(itertools.islice(others, 1))
     translate = np.zeros(3)
-    has_header = False
-    for solid in solids:
-        if not has_header:
-            if len(solid.vertex_m):
-                translate = np.floor(np.asarray(solid.vertex_m).min(axis=0))
-            yield _header(translate, metadata)
-            has_header = True
+    if first and len(first[0].vertex_m):
+        translate = np.floor(np.asarray(first[0].vertex_m).min(axis=0))
+    yield _header(translate, metadata)
+    for solid in itertools.chain(first, others):
         yield _feature(solid, translate, metadata)
-    if not has_header:
-        yield _header(translate, metadata)
 
 
 def document(solids: Iterable[Solid], metadata: Metadata) -> str:

@@ -43,11 +43,9 @@ def _has_room(footprint: shapely.geometry.base.BaseGeometry) -> bool:
     """Inside the region; in the LiDAR tile only near the centre and not where its cloud ends."""
     if footprint.geom_type != "Polygon" or not footprint.is_valid:
         return False
-    if not shapely.box(X_MIN + 6, Y_MIN + 6, X_MAX - 6, Y_MAX - 6).contains(footprint):
-        return False
-    if in_lidar_tile(footprint) and footprint.distance(shapely.Point(CENTRE)) > LIDAR_RADIUS_M:
-        return False
-    return bool(footprint.distance(LIDAR_TILE.exterior) > 3)
+    is_inside = shapely.box(X_MIN + 6, Y_MIN + 6, X_MAX - 6, Y_MAX - 6).contains(footprint)
+    is_far = in_lidar_tile(footprint) and footprint.distance(shapely.Point(CENTRE)) > LIDAR_RADIUS_M
+    return bool(is_inside and not is_far and footprint.distance(LIDAR_TILE.exterior) > 3)
 
 
 def _blocks(rng: np.random.Generator) -> list[np.ndarray]:

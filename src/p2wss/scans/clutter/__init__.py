@@ -11,10 +11,9 @@ import numpy as np
 
 from p2wss.config import Clutter
 from p2wss.scans.clutter import beside_walls, on_roofs
-from p2wss.scans.clutter.buildings import LocalBuildings
+from p2wss.scans.clutter.buildings import ClutterTriangles, LocalBuildings
 from p2wss.scans.clutter.eaves import set_walls_back
 from p2wss.scans.clutter.roofs import roofs_of
-from p2wss.scans.clutter.triangles import ClutterTriangles
 from p2wss.scans.surface import (
     CLUTTER_REFLECTANCE,
     TREE_REFLECTANCE,

@@ -7,15 +7,16 @@ import shapely
 
 from p2wss.data.polygon_arrays import to_geometries
 from p2wss.scans.clutter.buildings import (
+    ClutterTriangles,
     LocalBuildings,
     between,
+    blocks,
     draw_buildings,
     draw_edges,
     draw_for_all,
     left_of,
     rectangles,
 )
-from p2wss.scans.clutter.triangles import ClutterTriangles, blocks
 from p2wss.scans.randomness import uniforms
 from p2wss.scans.surface import ClutterKind
 from p2wss.scans.terrain import TerrainGrid

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from p2wss.scans.clutter.buildings import LocalBuildings, between, draw_buildings, left_of, rectangles
+from p2wss.scans.clutter.buildings import (
+    ClutterTriangles,
+    LocalBuildings,
+    between,
+    blocks,
+    copies,
+    draw_buildings,
+    left_of,
+    rectangles,
+)
 from p2wss.scans.clutter.roofs import NUM_TRIES, Anchors, Roofs, fitting_anchors
-from p2wss.scans.clutter.triangles import ClutterTriangles, blocks, copies
 from p2wss.scans.surface import ClutterKind
 
 # Sizes are drawn evenly between two values in metres, unless they are shares or slopes; half sizes are from the middle.
