@@ -17,6 +17,7 @@ OUTPUT_SUFFIXES = {
     "ply": ".ply",
     "stl": ".stl",
     "sionna": "_sionna/scene.xml",
+    "helios": "_helios/scene.xml",
     "3dtiles": "_3dtiles/tileset.json",
     "gpkg": ".gpkg",
     "geoparquet": ".parquet",
@@ -25,7 +26,18 @@ OUTPUT_SUFFIXES = {
 # and of the file of `reconstruct.wedges`
 WEDGES_SUFFIX = ".wedges.parquet"
 Output = Literal[
-    "cityjsonseq", "cityjson", "glb", "obj", "ply", "stl", "sionna", "3dtiles", "gpkg", "geoparquet", "report"
+    "cityjsonseq",
+    "cityjson",
+    "glb",
+    "obj",
+    "ply",
+    "stl",
+    "sionna",
+    "helios",
+    "3dtiles",
+    "gpkg",
+    "geoparquet",
+    "report",
 ]
 # those that have no meshes, and so no terrain either
 TABLES_AND_MODELS: tuple[Output, ...] = ("cityjsonseq", "cityjson", "gpkg", "geoparquet", "report")
@@ -127,7 +139,8 @@ class Reconstruct(Section):
     outputs: list[Output] = Field(
         ["cityjsonseq", "gpkg", "report"],
         min_length=1,
-        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, 3dtiles",
+        description="output formats to write, besides a JSON summary; of meshes: glb, obj, ply, stl, sionna, helios, "
+        "3dtiles",
     )
     attribute_names: Literal["p2wss", "3dbag"] = Field(
         "p2wss", description="attribute names: those of p2wss, or those of 3DBAG where 3DBAG has one"

@@ -153,8 +153,11 @@ def obj(bodies: Sequence[Body], frame: Frame, library: str | None = None) -> byt
     return ("\n".join(lines) + "\n").encode()
 
 
-def mtl(bodies: Sequence[Body]) -> bytes:
-    """The materials of the meshes for :func:`obj`: names, colours and, in comments, types of ITU-R P.2040."""
+def mtl(bodies: Sequence[Body], more: Mapping[str, Sequence[str]] | None = None) -> bytes:
+    """The materials of the meshes for :func:`obj`: names, colours and, in comments, types of ITU-R P.2040.
+
+    more: further lines of each material, by its name.
+    """
     lines = [f"# p2wss {__version__}"]
     for name in material_names(bodies):
         material = MATERIALS[name]
@@ -164,6 +167,7 @@ def mtl(bodies: Sequence[Body]) -> bytes:
             f"# {EDITION}: {material.itu_type}",
             f"Kd {red:.3f} {green:.3f} {blue:.3f}",
             "illum 1",
+            *(more or {}).get(name, ()),
         ]
     return ("\n".join(lines) + "\n").encode()
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from p2wss.formats import helios
 from p2wss.formats.glb import glb
 from p2wss.formats.meshes import Body, Frame, mtl, obj, ply, stl
 from p2wss.formats.sionna import scene_files
@@ -47,6 +48,10 @@ MESH_WRITERS: dict[str, Writer] = {
             options.split_materials,
             options.map_cell_m,
         ).items()
+    },
+    "helios": lambda bodies, frame, options: {
+        f"{options.stem}_helios/{name}": content
+        for name, content in helios.scene_files(bodies, frame).items()
     },
     "3dtiles": lambda bodies, frame, options: {
         f"{options.stem}_3dtiles/{name}": content

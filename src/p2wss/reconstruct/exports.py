@@ -94,7 +94,7 @@ def write(
             "p2wss": facts,
             "crs": frame.crs,
             "origin_m": frame.origin_m.tolist(),
-            "axes": {"obj, ply, stl, sionna": AXES, "glb": "y up, see the extras of its asset"},
+            "axes": {"obj, ply, stl, sionna, helios": AXES, "glb": "y up, see the extras of its asset"},
             "files": written,
             "sha256": {path.relative_to(folder).as_posix(): files.sha256(path) for path in delivered},
             "buildings": counts(results),
