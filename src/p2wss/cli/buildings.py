@@ -1,7 +1,5 @@
 """``p2wss buildings``: closed meshes of the buildings of one scene."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """``p2wss crops``: the points of each building."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Section ablation: variants of the model to train and compare."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from pydantic import Field

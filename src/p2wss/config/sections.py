@@ -1,7 +1,5 @@
 """The whole config: all sections."""
 
-from __future__ import annotations
-
 from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator

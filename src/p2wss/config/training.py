@@ -1,7 +1,5 @@
 """Settings shared by the sections of both trainings, dvae and model."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from pydantic import Field

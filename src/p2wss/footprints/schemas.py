@@ -1,7 +1,5 @@
 """Columns of common footprint sources: ids, heights, numbers of storeys."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A survey over any meshes, without a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Temporary files and folders, named so that those of killed processes can be recognised and removed."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

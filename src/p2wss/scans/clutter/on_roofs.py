@@ -1,7 +1,5 @@
 """Clutter on roofs: dormers and chimneys."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from p2wss.scans.clutter.buildings import (

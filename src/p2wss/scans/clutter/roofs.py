@@ -1,7 +1,5 @@
 """Places on roofs where a clutter object fits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
