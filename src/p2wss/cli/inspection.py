@@ -231,10 +231,11 @@ def _json(path: Path) -> Facts:
     stored = document.pop("p2wss", None) or {
         name: document.pop(name) for name in ("version", "code", "config") if name in document
     }
-    facts: Facts = {"kind": "JSON"}
-    for name, value in document.items():
-        facts[name] = f"{len(value)} entries" if isinstance(value, list) and len(value) > 8 else value
-    return facts | _provenance(stored)
+    short = {
+        name: f"{len(value)} entries" if isinstance(value, list) and len(value) > 8 else value
+        for name, value in document.items()
+    }
+    return {"kind": "JSON"} | short | _provenance(stored)
 
 
 def _json_lines(path: Path) -> Facts:

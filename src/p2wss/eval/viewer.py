@@ -64,10 +64,10 @@ def viewer(
         Layer(method, name, COLORS.get(method, OTHER_COLORS[1]), method == ours)
         for method, name in names.items()
     ]
-    buildings = []
-    for view in views:
-        by_method = {method: reconstructions[method].get(view.key) for method in names}
-        buildings.append(_shown(view, cases[view.key], by_method, ours))
+    buildings = [
+        _shown(view, cases[view.key], {name: reconstructions[name].get(view.key) for name in names}, ours)
+        for view in views
+    ]
     return view_of(buildings, layers, together=False)
 
 

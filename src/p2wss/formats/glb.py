@@ -34,10 +34,11 @@ def glb(bodies: Sequence[Body], frame: Frame, facts: dict[str, Any]) -> bytes:
     place = {"crs": frame.crs, "origin_m": [float(value) for value in frame.origin_m], "axes": _AXES}
     binary = Binary()
     names = material_names(bodies)
-    nodes, shapes = [], []
-    for number, body in enumerate(bodies):
-        nodes.append({"name": body.name, "mesh": number, "extras": {**_extras(body), **body.attributes}})
-        shapes.append({"name": body.name, "primitives": _primitives(body, frame, names, binary)})
+    nodes = [
+        {"name": body.name, "mesh": number, "extras": {**_extras(body), **body.attributes}}
+        for number, body in enumerate(bodies)
+    ]
+    shapes = [{"name": body.name, "primitives": _primitives(body, frame, names, binary)} for body in bodies]
     root = {"name": "p2wss", "children": list(range(1, len(nodes) + 1)), "extras": place}
     tree = {
         "asset": {

@@ -63,9 +63,10 @@ def scene_files(
         name: properties(MATERIALS[name].itu_type, frequency_ghz)
         for name in dict.fromkeys(shape.material for shape in shapes)
     }
-    files = {}
-    for shape, name in zip(shapes, ids, strict=True):
-        files[f"meshes/{name}.ply"] = _ply(shape.mesh.vertex_m - frame.origin_m, shape.mesh.triangle)
+    files = {
+        f"meshes/{name}.ply": _ply(shape.mesh.vertex_m - frame.origin_m, shape.mesh.triangle)
+        for shape, name in zip(shapes, ids, strict=True)
+    }
     if terrain:
         files[TERRAIN_TOP] = _top(terrain[0].mesh, others, frame, map_cell_m)
     latitude_deg, longitude_deg = _wgs84(frame)

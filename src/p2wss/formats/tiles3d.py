@@ -46,11 +46,12 @@ def tileset_files(
     corner_m = _corners(bodies, frame)
     centre_m = corner_m.mean(axis=0)
     to_globe = _east_north_up(frame.crs, centre_m)
-    buildings: list[Body] = []
-    terrains: list[Body] = []
-    for body in bodies:
-        local = body.mesh.moved(_local(body.mesh.vertex_m, earth_centred, to_globe))
-        (terrains if body.is_terrain else buildings).append(replace(body, mesh=local))
+    local = [
+        replace(body, mesh=body.mesh.moved(_local(body.mesh.vertex_m, earth_centred, to_globe)))
+        for body in bodies
+    ]
+    buildings = [body for body in local if not body.is_terrain]
+    terrains = [body for body in local if body.is_terrain]
     files: dict[str, bytes] = {}
     root = _tile(buildings, "0", max_meshes, files) if buildings else None
     tile: dict[str, Any] = {"children": [root.tile]} if root is not None else {}
@@ -204,11 +205,12 @@ def _metadata(parts: Sequence[Body], binary: Binary) -> dict[str, Any]:
     """The property table: id and height of each building, in the order of the feature numbers."""
     ids = [ref.building_id.encode() for part in parts for ref in part.buildings]
     offsets = np.cumsum([0, *map(len, ids)]).astype("<u4")
-    heights = []
-    for part in parts:
-        for number in range(len(part.buildings)):
-            z_m = part.mesh.corner_m[part.building == number, :, 2]
-            heights.append(float(np.ptp(z_m)) if z_m.size else 0.0)
+    z_m = [
+        part.mesh.corner_m[part.building == number, :, 2]
+        for part in parts
+        for number in range(len(part.buildings))
+    ]
+    heights = [float(np.ptp(of_building)) if of_building.size else 0.0 for of_building in z_m]
     # the specification requires that views of tables begin at multiples of eight bytes
     values = binary.append_view(b"".join(ids), 8)
     string_offsets = binary.append_view(offsets.tobytes(), 8)

@@ -55,7 +55,8 @@ def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.nd
         rows = np.isnan(height) & (values >= config.min_eave_height_m) & np.isfinite(values)
         height[rows], source[rows] = values[rows], name
     for row in np.flatnonzero(np.isnan(height)):
-        low, high = _range_m(_text(frame, "nature", int(row)), _text(frame, "usage", int(row)))
+        nature, usage = _text(frame, "nature", int(row)), _text(frame, "usage", int(row))
+        low, high = DRAWN_BY_NATURE_M.get(nature) or DRAWN_BY_USAGE_M.get(usage) or DRAWN_M
         rng = generator(config.seed, "scenes", frame["building_id"].iloc[row], "height")
         height[row] = np.round(rng.uniform(low, high), 1)
     return height, source
@@ -64,10 +65,6 @@ def eave_heights(frame: pd.DataFrame, config: Scenes) -> tuple[np.ndarray, np.nd
 def _text(frame: pd.DataFrame, column: str, row: int) -> str:
     value = frame[column].iloc[row] if column in frame else None
     return value if isinstance(value, str) else ""
-
-
-def _range_m(nature: str, usage: str) -> tuple[float, float]:
-    return DRAWN_BY_NATURE_M.get(nature) or DRAWN_BY_USAGE_M.get(usage) or DRAWN_M
 
 
 def ground_heights(shapes: np.ndarray, terrain: Terrain) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -91,7 +91,7 @@ class DvaeTask:
     def validate(self, module: nn.Module) -> dict[str, float]:
         assert isinstance(module, DiscreteVae)
         config = self.config
-        chamfer, num_clouds = 0.0, 0
+        chamfer = 0.0
         code_count = torch.zeros(config.num_tokens, dtype=torch.int64, device=self.device)
         size = config.optimiser.batch_size
         total = min(len(self.validation_set), config.num_validation)
@@ -103,13 +103,12 @@ class DvaeTask:
             chamfer += float(losses["fine"]) * len(index)
             codes = losses["codes"][patches.valid]
             code_count += torch.bincount(codes, minlength=config.num_tokens)
-            num_clouds += len(index)
         self.num_dead_codes = int((code_count == 0).sum())
         if self.progress > WARM_UP_SHARE:
             self.check_usage()
         return {
             # Chamfer-L1 of the reconstructed patches
-            "val_chamfer_m": chamfer / num_clouds / NETWORK_SCALE,
+            "val_chamfer_m": chamfer / total / NETWORK_SCALE,
             "val_code_usage": 1 - self.num_dead_codes / config.num_tokens,
             "val_perplexity": float(_perplexity(code_count)),
             "val_dead_codes": float(self.num_dead_codes),

@@ -77,7 +77,10 @@ def train(task: Task, plan: Plan, checkpoints: Path, identity: dict[str, Any]) -
             checkpoint_due = done % plan.checkpoint_every_steps == 0 or done == num_steps
             if checkpoint_due or done % METRICS_EVERY_STEPS == 0:
                 averages = distributed.average_values({name: float(loss) for name, loss in losses.items()})
-                _require_finite(averages["loss"], done)
+                if not math.isfinite(averages["loss"]):
+                    raise InputError(
+                        f"training: the loss is {averages['loss']} at step {done}: lower the learning rate"
+                    )
                 state.metrics.append({"step": done, "learning_rate": rate, **averages})
                 progress.update(done, f"loss {averages['loss']:.4f}")
             if checkpoint_due:
@@ -119,11 +122,6 @@ def _validate(task: Task, state: TrainingState, plan: Plan, step: int) -> dict[s
         measures = task.validate(module)
     log.info("step %d: %s", step, ", ".join(f"{name} {value:.4g}" for name, value in measures.items()))
     return measures
-
-
-def _require_finite(loss: float, step: int) -> None:
-    if not math.isfinite(loss):
-        raise InputError(f"training: the loss is {loss} at step {step}: lower the learning rate")
 
 
 def _any_process_stops(stops: bool, step: int) -> bool:
