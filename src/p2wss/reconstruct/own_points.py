@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.points import MIN_HEIGHT_M, points_on_building
-from p2wss.fit.planes.detection import detect, distances, height_over
+from p2wss.fit.planes.detection import detect, height_over
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 
@@ -31,8 +31,8 @@ class Rules:
     strip_m: points this near to the border may be another building's. band_m: what the building has at the strip is
     seen within this distance of the border. core_m: half the width of a wing, less the strip; narrower ones have no
     strip, because their own roof looks like one. step_m, step_quantile: the height between a plane of the neighbour
-    and the points of the building nearest to it, of which so many (``num_near``) are looked at. on_m: points are on a
-    plane, and returns from walls below it, if they are at most this far above. num_points: that show a plane beyond
+    and the points of the building nearest to it, of which so many (``num_near``) are looked at. on_m: returns from
+    walls are at most this far above the plane. num_points: that show a plane beyond
     the border. most_per_m2: points of which planes are grown. steep: tangent of the slope of what is no roof but a
     wall. deep_share: a plane with a larger share of its points within the border beyond the strip is the building's.
     """
@@ -124,11 +124,9 @@ def _theirs(
     found = detect(band_m[chosen], density, (), _DETECTION)
     found = replace(found, label=found.label[cKDTree(band_m[chosen]).query(band_m)[1]])
     label, is_theirs, is_loose = found.label, np.zeros(len(band), bool), found.label < 0
-    # where planes cross, points are on both
-    is_deep = ~beyond & ~near & ((distances(found.plane, band_m) < RULES.on_m).sum(axis=1) < 2)
     for number in range(len(found.plane)):
         on = label == number
-        if (on & is_deep).sum() > RULES.deep_share * (on & near).sum():
+        if (on & ~beyond & ~near).sum() > RULES.deep_share * (on & near).sum():
             continue
         if (on & beyond).sum() < RULES.num_points:
             is_loose |= on & (np.hypot(*found.plane[number, :2]) > RULES.steep)
