@@ -4,6 +4,8 @@ Commands are imported when they run, and import heavy modules when they run, so 
 once. Whatever decides a result belongs in the package of the stage.
 """
 
+from __future__ import annotations
+
 import importlib
 import logging
 import os

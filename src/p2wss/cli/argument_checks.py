@@ -1,6 +1,8 @@
 """What can be wrong with the arguments of ``p2wss reconstruct`` is reported before anything slow is imported or read:
 from names, signatures and headers of the files."""
 
+from __future__ import annotations
+
 import os
 import tempfile
 from importlib.metadata import version

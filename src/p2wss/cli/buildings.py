@@ -1,5 +1,7 @@
 """``p2wss buildings``: closed meshes of the buildings of one scene."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import click

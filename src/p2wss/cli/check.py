@@ -1,5 +1,7 @@
 """``p2wss check``: whether the solids of CityJSON files are valid."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import click

@@ -1,5 +1,7 @@
 """``p2wss crops``: the points of each building."""
 
+from __future__ import annotations
+
 from collections import Counter
 from pathlib import Path
 from typing import Any

@@ -1,5 +1,7 @@
 """``p2wss demo``: a first run that needs no data."""
 
+from __future__ import annotations
+
 import time
 from pathlib import Path
 

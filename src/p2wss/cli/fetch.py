@@ -1,5 +1,7 @@
 """``p2wss fetch``: footprints, terrain and LiDAR of a region."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

@@ -1,5 +1,7 @@
 """``p2wss inspect``: the contents of a file."""
 
+from __future__ import annotations
+
 import json
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Describe the contents of files: those that p2wss writes, and those of IGN that it reads."""
 
+from __future__ import annotations
+
 import json
 import math
 from collections import Counter

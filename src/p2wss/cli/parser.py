@@ -1,5 +1,7 @@
 """How commands read their arguments: by click, with lists of files and with settings of the config as options."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Iterable
 from pathlib import Path

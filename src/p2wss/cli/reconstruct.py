@@ -1,5 +1,7 @@
 """``p2wss reconstruct``: reconstruct buildings from LiDAR and footprints."""
 
+from __future__ import annotations
+
 import gc
 import time
 from collections.abc import Iterator

@@ -1,5 +1,7 @@
 """``p2wss towns``: a synthetic town in IGN's file formats."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import click

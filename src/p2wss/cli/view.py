@@ -1,5 +1,7 @@
 """``p2wss view``: buildings of any CityJSON file on a page."""
 
+from __future__ import annotations
+
 import webbrowser
 from pathlib import Path
 

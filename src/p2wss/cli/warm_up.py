@@ -1,5 +1,7 @@
 """``p2wss warm-up``: compile ahead of the first use."""
 
+from __future__ import annotations
+
 import os
 import time
 

@@ -1,5 +1,7 @@
 """Crop the points of each building from a cloud, and estimate the ground at it, from which heights are measured."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Section ablation: variants of the model to train and compare."""
 
+from __future__ import annotations
+
 from typing import Annotated, Any
 
 from pydantic import Field

@@ -1,5 +1,7 @@
 """Base class and types of all sections."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self

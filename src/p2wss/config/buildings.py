@@ -1,5 +1,7 @@
 """Section buildings: building meshes from the weighted straight skeleton."""
 
+from __future__ import annotations
+
 from pydantic import Field
 
 from p2wss.config.base import Section, Share

@@ -1,5 +1,7 @@
 """Section crops: the points of each building and the splits."""
 
+from __future__ import annotations
+
 from typing import Literal
 
 from pydantic import Field

@@ -1,5 +1,7 @@
 """Section dataset: several regions, and several draws of each, as one data set."""
 
+from __future__ import annotations
+
 from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator

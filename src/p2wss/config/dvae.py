@@ -1,5 +1,7 @@
 """Section dvae: the discrete VAE that tokenises point patches."""
 
+from __future__ import annotations
+
 from pydantic import Field
 
 from p2wss.config.base import Section

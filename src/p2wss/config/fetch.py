@@ -1,5 +1,7 @@
 """Section fetch: the sources of footprints, terrain and LiDAR."""
 
+from __future__ import annotations
+
 from typing import Literal
 
 from pydantic import Field

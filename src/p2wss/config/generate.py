@@ -1,5 +1,7 @@
 """Generate ``config/default.yaml`` and ``config/schema.json``."""
 
+from __future__ import annotations
+
 import json
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Read and validate configs, and pass sections on as JSON."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Collection
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Section model: the Point2WSS network and its training."""
 
+from __future__ import annotations
+
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, model_validator

@@ -5,6 +5,8 @@ with one draw, ``paris/1/``, ``paris/2/`` for the draws of a member with several
 footprints and real LiDAR, are at the place of the member: ``paris/``.
 """
 
+from __future__ import annotations
+
 from zlib import crc32
 
 from p2wss.config.base import merge

@@ -1,5 +1,7 @@
 """Section region: the area and its tiles."""
 
+from __future__ import annotations
+
 import math
 from typing import Literal, Self
 

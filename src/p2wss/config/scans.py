@@ -1,5 +1,7 @@
 """Section scans: the simulated LiDAR survey, its errors and the clutter in it."""
 
+from __future__ import annotations
+
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field

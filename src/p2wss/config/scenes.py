@@ -1,5 +1,7 @@
 """Section scenes: tiles with clean footprints, heights and roof angles."""
 
+from __future__ import annotations
+
 from typing import Literal
 
 from pydantic import Field

@@ -1,5 +1,7 @@
 """The whole config: all sections."""
 
+from __future__ import annotations
+
 from typing import Any, Self, TypeVar
 
 from pydantic import ValidationError, model_validator

@@ -1,5 +1,7 @@
 """Settings shared by the sections of both trainings, dvae and model."""
 
+from __future__ import annotations
+
 from typing import Literal
 
 from pydantic import Field

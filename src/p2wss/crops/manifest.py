@@ -1,5 +1,7 @@
 """The manifest: the list of all shards of crops, which :mod:`p2wss.data.manifest` reads back."""
 
+from __future__ import annotations
+
 import os
 from collections import Counter, defaultdict
 from collections.abc import Sequence

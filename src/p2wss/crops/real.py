@@ -1,5 +1,7 @@
 """Crop the points of each building from real LiDAR, without labels."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,5 +1,7 @@
 """The columns of crops that are the same for simulated and for real clouds."""
 
+from __future__ import annotations
+
 from collections import Counter
 from typing import Any
 

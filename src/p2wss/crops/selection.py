@@ -5,6 +5,8 @@ the shards nor what else is in them changes who has a lower rank. Of each split 
 clouds the lowest ranks are for the evaluation and the next ones for the training of the dvae: no cloud is in both.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

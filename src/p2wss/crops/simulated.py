@@ -1,5 +1,7 @@
 """Crop the points of each building from a simulated scan, with labels."""
 
+from __future__ import annotations
+
 from collections import Counter
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Split buildings into train, val and test by location, in square blocks."""
 
+from __future__ import annotations
+
 import numpy as np
 import shapely
 

@@ -1,5 +1,7 @@
 """A building before and after its reconstruction, as all stages represent it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,5 +1,7 @@
 """Classes of LiDAR points (LAS 1.4 R15, table 17), and those of producers."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,5 +1,7 @@
 """Convert footprints between shapely geometries, the kernel's ragged arrays and columns of tables."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -1,5 +1,7 @@
 """The buildings to evaluate, from the shards of the stage crops."""
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -3,6 +3,8 @@
 The footprints decide which points are of which building, so that files of several programs can be compared.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace

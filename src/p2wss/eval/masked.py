@@ -5,6 +5,8 @@ outline of ``p2wss outlines`` that has as many vertices, its edges moved as the 
 network predicts height and angles again with this outline given, and these are fitted as ``p2wss reconstruct`` does.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol

@@ -1,5 +1,7 @@
 """Chamfer distance, number of triangles and errors of every reconstruction (paper, section 5.3)."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

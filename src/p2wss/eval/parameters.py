@@ -1,5 +1,7 @@
 """Errors of heights, angles and footprints against the labels of the simulated test split (Table 1)."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from typing import Any
 

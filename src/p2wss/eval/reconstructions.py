@@ -3,6 +3,8 @@
 Written and read by the stage eval.
 """
 
+from __future__ import annotations
+
 from collections import defaultdict
 from collections.abc import Collection, Sequence
 from pathlib import Path

@@ -1,5 +1,7 @@
 """The kind of a roof from the angles of its edges, for real buildings, which have no label."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

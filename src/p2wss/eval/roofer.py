@@ -4,6 +4,8 @@ No part of it belongs to this package. It reads LAZ and GeoPackage and writes Ci
 cannot be run, CityJSON of an earlier run may replace it.
 """
 
+from __future__ import annotations
+
 import logging
 import shlex
 import subprocess

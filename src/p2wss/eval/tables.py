@@ -1,5 +1,7 @@
 """The tables of the report: Tables 1 and 2 with the rows of the paper and its figures, and what it lacks."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 

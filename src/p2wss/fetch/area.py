@@ -1,5 +1,7 @@
 """Fetch footprints, terrain and LiDAR of a place into a folder."""
 
+from __future__ import annotations
+
 import logging
 from pathlib import Path
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """Source ``folder``: files on disk, such as BD TOPO, RGE ALTI and LiDAR HD as IGN delivers them."""
 
+from __future__ import annotations
+
 import logging
 from contextlib import ExitStack
 from io import BytesIO

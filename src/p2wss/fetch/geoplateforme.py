@@ -4,6 +4,8 @@ The services and their limits are documented at https://cartes.gouv.fr. All name
 settings, because IGN changes them.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import logging

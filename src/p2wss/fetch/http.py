@@ -1,5 +1,7 @@
 """HTTP requests that respect the service's limits, retry transient failures and detect incomplete responses."""
 
+from __future__ import annotations
+
 import logging
 import random
 import time

@@ -4,6 +4,8 @@ PDAL (Butler et al. 2021) is a program that the user installs. The default filte
 simple morphological filter (SMRF, Pingel et al. 2013). The pipeline is kept beside the result.
 """
 
+from __future__ import annotations
+
 import os
 import shlex
 import shutil

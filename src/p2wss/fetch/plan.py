@@ -1,5 +1,7 @@
 """Estimate the downloads of a region before the first request, download them, and create a region's file."""
 
+from __future__ import annotations
+
 import logging
 import math
 from collections.abc import Sequence

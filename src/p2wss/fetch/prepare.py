@@ -4,6 +4,8 @@ Classified clouds only need cropping, which laspy does. In unclassified clouds, 
 (:mod:`p2wss.fetch.pdal`).
 """
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Read footprints and clean them into polygons for the kernel. Each keeps a row, with a reason if it is excluded."""
 
+from __future__ import annotations
+
 from itertools import combinations
 from pathlib import Path
 

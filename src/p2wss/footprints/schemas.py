@@ -1,5 +1,7 @@
 """Columns of common footprint sources: ids, heights, numbers of storeys."""
 
+from __future__ import annotations
+
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,7 @@
 """Read vector files of any kind: all geometries that GDAL knows, each feature with its number in the file."""
 
+from __future__ import annotations
+
 import json
 import struct
 import warnings

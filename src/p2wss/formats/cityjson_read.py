@@ -1,5 +1,7 @@
 """Reading CityJSON: the solids of buildings as triangles, for measures, and as they are, for tests."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

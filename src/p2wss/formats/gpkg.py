@@ -1,5 +1,7 @@
 """GeoPackage tables, written completely or not at all."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Electrical properties of building materials, Recommendation ITU-R P.2040, as Sionna RT 2.2 has them too."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 

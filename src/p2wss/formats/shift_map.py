@@ -3,6 +3,8 @@
 All text from the data is escaped by the template engine (``templates/shift_map.html.j2``).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,6 +4,8 @@
 are diffracted within one shape, and a shape has one material; so a shape is by default a whole solid.
 """
 
+from __future__ import annotations
+
 import json
 import re
 from collections.abc import Collection, Mapping, Sequence

@@ -4,6 +4,8 @@ Specifications: https://docs.ogc.org/cs/22-025r4/22-025r4.html (OGC 22-025r4), a
 ``EXT_mesh_features`` and ``EXT_structural_metadata``, by which a viewer identifies the building of a face.
 """
 
+from __future__ import annotations
+
 import json
 import warnings
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,7 @@
 """Whether the solids of a CityJSON file are valid."""
 
+from __future__ import annotations
+
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path

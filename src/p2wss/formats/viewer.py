@@ -4,6 +4,8 @@ All of it is embedded in the page. Points are whole centimetres in int16 and ver
 in base64.
 """
 
+from __future__ import annotations
+
 import base64
 import json
 from collections.abc import Mapping, Sequence

@@ -1,5 +1,7 @@
 """The device that tensors are on, and the precision of matrix products."""
 
+from __future__ import annotations
+
 import os
 from contextlib import AbstractContextManager
 

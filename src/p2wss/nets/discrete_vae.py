@@ -3,6 +3,8 @@
 mini-PointNet -> DGCNN over patch centres -> Gumbel softmax over the codebook -> DGCNN -> folding decoder.
 """
 
+from __future__ import annotations
+
 import itertools
 import math
 

@@ -5,6 +5,8 @@ their gradients, equal those of a single process with the whole batch: sums are 
 processes, batch norms use the moments over all, and losses over pairs see the features of all.
 """
 
+from __future__ import annotations
+
 import logging
 import os
 from collections.abc import Iterator

@@ -1,5 +1,7 @@
 """Point2WSS: two masked transformer branches with cross-attention to each other (paper, sections 4.1 to 4.5)."""
 
+from __future__ import annotations
+
 import math
 
 import torch

@@ -5,6 +5,8 @@ which triangle a ray meets first. The point is computed here in float64 and must
 also makes the points equal on machines whose Embree rounds differently.
 """
 
+from __future__ import annotations
+
 from math import sqrt
 from typing import NamedTuple
 

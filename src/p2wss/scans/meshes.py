@@ -1,5 +1,7 @@
 """A survey over any meshes, without a scene."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

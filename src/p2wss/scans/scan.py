@@ -1,6 +1,8 @@
 """Stage scans: a simulated airborne LiDAR survey of one scene (paper, section 5.1; model in
 docs/methods/scans.md)."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

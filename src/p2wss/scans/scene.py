@@ -1,5 +1,7 @@
 """From the files of a scene to what the simulator works on: surface and buildings in the local frame."""
 
+from __future__ import annotations
+
 import numpy as np
 import pyarrow as pa
 

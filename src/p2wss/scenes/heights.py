@@ -1,5 +1,7 @@
 """Heights of a building: its eave height from BD TOPO, its ground height from the terrain."""
 
+from __future__ import annotations
+
 import numpy as np
 import pandas as pd
 import shapely

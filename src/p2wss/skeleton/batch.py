@@ -1,5 +1,7 @@
 """Whole batches: ragged polygons in, ragged meshes out."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """From the directed edges of a solid to its faces: polygons with holes."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

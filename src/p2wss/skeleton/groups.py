@@ -1,5 +1,7 @@
 """What is connected, directly or through others."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from p2wss.skeleton.compiled import entry

@@ -5,6 +5,8 @@ label cancel, which is how coplanar neighbours merge: a gable triangle with the 
 that 0 degree edges have swept, roof pieces that share a plane.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from p2wss.skeleton.compiled import ZERO, inner

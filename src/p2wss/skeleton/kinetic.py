@@ -21,6 +21,8 @@ Weighted skeletons and their ambiguities: Held and Palfrader, *Straight skeleton
 multiplicative weights and their application to the algorithmic generation of roofs and terrains*, 2017.
 """
 
+from __future__ import annotations
+
 from functools import cache
 
 import numpy as np

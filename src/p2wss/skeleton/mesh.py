@@ -1,5 +1,7 @@
 """From one polygon with angles and heights to one closed and checked triangle mesh."""
 
+from __future__ import annotations
+
 from functools import cache
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Sorting for compiled code: numba's own sorts take seconds to compile in every function that calls them."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from p2wss.skeleton.compiled import allocating, inner

@@ -1,5 +1,7 @@
 """Records of the work arrays, of which one set serves a whole batch, sized for its largest polygon; labels of faces."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Area and inside of rings, for compiled code. A ring is ``xy[first:last]``, float64 (n, 2), open."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from p2wss.skeleton.compiled import inlined, inner

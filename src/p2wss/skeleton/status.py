@@ -1,5 +1,7 @@
 """All reasons for which the kernel rejects a polygon."""
 
+from __future__ import annotations
+
 from enum import IntEnum
 
 

@@ -1,5 +1,7 @@
 """The one exception that users see, and the conversion of errors of file-reading libraries into it."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -5,6 +5,8 @@ Every Parquet file has a JSON object under the metadata key ``p2wss`` with its p
 sections, code fingerprint, CRS, counts).
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 import os

@@ -1,5 +1,7 @@
 """Open LAS, LAZ and COPC files after checking their headers, so that none uses unbounded time or memory."""
 
+from __future__ import annotations
+
 import logging
 import struct
 from collections.abc import Iterator

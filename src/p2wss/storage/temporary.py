@@ -1,5 +1,7 @@
 """Temporary files and folders, named so that those of killed processes can be recognised and removed."""
 
+from __future__ import annotations
+
 import hashlib
 import os
 import re

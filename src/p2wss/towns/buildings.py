@@ -1,5 +1,7 @@
 """A building as it is generated: wings with simple roofs, independent of the kernel, so that they can test it."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import cast

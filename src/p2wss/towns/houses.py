@@ -1,5 +1,7 @@
 """The buildings of a town block: closed blocks around a court, row houses, detached houses, halls."""
 
+from __future__ import annotations
+
 import itertools
 
 import numpy as np

@@ -4,6 +4,8 @@ Its roofs come from the drawn wings and not from the kernel, and its buildings h
 lacks: dormers, chimneys, garages lower than their house, trees.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import laspy

@@ -6,6 +6,8 @@ houses are gone or changed. What troubles a house is its kind; its true roof is 
 All sizes below are in metres and degrees.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import pairwise
 

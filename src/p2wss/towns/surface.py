@@ -1,5 +1,7 @@
 """The surface that the stand-in survey scans: ground, roofs, dormers and chimneys on a fine raster, and trees."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

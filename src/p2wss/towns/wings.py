@@ -5,6 +5,8 @@ half-spaces; a building is the union of its bodies. Details are surveyed, but no
 camber of level roofs, chimneys. All sizes below are in metres and degrees.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

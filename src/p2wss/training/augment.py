@@ -1,5 +1,7 @@
 """Random augmentations of whole batches that keep clouds and their parameters consistent."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 

@@ -4,6 +4,8 @@ Points stay int16 centimetres in one flat array, as in the shards of ``crops``; 
 of it, thinned and converted to metres on demand.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Stage dvae: train the discrete VAE that turns patches of points into tokens (paper, section 4.2)."""
 
+from __future__ import annotations
+
 import logging
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """One training per folder: a second one would read and remove the checkpoints of the first."""
 
+from __future__ import annotations
+
 import logging
 import time
 from collections.abc import Iterator

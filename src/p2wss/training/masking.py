@@ -1,5 +1,7 @@
 """The choice of tokens that the network has to restore during training."""
 
+from __future__ import annotations
+
 import torch
 from torch import Tensor
 

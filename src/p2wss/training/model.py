@@ -4,6 +4,8 @@ Heights are those of the eave above the ground as estimated from the cloud (``gr
 inference has no other ground; labels, which refer to the terrain of the simulation, are converted.
 """
 
+from __future__ import annotations
+
 import logging
 from pathlib import Path
 

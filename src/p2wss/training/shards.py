@@ -1,5 +1,7 @@
 """From the shards that a manifest of crops lists to a dataset whose points are in a temporary file."""
 
+from __future__ import annotations
+
 import logging
 import tempfile
 from collections import Counter

@@ -1,5 +1,7 @@
 """The state of a training: everything that changes while a network trains, and its checkpoints."""
 
+from __future__ import annotations
+
 import json
 import logging
 import math

@@ -3,6 +3,8 @@
 The triangles of the building change, not its label.
 """
 
+from __future__ import annotations
+
 import numpy as np
 import shapely
 

@@ -1,5 +1,7 @@
 """Clutter on roofs: dormers and chimneys."""
 
+from __future__ import annotations
+
 import numpy as np
 
 from p2wss.scans.clutter.buildings import (

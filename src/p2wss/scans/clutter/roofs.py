@@ -1,5 +1,7 @@
 """Places on roofs where a clutter object fits."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import NamedTuple
 

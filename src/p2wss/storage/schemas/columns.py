@@ -1,5 +1,7 @@
 """Columns that several schemas share."""
 
+from __future__ import annotations
+
 import pyarrow as pa
 
 

@@ -3,6 +3,8 @@
 Written by the stage scenes; read by buildings and scans.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 
