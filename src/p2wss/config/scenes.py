@@ -67,7 +67,7 @@ class Scenes(Section):
     sampler: Literal["realistic", "uniform", "uniform-kinds"] = Field(
         "realistic",
         description="realistic = draw a roof type and angles that produce it; uniform = draw each angle from "
-        "0, 90 and 20 to 45, as in the paper; uniform-kinds = as often 0 or 90 as any from 20 to 45",
+        "0, 90 and 20 to 45, as in the paper; uniform-kinds = a third each of 0, 90 and any from 20 to 45",
     )
     roof_shares: RoofShares = RoofShares()
     max_rise_m: float = Field(

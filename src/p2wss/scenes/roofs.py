@@ -1,7 +1,7 @@
 """Draw roof angles: per footprint edge 0 (flat), 90 (vertical: a gable) or an integer from 20 to 45 degrees.
 
 The paper (section 5.1) only states that each edge gets one of these values. The sampler ``uniform`` draws them
-independently, as the paper describes, and ``uniform-kinds`` as often flat or vertical as any slope. The sampler
+independently, as the paper describes, and ``uniform-kinds`` a third each flat, vertical and sloped. The sampler
 ``realistic`` draws a roof type first, and then the angles of such a roof.
 """
 
