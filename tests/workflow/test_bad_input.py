@@ -114,7 +114,7 @@ def test_terrain_with_a_hole_under_buildings(done, tmp_path):
     [
         ("{scans: {densty_per_m2: 8}}", "scans.densty_per_m2: unknown key (did you mean density_per_m2?)"),
         ("{scans: {density_per_m2: -1}}", "scans.density_per_m2: Input should be greater than"),
-        ("no-such.yaml", "no-such.yaml: No such file"),
+        ("no-such.yaml", "no-such.yaml: no such file"),
     ],
 )
 def test_config(fresh, tmp_path, config, message):
