@@ -113,13 +113,14 @@ def _fill_from_rings(
         among = np.ones(len(cloud), bool) if is_ground is None else is_ground
         counts, height_m = ring_medians(cloud.z_m, among, point, inside, offset)
         is_enough = counts >= (1 if distance_m == GROUND_RINGS_M[-1] else _MIN_GROUND_POINTS)
-        for p in np.flatnonzero(is_enough) if is_ground is None or distance_m > _NEAR_M else ():
-            pairs = slice(offset[p], offset[p + 1])
-            around = point[pairs][~inside[pairs]]
-            if is_ground is None:
-                height_m[p] = np.percentile(cloud.z_m[around], _LOW_PERCENTILE)
-            else:
-                height_m[p] = between(cloud, around, polygons.rings(pending[p])[0])
+        if is_ground is None or distance_m > _NEAR_M:
+            for p in np.flatnonzero(is_enough):
+                pairs = slice(offset[p], offset[p + 1])
+                around = point[pairs][~inside[pairs]]
+                if is_ground is None:
+                    height_m[p] = np.percentile(cloud.z_m[around], _LOW_PERCENTILE)
+                else:
+                    height_m[p] = between(cloud, around, polygons.rings(pending[p])[0])
         result[pending[is_enough]] = height_m[is_enough]
         pending = pending[~is_enough]
     return pending

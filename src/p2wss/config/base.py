@@ -34,7 +34,9 @@ class Section(BaseModel):
     def _dumped(self, dump: SerializerFunctionWrapHandler, info: SerializationInfo) -> dict[str, Any]:
         values: dict[str, Any] = dump(self)
         neutral = self.neutral if info.context == IDENTITY else {}
-        return {name: value for name, value in values.items() if neutral.get(name) != value or value is None}
+        return {
+            name: value for name, value in values.items() if name not in neutral or value != neutral[name]
+        }
 
 
 class Shares(Section):

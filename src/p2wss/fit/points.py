@@ -104,14 +104,10 @@ def shaft_points(
     inside = shapely.contains_xy(polygon, *place_m.T)
     # about the distance from the next point, which is exactly that for few places only
     is_bare = np.ones(x.shape, bool)
-    is_bare[
-        tuple(
-            np.rint((roof_m[:, :2] - start_m) / step_m).astype(int).T.clip(0, np.array(x.shape)[:, None] - 1)
-        )
-    ] = False
-    may_be = np.flatnonzero(
-        inside & (ndimage.distance_transform_edt(is_bare).ravel() > radius_m / step_m - 1)
-    )
+    nearest_place = np.rint((roof_m[:, :2] - start_m) / step_m).astype(int)
+    is_bare[tuple(np.minimum(nearest_place, np.array(x.shape) - 1).T)] = False
+    far_steps = ndimage.distance_transform_edt(is_bare).ravel()
+    may_be = np.flatnonzero(inside & (far_steps > radius_m / step_m - 1))
     is_middle = np.zeros(len(place_m), bool)
     is_middle[may_be] = cKDTree(roof_m[:, :2]).query(place_m[may_be])[0] > radius_m
     if not is_middle.any():

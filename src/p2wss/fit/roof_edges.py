@@ -101,7 +101,7 @@ def _moved_ring(ring: np.ndarray, shift_m: np.ndarray, most_m: float) -> np.ndar
         for i in range(len(ring)):
             shifts, matrix = shift_m[[i - 1, i]], inward[[i - 1, i]]
             if abs(np.linalg.det(matrix)) < RULES.min_turn:
-                shifts = shifts[[shifts.argmin()] * 2]
+                shifts = np.full(2, shifts.min())
             moved[i] += np.linalg.lstsq(matrix, shifts)[0]
         remaining = ((np.roll(moved, -1, axis=0) - moved) * along).sum(axis=1)
         too_short = np.flatnonzero(remaining <= np.minimum(RULES.min_remaining_m, 0.5 * length))

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from p2wss.data.building import Building
 from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS, NEIGHBOUR_CLASS, UNCLASSIFIED_CLASS
 from p2wss.data.points import MIN_HEIGHT_M, points_on_building
-from p2wss.fit.planes.detection import detect, height_over
+from p2wss.fit.planes.detection import detect, height_over, heights
 from p2wss.fit.points import even_order, every_kth
 from p2wss.fit.settings import Detection
 
@@ -32,9 +32,9 @@ class Rules:
     seen within this distance of the border. core_m: half the width of a wing, less the strip; narrower ones have no
     strip, because their own roof looks like one. step_m, step_quantile: the height between a plane of the neighbour
     and the points of the building nearest to it, of which so many (``num_near``) are looked at. on_m: returns from
-    walls are at most this far above the plane. num_points: that show a plane beyond
-    the border. most_per_m2: points of which planes are grown. steep: tangent of the slope of what is no roof but a
-    wall. deep_share: a plane with a larger share of its points within the border beyond the strip is the building's.
+    walls are at most this far above the plane. num_points: that show a plane beyond the border. most_per_m2: points of
+    which planes are grown. steep: tangent of the slope of what is no roof but a wall. deep_share: a plane with a larger
+    share of its points within the border beyond the strip is the building's.
     """
 
     strip_m: float = 1.0
@@ -95,13 +95,10 @@ def _theirs(
     core = polygon.buffer(-RULES.strip_m - RULES.core_m).buffer(RULES.core_m)
     if core.is_empty or (is_built & ~inside).sum() < RULES.num_points:
         return result
+    inner = polygon.buffer(-RULES.band_m)
     within, deep_within, beside_core = (
         shapely.contains_xy(each, point_m[:, 0], point_m[:, 1])
-        for each in (
-            polygon.buffer(-RULES.strip_m),
-            polygon.buffer(-RULES.band_m),
-            core.buffer(2 * RULES.strip_m),
-        )
+        for each in (polygon.buffer(-RULES.strip_m), inner, core.buffer(2 * RULES.strip_m))
     )
     is_strip = inside & ~within & beside_core
     # where all that has class building is in the strip, the classifier may have missed the building itself
@@ -118,12 +115,12 @@ def _theirs(
     step_m = np.abs(band_m[:, 2] - np.median(beside_m[:, :, 2], axis=1))
     if (step_m[near] > RULES.step_m).sum() < RULES.num_points:
         return result
-    ring_m2 = polygon.buffer(RULES.strip_m).area - polygon.buffer(-RULES.band_m).area
+    ring_m2 = polygon.buffer(RULES.strip_m).area - inner.area
     chosen = even_order(band_m)[every_kth(len(band), int(RULES.most_per_m2 * ring_m2))]
     density = max(len(chosen) / ring_m2, _DETECTION.sparse_per_m2)
     found = detect(band_m[chosen], density, (), _DETECTION)
-    found = replace(found, label=found.label[cKDTree(band_m[chosen]).query(band_m)[1]])
-    label, is_theirs, is_loose = found.label, np.zeros(len(band), bool), found.label < 0
+    label = found.label[cKDTree(band_m[chosen]).query(band_m)[1]]
+    is_theirs, is_loose = np.zeros(len(band), bool), label < 0
     for number in range(len(found.plane)):
         on = label == number
         if (on & ~beyond & ~near).sum() > RULES.deep_share * (on & near).sum():
@@ -132,7 +129,7 @@ def _theirs(
             is_loose |= on & (np.hypot(*found.plane[number, :2]) > RULES.steep)
             continue
         other_m = beside_m[on].reshape(-1, 3)
-        off_m = height_over(found.plane, np.full(len(other_m), number), other_m[:, :2]) - other_m[:, 2]
+        off_m = heights(found.plane[number : number + 1], other_m[:, :2])[:, 0] - other_m[:, 2]
         if np.quantile(np.abs(off_m), RULES.step_quantile) > RULES.step_m:
             is_theirs |= on
     if not is_theirs.any():

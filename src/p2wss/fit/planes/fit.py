@@ -94,7 +94,9 @@ def fit_planes(
         prices = settings.times(dearer).prices.for_density(density)
         costs = costs_of(cells, plane, found.label, point_m, cell, density, prices)
         label = least_cost(costs)
-        built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
+        built = label
+        if num_open:
+            built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
         mesh = solid_below(cells, built, plane, np.concatenate(rings))
         if mesh is None and built is not label:
             mesh = solid_below(cells, label, plane, np.concatenate(rings))
