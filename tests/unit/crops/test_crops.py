@@ -143,6 +143,21 @@ def test_ground_is_the_median_of_the_nearest_ground_points():
     assert ground_height(court, polygon_arrays.to_polygons([ring])).tolist() == [99]
 
 
+def test_ground_on_a_slope_lies_between_what_is_above_and_below():
+    """Few points uphill and many downhill, 8 to 40 m away: the median of either ring is far off."""
+    box = shapely.box(60, 60, 70, 70)
+
+    def slope(u, v):
+        return 0.3 * u
+
+    uphill = grid_cloud(slope, (78, 80), (40, 90), 5.0)
+    downhill = grid_cloud(slope, (30, 52), (40, 90), 2.0)
+    polygons = polygon_arrays.to_polygons([box])
+    assert ground_height(join(uphill, downhill), polygons)[0] == pytest.approx(0.3 * 65, abs=0.1)
+    # points on a line, or all on one side, have nothing between them: the nearest counts
+    assert ground_height(downhill, polygons)[0] == pytest.approx(0.3 * 50, abs=1.0)
+
+
 def test_ground_without_classes_is_low():
     box = shapely.box(10, 10, 20, 20)
     ground = grid_cloud(lambda u, v: 0 * u + 20, (8, 22), (8, 22), classes=0)

@@ -128,6 +128,18 @@ def test_parts_of_a_multipolygon_may_touch_other_footprints() -> None:
     )
 
 
+def test_walls_keep_the_directions_of_their_longest_edges() -> None:
+    """A corner that is cut off by 0.12 m is a corner again; the neighbour's wall beside it has the same ends."""
+    left = shapely.Polygon([(0, 0), (10, 0), (10, 8), (0.12, 8), (0, 7.88)])
+    right = shapely.Polygon([(10, 0), (18, 0), (18, 7.9), (17.9, 8), (10, 8)])
+    cleaned = clean([moved(left), moved(right)])
+    for shape in cleaned:
+        along = np.diff(shapely.get_coordinates(shape), axis=0)
+        turn_deg = (np.degrees(np.arctan2(along[:, 1], along[:, 0])) - 17) % 90
+        assert len(along) == 4 and np.minimum(turn_deg, 90 - turn_deg).max() < 1e-5
+    assert len(corners(cleaned[0]) & corners(cleaned[1])) == 2
+
+
 def test_a_gap_wider_than_snap_stays() -> None:
     a, b = shapely.box(0, 0, 8, 8), shapely.box(8.15, 0, 16, 8)
     for snap_m, distance_m in ((0.1, 0.15), (0.2, 0.0)):

@@ -89,6 +89,24 @@ def test_returns_from_the_wall_of_the_neighbour() -> None:
     assert (found[-40:] == NEIGHBOUR_CLASS).all() and (found[:-40] == BUILDING_CLASS).all()
 
 
+def test_returns_from_a_wall_along_a_line_of_the_scan_are_no_roof() -> None:
+    """They form a steep plane, which is found in the strip alone."""
+    point_m = surface({(-1, 8): 3.0, (8, 9): 15.0})
+    y = np.linspace(1.5, 6.0, 40)
+    line_m = np.column_stack([np.full(40, 7.8), y, 4.5 + 2 * (y - 1.5)])
+    classes = np.full(len(point_m) + 40, BUILDING_CLASS, np.uint8)
+    found = own_classes([RING], np.vstack([point_m, line_m]), classes)
+    assert (found[-40:] == NEIGHBOUR_CLASS).mean() > 0.9 and (found[:-40] == BUILDING_CLASS).all()
+
+
+def test_a_plane_that_goes_deep_at_one_end_is_the_buildings() -> None:
+    """A gallery along the border, part of a wing: most of it is high above what is beside it."""
+    point_m = surface({(-1, 7): 3.0, (7, 9): 6.0})
+    point_m[(point_m[:, 0] > 4) & (point_m[:, 1] < 2.5), 2] = 6.0
+    classes = np.full(len(point_m), BUILDING_CLASS, np.uint8)
+    assert (own_classes([RING], point_m, classes) == BUILDING_CLASS).all()
+
+
 def test_class_ground_at_roof_height_is_roof_and_a_hillside_is_not() -> None:
     point_m = surface({(-1, 0): 0.0, (0, 8): 4.0, (8, 9): 0.0})
     classes = np.full(len(point_m), GROUND_CLASS, np.uint8)
@@ -126,6 +144,18 @@ def test_the_ground_is_never_above_the_own_points() -> None:
         low, classification=np.where(is_low, UNCLASSIFIED_CLASS, low.classification).astype(np.uint8)
     )
     assert found(low) == (20.0, "lowest-points")
+
+
+def test_points_without_class_are_a_roof_where_those_beside_are_lower() -> None:
+    """Class ground is on the slope above, a little higher than the roof; beside it, points are 8 m lower."""
+    polygons = polygon_arrays.to_polygons(np.array([shapely.Polygon(RING)]))
+    above = np.column_stack([xy := grid((-0.9, 0), (0, 10)), np.full(len(xy), 28.5)])
+    beside = np.column_stack([xy := grid((8, 0), (9, 10)), np.full(len(xy), 20.0)])
+    cloud = cloud_of(28.0, np.vstack([above, beside]))
+    classes = np.where(cloud.z_m == 28.5, GROUND_CLASS, UNCLASSIFIED_CLASS).astype(np.uint8)
+    cloud = replace(cloud, classification=classes)
+    ground = ground_of(cloud, crop_cloud(cloud, polygons), polygons, None)
+    assert (float(ground.z_m[0]), str(ground.source[0])) == (20.0, "lowest-points")
 
 
 def test_a_shaft_is_where_low_points_are_and_no_roof() -> None:
