@@ -17,8 +17,10 @@ from typing import Any
 
 import numpy as np
 import real
+import shapely
 from figures import Figures
 
+from p2wss.clouds.crops import AROUND_M, FEW_PER_M2
 from p2wss.config import Config, Reconstruct
 from p2wss.data.building import Building, Reconstruction
 from p2wss.data.las_classes import BUILDING_CLASS
@@ -50,12 +52,28 @@ def thinned(building: Building, amount: float, draw: int) -> Building:
     return replace(building, point_m=building.point_m[rows], classification=building.classification[rows])
 
 
+def with_roofs_around(buildings: list[Building]) -> list[Building]:
+    """Buildings with few points with those on the roofs around them, as the command gives them."""
+    placed = [(each.point_m + each.position_m)[each.is_on_building] for each in buildings]
+    result = []
+    for number, building in enumerate(buildings):
+        others_m = (
+            np.vstack([each for other, each in enumerate(placed) if other != number]) - building.position_m
+        )
+        beside_m = shapely.distance(building.polygon, shapely.points(others_m[:, :2]))
+        is_few = building.is_on_building.sum() < FEW_PER_M2 * building.polygon.area
+        result.append(replace(building, around_m=others_m[(beside_m < AROUND_M) & is_few]))
+    return result
+
+
 def fits_of(
     buildings: list[Building], config: Reconstruct, predictor: Any
 ) -> dict[str, list[Reconstruction]]:
     """Reconstructions by each method."""
     parametric = config.model_copy(update={"roofs": "parametric"})
-    fits = {"default": fitting.fit(buildings, config), "parametric": fitting.fit(buildings, parametric)}
+    alone = [replace(each, around_m=np.zeros((0, 3))) for each in buildings]
+    fits = {"default": fitting.fit(buildings, config), "alone": fitting.fit(alone, config)}
+    fits |= {"parametric": fitting.fit(buildings, parametric)}
     if predictor is not None:
         network = reconstruct_with_network(buildings, predictor, config)
         fits |= {"network": network, "network, parametric": fitting.fit(buildings, parametric, network)}
@@ -80,7 +98,7 @@ def main() -> int:
     for amount, (p2m, roof) in BARS.items():
         rows: dict[str, list[dict[str, Any]]] = {}
         for draw in range(_NUM_DRAWS):
-            few = [thinned(building, amount, draw) for building in buildings]
+            few = with_roofs_around([thinned(building, amount, draw) for building in buildings])
             for method, fits in fits_of(few, config, predictor).items():
                 rows.setdefault(method, []).extend(real.judged(fits, "delft", arguments))
         for method, every in rows.items():

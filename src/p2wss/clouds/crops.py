@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+import shapely
 from scipy.spatial import Delaunay
 
 from p2wss.clouds.cropping import crop_points, ring_medians
 from p2wss.clouds.reading import Cloud
 from p2wss.data import polygon_arrays
-from p2wss.data.las_classes import GROUND_CLASS
+from p2wss.data.las_classes import BUILDING_CLASS, GROUND_CLASS
 from p2wss.skeleton.types import Polygons
 
 # distances from the footprint within which ground points are searched, the next one if there are too few
@@ -21,6 +23,8 @@ _LOW_PERCENTILE = 5.0
 _NEAR_M, _NUM_BETWEEN = 4.0, 1000
 # quantile of the heights of a building without ground in the last ring: at best, the foot of a wall
 _FOOT_QUANTILE = 0.02
+# points per square metre: a building with fewer needs what the roofs so far around it show
+FEW_PER_M2, AROUND_M = 0.6, 12.0
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,20 @@ def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cloud
     for p in np.flatnonzero(np.isnan(ground_z_m) & (np.diff(offset) > 0)):
         ground_z_m[p] = np.quantile(cloud.z_m[point[offset[p] : offset[p + 1]]], _FOOT_QUANTILE)
     return CloudCrops(point, inside, offset, ground_z_m)
+
+
+def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[int, np.ndarray]:
+    """By polygons with few points of class building, those of that class beside them: indices (k,) into the cloud."""
+    is_built = cloud.classification == BUILDING_CLASS
+    polygon = np.repeat(np.arange(len(polygons)), np.diff(cropped.offset))
+    count = np.bincount(polygon, cropped.inside & is_built[cropped.point], len(polygons))
+    area_m2 = shapely.area(polygon_arrays.to_geometries(polygons))
+    few = np.flatnonzero((count > 0) & (count < FEW_PER_M2 * area_m2))
+    point, inside, offset = crop_points(
+        cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, few), AROUND_M, is_built
+    )
+    pairs = [slice(start, end) for start, end in pairwise(offset.tolist())]
+    return {p: point[pair][~inside[pair]] for p, pair in zip(few.tolist(), pairs, strict=True)}
 
 
 def ground_height(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
@@ -21,7 +21,8 @@ class Building:
     ``origin_xy_m``. point_m: (m, 3), x and y relative to the origin, z above ``ground_z_m``. classification: uint8
     (m,), LAS classes. ground_z_m: z of the ground at the building in the height system of the cloud, as the cloud
     shows it (:func:`p2wss.clouds.crops.crop_cloud`); NaN only without points. All other heights are above it.
-    stated_height_m: height above the ground that the footprint states; NaN if unknown.
+    stated_height_m: height above the ground that the footprint states; NaN if unknown. around_m: (k, 3), points on the
+    roofs around a building with few of its own, in the same frame; none for others.
     """
 
     building_id: str
@@ -32,6 +33,7 @@ class Building:
     classification: np.ndarray
     ground_z_m: float
     stated_height_m: float = float("nan")
+    around_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def polygon(self) -> shapely.Polygon:

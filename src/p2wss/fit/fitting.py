@@ -149,14 +149,15 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     # open ground gets the lowest roof
     raised_m = np.column_stack([point_m[:, :2], np.maximum(point_m[:, 2], config.min_eave_height_m)])
     settings = thresholds.planes.times(thresholds.detail[config.detail])
-    planes = fit_planes(prepared.rings, raised_m, settings, prepared.open_ground.num_ground)
+    around_m = task.building.around_m
+    planes = fit_planes(prepared.rings, raised_m, settings, prepared.open_ground.num_ground, around_m)
     if planes is None:
         return None
     mesh = simplified(planes.mesh.vertex_m, planes.mesh.triangle) or planes.mesh
     off_m = np.minimum(np.abs(planes.off_m), thresholds.limits.cap_m).mean()
     # the height alone: planes have no edges of which the next best answer is known
     share = confidence.share(Evidence(len(point_m), float(off_m), np.zeros(0), False))
-    return _Solid(mesh, int(planes.body.max()) + 1, *planes.parameters(prepared.rings), share, False)
+    return _Solid(mesh, planes.num_bodies, *planes.parameters(prepared.rings), share, False)
 
 
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:

@@ -12,13 +12,14 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from p2wss.clouds.crops import crop_cloud
+from p2wss.clouds.crops import crop_cloud, roofs_around
 from p2wss.clouds.reading import GPS_EPOCH, Cloud
 from p2wss.config import Reconstruct
 from p2wss.data import polygon_arrays
 from p2wss.data.building import Building, no_mesh
 from p2wss.data.points import on_millimetres
 from p2wss.data.terrain import Terrain
+from p2wss.fit.points import every_kth
 from p2wss.mesh import Mesh
 from p2wss.reconstruct.ground import ground_of
 from p2wss.reconstruct.measures import party_wall_areas_m2
@@ -34,6 +35,8 @@ from p2wss.reconstruct.spool import Lazy
 _ADDED_COLUMNS = ("building_id", "stated_height_m", "status", "centre_x_m", "centre_y_m")
 # number of buildings between two reports of progress: of each process, and with a network, which is faster with many
 _BATCH, _NETWORK_BATCH = 12, 256
+# points on the roofs around a building with few: enough to show planes
+_MAX_AROUND = 200
 # whose ground is that of a building without points
 _NUM_NEIGHBOURS = 5
 
@@ -112,6 +115,7 @@ class Rows:
         what moved it."""
         polygons = polygon_arrays.to_polygons(frame.geometry.to_numpy())
         cropped = crop_cloud(cloud, polygons, self._config.buffer_m)
+        around = roofs_around(cloud, polygons, cropped)
         ground = ground_of(cloud, cropped, polygons, self._terrain)
         ground_z_m = ground.z_m
         is_pending = np.isnan(ground_z_m) & (np.diff(polygons.vertex_offset) > 0)
@@ -127,18 +131,20 @@ class Rows:
             batch: list[Row] = []
             for i in range(first, min(first + self._batch, len(frame))):
                 point, origin = _in_order(cloud, cropped.of(i)), origin_xy_m[i]
-                xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
+                beside = _in_order(cloud, around.get(i, point[:0]))
+                beside = beside[every_kth(len(beside), _MAX_AROUND)]
                 rings = [ring - origin for ring in polygons.rings(i)]
-                point_m = on_millimetres(xyz_m, origin) - [0.0, 0.0, ground_z_m[i]]
+                position_m = (*origin, ground_z_m[i])
                 building = Building(
                     names[i],
                     self._tile,
                     (float(origin[0]), float(origin[1])),
                     rings,
-                    point_m,
+                    _local(cloud, point, position_m),
                     cloud.classification[point],
                     float(ground_z_m[i]),
                     stated_height_m[i],
+                    _local(cloud, beside, position_m),
                 )
                 dates = _dates(cloud, point)
                 source = str(ground.source[i]), float(ground.sd_m[i])
@@ -207,6 +213,12 @@ def _dates(cloud: Cloud, point: np.ndarray) -> tuple[date, date] | None:
     if not len(day):
         return None
     return GPS_EPOCH + timedelta(int(day.min())), GPS_EPOCH + timedelta(int(day.max()))
+
+
+def _local(cloud: Cloud, point: np.ndarray, position_m: Sequence[float]) -> np.ndarray:
+    """The points (k,) of a cloud relative to a position: (k, 3)."""
+    xyz_m = np.column_stack([cloud.x_m[point], cloud.y_m[point], cloud.z_m[point]])
+    return on_millimetres(xyz_m, np.array(position_m[:2])) - [0.0, 0.0, position_m[2]]
 
 
 def _in_order(cloud: Cloud, point: np.ndarray) -> np.ndarray:

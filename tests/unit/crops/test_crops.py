@@ -16,7 +16,7 @@ from toy_scene import TILE, TILE_SIZE_M, house, houses, scans_inputs, table, ter
 from p2wss import crops, scans
 from p2wss.cli import main
 from p2wss.clouds import reading as clouds
-from p2wss.clouds.crops import ground_height
+from p2wss.clouds.crops import crop_cloud, ground_height, roofs_around
 from p2wss.clouds.reading import Cloud, read_clouds
 from p2wss.config import Crops, Scans
 from p2wss.config import Scenes as ScenesConfig
@@ -141,6 +141,26 @@ def test_ground_is_the_median_of_the_nearest_ground_points():
     ring = box.difference(shapely.box(13, 13, 17, 17))
     court = grid_cloud(lambda u, v: 0 * u + 99, (13, 17), (13, 17))
     assert ground_height(court, polygon_arrays.to_polygons([ring])).tolist() == [99]
+
+
+def test_a_building_with_few_points_gets_those_on_the_roofs_around_it():
+    boxes = [
+        shapely.box(0, 0, 8, 8),
+        shapely.box(8, 0, 16, 8),
+        shapely.box(60, 0, 68, 8),
+        shapely.box(90, 0, 98, 8),
+    ]
+    polygons = polygon_arrays.to_polygons(boxes)
+    # few, many, few and far from others, none; the ground between them is no roof
+    roofs = [
+        grid_cloud(lambda u, v: 0 * u + 5, (low, low + 8), (0, 8), step, classes=6)
+        for low, step in ((0, 4.0), (8, 0.5), (60, 4.0))
+    ]
+    cloud = join(*roofs, grid_cloud(lambda u, v: 0 * u, (17, 50), (0, 8), 4.0))
+    around = roofs_around(cloud, polygons, crop_cloud(cloud, polygons))
+    assert sorted(around) == [0, 2] and not len(around[2])
+    assert len(around[0]) > 100 and (cloud.x_m[around[0]] > 8).all() and (cloud.x_m[around[0]] <= 20).all()
+    assert (cloud.classification[around[0]] == 6).all()
 
 
 def test_ground_on_a_slope_lies_between_what_is_above_and_below():

@@ -33,13 +33,14 @@ _LOW_M = 2.0
 @dataclass(frozen=True)
 class PlanesFit:
     """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
-    there are steps. off_m: of the points within the footprint, their heights above the roof.
-    mesh: the solid from height 0 to the roof."""
+    there are steps. num_bodies: how many of these are built. off_m: of the points within the footprint, their heights
+    above the roof. mesh: the solid from height 0 to the roof."""
 
     plane: np.ndarray
     cells: Arrangement
     label: np.ndarray
     body: np.ndarray
+    num_bodies: int
     off_m: np.ndarray
     mesh: Mesh
 
@@ -74,14 +75,22 @@ class PlanesFit:
 
 
 def fit_planes(
-    rings: Sequence[np.ndarray], point_m: np.ndarray, settings: Planes, num_open: int = 0
+    rings: Sequence[np.ndarray],
+    point_m: np.ndarray,
+    settings: Planes,
+    num_open: int = 0,
+    around_m: np.ndarray | None = None,
 ) -> PlanesFit | None:
     """The planes over a footprint that cost least; None if the points (m, 3) show no plane, or if no solid is
     closed. The last ``num_open`` points are of open ground: where they show it, there is no solid, if one without it is
-    closed and in one piece."""
+    closed and in one piece. around_m: (k, 3), points on other roofs, which may have planes and lines in common with
+    this one, as those of a row have."""
     order = even_order(point_m)
     point_m, is_open = point_m[order], order >= len(point_m) - num_open
     density = len(point_m) / shapely.Polygon(rings[0], rings[1:]).area
+    if around_m is not None:
+        point_m = np.vstack([point_m, around_m])
+        is_open = np.append(is_open, np.zeros(len(around_m), bool))
     along = directions(rings, settings.drawing.same_deg)
     found = detect(point_m, density, along[:_NUM_DIRECTIONS], settings.detection)
     if not len(found.plane):
@@ -99,14 +108,16 @@ def fit_planes(
             built = _without_open_ground(cells, costs, label, plane, np.where(is_open, cell, -1), cell)
         mesh = solid_below(cells, built, plane, np.concatenate(rings))
         if mesh is None and built is not label:
-            mesh = solid_below(cells, label, plane, np.concatenate(rings))
+            built, mesh = label, solid_below(cells, label, plane, np.concatenate(rings))
         if mesh is not None:
             break
     else:
         return None
     within_m, within = point_m[cell >= 0], cell[cell >= 0]
     off_m = within_m[:, 2] - height_over(plane, label[within], within_m[:, :2])
-    return PlanesFit(plane, cells, label, costs.bodies(label), off_m, mesh)
+    body = costs.bodies(label)
+    num_bodies = len(np.unique(body[built != OUTSIDE]))
+    return PlanesFit(plane, cells, label, body, num_bodies, off_m, mesh)
 
 
 def _without_open_ground(

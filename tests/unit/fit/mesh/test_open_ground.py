@@ -54,7 +54,7 @@ def test_a_yard_is_outside_the_building(yard_m: float) -> None:
         assert area_m2 == pytest.approx(64, abs=4) and height_m == pytest.approx(z_m, abs=0.03)
     assert mesh.vertex_m[:, 0].max() == pytest.approx(8, abs=0.3)
     assert reconstruction.eave_height_m == pytest.approx(5.0, abs=0.03)
-    assert reconstruction.status == "ok"
+    assert reconstruction.status == "ok" and reconstruction.num_parts == 1
 
 
 def test_a_patio_in_the_middle_is_a_hole() -> None:

@@ -319,6 +319,25 @@ def test_two_of_few_points_make_a_face_only_where_they_are_far_off() -> None:
     assert num_planes == [1, 2]
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_roofs_of_a_row_show_that_of_a_house_with_few_points(seed: int) -> None:
+    rings, plane = gable(6, 9, 4, 0.3)
+    row_m = sampled(gable(30, 9, 4, 0.3)[0], plane, seed)
+    within = shapely.contains_xy(shapely.Polygon(rings[0]), row_m[:, 0], row_m[:, 1])
+    few_m, around_m = row_m[within][::90], row_m[~within][::90]
+    assert len(few_m) <= 8
+    alone, in_row = fit_planes(rings, few_m, PLANES), fit_planes(rings, few_m, PLANES, around_m=around_m)
+    assert alone is not None and in_row is not None
+    off_m = [
+        np.abs(
+            height_over(fit.plane, fit.label[fit.cells.cells_at(row_m[within, :2])], row_m[within, :2])
+            - row_m[within, 2]
+        )
+        for fit in (alone, in_row)
+    ]
+    assert off_m[1].mean() < 0.03 < off_m[0].mean()
+
+
 def test_too_few_points_show_no_plane() -> None:
     rings, plane = gable(12, 8, 4, 0.0)
     assert fit_planes(rings, sampled(rings, plane, 3)[:1], PLANES) is None
