@@ -61,7 +61,8 @@ def with_roofs_around(buildings: list[Building]) -> list[Building]:
             np.vstack([each for other, each in enumerate(placed) if other != number]) - building.position_m
         )
         beside_m = shapely.distance(building.polygon, shapely.points(others_m[:, :2]))
-        is_few = building.is_on_building.sum() < FEW_PER_M2 * building.polygon.area
+        num_inside = shapely.contains_xy(building.polygon, *building.point_m[:, :2].T).sum()
+        is_few = num_inside < FEW_PER_M2 * building.polygon.area
         result.append(replace(building, around_m=others_m[(beside_m < AROUND_M) & is_few]))
     return result
 

@@ -17,7 +17,6 @@ import numpy as np
 import real
 import structure
 from figures import Figures
-from roof_edges import roof_edges
 from roof_edges import structure as structure_of
 
 import p2wss
@@ -61,7 +60,7 @@ def of_town(truth: dict[str, Mesh], buildings: list[Building], thresholds: Thres
     rows = []
     for name, true in truth.items():
         mesh = fits[name].placed_mesh if name in fits and fits[name].has_mesh else Mesh.empty()
-        found = structure_of(roof_edges(mesh), roof_edges(true))
+        found = structure_of(mesh, true)
         rows.append({"structure": found, "roof_cd_m": np.nan, "triangles": len(mesh.triangle)})
     figures = structure.summary(rows)
     return {

@@ -89,7 +89,6 @@ def _tables(folder: Path, rows: list[dict]) -> None:
             rings=[np.reshape(row["footprint_xy_m"], (-1, 2))],
             eave_height_m=row["eave_height_m"],
             angle_deg=np.array(row["angle_deg"]),
-            confidence=0.5,
             mesh=Mesh(
                 np.reshape(row["vertex_xyz_m"], (-1, 3)),
                 np.reshape(row["triangle"], (-1, 3)).astype(np.int32),

@@ -13,7 +13,6 @@ from tiny_network import certain_probabilities
 class Answer:
     eave_height_m: np.ndarray
     angle_deg: list[np.ndarray]
-    confidence: np.ndarray
 
     @property
     def class_probability(self) -> list[np.ndarray]:
@@ -37,4 +36,4 @@ class Oracle:
         self.rings += rings
         height = np.array([np.median(p[:, 2]) for p in points_m])
         angle = [np.full(sum(map(len, r)), self.slope_deg) for r in rings]
-        return Answer(np.where(height > 50, np.nan, height), angle, np.full(len(rings), 0.9))
+        return Answer(np.where(height > 50, np.nan, height), angle)

@@ -65,9 +65,7 @@ def _reconstruction(
     # anywhere on the ground, so that rounding is not that of the outline
     x, y, z = np.random.default_rng([7, *name.encode()]).uniform(0, 1e6, 3)
     place = ((float(x), float(y)), float(z) / 1e4)
-    return Reconstruction(
-        name, "", "fit", reasons.OK, *place, rings, eave_m, angle_deg, None, mesh, num_parts
-    )
+    return Reconstruction(name, "", "fit", reasons.OK, *place, rings, eave_m, angle_deg, mesh, num_parts)
 
 
 def with_planes(name: str, rings: Rings, seed: int, num_lines: int, is_hard: bool) -> Reconstruction | None:

@@ -12,7 +12,7 @@ from p2wss.eval import cases
 
 class Values:
     def __init__(self, height: np.ndarray, angle: list[np.ndarray], is_sure: bool) -> None:
-        self.eave_height_m, self.angle_deg, self.confidence = height, angle, np.full(len(height), 0.5)
+        self.eave_height_m, self.angle_deg = height, angle
         self.class_probability = [
             certain_probabilities(angle_deg) if is_sure else np.full((len(angle_deg), 3), 1 / 3)
             for angle_deg in angle

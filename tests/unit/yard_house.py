@@ -26,6 +26,6 @@ def yard_house(x_m: float = 652000.0, y_m: float = 6861000.0, ground_z_m: float 
     in_yard = np.array([[11.0, 4.0, 0.2]])
     marked = OpenGround(in_yard, 1).marked(mesh)
     return Reconstruction(
-        "yard", "t", "fit", reasons.OK, (x_m, y_m), ground_z_m, [FOOTPRINT], EAVE_M, angle_deg, 0.9,
+        "yard", "t", "fit", reasons.OK, (x_m, y_m), ground_z_m, [FOOTPRINT], EAVE_M, angle_deg,
         marked, 2,
     )  # fmt: skip

@@ -57,14 +57,17 @@ def crop_cloud(cloud: Cloud, polygons: Polygons, buffer_m: float = 1.0) -> Cloud
 
 
 def roofs_around(cloud: Cloud, polygons: Polygons, cropped: CloudCrops) -> dict[int, np.ndarray]:
-    """By polygons with few points of class building, those of that class beside them: indices (k,) into the cloud."""
-    is_built = cloud.classification == BUILDING_CLASS
+    """By polygons with few points, those of class building beside them: indices (k,) into the cloud."""
     polygon = np.repeat(np.arange(len(polygons)), np.diff(cropped.offset))
-    count = np.bincount(polygon, cropped.inside & is_built[cropped.point], len(polygons))
+    count = np.bincount(polygon[cropped.inside], minlength=len(polygons))
     area_m2 = shapely.area(polygon_arrays.to_geometries(polygons))
     few = np.flatnonzero((count > 0) & (count < FEW_PER_M2 * area_m2))
     point, inside, offset = crop_points(
-        cloud.x_m, cloud.y_m, polygon_arrays.take(polygons, few), AROUND_M, is_built
+        cloud.x_m,
+        cloud.y_m,
+        polygon_arrays.take(polygons, few),
+        AROUND_M,
+        cloud.classification == BUILDING_CLASS,
     )
     pairs = [slice(start, end) for start, end in pairwise(offset.tolist())]
     return {p: point[pair][~inside[pair]] for p, pair in zip(few.tolist(), pairs, strict=True)}

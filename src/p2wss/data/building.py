@@ -58,7 +58,7 @@ class Reconstruction:
     rings: footprint of the mesh, relative to ``origin_xy_m`` like x and y of the mesh; z is above ``ground_z_m``.
     eave_height_m: above ``ground_z_m``. angle_deg: one per edge over all rings. num_parts: bodies between which there
     are steps, or fitted parts; with several, ``eave_height_m`` is that of the largest one, and ``angle_deg`` are the
-    angles along the footprint. confidence: expected share of correct values, 0 to 1. class_probability: (edges, 3), the
+    angles along the footprint. class_probability: (edges, 3), the
     network's probabilities that an edge has 0 degrees, 90 degrees or a slope. status: a value of
     :mod:`p2wss.data.reasons`; a mesh with a status other than "ok" is a flat roof used as a fallback. surfaces: the
     planar polygons of the mesh that were found to be a valid solid, as files have them; none before that.
@@ -73,7 +73,6 @@ class Reconstruction:
     rings: Sequence[np.ndarray]
     eave_height_m: float | None
     angle_deg: np.ndarray | None
-    confidence: float | None
     mesh: Mesh | None
     num_parts: int = 1
     class_probability: np.ndarray | None = None
@@ -106,7 +105,6 @@ def no_mesh(building: Building, method: str, status: str) -> Reconstruction:
         building.origin_xy_m,
         building.ground_z_m,
         building.rings,
-        None,
         None,
         None,
         None,

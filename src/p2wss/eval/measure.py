@@ -8,18 +8,21 @@ from typing import Any
 import numpy as np
 import shapely
 
-from p2wss.config import Eval
+from p2wss import skeleton
+from p2wss.config import Buildings, Eval
 from p2wss.data.building import Reconstruction
 from p2wss.data.seeds import generator
 from p2wss.eval.cases import Case, local_points
 from p2wss.eval.metrics.chamfer import chamfer_distance_m
 from p2wss.eval.metrics.height import height_rmse_m
 from p2wss.eval.metrics.mesh_facts import mesh_facts, out_of_plane_m
-from p2wss.eval.parameters import parameter_errors
+from p2wss.eval.metrics.structure import false_and_missing_share
+from p2wss.eval.parameters import parameter_errors, target_height_m
 from p2wss.eval.reconstructions import Key
 from p2wss.eval.roof_kinds import roof_kind
+from p2wss.mesh import Mesh
 from p2wss.mesh.surface import distance_to_mesh, sample_surface
-from p2wss.skeleton.types import FaceKind
+from p2wss.skeleton.types import FaceKind, Polygons
 from p2wss.storage.schemas.measures import MEASURES
 
 # with fewer points on the building, distances to the roof mean nothing
@@ -95,7 +98,21 @@ def measure_building(case: Case, reconstruction: Reconstruction, config: Eval) -
             "points_to_mesh_m": float(distance_to_mesh(on_building, vertex_m, triangle).mean()),
             "height_rmse_m": height_rmse_m(inner, mesh.corner_m),
         }
+    true = true_mesh(case)
+    if true is not None:
+        true = true.translated(building.position_m - reconstruction.position_m)
+        row["false_edge_share"], row["missing_edge_share"] = false_and_missing_share(mesh, true)
     return row
+
+
+def true_mesh(case: Case) -> Mesh | None:
+    """The building of the labels, in the frame of the points; None without labels."""
+    if case.angle_deg is None:
+        return None
+    height_m = np.array([target_height_m(case)])
+    polygons = Polygons.from_rings([list(case.building.rings)])
+    highest_m = Buildings().max_roof_height_m
+    return Mesh.of_kernel(skeleton.build(polygons, case.angle_deg, height_m, max_roof_height_m=highest_m), 0)
 
 
 def subset(case: Case, point_m: np.ndarray, config: Eval) -> np.ndarray:

@@ -96,7 +96,6 @@ def read_reconstructions(
             rings=polygons.rings(i),
             eave_height_m=None if pd.isna(row.eave_height_m) else row.eave_height_m,
             angle_deg=None if row.angle_deg is None else row.angle_deg.astype(float),
-            confidence=None,
             mesh=mesh,
             num_parts=row.num_parts,
         )

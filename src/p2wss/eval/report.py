@@ -41,9 +41,16 @@ CAPTIONS = {
 }
 
 # of the comparison on the page: measures in their order, and those of which the least is the best
-DISTANCES = ("Points to mesh (m)", "Roof CD (m)", "Height RMSE (m)", "CD (m)")
+LEAST = (
+    "Points to mesh (m)",
+    "Roof CD (m)",
+    "Height RMSE (m)",
+    "False roof edges (share)",
+    "Missing roof edges (share)",
+    "CD (m)",
+)
 COMPARED = (
-    *DISTANCES[:3],
+    *LEAST[:-1],
     "Triangles",
     "Watertight (%)",
     "Planar faces (%)",
@@ -249,7 +256,7 @@ def _comparisons(more: pd.DataFrame, titles: Mapping[str, str]) -> dict[str, pd.
         for measure in COMPARED:
             values = of_dataset.loc[measure].to_numpy()
             texts = [_cell(value) for value in values]
-            if measure in DISTANCES:
+            if measure in LEAST and of_dataset.loc[measure].notna().any():
                 best = _cell(pd.Series(values, dtype=float).min())
                 bounds = (
                     of_dataset.loc[[f"{measure}, 95 % low", f"{measure}, 95 % high"]].map(_cell).to_numpy()

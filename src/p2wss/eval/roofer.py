@@ -120,7 +120,6 @@ def _reconstruction(case: Case, solid: ReadSolid | None, missing: str) -> Recons
         rings=building.rings,
         eave_height_m=None,
         angle_deg=None,
-        confidence=None,
         mesh=solid.mesh.translated(-building.position_m),
     )
 

@@ -59,6 +59,8 @@ MEANS = {
     "points_to_mesh_m": "Points to mesh (m)",
     "height_rmse_m": "Height RMSE (m)",
     "num_triangles": "Triangles",
+    "false_edge_share": "False roof edges (share)",
+    "missing_edge_share": "Missing roof edges (share)",
 }
 SHARES = {"watertight": "Watertight (%)", "manifold": "Manifold (%)", "planar": "Planar faces (%)"}
 # properties of buildings by which errors are shown

@@ -19,8 +19,6 @@ from p2wss.fit.mesh.short_edges import without_short_edges
 from p2wss.fit.mesh.simplification import simplified
 from p2wss.fit.planes.fit import fit_planes
 from p2wss.fit.points import ground_points, roof_points, shaft_points, wall_hits
-from p2wss.fit.roof import confidence
-from p2wss.fit.roof.evidence import Evidence, roof_evidence
 from p2wss.fit.roof.fitter import MIN_NUM_POINTS, FittedRoof, Fitter
 from p2wss.fit.roof.prior import make_prior
 from p2wss.fit.roof_edges import move_walls
@@ -87,15 +85,13 @@ class _Solid:
     """A building before its last steps.
 
     num_parts: bodies between which there are steps. eave_height_m: of the largest. angle_deg: of each edge of the
-    footprint. confidence: expected share of these values that are right. is_parametric: whether this is the building of
-    the paper.
+    footprint. is_parametric: whether this is the building of the paper.
     """
 
     mesh: Mesh
     num_parts: int
     eave_height_m: float
     angle_deg: np.ndarray
-    confidence: float
     is_parametric: bool
 
 
@@ -154,22 +150,19 @@ def cover_with_planes(task: _Task, prepared: _Prepared) -> _Solid | None:
     if planes is None:
         return None
     mesh = simplified(planes.mesh.vertex_m, planes.mesh.triangle) or planes.mesh
-    off_m = np.minimum(np.abs(planes.off_m), thresholds.limits.cap_m).mean()
-    # the height alone: planes have no edges of which the next best answer is known
-    share = confidence.share(Evidence(len(point_m), float(off_m), np.zeros(0), False))
-    return _Solid(mesh, planes.num_bodies, *planes.parameters(prepared.rings), share, False)
+    return _Solid(mesh, planes.num_bodies, *planes.parameters(prepared.rings), False)
 
 
 def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
     """The parametric building of the paper that is nearest to the points, from the network's values or from nothing; a
     reason without one."""
     rings, point_m, fitter = prepared.rings, prepared.point_m, task.fitter
-    initial, probability = task.initial, None
+    initial = task.initial
     if initial is None or initial.angle_deg is None or initial.eave_height_m is None or not initial.has_mesh:
         prior, guesses = make_prior(rings, len(point_m)), []
     else:
-        guess_deg, eave_m, probability = initial.angle_deg, initial.eave_height_m, initial.class_probability
-        prior = make_prior(rings, len(point_m), guess_deg, probability, eave_m)
+        guess_deg, eave_m = initial.angle_deg, initial.eave_height_m
+        prior = make_prior(rings, len(point_m), guess_deg, initial.class_probability, eave_m)
         guess = FittedRoof(rings, guess_deg, eave_m, np.inf)
         guesses = [replace(guess, loss_m=fitter.loss(guess, point_m, prior))]
     start_deg = [guess.angle_deg for guess in guesses]
@@ -181,8 +174,7 @@ def raise_parametric(task: _Task, prepared: _Prepared) -> _Solid | str:
     mesh = kernel_mesh(rings, roof.angle_deg, eave_m, task.config.max_roof_height_m)
     if mesh is None:
         return reasons.NO_ROOF
-    share = confidence.share(roof_evidence(fitter, roof, point_m, probability))
-    return _Solid(mesh, 1, roof.eave_z_m, roof.angle_deg, share, True)
+    return _Solid(mesh, 1, roof.eave_z_m, roof.angle_deg, True)
 
 
 def remove_short_edges(task: _Task, prepared: _Prepared, mesh: Mesh) -> Mesh:
@@ -214,7 +206,6 @@ def _reconstruction(task: _Task, prepared: _Prepared, solid: _Solid, mesh: Mesh)
         prepared.rings,
         max(solid.eave_height_m, task.config.min_eave_height_m),
         solid.angle_deg,
-        solid.confidence,
         mesh,
         solid.num_parts,
     )

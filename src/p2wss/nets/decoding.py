@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
 import torch
-from scipy.special import expit, logit
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -20,15 +18,6 @@ from p2wss.nets.tokenizer import Tokenizer
 
 Mode = Literal["argmax", "median"]
 Support = Literal["roofs", "all"]
-
-# a height or an angle counts as correct within these
-HEIGHT_TOLERANCE_M = 0.5
-ANGLE_TOLERANCE_DEG = 5
-# The mean over several views is under-confident, and so is the product of the digits of a height. Intercept and slope
-# of the calibrated log odds that a height or an angle is correct, over the raw log odds (Platt scaling):
-# python benchmarks/confidence.py MANIFEST .. --model models/point2wss.safetensors --fit
-HEIGHT_CALIBRATION, ANGLE_CALIBRATION = (1.99, 0.76), (0.66, 0.97)
-_MIN_PROBABILITY = 1e-3
 
 
 def number_distribution(logits: Tensor, tokenizer: Tokenizer, places: tuple[int, ...]) -> Tensor:
@@ -73,27 +62,3 @@ def decode(distribution: Tensor, mode: Mode) -> Tensor:
     # double: the sum over 10^4 values must not stop short of one half
     cumulated = distribution.double().cumsum(-1)
     return (cumulated < 0.5 * cumulated[..., -1:]).sum(-1)
-
-
-def mass_near(distribution: Tensor, value: Tensor, tolerance: int) -> Tensor:
-    """(...): the probability of the integers within ``tolerance`` of ``value``."""
-    cumulated = F.pad(distribution.cumsum(-1), (1, 0))
-    low = (value - tolerance).clamp(min=0)
-    high = (value + tolerance + 1).clamp(max=distribution.shape[-1])
-    return (cumulated.gather(-1, high[..., None]) - cumulated.gather(-1, low[..., None]))[..., 0].clamp(0, 1)
-
-
-def expected_share(probability: np.ndarray) -> float:
-    """The expected share of a building's values that are within 0.5 m and 5 degrees.
-
-    ``probability`` (1 + n,): the network's uncalibrated ones, of the height, then of the angles.
-    """
-    calibrated = log_odds(probability)
-    calibrated[0] = HEIGHT_CALIBRATION[0] + HEIGHT_CALIBRATION[1] * calibrated[0]
-    calibrated[1:] = ANGLE_CALIBRATION[0] + ANGLE_CALIBRATION[1] * calibrated[1:]
-    return float(expit(calibrated).mean())
-
-
-def log_odds(probability: np.ndarray) -> np.ndarray:
-    """log(p / (1 - p)); probabilities of 0 and 1 are moved a little inwards, to stay finite."""
-    return logit(np.clip(probability, _MIN_PROBABILITY, 1.0 - _MIN_PROBABILITY))

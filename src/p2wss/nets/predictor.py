@@ -76,11 +76,9 @@ class Point2WssPredictor:
         exterior = [np.asarray(r[0], np.float32) for r in rings]
         self._check(points_m, exterior)
         height = np.full(len(points_m), np.nan)
-        confidence = np.zeros(len(points_m))
         angle: list[np.ndarray] = [np.full(sum(map(len, r)), np.nan) for r in rings]
         class_probability = [np.full((len(edges), 3), 1 / 3) for edges in angle]
-        probability = [np.zeros(0)] * len(points_m)
-        for index, (heights, angles, classes, within) in self._for_each(points_m, exterior, self._decode):
+        for index, (heights, angles, classes) in self._for_each(points_m, exterior, self._decode):
             for row, i in enumerate(index):
                 num_edges = len(exterior[i])
                 height[i] = heights[row]
@@ -88,9 +86,7 @@ class Point2WssPredictor:
                 class_probability[i][:num_edges] = classes[row, :num_edges]
                 if len(rings[i]) > 1:
                     angle[i][num_edges:] = _courtyard_angle(angle[i][:num_edges])
-                probability[i] = within[row, : 1 + num_edges]
-                confidence[i] = decoding.expected_share(probability[i])
-        return Prediction(height, angle, class_probability, probability, confidence)
+        return Prediction(height, angle, class_probability)
 
     def reconstruct_all_masked(
         self,
@@ -188,8 +184,8 @@ class Point2WssPredictor:
 
     @torch.inference_mode()
     def _decode(self, batch: Batch) -> tuple[np.ndarray, ...]:
-        """Of a centred batch whose footprints are known: heights (b,) m, angles (b, n) degrees, the probabilities of
-        their classes (b, n, 3) and, that the height and each angle are within their tolerances, (b, 1 + n).
+        """Of a centred batch whose footprints are known: heights (b,) m, angles (b, n) degrees and the probabilities of
+        their classes (b, n, 3).
 
         The probabilities of the views are averaged before values are decoded.
         """
@@ -212,14 +208,10 @@ class Point2WssPredictor:
         angles = decoding.constrain(angles, self._angle_support())
         height, angle = decoding.decode(heights, mode), decoding.decode(angles, mode)
         unit = 10.0 ** tokenizer.height_places[-1]
-        height_tolerance = round(decoding.HEIGHT_TOLERANCE_M / unit)
-        height_probability = decoding.mass_near(heights, height, height_tolerance)
-        angle_probability = decoding.mass_near(angles, angle, decoding.ANGLE_TOLERANCE_DEG)
         return (
             (height * unit).cpu().numpy(),
             angle.double().cpu().numpy(),
             decoding.class_probability(angles).double().cpu().numpy(),
-            torch.cat([height_probability[:, None], angle_probability], 1).double().cpu().numpy(),
         )
 
     @torch.inference_mode()

@@ -83,7 +83,6 @@ def _attributes(result: Result) -> dict[str, Any]:
         "ground_z_m": _rounded(reconstruction.ground_z_m),
         "ground_source": result.ground and result.ground[0],
         "ground_sd_m": result.ground and _rounded(result.ground[1]),
-        "confidence": _rounded(reconstruction.confidence),
         "residual_m": _rounded(result.residual_m),
         "rmse_m": _rounded(result.rmse_m),
         "share_within_20cm": _rounded(result.share_within_20cm),
@@ -132,6 +131,7 @@ _MESH_ATTRIBUTES = (
     "outer_floor_area_m2",
     "outer_wall_area_m2",
     "party_wall_area_m2",
+    "extrapolated_area_m2",
 )
 
 
@@ -142,6 +142,7 @@ def _mesh_attributes(result: Result) -> dict[str, Any]:
     values = vars(measured) | {
         "party_wall_area_m2": result.party_wall_area_m2,
         "outer_wall_area_m2": max(measured.wall_area_m2 - result.party_wall_area_m2, 0.0),
+        "extrapolated_area_m2": measured.ground_area_m2 * (1.0 - result.visible_share),
     }
     return {
         name: values[name] if name == "roof_type" else _rounded(values[name]) for name in _MESH_ATTRIBUTES

@@ -58,10 +58,9 @@ def constant(
     gets no mesh, for ``reason``."""
     rings = [building.rings for building in buildings]
     angle = [kernel_angles(np.full(sum(map(len, r)), angle_deg)) for r in rings]
-    unknown = np.full(len(buildings), np.nan)
     status = [reason if len(building.point_m) else reasons.NO_POINTS for building in buildings]
     height = np.asarray(eave_height_m, float)
-    return build_meshes(buildings, rings, height, angle, unknown, method, config, status)
+    return build_meshes(buildings, rings, height, angle, method, config, status)
 
 
 def flat_height_m(building: Building) -> float:

@@ -44,7 +44,6 @@ def reconstruct_with_network(
     mesh_rings = [building.rings for building in buildings]
     network_rings = [simplify_exterior(rings, predictor.max_num_vertices) for rings in mesh_rings]
     height = np.full(len(buildings), np.nan)
-    confidence = np.full(len(buildings), np.nan)
     angle = [np.zeros(sum(map(len, rings))) for rings in mesh_rings]
     probability: list[np.ndarray | None] = [None] * len(buildings)
     status = [reasons.OK if len(b.point_m) else reasons.NO_POINTS for b in buildings]
@@ -62,7 +61,6 @@ def reconstruct_with_network(
         for k, i in enumerate(with_points):
             if np.isfinite(prediction.eave_height_m[k]):
                 height[i] = max(float(prediction.eave_height_m[k]), config.min_eave_height_m)
-                confidence[i] = prediction.confidence[k]
                 angle_deg = transfer_angles(network_rings[i], prediction.angle_deg[k], mesh_rings[i])
                 angle[i] = kernel_angles(angle_deg)
                 probability[i] = transfer_angles(
@@ -70,7 +68,7 @@ def reconstruct_with_network(
                 )
             else:
                 status[i] = reasons.FOOTPRINT_TOO_LARGE
-    reconstructions = build_meshes(buildings, mesh_rings, height, angle, confidence, method, config, status)
+    reconstructions = build_meshes(buildings, mesh_rings, height, angle, method, config, status)
     return [
         replace(reconstruction, class_probability=edges)
         for reconstruction, edges in zip(reconstructions, probability, strict=True)

@@ -181,7 +181,4 @@ class _Network:
         num_edges = [sum(map(len, each)) for each in rings]
         probability = [np.tile([0.1, 0.2, 0.7], (n, 1)) for n in num_edges]
         angle_deg = [np.full(n, 40.0) for n in num_edges]
-        confidence = np.full(len(rings), 0.5)
-        return Prediction(
-            np.full(len(rings), 6.0), angle_deg, probability, [confidence] * len(rings), confidence
-        )
+        return Prediction(np.full(len(rings), 6.0), angle_deg, probability)

@@ -46,7 +46,6 @@ def test_fitted_with_the_model_and_without(place: Path) -> None:
     # the flat roof that the points show, whatever the network said
     assert outs["fit"]["angle_deg"] == outs["point2wss+fit"]["angle_deg"] == "0 0 0 0"
     assert outs["fit"]["residual_m"] < 0.01
-    assert 0.8 < outs["fit"]["confidence"] <= 1 and 0.8 < outs["point2wss+fit"]["confidence"] <= 1
 
 
 def test_one_view_is_enough_where_a_fit_follows(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,10 +10,11 @@ import trimesh
 from places import ROOT
 
 import p2wss
+from p2wss.eval.metrics.structure import false_and_missing_share, roof_edges
 from p2wss.mesh import Mesh
 
 sys.path.insert(0, str(ROOT / "benchmarks"))
-from roof_edges import EDGE_KINDS, HIGH_STEP, LOW_FOLD, OUTER, roof_edges, structure
+from roof_edges import EDGE_KINDS, HIGH_STEP, LOW_FOLD, OUTER, structure
 
 HOUSE = [[0, 0], [10, 0], [10, 6], [0, 6]]
 
@@ -41,24 +42,30 @@ def test_the_edges_of_a_gable_are_two_rectangles() -> None:
 
 def test_a_roof_is_its_own_truth() -> None:
     for mesh in (GABLE, CAMBERED, LEVEL, STEPPED):
-        result = structure(roof_edges(mesh), roof_edges(mesh))
+        result = structure(mesh, mesh)
         assert result.is_exact and result.false_m == result.missing_m == 0
         assert len(set(result.corners)) == 1
 
 
 def test_what_is_false_and_what_it_is() -> None:
-    result = structure(roof_edges(CAMBERED), roof_edges(LEVEL))
+    result = structure(CAMBERED, LEVEL)
     assert result.false_by_kind_m[LOW_FOLD] == pytest.approx(9, abs=0.5) and result.missing_m == 0
     assert sum(result.false_by_kind_m.values()) == pytest.approx(result.false_m)
     assert not result.is_exact and set(result.false_by_kind_m) == set(EDGE_KINDS)
     # the lower edge of a step and the upper one, and the other walls of the higher half
-    stepped = structure(roof_edges(STEPPED), roof_edges(LEVEL))
+    stepped = structure(STEPPED, LEVEL)
     assert stepped.false_by_kind_m[HIGH_STEP] == pytest.approx(12, abs=1.5)
     assert stepped.false_by_kind_m[OUTER] == pytest.approx(18, abs=1.5)
-    assert structure(roof_edges(LEVEL), roof_edges(CAMBERED)).missing_m == pytest.approx(9, abs=0.5)
+    assert structure(LEVEL, CAMBERED).missing_m == pytest.approx(9, abs=0.5)
+
+
+def test_shares_of_the_length_are_those_of_the_report() -> None:
+    false_share, missing_share = false_and_missing_share(CAMBERED, LEVEL)
+    assert false_share == pytest.approx(9 / (3 * 10 + 4 * np.hypot(3, 0.26)), abs=0.02) and missing_share == 0
+    assert false_and_missing_share(LEVEL, CAMBERED) == (0, pytest.approx(false_share, abs=0.02))
 
 
 def test_without_a_mesh_all_is_missing() -> None:
-    result = structure(roof_edges(Mesh.empty()), roof_edges(LEVEL))
+    result = structure(Mesh.empty(), LEVEL)
     assert (result.edges_m, result.false_m, result.corners) == (0, 0, (0, 0, 4))
     assert result.missing_m == result.true_m > 0 and not result.is_exact

@@ -47,7 +47,7 @@ def house_and_annex(num_points: int = 600) -> Building:
 
 def network(case: Building, angle_deg: np.ndarray, eave_height_m: float) -> Reconstruction:
     (reconstruction,) = build_meshes(
-        [case], [case.rings], np.array([eave_height_m]), [angle_deg], np.array([0.5]), "network",
+        [case], [case.rings], np.array([eave_height_m]), [angle_deg], "network",
         CONFIG, [""],
     )  # fmt: skip
     return reconstruction

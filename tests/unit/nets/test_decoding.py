@@ -6,7 +6,7 @@ import itertools
 
 import torch
 
-from p2wss.nets.decoding import angle_support, constrain, decode, mass_near, number_distribution
+from p2wss.nets.decoding import angle_support, constrain, decode, number_distribution
 from p2wss.nets.tokenizer import Tokenizer
 
 
@@ -57,11 +57,3 @@ def test_support_is_the_papers() -> None:
     constrained = constrain(distribution, allowed)
     assert decode(constrained, "median").tolist()[0] == 30 and decode(constrained, "median").tolist()[2] == 0
     assert torch.allclose(constrained.sum(-1), torch.ones(3))
-
-
-def test_mass_near_a_value() -> None:
-    distribution = torch.full((1, 10), 0.1)
-    for value, tolerance, expected in [(5, 1, 0.3), (0, 2, 0.3), (9, 2, 0.3), (4, 20, 1.0)]:
-        assert torch.allclose(
-            mass_near(distribution, torch.tensor([value]), tolerance), torch.tensor(expected), atol=1e-6
-        )

@@ -41,7 +41,7 @@ def building(
     meshes = skeleton.build(Polygons.from_rings([[ring]]), np.array(angle_deg), np.array([eave_m]))
     assert meshes.status[0] == 0
     return Reconstruction(
-        name, "t", "fit", reasons.OK, (652000.0 + x_m, 6861000.0), 100.0, [ring], eave_m, np.array(angle_deg), 0.9,
+        name, "t", "fit", reasons.OK, (652000.0 + x_m, 6861000.0), 100.0, [ring], eave_m, np.array(angle_deg),
         Mesh.of_kernel(meshes, 0),
     )  # fmt: skip
 
@@ -128,6 +128,7 @@ def test_party_walls_are_where_neighbours_overlap() -> None:
     assert areas == pytest.approx([4 * 3, 4 * 3, 0], abs=1e-6)
     assert measures.party_wall_areas_m2([]).shape == (0,)
     values = attributes(result(rows[1], party_wall_area_m2=float(areas[1])))
+    assert values["extrapolated_area_m2"] == 0
     assert values["party_wall_area_m2"] == 12 and values["outer_wall_area_m2"] == 2 * (12 + 8) * 3 - 12
 
 

@@ -67,7 +67,7 @@ def reconstructions(
             single.mesh.kind,
             *single.rings,
         )
-        numbers = (single.eave_height_m, single.confidence, row.residual_m, row.visible_share)
+        numbers = (single.eave_height_m, row.residual_m, row.visible_share)
         content = tuple(None if array is None else array.tobytes() for array in arrays)
         result[single.building_id] = (row.status, row.num_points, *map(repr, numbers), *content)
     return result

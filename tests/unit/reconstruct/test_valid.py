@@ -30,7 +30,7 @@ def pyramid(apex_m: float, num_parts: int = 1) -> Reconstruction:
     vertex = mesh.vertex_m.copy()
     vertex[vertex[:, 2] > 5.5, 2] = apex_m
     return Reconstruction(
-        "a", "t", "fit", reasons.OK, (1e5, 2e5), 10.0, [ring], 5.0, np.full(4, 40.0), 0.9, mesh.moved(vertex), num_parts
+        "a", "t", "fit", reasons.OK, (1e5, 2e5), 10.0, [ring], 5.0, np.full(4, 40.0), mesh.moved(vertex), num_parts
     )  # fmt: skip
 
 

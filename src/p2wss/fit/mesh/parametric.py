@@ -80,15 +80,13 @@ def build_meshes(
     rings: Sequence[Sequence[np.ndarray]],
     eave_height_m: np.ndarray,
     angle_deg: Sequence[np.ndarray],
-    confidence: np.ndarray,
     method: str,
     config: Reconstruct,
     status: Sequence[str],
 ) -> list[Reconstruction]:
     """Meshes through the kernel, which checks each. A building without a finite height has none.
 
-    rings, eave_height_m (b,), angle_deg and confidence (b,): one per building. status: why a
-    building without a height has no mesh.
+    rings, eave_height_m (b,), angle_deg: one per building. status: why a building without a height has no mesh.
     """
     result = [no_mesh(b, method, reason) for b, reason in zip(buildings, status, strict=True)]
     ground_z_m = [building.ground_z_m for building in buildings]
@@ -113,7 +111,6 @@ def build_meshes(
             rings[i],
             float(eave_height_m[i]),
             angle_deg[i],
-            float(confidence[i]) if np.isfinite(confidence[i]) else None,
             Mesh.of_kernel(meshes, k) if code == skeleton.Status.OK else None,
         )
     return result

@@ -33,15 +33,13 @@ _LOW_M = 2.0
 @dataclass(frozen=True)
 class PlanesFit:
     """plane: (k, 3). cells, label: which plane covers which cell. body: int (c,), numbers of the roofs between which
-    there are steps. num_bodies: how many of these are built. off_m: of the points within the footprint, their heights
-    above the roof. mesh: the solid from height 0 to the roof."""
+    there are steps. num_bodies: how many of these are built. mesh: the solid from height 0 to the roof."""
 
     plane: np.ndarray
     cells: Arrangement
     label: np.ndarray
     body: np.ndarray
     num_bodies: int
-    off_m: np.ndarray
     mesh: Mesh
 
     def parameters(self, rings: Sequence[np.ndarray]) -> tuple[float, np.ndarray]:
@@ -113,11 +111,9 @@ def fit_planes(
             break
     else:
         return None
-    within_m, within = point_m[cell >= 0], cell[cell >= 0]
-    off_m = within_m[:, 2] - height_over(plane, label[within], within_m[:, :2])
     body = costs.bodies(label)
     num_bodies = len(np.unique(body[built != OUTSIDE]))
-    return PlanesFit(plane, cells, label, body, num_bodies, off_m, mesh)
+    return PlanesFit(plane, cells, label, body, num_bodies, mesh)
 
 
 def _without_open_ground(

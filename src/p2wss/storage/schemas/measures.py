@@ -62,6 +62,18 @@ MEASURES = pa.schema(
             True,
         ),
         field(
+            "false_edge_share",
+            pa.float32(),
+            "of the length of the roof's edges, further than 0.5 m from any of the label's; null without label",
+            True,
+        ),
+        field(
+            "missing_edge_share",
+            pa.float32(),
+            "of the length of the edges of the label's roof, further than 0.5 m from any edge of the roof",
+            True,
+        ),
+        field(
             "height_error_m", pa.float32(), "absolute error of the z of the eave; null without label", True
         ),
         field("is_height_seen", pa.bool_(), "ten points or more are on the building"),

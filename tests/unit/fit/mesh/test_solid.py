@@ -48,7 +48,6 @@ def test_a_hip_roof_of_the_kernel_is_sound() -> None:
         [[ring]],
         np.array([4.0]),
         [np.full(4, 40.0)],
-        np.array([np.nan]),
         "fit",
         Reconstruct(),
         [""],
