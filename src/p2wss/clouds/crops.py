@@ -100,13 +100,16 @@ def between(cloud: Cloud, point: np.ndarray, xy_m: np.ndarray) -> float:
     point = point[:: len(point) // _NUM_BETWEEN + 1]
     off_m = np.column_stack([cloud.x_m[point], cloud.y_m[point]]) - xy_m[0]
     if len(point) > 3:
-        # slow to import, and seldom used
-        from scipy.interpolate import LinearNDInterpolator
-
         # points on a line have triangles, too
-        z_m = LinearNDInterpolator(Delaunay(off_m, qhull_options="QJ"), cloud.z_m[point])(xy_m - xy_m[0])
-        if np.isfinite(z_m).any():
-            return float(np.nanmean(z_m))
+        triangles, place_m = Delaunay(off_m, qhull_options="QJ"), xy_m - xy_m[0]
+        within = triangles.find_simplex(place_m)
+        place_m, within = place_m[within >= 0], within[within >= 0]
+        if len(within):
+            # scipy's own interpolation takes longer to import than all others to be found
+            to_share = triangles.transform[within]
+            share = np.einsum("nij,nj->ni", to_share[:, :2], place_m - to_share[:, 2])
+            share = np.column_stack([share, 1.0 - share.sum(axis=1)])
+            return float((share * cloud.z_m[point[triangles.simplices[within]]]).sum(axis=1).mean())
     return float(cloud.z_m[point[np.hypot(*off_m.T).argmin()]])
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from p2wss.mesh import Mesh
-from p2wss.mesh.faces import Surface
+from p2wss.mesh.faces import Surface, doubled_area
 from p2wss.mesh.repair import SCALE_M, stored
 from p2wss.skeleton.types import FaceKind
 
@@ -220,12 +220,8 @@ def _geometry(
 
 def _plane(grid: np.ndarray, surfaces: Sequence[Surface], metadata: Metadata) -> dict[str, Any]:
     """Slope from the horizontal; azimuth of the way down, clockwise from grid north, none of a level plane; area."""
-    vector_m2 = np.zeros(3)
-    for surface in surfaces:
-        for ring in surface.rings:
-            local = (grid[ring] - grid[ring[0]]) * SCALE_M
-            vector_m2 += np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0) / 2
-    x, y, z = vector_m2.tolist()
+    rings = [grid[ring] * SCALE_M for surface in surfaces for ring in surface.rings]
+    x, y, z = (np.sum([doubled_area(ring) for ring in rings], axis=0) / 2).tolist()
     slope_deg = math.degrees(math.atan2(math.hypot(x, y), z))
     attributes = {metadata.slope: round(slope_deg, 2)}
     if slope_deg >= _LEVEL_DEG:

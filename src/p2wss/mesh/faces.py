@@ -98,14 +98,19 @@ def simple_rings(ring: list[int]) -> list[np.ndarray]:
     return [*rings, np.array(path)]
 
 
+def doubled_area(ring_m: np.ndarray) -> np.ndarray:
+    """The vector (3,) along the normal of a ring (n, 3), twice as long as its area (Newell's formula)."""
+    (x, y, z), (after_x, after_y, after_z) = (
+        (ring_m - ring_m[0]).T,
+        (np.roll(ring_m, -1, axis=0) - ring_m[0]).T,
+    )
+    return np.array([y @ after_z - z @ after_y, z @ after_x - x @ after_z, x @ after_y - y @ after_x])
+
+
 def _exterior_first(vertex_m: np.ndarray, rings: list[np.ndarray]) -> list[np.ndarray]:
     """The rings of one face; only the exterior turns about the face's normal."""
     if len(rings) == 1:
         return rings
-    area = []
-    for ring in rings:
-        # Newell's formula: the vector along the normal, twice as long as the ring's area
-        local = vertex_m[ring] - vertex_m[ring[0]]
-        area.append(np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0))
+    area = [doubled_area(vertex_m[ring]) for ring in rings]
     turning = np.array(area) @ np.sum(area, axis=0)
     return [rings[i] for i in np.argsort(-turning, kind="stable")]

@@ -68,10 +68,7 @@ class Surface:
     @property
     def normal(self) -> np.ndarray:
         """The unit normal (3,), outwards (Newell's formula)."""
-        total = np.zeros(3)
-        for ring in self.rings_m:
-            local = ring - ring[0]
-            total += np.cross(local, np.roll(local, -1, axis=0)).sum(axis=0)
+        total = np.sum([faces.doubled_area(ring) for ring in self.rings_m], axis=0)
         return total / np.linalg.norm(total)
 
 

@@ -39,9 +39,19 @@ def distances(plane: np.ndarray, point_m: np.ndarray) -> np.ndarray:
     return np.asarray(off_m / np.sqrt(1 + (plane[:, :2] ** 2).sum(axis=1)))
 
 
-def fitted(point_m: np.ndarray, noise_m: float) -> np.ndarray:
-    """The plane (3,) of points (m, 3) by reweighted least squares, which come near to least absolute residuals."""
-    return np.asarray(_fit(np.ascontiguousarray(point_m), np.arange(len(point_m)), len(point_m), noise_m))
+def fitted(point_m: np.ndarray, rows: np.ndarray, noise_m: float) -> np.ndarray:
+    """The plane (3,) of some of the points (m, 3) by reweighted least squares, which come near to least absolute
+    residuals. rows: int64 (k,)."""
+    return np.asarray(_fit(point_m, rows, len(rows), noise_m))
+
+
+@entry
+def mean_distance(plane: np.ndarray, point_m: np.ndarray, rows: np.ndarray) -> float:
+    """The mean distance of some of the points (m, 3) from a plane (3,); 0 of none. rows: int64 (k,)."""
+    total_m = 0.0
+    for row in rows:
+        total_m += _distance(plane, point_m[row])
+    return total_m / max(len(rows), 1)
 
 
 def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings: Detection) -> RoofPlanes:
@@ -66,10 +76,7 @@ def detect(point_m: np.ndarray, density: float, along: Sequence[float], settings
         axis = np.column_stack([np.cos(bearing), np.sin(bearing)])
         plane, label = _largest(point_m, neighbour, axis, min_points, settings)
     else:
-        around = point_m[neighbour] - point_m[neighbour].mean(axis=1, keepdims=True)
-        spread, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around) / count)
-        normal = np.ascontiguousarray(axes[:, :, 0] * np.where(axes[:, 2:, 0] < 0, -1, 1))
-        rough_m = np.sqrt(np.maximum(spread[:, 0], 0))
+        normal, rough_m = _surfaces(point_m, neighbour)
         order = np.argsort(rough_m, kind="stable")
         plane, label = _grown(point_m, neighbour, normal, rough_m, order, min_points, settings)
     if len(plane):
@@ -109,6 +116,53 @@ def _distance(plane: np.ndarray, point: np.ndarray) -> float:
     """The distance of a point from a plane."""
     off = plane[0] * point[0] + plane[1] * point[1] + plane[2] - point[2]
     return abs(off) / np.sqrt(1 + plane[0] ** 2 + plane[1] ** 2)
+
+
+@entry
+def _surfaces(point_m: np.ndarray, neighbour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The normals (m, 3) of the surface around each point, upwards, and how rough it is (m,): the standard deviation of
+    the points ``neighbour`` (m, k) along the normal, in metres.
+
+    Both are of the smallest eigenvalue of a symmetric matrix, which is a root of a cubic (Smith, Eigenvalues of a
+    symmetric 3 x 3 matrix, 1961).
+    """
+    normal, rough_m = np.empty(point_m.shape), np.empty(len(point_m))
+    count = neighbour.shape[1]
+    for row in range(len(point_m)):
+        centre = np.zeros(3)
+        for other in neighbour[row]:
+            for k in range(3):
+                centre[k] += point_m[other, k] / count
+        xx = xy = xz = yy = yz = zz = 0.0
+        for other in neighbour[row]:
+            x, y, z = (
+                point_m[other, 0] - centre[0],
+                point_m[other, 1] - centre[1],
+                point_m[other, 2] - centre[2],
+            )
+            xx, xy, xz = xx + x * x / count, xy + x * y / count, xz + x * z / count
+            yy, yz, zz = yy + y * y / count, yz + y * z / count, zz + z * z / count
+        mean = (xx + yy + zz) / 3
+        a, b, c = xx - mean, yy - mean, zz - mean
+        size = max(np.sqrt((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6), 1e-12)
+        half = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2 * size**3)
+        turn = np.arccos(min(max(half, -1.0), 1.0)) / 3
+        least = mean + 2 * size * np.cos(turn + 2 * np.pi / 3)
+        a, b, c = xx - least, yy - least, zz - least
+        best = -1.0
+        # the longest of the products of two rows, all of which are along the eigenvector
+        for x, y, z in (
+            (xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy),
+            (xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz),
+            (b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz),
+        ):
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > best:
+                best, sign = length, -1.0 if z < 0 else 1.0
+                normal[row, 0], normal[row, 1], normal[row, 2] = sign * x, sign * y, sign * z
+        normal[row] /= max(best, 1e-300)
+        rough_m[row] = np.sqrt(max(least, 0.0))
+    return normal, rough_m
 
 
 @entry
@@ -236,14 +290,12 @@ def _merged(
     """(planes, label) after planes side by side have become one, those that differ least first, without the planes of
     too few points."""
     rows = {i: np.flatnonzero(label == i) for i in range(len(plane))}
-    residual_m = {
-        i: distances(plane[i : i + 1], point_m[each]).mean() if len(each) else 0.0 for i, each in rows.items()
-    }
+    residual_m = {i: mean_distance(plane[i], point_m, each) for i, each in rows.items()}
     beside = _touching(label, neighbour)
 
     def joint(one: int, other: int) -> tuple[float, np.ndarray]:
-        both = fitted(point_m[np.concatenate([rows[one], rows[other]])], settings.noise_m)
-        worse = (distances(both[None], point_m[rows[i]]).mean() - residual_m[i] for i in (one, other))
+        both = fitted(point_m, np.concatenate([rows[one], rows[other]]), settings.noise_m)
+        worse = (mean_distance(both, point_m, rows[i]) - residual_m[i] for i in (one, other))
         return max(worse), both
 
     found = {pair: joint(*pair) for pair in sorted(beside)}
@@ -252,7 +304,7 @@ def _merged(
         if worse_m > settings.simpler_m:
             break
         rows[one] = np.concatenate([rows[one], rows.pop(other)])
-        residual_m[one] = distances(both[None], point_m[rows[one]]).mean()
+        residual_m[one] = mean_distance(both, point_m, rows[one])
         linked = {i for pair in found if one in pair or other in pair for i in pair} - {one, other}
         found = {pair: value for pair, value in found.items() if one not in pair and other not in pair}
         found |= {pair: joint(*pair) for pair in ((min(one, i), max(one, i)) for i in sorted(linked))}
@@ -260,7 +312,7 @@ def _merged(
     new_label = np.full(len(label), -1)
     for number, each in enumerate(large):
         new_label[each] = number
-    planes = [fitted(point_m[each], settings.noise_m) for each in large]
+    planes = [fitted(point_m, each, settings.noise_m) for each in large]
     return np.array(planes).reshape(-1, 3), new_label
 
 
@@ -268,6 +320,6 @@ def _touching(label: np.ndarray, neighbour: np.ndarray) -> set[tuple[int, int]]:
     """Pairs of planes of which at least three pairs of points are neighbours."""
     one, other = np.repeat(label, neighbour.shape[1]), label[neighbour].ravel()
     differ = (one >= 0) & (other >= 0) & (one != other)
-    pair = np.sort(np.column_stack([one[differ], other[differ]]), axis=1)
-    pairs, count = np.unique(pair, axis=0, return_counts=True)
-    return {(int(i), int(j)) for i, j in pairs[count >= 3]}
+    one, other, size = one[differ], other[differ], len(label)
+    pair, count = np.unique(np.minimum(one, other) * size + np.maximum(one, other), return_counts=True)
+    return {divmod(int(each), size) for each in pair[count >= 3]}

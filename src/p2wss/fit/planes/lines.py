@@ -156,7 +156,9 @@ def _extent(xy_m: np.ndarray, angle: float, settings: Drawing) -> list[Line]:
     normal = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     place = xy_m @ normal.T
     margin_m = np.ptp(place, axis=0) / len(place) ** 0.5 / 2
-    low, high = np.percentile(place, [1, 99], axis=0)
+    # of so few values, numpy's own percentiles take ten times as long
+    place = np.sort(place, axis=0)
+    low, high = place[[round(share * (len(place) - 1)) for share in (0.01, 0.99)]]
     return [
         Line(normal[axis], float(offset)).along(xy_m, settings.reach_m)
         for axis in (0, 1)

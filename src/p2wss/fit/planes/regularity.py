@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from p2wss.fit.directions import turn_between
-from p2wss.fit.planes.detection import RoofPlanes, distances, fitted
+from p2wss.fit.planes.detection import RoofPlanes, fitted, mean_distance
 from p2wss.fit.settings import Detection
 
 # tangents: of a slope that may be level, and of a difference between slopes that may be equal
@@ -25,7 +25,7 @@ def regular(
     result = planes.plane.copy()
 
     def mean_m(plane: np.ndarray, i: int) -> float:
-        return float(distances(plane[None], point_m[rows[i]]).mean())
+        return float(mean_distance(plane, point_m, rows[i]))
 
     for i, plane in enumerate(planes.plane):
         own, most_m = point_m[rows[i]], mean_m(plane, i) + slack_m
@@ -46,7 +46,7 @@ def _along(point_m: np.ndarray, bearing: float, noise_m: float) -> np.ndarray:
     """The plane (3,) of points (m, 3) that rises along a bearing, radians."""
     unit = np.array([np.cos(bearing), np.sin(bearing)])
     profile_m = np.column_stack([point_m[:, :2] @ unit, np.zeros(len(point_m)), point_m[:, 2]])
-    rise, _, height_m = fitted(profile_m, noise_m)
+    rise, _, height_m = fitted(profile_m, np.arange(len(profile_m)), noise_m)
     return np.array([*rise * unit, height_m])
 
 
@@ -64,7 +64,7 @@ def _equally_steep(
             own = point_m[rows[j]]
             equal = plane[j] * np.array([steep[i] / steep[j], steep[i] / steep[j], 0.0])
             equal[2] = np.median(own[:, 2] - own[:, :2] @ equal[:2])
-            worse_m = distances(equal[None], own).mean() - distances(plane[j][None], own).mean()
+            worse_m = mean_distance(equal, point_m, rows[j]) - mean_distance(plane[j], point_m, rows[j])
             if worse_m < slack_m:
                 result[j], is_set[j] = equal, True
     return result
