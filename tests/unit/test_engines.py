@@ -30,6 +30,14 @@ def test_a_profile_names_rules_and_groups_that_exist(name):
     assert {"cut_scene", "build_roofs", "cast_scan", "crop_simulated"} <= set(profile["groups"])
 
 
+@pytest.mark.parametrize("name", ["slurm", "kubernetes"])
+def test_gpus_are_asked_for_by_profiles_only(name):
+    profile = yaml.safe_load((ROOT / f"profiles/{name}/config.yaml").read_text())
+    with_gpu = {rule for rule, resources in profile["set-resources"].items() if "gpu" in resources}
+    assert with_gpu == {"dvae", "model", "ablation_model", "ablation", "eval_reconstruct"}
+    assert not [rule for rule, text in rules().items() if "gpu=" in text]
+
+
 def test_every_job_asks_for_more_memory_on_a_retry():
     running = {name: text for name, text in rules().items() if re.search(r"^    shell:", text, re.M)}
     assert len(running) > 15

@@ -56,7 +56,6 @@ rule eval_reconstruct:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
-        gpu=lambda wildcards: int(wildcards.method in WITH_NETWORK),
     params:
         config=method_section,
         code=fingerprint("eval.methods", "nets.predictor"),
