@@ -23,6 +23,7 @@ rule ablation_model:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
         config=variant_section,
         code=fingerprint("training.model"),
@@ -52,6 +53,7 @@ rule ablation:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        runtime=lambda wildcards, attempt: 120 * attempt,
     params:
         config=section("ablation"),
         code=fingerprint("training.ablation"),

@@ -22,6 +22,7 @@ rule dvae:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
         config=section("dvae", without=RULE_ONLY),
         code=fingerprint("training.dvae"),

@@ -23,6 +23,7 @@ rule model:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
         config=section("model", without=("weights", *RULE_ONLY)),
         code=fingerprint("training.model"),
