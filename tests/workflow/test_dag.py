@@ -152,6 +152,18 @@ def test_no_command_grows_with_the_number_of_tiles(fresh):
     assert many == few
 
 
+def test_a_project_of_the_catalogue_plans(project):
+    """What snakedeploy writes: a module with the config in config/config.yaml, and no default.yaml needed."""
+    (project.folder / "config/default.yaml").unlink()
+    (project.folder / "deployed.smk").write_text(
+        'configfile: "config/config.yaml"\n'
+        'module p2wss:\n    snakefile: "workflow/Snakefile"\n    config: config\n'
+        "use rule * from p2wss\n"
+    )
+    jobs = rules_to_run(project.dry_run("-s", "deployed.smk"))
+    assert {"eval_report", "reconstruct_tile"} <= set(jobs)
+
+
 def test_every_config_plans(fresh):
     files = sorted(str(file.relative_to(ROOT)) for file in (ROOT / "config").glob("**/*.yaml"))
     runs = fresh.dry_runs([["--configfile", file] for file in files])
