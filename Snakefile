@@ -10,6 +10,7 @@ min_version("9.21.1")
 
 
 configfile: "config/default.yaml"
+configfile: "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"

@@ -30,13 +30,25 @@ def test_a_profile_names_rules_and_groups_that_exist(name):
     assert {"cut_scene", "build_roofs", "cast_scan", "crop_simulated"} <= set(profile["groups"])
 
 
-def test_every_job_asks_for_more_memory_on_a_retry():
-    running = {name: text for name, text in rules().items() if re.search(r"^    shell:", text, re.M)}
+@pytest.mark.parametrize("name", ["slurm", "kubernetes"])
+def test_gpus_are_asked_for_by_profiles_only(name):
+    profile = yaml.safe_load((ROOT / f"profiles/{name}/config.yaml").read_text())
+    with_gpu = {rule for rule, resources in profile["set-resources"].items() if "gpu" in resources}
+    assert with_gpu == {"dvae", "model", "ablation_model", "ablation", "eval_reconstruct"}
+    assert not [rule for rule, text in rules().items() if "gpu=" in text]
+
+
+@pytest.mark.parametrize("resource", ["mem_mb", "runtime"])
+def test_every_job_asks_for_more_memory_and_time_on_a_retry(resource):
+    running = {name for name, text in rules().items() if re.search(r"^    shell:", text, re.M)}
     assert len(running) > 15
-    without = [
-        name for name, text in running.items() if not re.search(r"mem_mb=lambda \w+, attempt:.*attempt", text)
-    ]
-    assert not without
+    asking = {
+        name
+        for name, text in rules().items()
+        if re.search(rf"{resource}=lambda \w+, attempt:.*attempt", text)
+    }
+    local = {"fetch_footprints", "fetch_dtm", "fetch_lidar", "draw_town"}  # no scheduler limits their time
+    assert asking | (local if resource == "runtime" else set()) == running
 
 
 def test_what_a_config_names_is_local_where_results_are_in_storage():

@@ -111,16 +111,19 @@ def test_a_damaged_index_of_the_scenes_is_one_clear_line(project):
 
 
 @pytest.mark.parametrize(
-    "several", [["--config", "model={compute: {num_gpus: 3}}"], ["--set-resources", "model:gpu=3"]]
+    ("several", "asks"),
+    [(["--config", "model={compute: {num_gpus: 3}}"], False), (["--set-resources", "model:gpu=3"], True)],
 )
-def test_several_gpus_are_a_resource_and_start_torchrun(project, several):
-    run = project.dry_run("model", *several)
+def test_several_processes_of_the_config_or_a_profile_start_torchrun(fresh, several, asks):
+    """Only the profile asks for GPUs: without one, the same command runs where there are none."""
+    run = fresh.dry_run("model", *several)
     commands = [line for line in (run.stdout + run.stderr).splitlines() if line.startswith("Shell command:")]
     assert [line.split(" --manifest")[0] for line in commands if "--checkpoints" in line] == [
         "Shell command: p2wss dvae",
         "Shell command: torchrun --standalone --nproc-per-node 3 -m p2wss.cli model",
     ]
-    assert "gpu=3" in run.stdout + run.stderr and "num_gpus" not in "".join(commands)
+    assert ("gpu=3" in output_of(run)) == ("gpu=" in output_of(run)) == asks
+    assert "num_gpus" not in "".join(commands)
 
 
 def test_all_tiles_are_planned_without_the_checkpoint(fresh):
@@ -147,6 +150,18 @@ def test_no_command_grows_with_the_number_of_tiles(fresh):
     few, many = longest(3), longest(6)
     assert {"scenes index", "scenes cut", "crops manifest", "eval report"} <= set(few)
     assert many == few
+
+
+def test_a_project_of_the_catalogue_plans(project):
+    """What snakedeploy writes: a module with the config in config/config.yaml, and no default.yaml needed."""
+    (project.folder / "config/default.yaml").unlink()
+    (project.folder / "deployed.smk").write_text(
+        'configfile: "config/config.yaml"\n'
+        'module p2wss:\n    snakefile: "workflow/Snakefile"\n    config: config\n'
+        "use rule * from p2wss\n"
+    )
+    jobs = rules_to_run(project.dry_run("-s", "deployed.smk"))
+    assert {"eval_report", "reconstruct_tile"} <= set(jobs)
 
 
 def test_every_config_plans(fresh):

@@ -13,7 +13,7 @@ from checkout import Project
 from one_node_slurm import one_node_slurm, reason_to_skip
 
 pytestmark = pytest.mark.slow
-# this cluster has no accounts, no database of finished jobs and no GPU
+# this cluster has no accounts and no database of finished jobs
 SITE = [
     *("--slurm-no-account", "--slurm-status-command", "squeue"),
     *("--slurm-init-seconds-before-status-checks", "3", "--latency-wait", "5"),
@@ -37,8 +37,8 @@ def test_the_reduced_miniature_to_its_report(slurm, tmp_path):
     start = time.monotonic()
     run = project.snakemake(
         *("eval_report", "--profile", "profiles/slurm", "--configfile", "tests/mini/reduced.yaml", *SITE),
+        # instead of those of the profile, which ask for GPUs
         "--set-resources",
-        *(f"{rule}:gpu=0" for rule in rules_with_gpu(project)),
         "crop_real:mem_mb=250 * 8 ** (attempt - 1)",
     )
     seconds = time.monotonic() - start
@@ -61,12 +61,6 @@ def test_the_reduced_miniature_to_its_report(slurm, tmp_path):
     stages = ["scenes", "buildings", "scans", "crops/simulated"]
     work_s = sum(float(benchmark(project, f"{stage}/{TILE}")["s"]) for stage in stages)
     assert tile["seconds"] < 2 * work_s, f"{tile['seconds']} s for {work_s:.0f} s of work"
-
-
-def rules_with_gpu(project: Project) -> list[str]:
-    text = "".join(path.read_text() for path in sorted((project.folder / "workflow/rules").glob("*.smk")))
-    rules = re.split(r"^(?=(?:rule|checkpoint) )", text, flags=re.M)[1:]
-    return [rule.split()[1].rstrip(":") for rule in rules if re.search(r"^ +gpu=", rule, re.M)]
 
 
 def jobs_of_slurm() -> dict[str, list[dict]]:

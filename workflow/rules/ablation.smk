@@ -23,12 +23,12 @@ rule ablation_model:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
-        gpu=settings.model.compute.num_gpus,
+        runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
         config=variant_section,
         code=fingerprint("training.model"),
         folder=subpath(output.weights, parent=True),
-        program=program,
+        program=program(settings.model),
     shell:
         "{params.program:q} model --manifest {input.manifest:q} --dvae {input.dvae:q} --out {output.weights:q} --out-metrics {output.metrics:q}"
         " --checkpoints {params.folder:q}/checkpoints"
@@ -53,7 +53,7 @@ rule ablation:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
-        gpu=1,
+        runtime=lambda wildcards, attempt: 120 * attempt,
     params:
         config=section("ablation"),
         code=fingerprint("training.ablation"),

@@ -18,6 +18,7 @@ rule build_roofs:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("buildings"),
         code=fingerprint("scenes.buildings"),

@@ -50,17 +50,23 @@ def section(*names, without=()):
     return lambda wildcards: configs.section_json(at(wildcards.get("place", "")), *names, without=without)
 
 
-# how many processes train is a resource of the rule: the networks depend on it through rounding only
+# how many processes train: the networks depend on it through rounding only
 RULE_ONLY = ("compute.num_gpus",)
 
 
-def program(wildcards, resources):
-    """The words of the command p2wss, or of torchrun that starts it in as many processes as the job has GPUs.
+def program(section):
+    """The words of the command p2wss, or of torchrun that starts it in several processes: as many as the job has GPUs
+    by a profile, else as the config says.
 
-    What depends on resources is not tracked: the number of GPUs reruns nothing.
+    What depends on resources is not tracked: the number of processes reruns nothing.
     """
-    torchrun = ["torchrun", "--standalone", "--nproc-per-node", resources.gpu, "-m", "p2wss.cli"]
-    return torchrun if resources.gpu > 1 else ["p2wss"]
+
+    def words(wildcards, resources):
+        num_processes = resources.get("gpu", section.compute.num_gpus)
+        torchrun = ["torchrun", "--standalone", "--nproc-per-node", num_processes, "-m", "p2wss.cli"]
+        return torchrun if num_processes > 1 else ["p2wss"]
+
+    return words
 
 
 def variant_section(wildcards):

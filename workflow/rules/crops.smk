@@ -25,6 +25,7 @@ rule crop_simulated:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("crops"),
         code=fingerprint("crops"),
@@ -46,6 +47,7 @@ rule crop_real:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("region", "scenes", "crops", without=TILE_LISTS),
         code=fingerprint("crops", "footprints.cleaning"),
@@ -69,6 +71,7 @@ rule crops:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("dataset", "crops", without=("members",)),
         code=fingerprint("crops"),

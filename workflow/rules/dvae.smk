@@ -22,12 +22,12 @@ rule dvae:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
-        gpu=settings.dvae.compute.num_gpus,
+        runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
         config=section("dvae", without=RULE_ONLY),
         code=fingerprint("training.dvae"),
         folder=subpath(output.weights, parent=True),
-        program=program,
+        program=program(settings.dvae),
     shell:
         "{params.program:q} dvae --manifest {input.manifest:q} --out {output.weights:q} --out-metrics {output.metrics:q}"
         " --checkpoints {params.folder:q}/checkpoints"

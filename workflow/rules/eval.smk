@@ -27,6 +27,7 @@ rule medians:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         code=fingerprint("eval.cases"),
     shell:
@@ -56,7 +57,7 @@ rule eval_reconstruct:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 3000 * attempt,
-        gpu=lambda wildcards: int(wildcards.method in WITH_NETWORK),
+        runtime=lambda wildcards, attempt: 480 * attempt,
     params:
         config=method_section,
         code=fingerprint("eval.methods", "nets.predictor"),
@@ -83,6 +84,7 @@ rule measure:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
+        runtime=lambda wildcards, attempt: 240 * attempt,
     params:
         config=section("eval", without=REPORT_ONLY + ROOFER_ONLY),
         code=fingerprint("eval.measure"),
@@ -128,6 +130,7 @@ rule eval_report:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 2000 * attempt,
+        runtime=lambda wildcards, attempt: 120 * attempt,
     params:
         config=section("region", "dataset", "fetch", "eval", without=("shards_per_job",)),
         code=fingerprint("eval.report", "eval.templates", "formats.templates", "formats.assets"),

@@ -108,6 +108,7 @@ rule prepare_lidar:
         "../../envs/pdal.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 8000 * attempt,
+        runtime=lambda wildcards, attempt: 120 * attempt,
     params:
         config=section("region", "fetch", without=(*TILE_LISTS, "geoplateforme")),
         code=fingerprint("fetch"),

@@ -23,12 +23,12 @@ rule model:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
-        gpu=settings.model.compute.num_gpus,
+        runtime=lambda wildcards, attempt: 1440 * attempt,
     params:
         config=section("model", without=("weights", *RULE_ONLY)),
         code=fingerprint("training.model"),
         folder=subpath(output.weights, parent=True),
-        program=program,
+        program=program(settings.model),
     shell:
         "{params.program:q} model --manifest {input.manifest:q} --dvae {input.dvae:q} --out {output.weights:q} --out-metrics {output.metrics:q}"
         " --checkpoints {params.folder:q}/checkpoints"

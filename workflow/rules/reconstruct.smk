@@ -28,6 +28,7 @@ rule reconstruct_tile:
     threads: 2
     resources:
         mem_mb=lambda wildcards, attempt: 4000 * attempt,
+        runtime=lambda wildcards, attempt: 240 * attempt,
     params:
         config=section("region", "scenes", "crops", "reconstruct", without=TILE_LISTS),
         code=fingerprint("reconstruct", "nets.predictor", "formats.templates", "formats.assets"),

@@ -22,6 +22,7 @@ rule cast_scan:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 2500 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("scans"),
         code=fingerprint("scans"),

@@ -19,6 +19,7 @@ checkpoint index_scenes:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 1000 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("region", "dataset", "scenes", without=(*EVERY_TILE_LIST, *OF_CLOUDS)),
         code=fingerprint("scenes.cut"),
@@ -41,6 +42,7 @@ rule cut_scene:
         "../../envs/p2wss.yaml"
     resources:
         mem_mb=lambda wildcards, attempt: 1500 * attempt,
+        runtime=lambda wildcards, attempt: 60 * attempt,
     params:
         config=section("region", "scenes", without=(*TILE_LISTS, *OF_CLOUDS)),
         code=fingerprint("scenes.cut"),

@@ -36,8 +36,8 @@ class Compute(Section):
     num_gpus: int = Field(
         1,
         ge=1,
-        description="number of GPUs of the job in the workflow; torchrun starts one process per GPU, or as "
-        "many on CPUs",
+        description="number of processes of the training in the workflow, started by torchrun: one per GPU, "
+        "or as many on CPUs; the resource gpu of a profile takes precedence",
     )
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="precision of matrix products (autocast); weights and losses stay in float32"

@@ -99,7 +99,9 @@ def read_whole_blocks(path: str | Path, bounds: Bounds, snap_m: float) -> gpd.Ge
         frame = read_footprints(path, bounds=window)
         shapes, _ = repaired(frame.geometry.to_numpy())
         block = block_numbers(shapes, snap_m)
-        is_member = np.isin(block, block[shapely.intersects(shapes, shapely.box(*bounds))])
+        # one that cannot be repaired is empty now, but was read: it keeps a row, with its reason
+        touches = shapely.intersects(shapes, shapely.box(*bounds)) | shapely.is_empty(shapes)
+        is_member = np.isin(block, block[touches])
         if not is_member.any():
             return frame[is_member]
         low_x, low_y, high_x, high_y = grown(shapely.total_bounds(shapes[is_member]).tolist(), snap_m)

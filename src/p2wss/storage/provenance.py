@@ -2,7 +2,7 @@
 
 Snakemake reruns a rule when its ``params`` change. A fingerprint among them makes an edit of the code such a
 change. It excludes layout, comments and docstrings, which cannot change a result. Words in the code, such as the
-message of an error, count.
+message of an error, count. So do the installed versions of the imported libraries that compute results.
 
 Each version of a module is parsed once: what counts of it is kept in a file beside the compiled code, under a digest of
 its bytes. A digest of the code does not depend on the version of Python.
@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from hashlib import blake2b
+from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,8 @@ from p2wss.storage.errors import InputError
 PACKAGE = "p2wss"
 # their values reach a stage through the parameters, or they only pass paths on
 NOT_TRACKED = ("config", "storage.provenance", "cli")
+# another version of these may give other numbers from the same code
+LIBRARIES = ("embreex", "manifold3d", "numba", "numpy", "scipy", "shapely", "torch")
 # of the syntax tree: whether a name is read or written follows from where it stands, and the rest is a matter of taste
 _NOT_CODE = ("ctx", "kind", "type_comment")
 
@@ -33,8 +36,8 @@ _KEPT = "__pycache__/fingerprints.json"
 
 
 class Module(NamedTuple):
-    """What counts of a module: a digest of its code, and the names in this package that it imports. version: a digest
-    of its source and of this file."""
+    """What counts of a module: a digest of its code, and the libraries and names in this package that it imports.
+    version: a digest of its source and of this file."""
 
     version: str
     digest: str
@@ -62,18 +65,28 @@ def fingerprint(*stages: str) -> str:
         is_tracked = name in named or (name != PACKAGE and not _is_within(name, NOT_TRACKED))
         if name in digests or not is_tracked:
             continue
-        if _source(name) is None:
+        if name in LIBRARIES:
+            digests[name] = _version(name)
+        elif _source(name) is None:
             digests |= _other_files(name)
         else:
             kept[name] = _read(name, kept.get(name))
             digests[name] = kept[name].digest
-            pending += [each for each in kept[name].imports if _source(each) is not None]
+            pending += [each for each in kept[name].imports if each in LIBRARIES or _source(each) is not None]
     if kept != known:
         _keep(kept)
     digest = blake2b(digest_size=8)
     for name in sorted(digests):
         digest.update(f"{name}\n{digests[name]}\n".encode())
     return digest.hexdigest()
+
+
+def _version(library: str) -> str:
+    """The version that is installed, the same for CPUs and GPUs; "" without the extra that needs the library."""
+    try:
+        return metadata.version(library).partition("+")[0]
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def _is_within(name: str, parts: Sequence[str]) -> bool:
@@ -149,7 +162,8 @@ def _source(name: str) -> Path | None:
 
 
 def _inside(tree: ast.Module) -> list[str]:
-    """Names in this package that are imported anywhere, inside functions included: modules, and what is in them.
+    """Libraries, and names in this package, that are imported anywhere, inside functions included: modules, and what
+    is in them.
 
     All imports are absolute.
     """
@@ -159,7 +173,8 @@ def _inside(tree: ast.Module) -> list[str]:
             names |= dict.fromkeys(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             names |= dict.fromkeys([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
-    return [name for name in names if name.split(".")[0] == PACKAGE]
+    libraries = {name.split(".")[0] for name in names}.intersection(LIBRARIES)
+    return [*sorted(libraries), *(name for name in names if name.split(".")[0] == PACKAGE)]
 
 
 def _write(node: object, code: list[str]) -> None:

@@ -1,4 +1,5 @@
-"""A tile without buildings, which ``region.tiles: [all]`` plans too: every stage writes a file without rows."""
+"""A tile without buildings, which ``region.tiles: [all]`` plans too: every stage writes a file without rows. And one
+whose footprints are not all buildings: those that are left out are counted."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ TILE, NEIGHBOUR, SIZE_M = "0652000_6862000", "0652200_6862000", 100
 REGION = {"crs": "EPSG:2154", "tile_size_m": SIZE_M}
 SECTIONS = {
     "region": REGION,
-    "scenes": {"margin_m": 20},
+    "scenes": {"margin_m": 20, "max_failed_fraction": 1},
     "scans": {"density_per_m2": 2},
     "crops": {"split": "test", "guard_m": 2},
     "eval": {"num_samples": 64},
@@ -95,3 +96,23 @@ def test_a_tile_without_buildings_goes_through_all_stages(run):
     )
     summary = json.loads(Path(f"out/{TILE}.json").read_text(encoding="utf-8"))
     assert summary["buildings"]["total"] == 0
+
+
+def test_every_building_that_is_left_out_is_in_the_manifest_with_its_reason(run):
+    star = np.random.default_rng(0).uniform((652205, 6861960), (652295, 6861990), (600, 2))
+    odd = {
+        "not-a-polygon": shapely.LineString([(652210, 6861910), (652220, 6861915)]),
+        "too-small": shapely.box(652210, 6861920, 652211, 6861921),
+        "empty": shapely.Polygon([(652230, 6861920), (652240, 6861920), (652235, 6861920)]),
+        "implausible-size": shapely.box(652250, 6858950, 652251, 6864950),
+        "too-many-crossings": shapely.Polygon(star),
+    }
+    frame = gpd.GeoDataFrame(
+        {"building_id": list(odd), "hauteur_m": 6.0}, geometry=list(odd.values()), crs="EPSG:2154"
+    )
+    frame.to_file("footprints.gpkg", driver="GPKG", mode="a")
+    simulate(run, NEIGHBOUR)
+    simulated, real = f"{NEIGHBOUR}.simulated.parquet", f"{NEIGHBOUR}.real.parquet"
+    run("crops", "manifest", "--simulated", simulated, "--real", real, "--out", "m.json")
+    for shard in json.loads(Path("m.json").read_text(encoding="utf-8"))["shards"]:
+        assert shard["num_rows"] == 3 and shard["num_excluded"] == dict.fromkeys(odd, 1), shard["dataset"]

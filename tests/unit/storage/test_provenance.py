@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -19,8 +20,11 @@ PACKAGE = Path(p2wss.__file__).parent
 
 
 def fingerprint_by(python: str, folder: Path, *stages: str) -> list[str]:
-    """Fingerprints of the package in ``folder``, in a fresh interpreter."""
-    code = f"from p2wss.storage.provenance import fingerprint; print(*map(fingerprint, {stages!r}))"
+    """Fingerprints of the package in ``folder``, in a fresh interpreter that need not have the libraries."""
+    code = (
+        "from p2wss.storage import provenance; provenance._version = str;"
+        f"print(*map(provenance.fingerprint, {stages!r}))"
+    )
     run = subprocess.run([python, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
     return run.stdout.split()
 
@@ -111,6 +115,34 @@ def test_the_config_counts_only_where_it_is_named(copy):
     before, buildings = of("config"), of("scenes.buildings")
     edit(root / "config" / "region.py", "ge=10, le=10000", "ge=10, le=20000")
     assert of("config") != before and of("scenes.buildings") == buildings
+
+
+@pytest.mark.parametrize(
+    ("library", "in_scenes", "in_crops", "in_training"),
+    [
+        ("numpy", True, True, True),
+        ("numba", True, True, True),
+        ("shapely", True, True, False),
+        ("torch", False, False, True),
+    ],
+)
+def test_another_version_of_a_library_counts_for_the_stages_that_use_it(
+    library: str, in_scenes: bool, in_crops: bool, in_training: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def of(version: str) -> list[str]:
+        monkeypatch.setattr(metadata, "version", lambda name: version if name == library else "1.0")
+        forget()
+        return [fingerprint(stage) for stage in ("scenes.buildings", "crops", "training.model")]
+
+    before, after, on_gpu = of("1.0"), of("1.1"), of("1.0+cu130")
+    forget()
+    changed = [old != new for old, new in zip(before, after, strict=True)]
+    assert changed == [in_scenes, in_crops, in_training]
+    assert before == on_gpu
+
+
+def test_a_library_that_is_not_installed_is_no_error() -> None:
+    assert provenance._version("no-such-library") == "" != provenance._version("numpy")
 
 
 def test_the_package_has_no_relative_imports():
@@ -246,7 +278,9 @@ def test_a_version_of_a_module_is_parsed_once(
 
 
 @pytest.mark.parametrize("version", ["3.11", "3.12", "3.13", "3.14"])
-def test_the_version_of_python_does_not_count(copy: tuple[Path, Callable[[str], str]], version: str) -> None:
+def test_the_version_of_python_does_not_count(
+    copy: tuple[Path, Callable[[str], str]], monkeypatch: pytest.MonkeyPatch, version: str
+) -> None:
     """The machine that submits the jobs need not have the Python of the one that runs them."""
     python = shutil.which(f"python{version}")
     if python is None or subprocess.run([python, "--version"], capture_output=True).returncode:
@@ -264,4 +298,7 @@ def test_the_version_of_python_does_not_count(copy: tuple[Path, Callable[[str], 
         "eval",
     )
     folder = copy[0].parent  # where nothing is kept yet
+    monkeypatch.setattr(provenance, "_version", str)
+    forget()
     assert fingerprint_by(python, folder, *stages) == [fingerprint(stage) for stage in stages]
+    forget()
