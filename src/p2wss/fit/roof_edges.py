@@ -126,13 +126,14 @@ def overhangs_m(ring: np.ndarray, point_m: np.ndarray, classification: np.ndarra
     if min(len(building_m), len(ground_m)) < RULES.min_points:
         return result
     for i, (start, end) in enumerate(zip(ring, np.roll(ring, -1, axis=0), strict=True)):
-        depth_m, ground_depth_m = (_beside(start, end, each)[1] for each in (building_m, ground_m))
+        ground_depth_m = _beside(start, end, ground_m)[1]
         # without ground, as along party walls, there is nothing to find
         if ((ground_depth_m >= -RULES.beyond_m) & (ground_depth_m < _FAR_M)).sum() < RULES.min_points:
             continue
         begins_m = _begins_m(start, end, building_m, -RULES.beyond_m)
         if not len(begins_m):
             continue
+        depth_m = _beside(start, end, building_m)[1]
         # the roof ends a little beyond its last point: half of these gaps are longer than ln 2 over the density
         num_behind = int(((depth_m > _NEAR_M) & (depth_m < _FAR_M)).sum())
         inner_length_m = np.hypot(*(end - start)) - 2 * RULES.at_corner_m
