@@ -12,7 +12,7 @@ from p2wss.skeleton.types import FaceKind
 
 # corners nearer to all planes of their roofs are there; roofs that cannot be planes to the second figure stay as they
 # are, as do those of which a corner would move further than the third
-_EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 1e-4, 0.06
+_EXACT_M, _PLANAR_M, _MAX_MOVE_M = 1e-6, 2e-4, 0.06
 # nothing within a wall is further than this from its line; lines whose angle has no greater sine squared are parallel
 _MAX_BENT_M, _PARALLEL = 5e-3, 1e-3
 # ends of an edge that are nearer than this become one
@@ -24,7 +24,7 @@ _NO_HEIGHT_M, _NO_AREA_M2 = 1e-3, 1e-6
 # of their length have no slope across
 _STIFF, _THIN = 100.0, 1e-12
 # what is determined by less than this share of what determines best is not changed, if it need not be
-_RANKS = (1e-2, 1e-6)
+_RANKS = (1e-2, 1e-3, 1e-6)
 
 
 def with_exact_faces(mesh: Mesh, short_m: float = SHORT_EDGE_M) -> Mesh:

@@ -50,9 +50,10 @@ class Tolerances:
     fold_deg: float = 20.0
 
 
-# the defaults of val3dity, and what we write: a little stricter, so that its rounding does not matter
+# the defaults of val3dity, and what we write: a little stricter, so that its rounding does not matter, and faces as planar
+# as the roundest of files lets them be
 VAL3DITY = Tolerances()
-WRITING = Tolerances(1.2e-3, 9e-3, 18.0)
+WRITING = Tolerances(1.2e-3, 2e-4, 18.0)
 
 
 @dataclass(frozen=True)
