@@ -306,7 +306,7 @@ def reconstruct(
         if settings.vegetation and len(rows):
             boxes = np.concatenate([boxes, [grown(around, vegetation.RULES.margin_m)]])
         points = resources.enter_context(CloudIndex(boxes, folder, adds_classes=outline_cloud is None))
-        store = resources.enter_context(Spool[Result](len(area.numbers), folder))
+        store = resources.enter_context(Spool[Any](2 * len(area.numbers), folder))
         if outline_cloud is None:
             if tile is None and not inputs.overlap(window(frame)):
                 raise InputError(_no_overlap(len(frame), inputs))
