@@ -79,7 +79,7 @@ def write(
     for output in outputs:
         path = folder / f"{stem}{OUTPUT_SUFFIXES[output]}"
         if output == "report":
-            files.write_text(path, page_of_run(results, stem, crs))
+            files.write_text(path, page_of_run(results, stem, crs, [plant.mesh for plant in plants]))
         elif output not in MESH_WRITERS:
             _write_results(path, output, results, plants, before, crs, facts, config)
         if output not in MESH_WRITERS:
